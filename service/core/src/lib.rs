@@ -3,3 +3,12 @@
 //! Nothing here reads a clock, a file, the environment or a random source; time is an argument, and the same
 //! input gives the same bits. Storage, JSON and HTTP do not belong here. One folder per machining process:
 //! a new one is a folder with its paper's equations, its tests beside it, and a line in the list below.
+
+pub mod cycle;
+pub mod ids;
+pub mod invalid;
+pub mod machine;
+pub mod operation;
+pub mod summary;
+pub mod tool;
+pub mod units;

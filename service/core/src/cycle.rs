@@ -1,0 +1,192 @@
+//! A cycle: one hole or cut on one machine with one tool, as it was recorded.
+//!
+//! A value of these types is valid; JSON, hashing and storage do not belong here.
+
+mod channel;
+mod flags;
+mod samples;
+
+pub use channel::Channel;
+pub use flags::{Flag, Flags};
+pub use samples::{DEFAULT_MAX_SAMPLES, Samples, TimeBase};
+
+use crate::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
+use crate::invalid::{Range, Violation};
+use crate::machine::SPEED_RANGE;
+use crate::units::{Process, Strategy, Timestamp};
+
+/// Energy that a control may report for one cycle.
+pub const ENERGY_RANGE: Range = Range::new(-1e12, 1e12, "J");
+/// Length of one cycle: at most a day.
+pub const DURATION_RANGE: Range = Range::new(0.0, 86_400_000.0, "ms");
+
+/// How a cycle ended, as the machine tells it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Outcome {
+    /// It ran to its programmed end.
+    #[default]
+    Completed,
+    /// It was stopped before.
+    Aborted,
+}
+
+impl Outcome {
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Completed => "completed",
+            Self::Aborted => "aborted",
+        }
+    }
+
+    /// The outcome of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        [Self::Completed, Self::Aborted].into_iter().find(|outcome| outcome.as_str() == text)
+    }
+}
+
+/// The version of a feed profile that a cycle ran.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ProfileVersion {
+    /// Which profile.
+    pub profile: ProfileId,
+    /// Which of its versions, counted from 1.
+    pub version: u32,
+}
+
+/// What a control reports of a cycle without samples.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Reported {
+    /// Energy of the cycle, J.
+    pub energy_joules: Option<f64>,
+    /// Length of the cycle, ms.
+    pub duration_ms: Option<f64>,
+    /// Largest depth, mm.
+    pub max_depth_mm: Option<f64>,
+    /// Largest spindle load, %.
+    pub max_spindle_load_percent: Option<f64>,
+    /// Largest feed-drive load, %.
+    pub max_feed_drive_load_percent: Option<f64>,
+    /// Mean spindle load, %.
+    pub mean_spindle_load_percent: Option<f64>,
+    /// Mean feed-drive load, %.
+    pub mean_feed_drive_load_percent: Option<f64>,
+    /// Operator's override, mean, %.
+    pub operator_override_percent: Option<f64>,
+}
+
+impl Reported {
+    /// The fields with their names and the range each has to lie in, in the order of the struct.
+    pub fn fields(&self) -> [(&'static str, Range, Option<f64>); 8] {
+        let load = Channel::SpindleLoadPercent.range();
+        let depth = Channel::DepthMm.range();
+        let operator = Channel::OperatorOverridePercent.range();
+        [
+            ("energy_joules", ENERGY_RANGE, self.energy_joules),
+            ("duration_ms", DURATION_RANGE, self.duration_ms),
+            ("max_depth_mm", depth, self.max_depth_mm),
+            ("max_spindle_load_percent", load, self.max_spindle_load_percent),
+            ("max_feed_drive_load_percent", load, self.max_feed_drive_load_percent),
+            ("mean_spindle_load_percent", load, self.mean_spindle_load_percent),
+            ("mean_feed_drive_load_percent", load, self.mean_feed_drive_load_percent),
+            ("operator_override_percent", operator, self.operator_override_percent),
+        ]
+    }
+}
+
+/// A cycle before it was checked: the same fields, nothing promised.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CycleDraft {
+    /// The machine that ran it.
+    pub machine: MachineId,
+    /// Its id within the machine.
+    pub id: CycleId,
+    /// The tool that was in the spindle.
+    pub tool: ToolId,
+    /// What was machined.
+    pub operation: OperationId,
+    /// When it began, by the machine's clock.
+    pub started_at: Timestamp,
+    /// The machine's own count, where it has one.
+    pub seq: Option<u64>,
+    /// The process, where it differs from the operation's or the operation is not registered.
+    pub process: Option<Process>,
+    /// How the feed was chosen.
+    pub strategy: Option<Strategy>,
+    /// Which version of the control law ran.
+    pub law_version: Option<String>,
+    /// Which feed profile ran.
+    pub profile: Option<ProfileVersion>,
+    /// The recommendation that it followed.
+    pub recommendation: Option<RecommendationId>,
+    /// Spindle speed that was commanded, rpm.
+    pub spindle_speed_rpm: Option<f64>,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// What was sampled.
+    pub samples: Option<Samples>,
+    /// What the control itself reports.
+    pub reported: Reported,
+}
+
+/// A cycle that was checked. Its fields are read-only.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cycle(CycleDraft);
+
+impl Cycle {
+    /// Longest law version text.
+    pub const MAX_LAW_VERSION: usize = 64;
+
+    /// Checks what the types of a draft leave open; returns every violation, not only the first.
+    pub fn new(mut draft: CycleDraft) -> Result<Self, Vec<Violation>> {
+        let mut wrong = Vec::new();
+        if let Some(speed) = &mut draft.spindle_speed_rpm
+            && let Some(checked) = SPEED_RANGE.collect("spindle_speed_rpm", *speed, &mut wrong)
+        {
+            *speed = checked;
+        }
+        if draft.seq.is_some_and(|seq| i64::try_from(seq).is_err()) {
+            wrong.push(Violation::new("seq", "out_of_range", "must be within 0 to 9223372036854775807"));
+        }
+        if draft
+            .law_version
+            .as_ref()
+            .is_some_and(|text| text.is_empty() || text.len() > Self::MAX_LAW_VERSION)
+        {
+            wrong.push(Violation::new(
+                "law_version",
+                "invalid_length",
+                format!("must have 1 to {} characters", Self::MAX_LAW_VERSION),
+            ));
+        }
+        if draft.profile.as_ref().is_some_and(|profile| profile.version == 0) {
+            wrong.push(Violation::new("profile.version", "out_of_range", "must be at least 1"));
+        }
+        for (name, range, value) in draft.reported.fields() {
+            if let Some(value) = value {
+                range.collect(&format!("reported.{name}"), value, &mut wrong);
+            }
+        }
+        let anything_reported = draft.reported.fields().iter().any(|(_, _, value)| value.is_some());
+        if draft.samples.is_none() && !anything_reported {
+            wrong.push(Violation::new(
+                "samples",
+                "nothing_recorded",
+                "a cycle needs samples or reported values: neither is there",
+            ));
+        }
+        if wrong.is_empty() { Ok(Self(draft)) } else { Err(wrong) }
+    }
+
+    /// Gives the fields back.
+    pub fn into_draft(self) -> CycleDraft {
+        self.0
+    }
+}
+
+impl std::ops::Deref for Cycle {
+    type Target = CycleDraft;
+    fn deref(&self) -> &CycleDraft {
+        &self.0
+    }
+}

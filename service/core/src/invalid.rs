@@ -1,0 +1,76 @@
+//! What is wrong with an input, and where.
+
+use std::fmt;
+
+/// One thing wrong with an input: the path of the field, a stable code and a sentence for a person.
+///
+/// Codes are part of the API: they may be added, never renamed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Violation {
+    /// Path from the root of the input, as in `samples.spindle_load_percent[17]`.
+    pub path: String,
+    /// Stable, machine-readable code, as in `not_finite`.
+    pub code: &'static str,
+    /// What was expected and what was found.
+    pub message: String,
+}
+
+impl Violation {
+    /// Names a violation at `path`.
+    pub fn new(path: impl Into<String>, code: &'static str, message: impl Into<String>) -> Self {
+        Self { path: path.into(), code, message: message.into() }
+    }
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} ({})", self.path, self.message, self.code)
+    }
+}
+
+impl std::error::Error for Violation {}
+
+/// A closed range that a quantity has to lie in, with its unit for the message.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Range {
+    /// Smallest accepted value.
+    pub min: f64,
+    /// Largest accepted value.
+    pub max: f64,
+    /// Unit as it is printed.
+    pub unit: &'static str,
+}
+
+impl Range {
+    /// Builds a range; used for constants.
+    pub const fn new(min: f64, max: f64, unit: &'static str) -> Self {
+        Self { min, max, unit }
+    }
+
+    /// Returns `value` with a negative zero normalised, or says why it is refused.
+    pub fn check(&self, path: &str, value: f64) -> Result<f64, Violation> {
+        if !value.is_finite() {
+            return Err(Violation::new(path, "not_finite", "must be a finite number"));
+        }
+        if value < self.min || value > self.max {
+            return Err(Violation::new(
+                path,
+                "out_of_range",
+                format!("must be within {} to {} {}, is {value}", self.min, self.max, self.unit),
+            ));
+        }
+        // Adding zero turns −0.0 into 0.0, so that equal content has equal bits on both databases.
+        Ok(value + 0.0)
+    }
+
+    /// As [`Range::check`], pushing the violation and returning `None` where it is refused.
+    pub fn collect(&self, path: &str, value: f64, into: &mut Vec<Violation>) -> Option<f64> {
+        match self.check(path, value) {
+            Ok(value) => Some(value),
+            Err(violation) => {
+                into.push(violation);
+                None
+            }
+        }
+    }
+}

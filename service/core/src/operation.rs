@@ -1,0 +1,93 @@
+//! Operations: what is machined, with which feed and set loads.
+
+use crate::ids::OperationId;
+use crate::invalid::{Range, Violation};
+use crate::machine::{FEED_RANGE, SPEED_RANGE};
+use crate::units::Process;
+
+/// Depths and thicknesses.
+pub const LENGTH_RANGE: Range = Range::new(0.001, 100_000.0, "mm");
+/// Set loads.
+pub const SET_LOAD_RANGE: Range = Range::new(0.1, 400.0, "%");
+/// Cycles that a baseline may ask for; a tool that lasts 10 000 holes deserves 100.
+pub const BASELINE_CYCLES: std::ops::RangeInclusive<u32> = 3..=500;
+/// Cycles that the level's window may hold.
+pub const WINDOW_CYCLES: std::ops::RangeInclusive<u32> = 3..=500;
+
+/// How the wear of tools in an operation is judged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WearSettings {
+    /// Counted cycles whose median is a baseline.
+    pub baseline_cycles: u32,
+    /// Last counted ratios whose median is the level.
+    pub window_cycles: u32,
+}
+
+impl Default for WearSettings {
+    fn default() -> Self {
+        Self { baseline_cycles: 5, window_cycles: 5 }
+    }
+}
+
+/// An operation as it is registered.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Operation {
+    /// Its name in every path.
+    pub id: OperationId,
+    /// What people call it.
+    pub name: String,
+    /// Which process it is: tags cycles and recommendations.
+    pub process: Process,
+    /// NC program.
+    pub program: Option<String>,
+    /// Feature within the program.
+    pub feature: Option<String>,
+    /// Work material.
+    pub work_material: Option<String>,
+    /// Thickness of the work at the hole, mm.
+    pub thickness_mm: Option<f64>,
+    /// Depth that a complete cycle reaches, mm; a cycle that stays short of it is incomplete.
+    pub depth_mm: Option<f64>,
+    /// Commanded spindle speed, rpm.
+    pub spindle_speed_rpm: Option<f64>,
+    /// Programmed feed rate, mm/min: what is recommended until a feed profile exists.
+    pub programmed_feed_mm_min: Option<f64>,
+    /// Set load L_set of the spindle drive, %.
+    pub spindle_load_set_percent: Option<f64>,
+    /// Set load L_set of the feed drive, %.
+    pub feed_drive_load_set_percent: Option<f64>,
+    /// How wear is judged.
+    pub wear: WearSettings,
+}
+
+impl Operation {
+    /// Checks every quantity.
+    pub fn validated(self) -> Result<Self, Vec<Violation>> {
+        let mut wrong = Vec::new();
+        for (path, range, value) in [
+            ("thickness_mm", LENGTH_RANGE, self.thickness_mm),
+            ("depth_mm", LENGTH_RANGE, self.depth_mm),
+            ("spindle_speed_rpm", SPEED_RANGE, self.spindle_speed_rpm),
+            ("programmed_feed_mm_min", FEED_RANGE, self.programmed_feed_mm_min),
+            ("spindle_load_set_percent", SET_LOAD_RANGE, self.spindle_load_set_percent),
+            ("feed_drive_load_set_percent", SET_LOAD_RANGE, self.feed_drive_load_set_percent),
+        ] {
+            if let Some(value) = value {
+                range.collect(path, value, &mut wrong);
+            }
+        }
+        for (path, range, value) in [
+            ("wear.baseline_cycles", BASELINE_CYCLES, self.wear.baseline_cycles),
+            ("wear.window_cycles", WINDOW_CYCLES, self.wear.window_cycles),
+        ] {
+            if !range.contains(&value) {
+                wrong.push(Violation::new(
+                    path,
+                    "out_of_range",
+                    format!("must be within {} to {}, is {value}", range.start(), range.end()),
+                ));
+            }
+        }
+        if wrong.is_empty() { Ok(self) } else { Err(wrong) }
+    }
+}

@@ -1,0 +1,276 @@
+//! What one cycle amounts to: energy by basis, maxima, means, coverage and quality flags.
+//!
+//! A pure function of the cycle and of what its machine and operation declare, with bounded cost per sample.
+
+mod energy;
+mod loads;
+
+pub use energy::{Energy, EnergyBasis, IdlePower};
+pub use loads::{Peak, PeakShift};
+
+use crate::cycle::{Channel, Cycle, Flag, Flags, Outcome, Samples, TimeBase};
+use crate::machine::{Calibration, Machine};
+use crate::operation::Operation;
+use crate::units::Timestamp;
+
+/// Version of the summary's rules; stored with every summary, so that a change of rules shows.
+pub const SUMMARY_VERSION: u32 = 1;
+
+/// Share of a cycle's time that samples must cover for its energy to be compared.
+pub const COVERAGE_FLOOR: f64 = 0.95;
+
+/// A cycle that stays short of this share of the operation's depth is incomplete.
+pub const DEPTH_FLOOR: f64 = 0.9;
+
+/// Device times before this are a clock that was never set: 2000-01-01T00:00:00Z.
+pub const EARLIEST_CLOCK: Timestamp = Timestamp::from_micros(946_684_800_000_000);
+
+/// What the summary needs to know besides the cycle; `None` where it is not registered.
+#[derive(Debug, Clone, Copy)]
+pub struct Context<'a> {
+    /// The machine with its ratings.
+    pub machine: &'a Machine,
+    /// The machine's fitted lines, where there are any.
+    pub calibration: Option<&'a Calibration>,
+    /// The operation, where it is registered.
+    pub operation: Option<&'a Operation>,
+}
+
+/// The summary of one cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CycleSummary {
+    /// Version of the rules that made it.
+    pub version: u32,
+    /// Number of samples; 0 where the control only reported.
+    pub sample_count: u32,
+    /// Cycle time, ms.
+    pub duration_ms: Option<f64>,
+    /// Energy by basis, best basis first; empty where no joules can be told.
+    pub energy: Vec<Energy>,
+    /// Largest depth, mm.
+    pub max_depth_mm: Option<f64>,
+    /// Largest spindle load, %, with where and when.
+    pub max_spindle_load_percent: Option<Peak>,
+    /// Largest feed-drive load, %, with where and when.
+    pub max_feed_drive_load_percent: Option<Peak>,
+    /// Largest spindle power, W, with where and when.
+    pub max_spindle_power_watts: Option<Peak>,
+    /// Largest thrust, N, with where and when.
+    pub max_thrust_newtons: Option<Peak>,
+    /// Largest torque, N·m, with where and when.
+    pub max_torque_newton_metres: Option<Peak>,
+    /// Mean spindle load over time, %.
+    pub mean_spindle_load_percent: Option<f64>,
+    /// Mean feed-drive load over time, %.
+    pub mean_feed_drive_load_percent: Option<f64>,
+    /// Mean override over time, %.
+    pub mean_override_percent: Option<f64>,
+    /// Mean operator's override over time, %.
+    pub operator_override_percent: Option<f64>,
+    /// Median spindle speed, rpm.
+    pub median_spindle_speed_rpm: Option<f64>,
+    /// Depth at which the spindle load has fallen to half of its maximum, mm: the steadier second indicator.
+    pub spindle_load_fall_depth_mm: Option<f64>,
+    /// Share of the cycle's time that samples cover, 0 to 1.
+    pub coverage: f64,
+    /// What is unusual about it.
+    pub flags: Flags,
+}
+
+impl CycleSummary {
+    /// The energy of the best basis that is known.
+    pub fn best_energy(&self) -> Option<&Energy> {
+        self.energy.first()
+    }
+}
+
+/// Summarises `cycle`.
+pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
+    let mut summary = match &cycle.samples {
+        Some(samples) => of_samples(samples, cycle, context),
+        None => of_reported(cycle),
+    };
+    if let Some(joules) = cycle.reported.energy_joules {
+        summary.energy.push(Energy::reported(joules));
+    }
+    let flags = &mut summary.flags;
+    flags.insert_if(cycle.outcome == Outcome::Aborted, Flag::Aborted);
+    flags.insert_if(cycle.started_at < EARLIEST_CLOCK, Flag::ClockSuspect);
+    flags.insert_if(context.operation.is_none(), Flag::OperationUnregistered);
+    flags.insert_if(summary.energy.is_empty(), Flag::NoEnergy);
+    let asked = context.operation.and_then(|operation| operation.depth_mm);
+    if let (Some(asked), Some(reached)) = (asked, summary.max_depth_mm) {
+        flags.insert_if(reached < DEPTH_FLOOR * asked, Flag::Incomplete);
+    }
+    flags.insert_if(contradicts(cycle, &summary), Flag::Contradictory);
+    summary
+}
+
+fn of_reported(cycle: &Cycle) -> CycleSummary {
+    let reported = &cycle.reported;
+    let peak = |value: Option<f64>| value.map(|value| Peak { value, depth_mm: None, time_ms: None });
+    let mut flags = Flags::NONE;
+    for load in
+        [reported.max_spindle_load_percent, reported.max_feed_drive_load_percent].into_iter().flatten()
+    {
+        flags.insert_if(load > 400.0, Flag::LoadOver400);
+        flags.insert_if(load < 0.0, Flag::NegativeLoad);
+    }
+    CycleSummary {
+        version: SUMMARY_VERSION,
+        sample_count: 0,
+        duration_ms: reported.duration_ms,
+        energy: Vec::new(),
+        max_depth_mm: reported.max_depth_mm,
+        max_spindle_load_percent: peak(reported.max_spindle_load_percent),
+        max_feed_drive_load_percent: peak(reported.max_feed_drive_load_percent),
+        max_spindle_power_watts: None,
+        max_thrust_newtons: None,
+        max_torque_newton_metres: None,
+        mean_spindle_load_percent: reported.mean_spindle_load_percent,
+        mean_feed_drive_load_percent: reported.mean_feed_drive_load_percent,
+        mean_override_percent: None,
+        operator_override_percent: reported.operator_override_percent,
+        median_spindle_speed_rpm: None,
+        spindle_load_fall_depth_mm: None,
+        coverage: 1.0,
+        flags,
+    }
+}
+
+fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSummary {
+    let clock = SampleClock::of(samples);
+    let column = |channel| samples.column(channel);
+    let depth = column(Channel::DepthMm);
+    let peak = |channel| column(channel).map(|values| loads::peak(values, depth, samples));
+    let mean = |channel| column(channel).and_then(|values| clock.mean(values));
+    let commanded = cycle
+        .spindle_speed_rpm
+        .or_else(|| context.operation.and_then(|operation| operation.spindle_speed_rpm));
+    let (energy, beyond_calibration) = energy::by_basis(samples, &clock, commanded, context);
+    let mut flags = loads::flags(samples);
+    flags.insert_if(beyond_calibration, Flag::BeyondCalibration);
+    flags.insert_if(clock.has_gaps(), Flag::Gaps);
+    CycleSummary {
+        version: SUMMARY_VERSION,
+        sample_count: u32::try_from(samples.len()).unwrap_or(u32::MAX),
+        duration_ms: Some(clock.duration_ms),
+        energy,
+        max_depth_mm: depth.map(|depth| depth.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
+        max_spindle_load_percent: peak(Channel::SpindleLoadPercent),
+        max_feed_drive_load_percent: peak(Channel::FeedDriveLoadPercent),
+        max_spindle_power_watts: peak(Channel::SpindlePowerWatts),
+        max_thrust_newtons: peak(Channel::ThrustNewtons),
+        max_torque_newton_metres: peak(Channel::TorqueNewtonMetres),
+        mean_spindle_load_percent: mean(Channel::SpindleLoadPercent),
+        mean_feed_drive_load_percent: mean(Channel::FeedDriveLoadPercent),
+        mean_override_percent: mean(Channel::OverridePercent),
+        operator_override_percent: mean(Channel::OperatorOverridePercent)
+            .or(cycle.reported.operator_override_percent),
+        median_spindle_speed_rpm: column(Channel::SpindleSpeedRpm).map(loads::median),
+        spindle_load_fall_depth_mm: loads::fall_depth(samples),
+        coverage: clock.coverage,
+        flags,
+    }
+}
+
+/// Whether what the control reports disagrees with what was sampled by more than a tenth.
+fn contradicts(cycle: &Cycle, summary: &CycleSummary) -> bool {
+    if cycle.samples.is_none() {
+        return false;
+    }
+    let apart = |told: Option<f64>, seen: Option<f64>| match (told, seen) {
+        (Some(told), Some(seen)) => (told - seen).abs() > 0.1 * told.abs().max(seen.abs()),
+        _ => false,
+    };
+    // Recordings often stop short of the reported cycle time; only samples longer than the cycle contradict.
+    let longer = match (cycle.reported.duration_ms, summary.duration_ms) {
+        (Some(told), Some(seen)) => seen > 1.1 * told,
+        _ => false,
+    };
+    longer || apart(cycle.reported.max_depth_mm, summary.max_depth_mm)
+}
+
+/// How much time each sample stands for.
+pub(crate) struct SampleClock {
+    /// Time that sample `k` covers, ms; a gap covers only one usual period.
+    widths_ms: Widths,
+    /// From the start of the first sample's period to the last sample, ms.
+    pub(crate) duration_ms: f64,
+    /// Covered share of the duration, 0 to 1.
+    pub(crate) coverage: f64,
+}
+
+enum Widths {
+    Even(f64),
+    Each(Vec<f64>),
+}
+
+/// An interval this many times the usual one is a gap.
+const GAP_FACTOR: f64 = 3.0;
+
+impl SampleClock {
+    #[expect(clippy::cast_precision_loss, reason = "sample counts are far below 2^53")]
+    pub(crate) fn of(samples: &Samples) -> Self {
+        match samples.time() {
+            TimeBase::Period { period_ms } => Self {
+                widths_ms: Widths::Even(*period_ms),
+                duration_ms: period_ms * samples.len() as f64,
+                coverage: 1.0,
+            },
+            TimeBase::Stamps { time_ms } => {
+                let steps: Vec<f64> = time_ms.windows(2).map(|pair| pair[1] - pair[0]).collect();
+                let positive: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
+                if positive.is_empty() {
+                    return Self {
+                        widths_ms: Widths::Each(vec![0.0; time_ms.len()]),
+                        duration_ms: 0.0,
+                        coverage: 1.0,
+                    };
+                }
+                let usual = loads::median(&positive);
+                // The first sample stands for the usual period before it, as every other does for its own.
+                let mut widths = Vec::with_capacity(time_ms.len());
+                widths.push(usual);
+                widths.extend(steps.iter().map(|&step| if step > GAP_FACTOR * usual { usual } else { step }));
+                let duration_ms = time_ms[time_ms.len() - 1] - time_ms[0] + usual;
+                let covered: f64 = widths.iter().sum();
+                Self {
+                    widths_ms: Widths::Each(widths),
+                    duration_ms,
+                    coverage: (covered / duration_ms).min(1.0),
+                }
+            }
+        }
+    }
+
+    /// Whether an interval was too long to be one sample's.
+    pub(crate) fn has_gaps(&self) -> bool {
+        self.coverage < 1.0 - 1e-9
+    }
+
+    /// Time that sample `index` stands for, s.
+    pub(crate) fn width_s(&self, index: usize) -> f64 {
+        match &self.widths_ms {
+            Widths::Even(width) => width * 1e-3,
+            Widths::Each(widths) => widths[index] * 1e-3,
+        }
+    }
+
+    /// Mean of `values` weighted by time; `None` where no time passes.
+    #[expect(clippy::cast_precision_loss, reason = "sample counts are far below 2^53")]
+    pub(crate) fn mean(&self, values: &[f64]) -> Option<f64> {
+        match &self.widths_ms {
+            Widths::Even(_) => Some(values.iter().sum::<f64>() / values.len() as f64),
+            Widths::Each(widths) => {
+                let total: f64 = widths.iter().sum();
+                (total > 0.0).then(|| {
+                    values.iter().zip(widths).map(|(value, width)| value * width).sum::<f64>() / total
+                })
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,255 @@
+//! Energy of a cycle by basis (Stryczek & Błaszczak 2020, Eq. 5–7).
+//!
+//! Five bases, named with every figure and never mixed. No joules where neither power nor a rating is known.
+
+use super::{Context, SampleClock, loads};
+use crate::cycle::{Channel, Samples};
+use crate::machine::{Calibration, LoadReference};
+use std::f64::consts::TAU;
+
+/// How an energy was told, best first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum EnergyBasis {
+    /// Thrust and torque measured.
+    Dynamometer,
+    /// Thrust and torque from loads by the machine's fitted lines.
+    Calibrated,
+    /// A channel in watts, integrated.
+    MeasuredPower,
+    /// Spindle load times rated power, feed-drive load times rated thrust and velocity.
+    RatedPower,
+    /// Joules that the control itself reports.
+    Reported,
+}
+
+impl EnergyBasis {
+    /// Every basis, best first.
+    pub const ALL: [Self; 5] =
+        [Self::Dynamometer, Self::Calibrated, Self::MeasuredPower, Self::RatedPower, Self::Reported];
+
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Dynamometer => "dynamometer",
+            Self::Calibrated => "calibrated",
+            Self::MeasuredPower => "measured_power",
+            Self::RatedPower => "rated_power",
+            Self::Reported => "reported",
+        }
+    }
+
+    /// The basis of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|basis| basis.as_str() == text)
+    }
+}
+
+/// What was done about the power that the spindle draws without cutting.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum IdlePower {
+    /// The basis has none: it speaks of the tool, not of the drive.
+    NotApplicable,
+    /// Not known, so it is still in the figure.
+    Included,
+    /// Subtracted: the median before contact, W.
+    Subtracted {
+        /// The idle power, W.
+        watts: f64,
+    },
+}
+
+/// One cycle's energy on one basis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Energy {
+    /// How it was told.
+    pub basis: EnergyBasis,
+    /// The whole, J.
+    pub total_joules: f64,
+    /// The spindle's part, J; `None` where only the whole is known.
+    pub spindle_joules: Option<f64>,
+    /// The feed drive's part, J; `None` where it is not known and counted as 0.
+    pub feed_drive_joules: Option<f64>,
+    /// What was done about idle power.
+    pub idle: IdlePower,
+}
+
+impl Energy {
+    pub(super) fn reported(joules: f64) -> Self {
+        Self {
+            basis: EnergyBasis::Reported,
+            total_joules: joules,
+            spindle_joules: None,
+            feed_drive_joules: None,
+            idle: IdlePower::Included,
+        }
+    }
+
+    fn of_parts(basis: EnergyBasis, spindle: f64, feed_drive: Option<f64>, idle: IdlePower) -> Self {
+        Self {
+            basis,
+            total_joules: spindle + feed_drive.unwrap_or(0.0),
+            spindle_joules: Some(spindle),
+            feed_drive_joules: feed_drive,
+            idle,
+        }
+    }
+}
+
+/// Samples before contact that idle power needs: fewer are still spinning up.
+const IDLE_SAMPLES: usize = 5;
+
+/// All energies that can be told, best basis first, and whether fitted lines were asked beyond their range.
+pub(super) fn by_basis(
+    samples: &Samples,
+    clock: &SampleClock,
+    commanded_rpm: Option<f64>,
+    context: Context<'_>,
+) -> (Vec<Energy>, bool) {
+    let motion = Motion { samples, clock, commanded_rpm };
+    let mut energies = Vec::new();
+    if let Some(torque) = samples.column(Channel::TorqueNewtonMetres)
+        && let Some(spindle) = motion.spindle_work(torque)
+    {
+        let feed = samples.column(Channel::ThrustNewtons).and_then(|thrust| motion.feed_work(thrust));
+        energies.push(Energy::of_parts(EnergyBasis::Dynamometer, spindle, feed, IdlePower::NotApplicable));
+    }
+    let mut beyond = false;
+    if let Some(calibration) = context.calibration {
+        match motion.calibrated(calibration) {
+            Calibrated::Energy(energy) => energies.push(energy),
+            Calibrated::Beyond => beyond = true,
+            Calibrated::NotPossible => {}
+        }
+    }
+    energies.extend(motion.measured_power());
+    energies.extend(motion.rated_power(context));
+    (energies, beyond)
+}
+
+struct Motion<'a> {
+    samples: &'a Samples,
+    clock: &'a SampleClock,
+    commanded_rpm: Option<f64>,
+}
+
+enum Calibrated {
+    Energy(Energy),
+    Beyond,
+    NotPossible,
+}
+
+impl Motion<'_> {
+    fn speed_rpm(&self, index: usize) -> Option<f64> {
+        match self.samples.column(Channel::SpindleSpeedRpm) {
+            Some(speed) => Some(speed[index].abs()),
+            None => self.commanded_rpm,
+        }
+    }
+
+    /// E_C = Σ T·2π·S/60·Δt (Eq. 6), N·m and rpm to J.
+    fn spindle_work(&self, torque: &[f64]) -> Option<f64> {
+        let mut joules = 0.0;
+        for (index, torque) in torque.iter().enumerate() {
+            joules += torque * TAU * self.speed_rpm(index)? / 60.0 * self.clock.width_s(index);
+        }
+        Some(joules)
+    }
+
+    /// E_Z = Σ F·ΔZ (Eq. 5), N and mm to J; from the actual feed where depth was not sampled.
+    fn feed_work(&self, thrust: &[f64]) -> Option<f64> {
+        if let Some(depth) = self.samples.column(Channel::DepthMm) {
+            return Some((1..thrust.len()).map(|k| thrust[k] * (depth[k] - depth[k - 1]) * 1e-3).sum());
+        }
+        let feed = self.samples.column(Channel::FeedActualMmMin)?;
+        let metres = |k: usize| feed[k] / 60.0 * 1e-3 * self.clock.width_s(k);
+        Some((0..thrust.len()).map(|k| thrust[k] * metres(k)).sum())
+    }
+
+    fn calibrated(&self, calibration: &Calibration) -> Calibrated {
+        let (Some(line), Some(load)) = (calibration.torque, self.samples.column(Channel::SpindleLoadPercent))
+        else {
+            return Calibrated::NotPossible;
+        };
+        let Some(torque) = load.iter().map(|&load| line.at(load)).collect::<Option<Vec<f64>>>() else {
+            return Calibrated::Beyond;
+        };
+        let Some(spindle) = self.spindle_work(&torque) else {
+            return Calibrated::NotPossible;
+        };
+        let mut feed = None;
+        if let (Some(line), Some(load)) =
+            (calibration.thrust, self.samples.column(Channel::FeedDriveLoadPercent))
+        {
+            let Some(thrust) = load.iter().map(|&load| line.at(load)).collect::<Option<Vec<f64>>>() else {
+                return Calibrated::Beyond;
+            };
+            feed = self.feed_work(&thrust);
+        }
+        Calibrated::Energy(Energy::of_parts(EnergyBasis::Calibrated, spindle, feed, IdlePower::NotApplicable))
+    }
+
+    /// Trapezoid over a channel in watts; intervals that are gaps carry nothing.
+    fn integrate(&self, watts: &[f64]) -> f64 {
+        if watts.len() == 1 {
+            return watts[0] * self.clock.width_s(0);
+        }
+        (1..watts.len()).map(|k| f64::midpoint(watts[k - 1], watts[k]) * self.clock.width_s(k)).sum()
+    }
+
+    fn measured_power(&self) -> Option<Energy> {
+        let watts = self.samples.column(Channel::SpindlePowerWatts)?;
+        let gross = self.integrate(watts);
+        let (spindle, idle) = match self.idle_watts(watts) {
+            Some(idle) => {
+                (gross - self.integrate(&vec![idle; watts.len()]), IdlePower::Subtracted { watts: idle })
+            }
+            None => (gross, IdlePower::Included),
+        };
+        let feed = self.samples.column(Channel::FeedDrivePowerWatts).map(|watts| self.integrate(watts));
+        Some(Energy::of_parts(EnergyBasis::MeasuredPower, spindle, feed, idle))
+    }
+
+    /// Median power in the later half of the samples before contact: the earlier half may be spinning up.
+    fn idle_watts(&self, watts: &[f64]) -> Option<f64> {
+        let depth = self.samples.column(Channel::DepthMm)?;
+        let before = depth.iter().take_while(|&&z| z < 0.0).count();
+        // A recording without any cut has no "before contact".
+        if before == depth.len() {
+            return None;
+        }
+        let steady = &watts[before / 2..before];
+        (steady.len() >= IDLE_SAMPLES).then(|| loads::median(steady))
+    }
+
+    /// Load × rated power, times min(1, S/S_base) where the percent follows torque.
+    fn rated_power(&self, context: Context<'_>) -> Option<Energy> {
+        let load = self.samples.column(Channel::SpindleLoadPercent)?;
+        let rating = &context.machine.spindle;
+        let rated = rating.rated_power_watts?;
+        if rating.reference == LoadReference::Unknown {
+            return None;
+        }
+        let mut spindle = 0.0;
+        for (index, load) in load.iter().enumerate() {
+            let share = if rating.reference.follows_torque() {
+                (self.speed_rpm(index)? / rating.base_speed_rpm?).min(1.0)
+            } else {
+                1.0
+            };
+            spindle += load / 100.0 * rated * share * self.clock.width_s(index);
+        }
+        let feed = self.rated_feed(context);
+        Some(Energy::of_parts(EnergyBasis::RatedPower, spindle, feed, IdlePower::Included))
+    }
+
+    /// The feed drive's percent is a force: load × rated thrust × way, where the thrust is declared.
+    fn rated_feed(&self, context: Context<'_>) -> Option<f64> {
+        let rated = context.machine.feed_drive.rated_thrust_newtons?;
+        if context.machine.feed_drive.reference == LoadReference::Unknown {
+            return None;
+        }
+        let load = self.samples.column(Channel::FeedDriveLoadPercent)?;
+        let thrust: Vec<f64> = load.iter().map(|load| load / 100.0 * rated).collect();
+        self.feed_work(&thrust)
+    }
+}

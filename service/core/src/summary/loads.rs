@@ -1,0 +1,124 @@
+//! Maxima with their place, medians, the falling edge of the spindle load, and flags seen in the samples.
+
+use crate::cycle::{Channel, Flag, Flags, Samples};
+
+/// A largest value with where and when it was reached first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Peak {
+    /// The value in the unit of its channel.
+    pub value: f64,
+    /// Depth at which it was reached, mm, where depth was sampled.
+    pub depth_mm: Option<f64>,
+    /// Time since the start of the cycle, ms, where samples exist.
+    pub time_ms: Option<f64>,
+}
+
+/// How far a feature of the spindle load moved in depth against the baseline.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PeakShift {
+    /// Median over the baseline's cycles, mm.
+    pub baseline_mm: f64,
+    /// Median over the last counted cycles, mm.
+    pub now_mm: f64,
+}
+
+impl PeakShift {
+    /// The shift, mm; positive is deeper.
+    pub fn shift_mm(&self) -> f64 {
+        self.now_mm - self.baseline_mm
+    }
+}
+
+/// Loads that a control may report are sane up to here, %.
+const SANE_LOAD_PERCENT: f64 = 400.0;
+
+/// A reversal smaller than this is the quantisation or the noise of the encoder, mm.
+const REVERSAL_MM: f64 = 0.05;
+
+/// The spindle load counts as fallen at this share of its maximum.
+const FALLEN: f64 = 0.5;
+
+pub(super) fn peak(values: &[f64], depth: Option<&[f64]>, samples: &Samples) -> Peak {
+    let mut at = 0;
+    for (index, value) in values.iter().enumerate() {
+        if *value > values[at] {
+            at = index;
+        }
+    }
+    Peak { value: values[at], depth_mm: depth.map(|depth| depth[at]), time_ms: Some(samples.time_ms(at)) }
+}
+
+/// Median; the mean of the two middle values where their number is even. `values` must not be empty.
+pub(crate) fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    let middle = sorted.len() / 2;
+    let (below, upper, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
+    let upper = *upper;
+    if values.len() % 2 == 1 {
+        upper
+    } else {
+        let lower = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        f64::midpoint(lower, upper)
+    }
+}
+
+/// Where the spindle load, after its maximum in the cut, has fallen to half of it, mm.
+///
+/// Only samples at depth 0 or more count: the peak of spinning up comes before contact and is no stage.
+pub(super) fn fall_depth(samples: &Samples) -> Option<f64> {
+    let depth = samples.column(Channel::DepthMm)?;
+    let load = samples.column(Channel::SpindleLoadPercent)?;
+    let mut top: Option<usize> = None;
+    for index in 0..load.len() {
+        if depth[index] >= 0.0 && top.is_none_or(|top| load[index] > load[top]) {
+            top = Some(index);
+        }
+    }
+    let top = top?;
+    if load[top] <= 0.0 {
+        return None;
+    }
+    let level = FALLEN * load[top];
+    let after = (top + 1..load.len()).find(|&index| load[index] <= level)?;
+    let before = after - 1;
+    // Between two samples the depth of the crossing is interpolated, else the feed would quantise it.
+    let share = (load[before] - level) / (load[before] - load[after]);
+    Some(depth[before] + share * (depth[after] - depth[before]))
+}
+
+pub(super) fn flags(samples: &Samples) -> Flags {
+    let mut flags = Flags::NONE;
+    let any = |channel, test: fn(f64) -> bool| {
+        samples.column(channel).is_some_and(|values| values.iter().any(|&value| test(value)))
+    };
+    let is_zero = |value: f64| value == 0.0;
+    flags.insert_if(any(Channel::FeedActualMmMin, is_zero), Flag::FeedHold);
+    flags.insert_if(any(Channel::OverridePercent, is_zero), Flag::OverrideZero);
+    for channel in [Channel::SpindleLoadPercent, Channel::FeedDriveLoadPercent] {
+        flags.insert_if(any(channel, |value| value < 0.0), Flag::NegativeLoad);
+        flags.insert_if(any(channel, |value| value > SANE_LOAD_PERCENT), Flag::LoadOver400);
+    }
+    for channel in [Channel::SpindlePowerWatts, Channel::FeedDrivePowerWatts] {
+        flags.insert_if(any(channel, |value| value < 0.0), Flag::NegativePower);
+    }
+    flags.insert_if(samples.column(Channel::DepthMm).is_some_and(reverses), Flag::DepthReversal);
+    flags
+}
+
+/// Whether the depth comes back and then goes deeper again, as in pecking; the final retract is none.
+fn reverses(depth: &[f64]) -> bool {
+    let mut deepest = f64::NEG_INFINITY;
+    let mut lowest_since = f64::INFINITY;
+    for &z in depth {
+        if z > deepest {
+            deepest = z;
+            lowest_since = z;
+        }
+        if z < lowest_since {
+            lowest_since = z;
+        } else if z > lowest_since + REVERSAL_MM && lowest_since < deepest - REVERSAL_MM {
+            return true;
+        }
+    }
+    false
+}
