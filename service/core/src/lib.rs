@@ -12,3 +12,4 @@ pub mod operation;
 pub mod summary;
 pub mod tool;
 pub mod units;
+pub mod wear;

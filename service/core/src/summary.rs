@@ -93,16 +93,17 @@ pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
     if let Some(joules) = cycle.reported.energy_joules {
         summary.energy.push(Energy::reported(joules));
     }
+    let contradictory = contradicts(cycle, &summary);
+    let asked = context.operation.and_then(|operation| operation.depth_mm);
+    let short = asked.zip(summary.max_depth_mm).is_some_and(|(asked, reached)| reached < DEPTH_FLOOR * asked);
+    let no_energy = summary.energy.is_empty();
     let flags = &mut summary.flags;
     flags.insert_if(cycle.outcome == Outcome::Aborted, Flag::Aborted);
     flags.insert_if(cycle.started_at < EARLIEST_CLOCK, Flag::ClockSuspect);
     flags.insert_if(context.operation.is_none(), Flag::OperationUnregistered);
-    flags.insert_if(summary.energy.is_empty(), Flag::NoEnergy);
-    let asked = context.operation.and_then(|operation| operation.depth_mm);
-    if let (Some(asked), Some(reached)) = (asked, summary.max_depth_mm) {
-        flags.insert_if(reached < DEPTH_FLOOR * asked, Flag::Incomplete);
-    }
-    flags.insert_if(contradicts(cycle, &summary), Flag::Contradictory);
+    flags.insert_if(no_energy, Flag::NoEnergy);
+    flags.insert_if(short, Flag::Incomplete);
+    flags.insert_if(contradictory, Flag::Contradictory);
     summary
 }
 

@@ -1,0 +1,80 @@
+//! What the fold needs of one cycle.
+
+use crate::cycle::{Cycle, Flags, ProfileVersion};
+use crate::ids::{CycleId, MachineId, OperationId};
+use crate::summary::{CycleSummary, EnergyBasis, IdlePower};
+use crate::units::{Strategy, Timestamp};
+
+/// The place of a cycle in its tool's history: device time first, then what tells equal times apart.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct OrderKey {
+    /// When it began, by the machine's clock.
+    pub started_at: Timestamp,
+    /// The machine that ran it.
+    pub machine: MachineId,
+    /// The machine's own count; cycles without come first.
+    pub seq: Option<u64>,
+    /// Its id.
+    pub cycle: CycleId,
+}
+
+/// What wear needs to know of one stored cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CycleFacts {
+    /// Its place in the history.
+    pub order: OrderKey,
+    /// What was machined.
+    pub operation: OperationId,
+    /// Spindle speed commanded with the cycle, rpm; the operation's where the cycle names none.
+    pub spindle_speed_rpm: Option<f64>,
+    /// How the feed was chosen.
+    pub strategy: Option<Strategy>,
+    /// Which version of the law ran.
+    pub law_version: Option<String>,
+    /// Which profile ran.
+    pub profile: Option<ProfileVersion>,
+    /// Basis and joules of the best energy that is known, and whether idle power was subtracted.
+    pub energy: Option<(EnergyBasis, bool, f64)>,
+    /// Cycle time, ms.
+    pub duration_ms: Option<f64>,
+    /// Largest depth, mm.
+    pub max_depth_mm: Option<f64>,
+    /// Depth of the spindle load's falling edge, mm.
+    pub fall_depth_mm: Option<f64>,
+    /// Operator's override, mean, %.
+    pub operator_override_percent: Option<f64>,
+    /// Share of the cycle's time that samples cover, 0 to 1.
+    pub coverage: f64,
+    /// Quality flags.
+    pub flags: Flags,
+}
+
+impl CycleFacts {
+    /// Takes the facts out of a cycle and its summary.
+    pub fn of(cycle: &Cycle, summary: &CycleSummary) -> Self {
+        let energy = summary.best_energy().map(|energy| {
+            let net = matches!(energy.idle, IdlePower::Subtracted { .. });
+            (energy.basis, net, energy.total_joules)
+        });
+        Self {
+            order: OrderKey {
+                started_at: cycle.started_at,
+                machine: cycle.machine.clone(),
+                seq: cycle.seq,
+                cycle: cycle.id.clone(),
+            },
+            operation: cycle.operation.clone(),
+            spindle_speed_rpm: cycle.spindle_speed_rpm.or(summary.median_spindle_speed_rpm),
+            strategy: cycle.strategy,
+            law_version: cycle.law_version.clone(),
+            profile: cycle.profile.clone(),
+            energy,
+            duration_ms: summary.duration_ms,
+            max_depth_mm: summary.max_depth_mm,
+            fall_depth_mm: summary.spindle_load_fall_depth_mm,
+            operator_override_percent: summary.operator_override_percent,
+            coverage: summary.coverage,
+            flags: summary.flags,
+        }
+    }
+}

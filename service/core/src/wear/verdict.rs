@@ -1,0 +1,280 @@
+//! What the fold says of a tool, with its evidence.
+
+use super::facts::OrderKey;
+use crate::cycle::ProfileVersion;
+use crate::ids::{CycleId, MachineId, OperationId};
+use crate::summary::{EnergyBasis, PeakShift};
+use crate::units::{Strategy, Timestamp};
+
+/// The state of a tool.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ToolState {
+    /// Nothing can be told, and the verdict says why.
+    Unknown,
+    /// The baseline is not complete yet.
+    Learning,
+    /// Level below the warning.
+    Good,
+    /// Level at or above 1.07, not yet back below 1.05.
+    Warning,
+    /// Level at or above 1.10, latched until change, regrind or an engineer's reset.
+    Worn,
+    /// A lasting step in energy or cycle time: conditions changed, to be confirmed.
+    Changed,
+    /// An undercut after good cycles: the tool may be broken.
+    BrokenSuspected,
+}
+
+impl ToolState {
+    /// Every state, in the order of the enum.
+    pub const ALL: [Self; 7] = [
+        Self::Unknown,
+        Self::Learning,
+        Self::Good,
+        Self::Warning,
+        Self::Worn,
+        Self::Changed,
+        Self::BrokenSuspected,
+    ];
+
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::Learning => "learning",
+            Self::Good => "good",
+            Self::Warning => "warning",
+            Self::Worn => "worn",
+            Self::Changed => "changed",
+            Self::BrokenSuspected => "broken_suspected",
+        }
+    }
+
+    /// The state of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.as_str() == text)
+    }
+}
+
+/// Why a cycle is not counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum Exclusion {
+    /// The machine says it was aborted.
+    Aborted = 0,
+    /// It stayed short of its depth or of its usual time.
+    Incomplete = 1,
+    /// Usual length, hardly any energy: nothing was cut.
+    AirCut = 2,
+    /// An undercut that no normal cycle has followed yet.
+    BrokenSuspected = 3,
+    /// It began before its tool was mounted, or its clock was never set.
+    ClockSuspect = 4,
+    /// No joules: neither power nor a rating is known.
+    NoEnergy = 5,
+    /// Samples cover less than 95 % of it.
+    LowCoverage = 6,
+    /// Its operation is not registered.
+    OperationUnregistered = 7,
+    /// The operator's override differs by more than 5 points from the baseline's.
+    OperatorOverride = 8,
+    /// After a lasting step that nobody has confirmed.
+    ConditionsChanged = 9,
+    /// Far off the other cycles that a baseline is learnt from.
+    BaselineOutlier = 10,
+    /// Its energy is zero or negative: a sensor's offset, not a cut.
+    NotPositive = 11,
+}
+
+impl Exclusion {
+    /// Every reason, in the order of the codes.
+    pub const ALL: [Self; 12] = [
+        Self::Aborted,
+        Self::Incomplete,
+        Self::AirCut,
+        Self::BrokenSuspected,
+        Self::ClockSuspect,
+        Self::NoEnergy,
+        Self::LowCoverage,
+        Self::OperationUnregistered,
+        Self::OperatorOverride,
+        Self::ConditionsChanged,
+        Self::BaselineOutlier,
+        Self::NotPositive,
+    ];
+
+    /// The word used in the API.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Aborted => "aborted",
+            Self::Incomplete => "incomplete",
+            Self::AirCut => "air_cut",
+            Self::BrokenSuspected => "broken_suspected",
+            Self::ClockSuspect => "clock_suspect",
+            Self::NoEnergy => "no_energy",
+            Self::LowCoverage => "low_coverage",
+            Self::OperationUnregistered => "operation_unregistered",
+            Self::OperatorOverride => "operator_override",
+            Self::ConditionsChanged => "conditions_changed",
+            Self::BaselineOutlier => "baseline_outlier",
+            Self::NotPositive => "not_positive",
+        }
+    }
+
+    /// The reason of that stored code.
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code)).copied()
+    }
+}
+
+/// How many cycles of this life were not counted, by reason, indexed by the reason's code.
+pub type ExclusionCounts = [u64; Exclusion::ALL.len()];
+
+/// What has to be alike for two energies to be compared.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BaselineKey {
+    /// The machine.
+    pub machine: MachineId,
+    /// What was machined.
+    pub operation: OperationId,
+    /// Commanded spindle speed of the key's first cycle, rpm; others within ±2 % share the key.
+    pub spindle_speed_rpm: Option<f64>,
+    /// How the energy was told.
+    pub basis: EnergyBasis,
+    /// Whether idle power was subtracted from it.
+    pub idle_subtracted: bool,
+    /// How the feed was chosen.
+    pub strategy: Option<Strategy>,
+    /// Which version of the law ran.
+    pub law_version: Option<String>,
+    /// Which profile ran.
+    pub profile: Option<ProfileVersion>,
+}
+
+/// One baseline of the current life.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BaselineEvidence {
+    /// What it compares.
+    pub key: BaselineKey,
+    /// Cycles it was, or is being, learnt from.
+    pub learnt_from: u32,
+    /// Cycles it needs.
+    pub needed: u32,
+    /// The baseline B, J; `None` while it is being learnt.
+    pub baseline_joules: Option<f64>,
+    /// The level that the tool had when the key was first met; 1 for a new tool.
+    pub level_at_entry: f64,
+    /// Median operator's override of the baseline's cycles, %.
+    pub operator_override_percent: Option<f64>,
+}
+
+/// The level of wear.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Level {
+    /// Median of the last counted ratios, as run: 1 is the new tool.
+    pub as_run: f64,
+    /// Smallest of those ratios.
+    pub lowest: f64,
+    /// Largest of those ratios.
+    pub highest: f64,
+    /// How many ratios it is the median of.
+    pub n: u32,
+    /// How many it may hold.
+    pub window: u32,
+}
+
+/// The trend of the level.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trend {
+    /// Rise of the ratio per counted cycle (Theil–Sen).
+    pub slope_per_cycle: f64,
+    /// Lower end of its 90 % interval.
+    pub slope_low: f64,
+    /// Upper end of its 90 % interval.
+    pub slope_high: f64,
+    /// Counted cycles that it rests on.
+    pub cycles: u64,
+}
+
+/// Cycles left until the level reaches 1.10, were the trend to go on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Remaining {
+    /// Expected.
+    pub cycles: u64,
+    /// At the steep end of the interval.
+    pub low: u64,
+    /// At the flat end; `None` where the level might as well never get there.
+    pub high: Option<u64>,
+}
+
+/// Indicators beside energy.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SecondIndicators {
+    /// Shift of the spindle load's falling edge in depth, for the key that ran last.
+    pub fall_depth: Option<PeakShift>,
+    /// Cycle time over the baseline's, for the key that ran last; 1 is the new tool.
+    pub cycle_time_ratio: Option<f64>,
+    /// Whether a law that slows the feed ran, so that energy hides wear (`F_AC`).
+    pub masked_by_control: bool,
+}
+
+/// The verdict on a tool, with its evidence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Verdict {
+    /// The state that decides.
+    pub state: ToolState,
+    /// Why it is that state: a stable code and a sentence each.
+    pub reasons: Vec<(&'static str, String)>,
+    /// The level, once there is a counted ratio.
+    pub level: Option<Level>,
+    /// The trend, once there is evidence.
+    pub trend: Option<Trend>,
+    /// Remaining cycles, once there is a trend that rises.
+    pub remaining: Option<Remaining>,
+    /// Indicators beside energy.
+    pub indicators: SecondIndicators,
+    /// Which life of the tool this is, counted from 1; 0 where no cycle and no event is known.
+    pub life: u32,
+    /// Whether the life began with an unworn tool.
+    pub started_unworn: bool,
+    /// Baselines of this life, the one that ran last first.
+    pub baselines: Vec<BaselineEvidence>,
+    /// Cycles of this life in all.
+    pub cycles: u64,
+    /// Cycles of this life that were counted into ratios or a baseline.
+    pub counted: u64,
+    /// Cycles of this life not counted, by reason.
+    pub excluded: ExclusionCounts,
+    /// The last cycles that were not counted, oldest first, with their reason (bounded).
+    pub last_excluded: Vec<(MachineId, CycleId, Exclusion)>,
+    /// Cycles since the last counted one: the age of the level in cycles.
+    pub age_cycles: u64,
+    /// When the last counted cycle began.
+    pub last_counted_at: Option<Timestamp>,
+    /// The last cycle of the fold.
+    pub last: Option<OrderKey>,
+}
+
+impl Verdict {
+    /// The verdict on a tool of which nothing is known.
+    pub fn unknown(code: &'static str, why: impl Into<String>) -> Self {
+        Self {
+            state: ToolState::Unknown,
+            reasons: vec![(code, why.into())],
+            level: None,
+            trend: None,
+            remaining: None,
+            indicators: SecondIndicators::default(),
+            life: 0,
+            started_unworn: true,
+            baselines: Vec::new(),
+            cycles: 0,
+            counted: 0,
+            excluded: [0; Exclusion::ALL.len()],
+            last_excluded: Vec::new(),
+            age_cycles: 0,
+            last_counted_at: None,
+            last: None,
+        }
+    }
+}
