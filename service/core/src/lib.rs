@@ -9,6 +9,7 @@ pub mod ids;
 pub mod invalid;
 pub mod machine;
 pub mod operation;
+pub mod recommend;
 pub mod summary;
 pub mod tool;
 pub mod units;

@@ -1,0 +1,243 @@
+//! What to run next, and why: a pure function of the tool's verdict and of what is registered.
+//!
+//! Between cycles neutral is exactly 100 % of the programmed feed. Unknown never raises the feed; until feed
+//! profiles exist every recommendation is neutral and says so.
+
+use crate::ids::{MachineId, OperationId, ToolId};
+use crate::machine::{FeedLimits, Machine};
+use crate::operation::Operation;
+use crate::units::{Process, Timestamp};
+use crate::wear::{Level, Remaining, ToolState, Verdict};
+
+/// Version of the rules below; part of every recommendation.
+pub const LAW_VERSION: &str = "neutral-1";
+
+/// The override that leaves the programmed feed as it is, %.
+pub const NEUTRAL_OVERRIDE_PERCENT: f64 = 100.0;
+
+/// How long a recommendation and its data stay good.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RecommendSettings {
+    /// A recommendation is valid for so long, ms.
+    pub validity_ms: i64,
+    /// Data older than this is stale, ms.
+    pub stale_after_ms: i64,
+}
+
+impl Default for RecommendSettings {
+    fn default() -> Self {
+        // A quarter of an hour covers the gap between two cycles; a shift without a cycle is stale.
+        Self { validity_ms: 15 * 60 * 1000, stale_after_ms: 12 * 3600 * 1000 }
+    }
+}
+
+/// What is asked, and what is known about it.
+#[derive(Debug, Clone, Copy)]
+pub struct Question<'a> {
+    /// Now.
+    pub now: Timestamp,
+    /// The machine that will run the cycle.
+    pub machine: &'a Machine,
+    /// The operation's id as it was asked for.
+    pub operation_id: &'a OperationId,
+    /// The operation, where it is registered.
+    pub operation: Option<&'a Operation>,
+    /// The tool's id as it was asked for.
+    pub tool_id: &'a ToolId,
+    /// Whether the tool is registered.
+    pub tool_registered: bool,
+    /// The verdict on the tool.
+    pub verdict: &'a Verdict,
+    /// How long things stay good.
+    pub settings: RecommendSettings,
+}
+
+/// What the shop should do before or while running the next cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Action {
+    /// Run on.
+    Run,
+    /// The tool is worn: change it.
+    ChangeTool,
+    /// The tool may be broken: look before the next cycle.
+    CheckTool,
+    /// Conditions changed: an engineer confirms or changes the tool.
+    ConfirmConditions,
+}
+
+impl Action {
+    /// The word used in the API.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Run => "run",
+            Self::ChangeTool => "change_tool",
+            Self::CheckTool => "check_tool",
+            Self::ConfirmConditions => "confirm_conditions",
+        }
+    }
+
+    /// The action of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        [Self::Run, Self::ChangeTool, Self::CheckTool, Self::ConfirmConditions]
+            .into_iter()
+            .find(|action| action.as_str() == text)
+    }
+}
+
+/// How good the data behind a recommendation is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DataQuality {
+    /// A complete baseline and recent cycles.
+    Good,
+    /// Too few cycles yet, or conditions that are to be confirmed.
+    Limited,
+    /// The last cycle is older than data stays good.
+    Stale,
+    /// No usable cycle.
+    Missing,
+}
+
+impl DataQuality {
+    /// The word used in the API.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Limited => "limited",
+            Self::Stale => "stale",
+            Self::Missing => "missing",
+        }
+    }
+
+    /// The quality of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        [Self::Good, Self::Limited, Self::Stale, Self::Missing]
+            .into_iter()
+            .find(|quality| quality.as_str() == text)
+    }
+}
+
+/// What to run next, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recommendation {
+    /// When it was made.
+    pub issued_at: Timestamp,
+    /// It must not be used after this.
+    pub valid_until: Timestamp,
+    /// For which machine.
+    pub machine: MachineId,
+    /// For which operation.
+    pub operation: OperationId,
+    /// For which tool.
+    pub tool: ToolId,
+    /// Which process; `None` where the operation is not registered.
+    pub process: Option<Process>,
+    /// What to do.
+    pub action: Action,
+    /// Programmed feed to run, mm/min, within the machine's limits; `None` where it is not known: run the program.
+    pub feed_mm_min: Option<f64>,
+    /// Override to run, %; exactly 100 until profiles exist.
+    pub override_percent: f64,
+    /// Limits that hold whatever the control does.
+    pub limits: FeedLimits,
+    /// Set load of the spindle drive, %.
+    pub spindle_load_set_percent: Option<f64>,
+    /// Set load of the feed drive, %.
+    pub feed_drive_load_set_percent: Option<f64>,
+    /// The tool's state.
+    pub tool_state: ToolState,
+    /// The tool's level, where there is one.
+    pub level: Option<Level>,
+    /// Cycles that remain, where that can be told.
+    pub remaining: Option<Remaining>,
+    /// How good the data is.
+    pub quality: DataQuality,
+    /// Age of the newest cycle of the tool, ms.
+    pub data_age_ms: Option<i64>,
+    /// Why: a stable code and a sentence each; never empty.
+    pub reasons: Vec<(String, String)>,
+    /// Version of the rules that made it.
+    pub law_version: String,
+}
+
+/// Recommends what to run next.
+pub fn recommend(question: &Question<'_>) -> Recommendation {
+    let Question { now, machine, operation, verdict, settings, .. } = *question;
+    let mut reasons: Vec<(String, String)> = Vec::new();
+    let mut say = |code: &str, why: &str| reasons.push((code.to_owned(), why.to_owned()));
+
+    say("no_profile", "no feed profile is active: 100 % of the programmed feed");
+    if !question.tool_registered {
+        say("tool_unregistered", "the tool is not registered: its cycles are kept and counted once it is");
+    }
+    let mut feed = None;
+    match operation {
+        None => say("operation_unregistered", "the operation is not registered: run its program as it is"),
+        Some(operation) => match operation.programmed_feed_mm_min {
+            None => say("no_programmed_feed", "the operation declares no feed: run its program as it is"),
+            Some(programmed) => {
+                let limits = &machine.limits;
+                let held = programmed.clamp(limits.min_mm_min(), limits.max_mm_min());
+                if held < programmed {
+                    say("clamped_to_feed_max", "the programmed feed is above the machine's limit");
+                } else if held > programmed {
+                    // Raising a feed that someone programmed is not ours to do: name it and leave it.
+                    say(
+                        "below_feed_min",
+                        "the programmed feed is below the machine's limit: run the program as it is",
+                    );
+                }
+                feed = (held <= programmed).then_some(held);
+            }
+        },
+    }
+    for (code, why) in &verdict.reasons {
+        say(code, why);
+    }
+    let data_age_ms = verdict.last.as_ref().map(|last| now.millis_since(last.started_at).max(0));
+    let quality = quality(verdict, data_age_ms, settings);
+    if quality == DataQuality::Stale {
+        say("data_stale", "the tool's last cycle is older than data stays good");
+    }
+    Recommendation {
+        issued_at: now,
+        valid_until: now.plus_millis(settings.validity_ms),
+        machine: machine.id.clone(),
+        operation: question.operation_id.clone(),
+        tool: question.tool_id.clone(),
+        process: operation.map(|operation| operation.process),
+        action: action(verdict.state),
+        feed_mm_min: feed,
+        override_percent: NEUTRAL_OVERRIDE_PERCENT,
+        limits: machine.limits,
+        spindle_load_set_percent: operation.and_then(|operation| operation.spindle_load_set_percent),
+        feed_drive_load_set_percent: operation.and_then(|operation| operation.feed_drive_load_set_percent),
+        tool_state: verdict.state,
+        level: verdict.level,
+        remaining: verdict.remaining,
+        quality,
+        data_age_ms,
+        reasons,
+        law_version: LAW_VERSION.to_owned(),
+    }
+}
+
+fn action(state: ToolState) -> Action {
+    match state {
+        ToolState::Worn => Action::ChangeTool,
+        ToolState::BrokenSuspected => Action::CheckTool,
+        ToolState::Changed => Action::ConfirmConditions,
+        ToolState::Unknown | ToolState::Learning | ToolState::Good | ToolState::Warning => Action::Run,
+    }
+}
+
+fn quality(verdict: &Verdict, data_age_ms: Option<i64>, settings: RecommendSettings) -> DataQuality {
+    match (verdict.level, data_age_ms) {
+        (_, None) => DataQuality::Missing,
+        (_, Some(age)) if age > settings.stale_after_ms => DataQuality::Stale,
+        (None, _) => DataQuality::Limited,
+        (Some(_), _) => match verdict.state {
+            ToolState::Good | ToolState::Warning | ToolState::Worn => DataQuality::Good,
+            _ => DataQuality::Limited,
+        },
+    }
+}

@@ -1,0 +1,1 @@
+//! The service: HTTP, configuration and the command line around the store and the science.

@@ -1,0 +1,51 @@
+//! What can go wrong in a store.
+
+/// A store's error. "Not found" is none: it is `Ok(None)`.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database does not answer, or not in time: nothing was changed, try again.
+    #[error("the database is not available")]
+    Unavailable(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The connection broke while committing: whether it was kept has to be read back by key.
+    #[error("the outcome of a commit is not known")]
+    OutcomeUnknown(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The disk or the server refuses writes: stop acknowledging and exit; an fsync is never retried.
+    #[error("the database does not take writes")]
+    NotWritable(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The row is refused by the database's own checks.
+    #[error("the database refuses the row: {constraint}")]
+    Refused {
+        /// Name of the constraint.
+        constraint: String,
+    },
+    /// What was read does not decode: damaged or of a newer version.
+    #[error("stored data is damaged: {what}")]
+    Damaged {
+        /// What and where.
+        what: String,
+    },
+    /// The version named in a precondition is not the one in force.
+    #[error("another version is in force")]
+    VersionMismatch {
+        /// The version in force; 0 where there is none.
+        current: u64,
+    },
+    /// A change needs the version that it is based on, and none was named.
+    #[error("a version has to be named")]
+    VersionRequired {
+        /// The version in force.
+        current: u64,
+    },
+    /// A bounded table is full.
+    #[error("{what} is full")]
+    Full {
+        /// Which.
+        what: &'static str,
+    },
+    /// Anything else.
+    #[error("database error")]
+    Database(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// A store's result.
+pub type StoreResult<T> = Result<T, StoreError>;

@@ -1,0 +1,14 @@
+//! The cycle store: one trait, two engines, and the codec of sample blocks.
+//!
+//! Everything that is acknowledged is committed; times are arguments; HTTP and JSON bodies do not belong here.
+//! SQL that both engines understand stands once, in `engine/`; an engine's own folder holds only what differs.
+//! A new noun is a record in `record.rs`, its methods in [`Store`], its table in both migration folders (same
+//! number and name), its statements in `engine/`, and its story in the suite that runs on both engines.
+
+mod error;
+mod record;
+mod store;
+
+pub use error::{StoreError, StoreResult};
+pub use record::*;
+pub use store::Store;

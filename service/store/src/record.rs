@@ -1,0 +1,427 @@
+//! What the store keeps, as values.
+
+use feedwright_core::cycle::Cycle;
+use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::machine::{Calibration, Machine};
+use feedwright_core::operation::Operation;
+use feedwright_core::recommend::Recommendation;
+use feedwright_core::summary::CycleSummary;
+use feedwright_core::tool::{Tool, ToolEvent};
+use feedwright_core::units::{Process, Timestamp};
+use feedwright_core::wear::Verdict;
+use std::sync::Arc;
+
+/// A value with the version that its ETag names, counted from 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Versioned<T> {
+    /// The value.
+    pub value: T,
+    /// Its version.
+    pub version: u64,
+    /// When this version came into force.
+    pub updated_at: Timestamp,
+}
+
+/// What a change expects to find.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Precondition {
+    /// Nothing was said: creating and repeating the same content pass, changing needs a version.
+    Unstated,
+    /// It must not exist yet (`If-None-Match: *`).
+    Absent,
+    /// This version must be in force (`If-Match`).
+    Version(u64),
+}
+
+/// What a put did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PutOutcome {
+    /// It is new, at version 1.
+    Created,
+    /// It was changed to this version.
+    Changed(u64),
+    /// It already was exactly so, at this version.
+    Unchanged(u64),
+}
+
+impl PutOutcome {
+    /// The version now in force.
+    pub const fn version(self) -> u64 {
+        match self {
+            Self::Created => 1,
+            Self::Changed(version) | Self::Unchanged(version) => version,
+        }
+    }
+}
+
+/// Who changes something, for the audit.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Actor {
+    /// Id of the token that was used, or `cli`.
+    pub token: String,
+    /// The role it acts in.
+    pub role: Role,
+}
+
+/// Roles, deny by default.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Role {
+    /// Writes its own machine's cycles, reads its own recommendation.
+    Machine,
+    /// Reads everything but secrets: MES, Prometheus, Grafana.
+    Viewer,
+    /// Registers machines, tools and operations, drafts profiles, resets with a reason.
+    Engineer,
+    /// Approves, never their own draft.
+    Approver,
+    /// Manages identities, and everything an engineer does.
+    Admin,
+}
+
+impl Role {
+    /// Every role, in the order of the enum.
+    pub const ALL: [Self; 5] = [Self::Machine, Self::Viewer, Self::Engineer, Self::Approver, Self::Admin];
+
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Machine => "machine",
+            Self::Viewer => "viewer",
+            Self::Engineer => "engineer",
+            Self::Approver => "approver",
+            Self::Admin => "admin",
+        }
+    }
+
+    /// The role of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|role| role.as_str() == text)
+    }
+}
+
+/// A token as it is kept: never the secret, only its hash.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TokenRecord {
+    /// Its public id.
+    pub id: String,
+    /// What people call it.
+    pub name: String,
+    /// Hash of the secret.
+    pub hash: [u8; 32],
+    /// What it may do.
+    pub role: Role,
+    /// The one machine that it is bound to, where the role is `machine`.
+    pub machine: Option<MachineId>,
+    /// When it was made.
+    pub created_at: Timestamp,
+    /// When it was revoked.
+    pub revoked_at: Option<Timestamp>,
+}
+
+/// Hash over the canonical decoded content of a cycle .
+pub type ContentHash = [u8; 32];
+
+/// A cycle that is ready to be committed.
+#[derive(Debug, Clone)]
+pub struct NewCycle {
+    /// The cycle.
+    pub cycle: Arc<Cycle>,
+    /// When the server received it.
+    pub received_at: Timestamp,
+    /// Its content hash and its compressed sample blocks, made before queueing, outside the writer.
+    pub encoded: EncodedCycle,
+    /// Its summary.
+    pub summary: CycleSummary,
+}
+
+/// What the codec makes of a cycle.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EncodedCycle {
+    /// Content hash.
+    pub hash: ContentHash,
+    /// One compressed block per channel, framed as one byte string; `None` without samples.
+    pub samples: Option<Vec<u8>>,
+}
+
+/// What became of a cycle that was to be committed.
+#[derive(Debug, Clone)]
+pub enum Committed {
+    /// It is new and durably stored.
+    Stored(Box<CycleAnswer>),
+    /// The same content was stored before.
+    Known(Box<CycleAnswer>),
+    /// Another content is stored under the same id.
+    Conflict {
+        /// Hash of what is stored.
+        stored_hash: ContentHash,
+    },
+    /// The machine is not registered.
+    UnknownMachine,
+}
+
+/// What a machine is told once its cycle is stored.
+#[derive(Debug, Clone)]
+pub struct CycleAnswer {
+    /// The cycle's summary as it is stored.
+    pub summary: CycleSummary,
+    /// When it was received first.
+    pub received_at: Timestamp,
+    /// Whether its tool and its operation are registered.
+    pub registered: bool,
+    /// The verdict on the tool, after this cycle.
+    pub verdict: Verdict,
+    /// What to run next.
+    pub recommendation: IssuedRecommendation,
+}
+
+/// A recommendation that was handed out and is stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct IssuedRecommendation {
+    /// Its id.
+    pub id: RecommendationId,
+    /// What it says.
+    pub recommendation: Recommendation,
+}
+
+/// A stored cycle without its samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredCycle {
+    /// The cycle; its `samples` are `None` here and read apart.
+    pub cycle: CycleMeta,
+    /// Its summary.
+    pub summary: CycleSummary,
+    /// When the server received it.
+    pub received_at: Timestamp,
+    /// Its content hash.
+    pub hash: ContentHash,
+    /// Whether samples are kept for it.
+    pub has_samples: bool,
+}
+
+/// What identifies and describes a stored cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CycleMeta {
+    /// The machine that ran it.
+    pub machine: MachineId,
+    /// Its id within the machine.
+    pub id: CycleId,
+    /// The tool.
+    pub tool: ToolId,
+    /// The operation.
+    pub operation: OperationId,
+    /// When it began.
+    pub started_at: Timestamp,
+    /// The machine's own count.
+    pub seq: Option<u64>,
+    /// The process it was tagged with.
+    pub process: Option<Process>,
+    /// How the feed was chosen.
+    pub strategy: Option<feedwright_core::units::Strategy>,
+    /// Which version of the law ran.
+    pub law_version: Option<String>,
+    /// Which profile ran.
+    pub profile: Option<feedwright_core::cycle::ProfileVersion>,
+    /// The recommendation that it followed.
+    pub recommendation: Option<RecommendationId>,
+    /// Commanded spindle speed, rpm.
+    pub spindle_speed_rpm: Option<f64>,
+    /// How it ended.
+    pub outcome: feedwright_core::cycle::Outcome,
+}
+
+/// Which cycles a list asks for; all given conditions hold.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct CycleFilter {
+    /// Of this machine.
+    pub machine: Option<MachineId>,
+    /// Of this tool.
+    pub tool: Option<ToolId>,
+    /// Of this operation.
+    pub operation: Option<OperationId>,
+    /// Begun at or after.
+    pub from: Option<Timestamp>,
+    /// Begun before.
+    pub to: Option<Timestamp>,
+}
+
+/// A page of a list in ascending order: rows after `after`, at most `limit`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Page<K> {
+    /// Key of the last row of the page before.
+    pub after: Option<K>,
+    /// Most rows wanted; bounded by the caller.
+    pub limit: u32,
+}
+
+/// Where a page of cycles goes on: `(started_at, machine, cycle)`, unique and in the order of the list.
+pub type CycleKey = (Timestamp, MachineId, CycleId);
+
+/// An event of a tool as it is kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredToolEvent {
+    /// Its number, ascending in the order of arrival.
+    pub id: i64,
+    /// The event.
+    pub event: ToolEvent,
+    /// Who told it.
+    pub actor: String,
+    /// When it was told.
+    pub recorded_at: Timestamp,
+}
+
+/// Kinds of alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum AlarmKind {
+    /// A tool is worn.
+    Worn,
+    /// A tool may be broken.
+    BrokenSuspected,
+    /// Conditions changed, to be confirmed.
+    ConditionsChanged,
+    /// A load exceeded what is sane.
+    Overload,
+    /// A machine has been silent for too long.
+    MachineSilent,
+    /// Something is in quarantine.
+    Quarantine,
+}
+
+impl AlarmKind {
+    /// Every kind, in the order of the enum.
+    pub const ALL: [Self; 6] = [
+        Self::Worn,
+        Self::BrokenSuspected,
+        Self::ConditionsChanged,
+        Self::Overload,
+        Self::MachineSilent,
+        Self::Quarantine,
+    ];
+
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Worn => "worn",
+            Self::BrokenSuspected => "broken_suspected",
+            Self::ConditionsChanged => "conditions_changed",
+            Self::Overload => "overload",
+            Self::MachineSilent => "machine_silent",
+            Self::Quarantine => "quarantine",
+        }
+    }
+
+    /// The kind of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.as_str() == text)
+    }
+}
+
+/// An alarm: at most one of a kind is open for one subject.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alarm {
+    /// Its number, ascending.
+    pub id: i64,
+    /// What it says.
+    pub kind: AlarmKind,
+    /// The machine it concerns.
+    pub machine: Option<MachineId>,
+    /// The tool it concerns.
+    pub tool: Option<ToolId>,
+    /// A sentence for a person.
+    pub message: String,
+    /// When it was raised.
+    pub raised_at: Timestamp,
+    /// When it was cleared.
+    pub cleared_at: Option<Timestamp>,
+    /// By whom and when it was acknowledged.
+    pub acknowledged: Option<(String, Timestamp)>,
+}
+
+/// Which alarms a list asks for.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct AlarmFilter {
+    /// Only those that are open, or only those that are cleared.
+    pub open: Option<bool>,
+    /// Of this machine.
+    pub machine: Option<MachineId>,
+    /// Of this tool.
+    pub tool: Option<ToolId>,
+}
+
+/// What could not be accepted, kept as it came.
+#[derive(Debug, Clone, PartialEq)]
+pub struct QuarantineEntry {
+    /// Its id.
+    pub id: String,
+    /// The machine that sent it.
+    pub machine: MachineId,
+    /// Its cycle id, where that could be read.
+    pub cycle: Option<String>,
+    /// When it came.
+    pub received_at: Timestamp,
+    /// Stable code of the first problem.
+    pub code: String,
+    /// The problem document that was answered, JSON.
+    pub problem: String,
+    /// The content type it came with.
+    pub content_type: String,
+    /// When and how it was settled: the cycle was re-ingested, or it was discarded with a reason.
+    pub settled: Option<(Timestamp, String)>,
+    /// Size of the body, bytes.
+    pub size: u64,
+}
+
+/// Bounds of the quarantine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QuarantineBounds {
+    /// Most unsettled entries.
+    pub entries: u64,
+    /// Most bytes of unsettled bodies as they are kept.
+    pub bytes: u64,
+}
+
+/// One line of the audit, append-only.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AuditEntry {
+    /// Its number, ascending.
+    pub id: i64,
+    /// When.
+    pub at: Timestamp,
+    /// Who: a token's id.
+    pub actor: String,
+    /// In which role.
+    pub role: Role,
+    /// What, as in `machine.put`.
+    pub action: String,
+    /// Of what, as in `machine/M1`.
+    pub subject: String,
+    /// What changed, JSON.
+    pub detail: String,
+}
+
+/// Everything a summary or a recommendation needs about one cycle's surroundings.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Surroundings {
+    /// The machine.
+    pub machine: Machine,
+    /// Its newest fitted lines.
+    pub calibration: Option<Calibration>,
+    /// The operation, where it is registered.
+    pub operation: Option<Operation>,
+    /// The tool, where it is registered.
+    pub tool: Option<Tool>,
+}
+
+/// What the check of a tool's cache against its fold found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WearCheck {
+    /// Rows of the cache that were compared.
+    pub rows: u64,
+    /// Those that differed from the fold, `(machine, tool)`.
+    pub different: Vec<(MachineId, ToolId)>,
+}
+
+/// Names a row of the quarantine, of alarms or of audit in a list.
+pub type RowNumber = i64;
+
+/// Which tool's history a CSV or a verdict is about.
+pub type ToolKey = ToolId;

@@ -1,0 +1,177 @@
+//! The trait that both engines implement.
+
+use crate::error::StoreResult;
+use crate::record::{
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, NewCycle,
+    Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber, StoredCycle,
+    StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+};
+use async_trait::async_trait;
+use feedwright_core::cycle::Samples;
+use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::machine::{Calibration, Machine};
+use feedwright_core::operation::Operation;
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::tool::{Tool, ToolEvent};
+use feedwright_core::units::Timestamp;
+use feedwright_core::wear::Verdict;
+
+/// The store. Every method that changes something returns after its durable commit, and writes its audit line
+/// in the same transaction. Futures of mutating methods must not be dropped half-way: callers spawn them.
+#[async_trait]
+pub trait Store: Send + Sync + 'static {
+    /// Commits a group of cycles in one transaction and answers each, in the order given: inserts the new ones,
+    /// folds each tool they touch once, raises and clears alarms, stores the recommendations. When the group
+    /// fails because of a row, it is retried row by row: a row that fails alone fails alone.
+    async fn commit_cycles(
+        &self,
+        group: Vec<NewCycle>,
+        now: Timestamp,
+        settings: RecommendSettings,
+    ) -> Vec<StoreResult<Committed>>;
+
+    /// Proves that the database takes writes, by one.
+    async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
+
+    /// Ends after everything handed in is committed; later calls fail.
+    async fn close(&self);
+
+    /// Registers or changes a machine.
+    async fn put_machine(
+        &self,
+        machine: Machine,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome>;
+    /// One machine.
+    async fn machine(&self, id: &MachineId) -> StoreResult<Option<Versioned<Machine>>>;
+    /// Machines by id.
+    async fn machines(&self, page: Page<MachineId>) -> StoreResult<Vec<Versioned<Machine>>>;
+
+    /// Registers or changes a tool. Registering counts the cycles that came before.
+    async fn put_tool(
+        &self,
+        tool: Tool,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome>;
+    /// One tool.
+    async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>>;
+    /// Tools by id.
+    async fn tools(&self, page: Page<ToolId>) -> StoreResult<Vec<Versioned<Tool>>>;
+    /// Adds an event to a tool's history and refolds it; `None` where the tool is not registered.
+    async fn add_tool_event(
+        &self,
+        tool: &ToolId,
+        event: ToolEvent,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<StoredToolEvent>>;
+    /// A tool's events in the order of arrival.
+    async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>>;
+
+    /// Registers or changes an operation. Where what wear depends on changes, the tools it ran with are refolded.
+    async fn put_operation(
+        &self,
+        operation: Operation,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome>;
+    /// One operation.
+    async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>>;
+    /// Operations by id.
+    async fn operations(&self, page: Page<OperationId>) -> StoreResult<Vec<Versioned<Operation>>>;
+
+    /// Adds a version of a machine's fitted lines (its `version` is assigned here); `None` where the machine is not
+    /// registered.
+    async fn add_calibration(
+        &self,
+        machine: &MachineId,
+        calibration: Calibration,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<Calibration>>;
+    /// A machine's fitted lines, oldest version first.
+    async fn calibrations(
+        &self,
+        machine: &MachineId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<(Calibration, Timestamp)>>;
+
+    /// What is known around a cycle; `None` where the machine is not registered.
+    async fn surroundings(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Option<Surroundings>>;
+
+    /// One cycle without its samples.
+    async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>>;
+    /// One cycle's samples; `None` where there are none (any more).
+    async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>>;
+    /// Cycles in the order of `(started_at, machine, cycle)`.
+    async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>>;
+
+    /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
+    async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
+    /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair`.
+    async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck>;
+
+    /// Keeps a recommendation that is handed out.
+    async fn issue_recommendation(&self, issued: &IssuedRecommendation) -> StoreResult<()>;
+    /// A recommendation that was handed out.
+    async fn recommendation(&self, id: &RecommendationId) -> StoreResult<Option<IssuedRecommendation>>;
+
+    /// Alarms in the order of their numbers.
+    async fn alarms(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>>;
+    /// Acknowledges an alarm; `None` where there is none of that number.
+    async fn acknowledge_alarm(
+        &self,
+        id: RowNumber,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<Alarm>>;
+
+    /// Keeps what could not be accepted; `Full` where the bounds are reached. The same body from the same
+    /// machine under the same cycle id is kept once: the id of the entry that stands is returned.
+    async fn quarantine(
+        &self,
+        entry: QuarantineEntry,
+        body: Vec<u8>,
+        bounds: QuarantineBounds,
+    ) -> StoreResult<String>;
+    /// Quarantine entries after `page.after` (an id; ids ascend in time), unsettled ones only where `open`.
+    async fn quarantined(
+        &self,
+        machine: Option<&MachineId>,
+        open: bool,
+        page: Page<String>,
+    ) -> StoreResult<Vec<QuarantineEntry>>;
+    /// One quarantine entry with its body as it came.
+    async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Vec<u8>)>>;
+    /// Settles a quarantine entry; `false` where there is no unsettled one of that id.
+    async fn settle_quarantine(
+        &self,
+        id: &str,
+        how: &str,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<bool>;
+
+    /// Audit lines in the order of their numbers.
+    async fn audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>>;
+
+    /// Keeps a token.
+    async fn create_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<()>;
+    /// The token of that hash, revoked or not.
+    async fn token_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>>;
+    /// Tokens by id.
+    async fn tokens(&self, page: Page<String>) -> StoreResult<Vec<TokenRecord>>;
+    /// Revokes a token; `None` where there is none of that id.
+    async fn revoke_token(&self, id: &str, actor: &Actor, now: Timestamp)
+    -> StoreResult<Option<TokenRecord>>;
+}

@@ -1,0 +1,1 @@
+//! One binary with every story; a module per subject.
