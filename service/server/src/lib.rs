@@ -1,1 +1,3 @@
 //! The service: HTTP, configuration and the command line around the store and the science.
+
+pub mod ingest;
