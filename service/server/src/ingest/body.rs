@@ -178,25 +178,22 @@ fn parse(json: &[u8]) -> Result<Body, BodyError> {
         Ok(body) => return Ok(body),
         Err(error) => error,
     };
+    if let Some((path, literal)) = scan::first_non_finite(json) {
+        return Err(BodyError::one(path, "not_finite", format!("must be a finite number, is {literal}")));
+    }
     // A torn body may break a rule of ours before its tear: whether it is JSON at all comes first.
-    if serde_json::from_slice::<IgnoredAny>(json).is_ok() {
-        return Err(located(json));
+    if serde_json::from_slice::<IgnoredAny>(json).is_err() {
+        return Err(BodyError::Malformed(error.to_string()));
     }
-    match scan::first_non_finite(json) {
-        Some((path, literal)) => {
-            Err(BodyError::one(path, "not_finite", format!("must be a finite number, is {literal}")))
-        }
-        None => Err(BodyError::Malformed(error.to_string())),
-    }
+    Err(located(json))
 }
 
 /// Parses again, slower, to learn the path of what is wrong.
 fn located(json: &[u8]) -> BodyError {
     let mut deserializer = serde_json::Deserializer::from_slice(json);
-    let error = match serde_path_to_error::deserialize::<_, Body>(&mut deserializer) {
-        // Both passes read the same bytes with the same types, so this one finds the same fault.
-        Ok(_) => return BodyError::Malformed("the body changed while it was read".into()),
-        Err(error) => error,
+    let Err(error) = serde_path_to_error::deserialize::<_, Body>(&mut deserializer) else {
+        // Whole, but followed by more: two documents in one body.
+        return BodyError::Malformed("there is more after the end of the document".into());
     };
     let path = error.path().to_string();
     let path = if path == "." { String::new() } else { path };
