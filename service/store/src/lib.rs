@@ -5,6 +5,7 @@
 //! A new noun is a record in `record.rs`, its methods in [`Store`], its table in both migration folders (same
 //! number and name), its statements in `engine/`, and its story in the suite that runs on both engines.
 
+pub mod codec;
 mod error;
 mod record;
 mod store;
