@@ -7,9 +7,18 @@
 
 pub mod codec;
 mod error;
+mod fault;
+mod gate;
+mod history;
+mod locks;
+mod precondition;
 mod record;
+mod rows;
+mod sqlite;
 mod store;
+mod work;
 
 pub use error::{StoreError, StoreResult};
 pub use record::*;
+pub use sqlite::{SqliteOptions, SqliteStore};
 pub use store::Store;
