@@ -28,8 +28,8 @@ pub enum Access {
 pub const READ: Access = Access::Roles(&[Role::Viewer, Role::Engineer, Role::Approver, Role::Admin]);
 /// Reads, and a machine its own.
 pub const READ_OR_OWN: Access = Access::Roles(&Role::ALL);
-/// A machine writes its own.
-pub const OWN: Access = Access::Roles(&[Role::Machine]);
+/// A machine writes its own; an admin, who could make its token, replays and repairs.
+pub const OWN: Access = Access::Roles(&[Role::Machine, Role::Admin]);
 /// Registers, resets, acknowledges, repairs.
 pub const ENGINEER: Access = Access::Roles(&[Role::Engineer, Role::Admin]);
 /// Manages identities.
