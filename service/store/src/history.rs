@@ -18,7 +18,9 @@ pub(crate) struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// From the beginning; `events` in the order of their places.
     pub(crate) fn new(events: &'a [PlacedEvent]) -> Self {
-        Self::resume(ToolFold::default(), 0, events)
+        let mounted = events.iter().any(|event| event.kind.begins_life());
+        let fold = if mounted { ToolFold::awaiting_mount() } else { ToolFold::default() };
+        Self::resume(fold, 0, events)
     }
 
     /// From a state with `folded` cycles: events up to the place of its last cycle are in it.
