@@ -14,7 +14,16 @@ pub mod precondition;
 pub mod problem;
 pub mod routes;
 
+mod alarms;
+mod audit;
+mod calibrations;
 mod health;
+mod machines;
+mod operations;
+mod quarantine;
+mod tokens;
+mod tool_events;
+mod tools;
 mod viewer;
 
 pub use routes::{metrics_router, router};
