@@ -1,3 +1,4 @@
 //! One binary with every story; a module per subject.
 
+mod shop;
 mod store;
