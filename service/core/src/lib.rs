@@ -3,3 +3,15 @@
 //! Nothing here reads a clock, a file, the environment or a random source; time is an argument, and the same
 //! input gives the same bits. Storage, JSON and HTTP do not belong here. One folder per machining process:
 //! a new one is a folder with its paper's equations, its tests beside it, and a line in the list below.
+//!
+//! Without the feature `std` only what a controller board needs is compiled; every other module says so below.
+
+#![cfg_attr(not(feature = "std"), no_std)]
+
+pub mod contact;
+pub mod field_error;
+#[cfg(feature = "std")]
+pub mod plunge;
+#[cfg(feature = "std")]
+pub mod turning;
+pub mod vibratory;
