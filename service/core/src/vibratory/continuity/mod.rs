@@ -4,10 +4,14 @@
 //! in spring force per feed. [`advise`] translates from and to a machine's units.
 
 
+mod advice;
 mod border;
 mod map;
 mod process;
 
+pub use advice::{
+    Advice, AdviceInput, AdviceQuestion, HeadAdvice, MAX_SIMULATIONS, SpeedPoint, SpeedWindow, advise, advise_head,
+};
 pub use border::{BorderPoint, border_at, border_minimum, segmentation_amplitude};
 pub use map::{Cancelled, Map, MapAxis, MapInput, MapQuestion, run_map};
 pub use process::{
