@@ -7,11 +7,11 @@ use feedwright_core::turning::{
     DomainInput, EdgeState, Job, JobInput, Objective, Range, Selector, greedy_plan, whole_life_plan,
 };
 
-fn median(rounds: usize, mut work: impl FnMut()) -> Duration {
+fn median<T>(rounds: usize, mut work: impl FnMut() -> T) -> Duration {
     let mut times: Vec<Duration> = (0..rounds)
         .map(|_| {
             let start = Instant::now();
-            work();
+            black_box(work());
             start.elapsed()
         })
         .collect();
@@ -30,13 +30,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     })?;
     let state = EdgeState::new(5.0, 0.23)?;
     for (name, job) in [("grid 16x109", &grid), ("continuous", &free)] {
-        let fresh = median(2001, || drop(black_box(Selector::new(black_box(job)).choose(state))));
+        let fresh = median(2001, || Selector::new(black_box(job)).choose(state));
         let selector = Selector::new(job);
-        let prepared = median(2001, || drop(black_box(selector.choose(black_box(state)))));
-        let plan = median(201, || drop(black_box(greedy_plan(black_box(job), EdgeState::FRESH))));
+        let prepared = median(2001, || selector.choose(black_box(state)));
+        let plan = median(201, || greedy_plan(black_box(job), EdgeState::FRESH));
         println!("{name}: interval {fresh:?}, with a prepared selector {prepared:?}, greedy plan {plan:?}");
         for objective in [Objective::RemovalInGreedyTime, Objective::OverallRemoval, Objective::Cost] {
-            let life = median(11, || drop(black_box(whole_life_plan(black_box(job), EdgeState::FRESH, objective))));
+            let life = median(11, || whole_life_plan(black_box(job), EdgeState::FRESH, objective));
             println!("{name}: whole life {objective:?} {life:?}");
         }
     }

@@ -8,7 +8,9 @@ use std::time::Instant;
 use feedwright_core::vibratory::continuity::{
     ContinuityControl, MapAxis, MapInput, MapQuestion, ProcessInput, run_map,
 };
-use feedwright_core::vibratory::peak_to_peak::{Controller, ControllerInput, ControllerSettings, VibrationSample};
+use feedwright_core::vibratory::peak_to_peak::{
+    Controller, ControllerInput, ControllerSettings, VibrationSample,
+};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut controller = Controller::new(ControllerSettings::new(ControllerInput::IVANOV_2024)?);
@@ -20,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .collect();
     let start = Instant::now();
     for sample in &samples {
-        drop(black_box(controller.step(*sample)));
+        black_box(controller.step(*sample))?;
     }
     println!("peak-to-peak controller: {:?} per million steps", start.elapsed());
 
@@ -35,7 +37,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let map = run_map(&question, workers, &|_, _| {}, &AtomicBool::new(false))?;
         let elapsed = start.elapsed();
         let segmented = map.points.iter().filter(|point| point.segmented()).count();
-        println!("map 101x101, 500 periods, {name}, {workers} workers: {elapsed:?} ({segmented} points segment)");
+        println!(
+            "map 101x101, 500 periods, {name}, {workers} workers: {elapsed:?} ({segmented} points segment)"
+        );
     }
     Ok(())
 }

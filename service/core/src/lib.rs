@@ -6,7 +6,7 @@
 //!
 //! Without the feature `std` only what a controller board needs is compiled; every other module says so below.
 
-#![cfg_attr(not(feature = "std"), no_std)]
+#![cfg_attr(not(any(feature = "std", test)), no_std)]
 
 pub mod contact;
 pub mod field_error;

@@ -7,7 +7,9 @@ mod feed;
 mod saving;
 
 pub use feed::{
-    Drill, DrillInput, DrillingLaw, LoopLatency, LoopLatencyInput, MAX_DRILLS, Machine, MachineInput, Material,
-    MaterialInput, PlungeFeed, PlungeLimit, plunge_feed, plunge_feeds,
+    Drill, DrillInput, DrillingLaw, LoopLatency, LoopLatencyInput, MAX_DRILLS, Machine, MachineInput,
+    Material, MaterialInput, PlungeFeed, PlungeLimit, plunge_feed, plunge_feeds,
 };
-pub use saving::{Hole, HoleInput, HoleSaving, MAX_HOLES, PartSaving, hole_saving, part_saving, relative_saving};
+pub use saving::{
+    Hole, HoleInput, HoleSaving, MAX_HOLES, PartSaving, hole_saving, part_saving, relative_saving,
+};

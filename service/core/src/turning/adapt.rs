@@ -172,7 +172,10 @@ impl Adaptation {
             next.correct(off, [data.force.wear_exponent / wear, 0.0, 0.0, 1.0], noise);
         }
         if next.mean.iter().any(|value| !value.is_finite()) {
-            return Err(FieldError::new("cut", Problem::Inconsistent("is so extreme that nothing can be learnt")));
+            return Err(FieldError::new(
+                "cut",
+                Problem::Inconsistent("is so extreme that nothing can be learnt"),
+            ));
         }
         *self = next;
         Ok(self.corrections())
@@ -192,8 +195,9 @@ impl Adaptation {
         self.elapsed_min += minutes;
         self.mean[WEAR] = after;
         let p = &mut self.covariance;
-        for column in 0..4 {
-            p[WEAR][column] = kept * p[WEAR][column] + learnt * p[WEAR_FACTOR][column];
+        let factor_row = p[WEAR_FACTOR];
+        for (value, factor) in p[WEAR].iter_mut().zip(factor_row) {
+            *value = kept * *value + learnt * factor;
         }
         for row in p.iter_mut() {
             row[WEAR] = kept * row[WEAR] + learnt * row[WEAR_FACTOR];
@@ -212,15 +216,13 @@ impl Adaptation {
         let gate = self.settings.0.gate_sigmas * variance.sqrt();
         self.gated |= off.abs() > gate;
         let off = off.clamp(-gate, gate);
-        for i in 0..4 {
-            self.mean[i] += cross[i] / variance * off;
-        }
-        for i in 0..4 {
-            for j in 0..4 {
-                self.covariance[i][j] -= cross[i] * cross[j] / variance;
+        for (i, (mean, row)) in self.mean.iter_mut().zip(&mut self.covariance).enumerate() {
+            *mean += cross[i] / variance * off;
+            for (value, other) in row.iter_mut().zip(cross) {
+                *value -= cross[i] * other / variance;
             }
             // Rounding must not leave a factor with negative uncertainty.
-            self.covariance[i][i] = self.covariance[i][i].max(1e-14);
+            row[i] = row[i].max(1e-14);
         }
         let bound = self.settings.0.max_factor.ln();
         for factor in [WEAR_FACTOR, POWER_FACTOR, FORCE_FACTOR] {

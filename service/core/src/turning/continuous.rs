@@ -4,7 +4,7 @@
 //! multiple of ln(m₀ + k·e^(a·u+b·w)), m the wear measure that intervals add to, hence convex: the feasible set is convex, the greatest feasible w is a
 //! concave function of u, and a one-dimensional search finds the optimum.
 
-use super::job::Range;
+use super::domain::Range;
 use super::{Cut, EdgeState, Job, LoadLaw};
 
 /// Rounds of the one-dimensional search: (2/3)^100 of the range is below the resolution of a double.
@@ -25,8 +25,14 @@ struct Load {
 
 impl Load {
     fn new(job: &Job, law: &LoadLaw, limit: f64) -> Self {
-        let constant = law.coefficient * job.depth_ratio().powf(law.depth_exponent) / (limit * (1.0 - MARGIN));
-        Self { constant: constant.ln(), speed: law.speed_exponent, feed: law.feed_exponent, wear: law.wear_exponent / job.measure_power() }
+        let constant =
+            law.coefficient * job.depth_ratio().powf(law.depth_exponent) / (limit * (1.0 - MARGIN));
+        Self {
+            constant: constant.ln(),
+            speed: law.speed_exponent,
+            feed: law.feed_exponent,
+            wear: law.wear_exponent / job.measure_power(),
+        }
     }
 }
 
@@ -67,7 +73,14 @@ impl Search {
 /// The pair of largest removal within the ranges that keeps every limit, or none.
 ///
 /// `power` and `force` say whether those limits count; wear always does.
-pub(super) fn best(job: &Job, state: EdgeState, speed: Range, feed: Range, power: bool, force: bool) -> Option<Cut> {
+pub(super) fn best(
+    job: &Job,
+    state: EdgeState,
+    speed: Range,
+    feed: Range,
+    power: bool,
+    force: bool,
+) -> Option<Cut> {
     let data = job.model().data();
     let limits = job.limits();
     let worn = job.measure(state.wear_mm());

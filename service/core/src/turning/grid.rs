@@ -4,7 +4,7 @@
 //! power laws that capacity factors into a power of V times a power of f: the table costs a few hundred powers to
 //! build, and an interval after that a multiplication and a comparison per pair.
 
-use super::job::Range;
+use super::domain::Range;
 use super::{Cut, EdgeState, Job, LoadLaw};
 
 /// Rounding that the factored capacity may differ by from the power laws it stands for.
@@ -25,11 +25,14 @@ pub(super) struct PairTable {
 impl PairTable {
     pub(super) fn new(job: &Job, speeds: &[f64], feeds: &[f64]) -> Self {
         let data = job.model().data();
-        let powers = |axis: &[f64], exponent: f64| -> Vec<f64> { axis.iter().map(|x| x.powf(exponent)).collect() };
+        let powers =
+            |axis: &[f64], exponent: f64| -> Vec<f64> { axis.iter().map(|x| x.powf(exponent)).collect() };
         // Severity and capacity are kept in the measure that intervals add to.
         let power = job.measure_power();
-        let wear =
-            (powers(speeds, data.wear.speed_exponent * power), powers(feeds, data.wear.feed_exponent * power));
+        let wear = (
+            powers(speeds, data.wear.speed_exponent * power),
+            powers(feeds, data.wear.feed_exponent * power),
+        );
         let capacity = |law: &LoadLaw, limit: f64| {
             let e = law.wear_exponent / power;
             let scale = limit / (law.coefficient * job.depth_ratio().powf(law.depth_exponent));
@@ -39,7 +42,8 @@ impl PairTable {
         };
         let (drive, drive_v, drive_f) = capacity(&data.power, job.limits().power_kw);
         let (force, force_v, force_f) = capacity(&data.force, job.limits().force_n);
-        let by_wear = job.measure(job.limits().wear_mm) * if power > 1.0 { 1.0 - CAPACITY_SLACK } else { 1.0 };
+        let by_wear =
+            job.measure(job.limits().wear_mm) * if power > 1.0 { 1.0 - CAPACITY_SLACK } else { 1.0 };
         let mut severity = Vec::with_capacity(speeds.len() * feeds.len());
         let mut capacities = Vec::with_capacity(severity.capacity());
         for i in 0..speeds.len() {

@@ -5,8 +5,9 @@
 //! evenly spaced wear nodes, but the plan itself is rolled out with exact wear, so it always keeps the limits; and
 //! it is only returned where it beats the greedy plan.
 
+use super::domain::Domain;
 use super::grid::PairTable;
-use super::job::{Accumulation, Domain};
+use super::job::Accumulation;
 use super::plan::{EndOfLife, MAX_INTERVALS, Plan, SAMPLES, greedy_with, replay};
 use super::select::{Binding, Chosen, Selector};
 use super::{EdgeState, Job};
@@ -140,7 +141,11 @@ struct Values<'a> {
 impl Values<'_> {
     fn at(&self, worn: f64) -> f64 {
         let position = ((worn - self.first) * self.per_unit).clamp(0.0, f64::from(WEAR_STEPS));
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to 0..=WEAR_STEPS")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "clamped to 0..=WEAR_STEPS"
+        )]
         let low = (position as usize).min(usize::from(WEAR_STEPS) - 1);
         #[expect(clippy::cast_precision_loss, reason = "low ≤ WEAR_STEPS")]
         let share = position - low as f64;

@@ -9,6 +9,7 @@
 
 mod adapt;
 mod continuous;
+mod domain;
 mod grid;
 mod job;
 mod life;
@@ -17,9 +18,8 @@ mod plan;
 mod select;
 
 pub use adapt::{Adaptation, AdaptationInput, AdaptationSettings, Correction, Corrections, Measured};
-pub use job::{
-    Accumulation, Axis, Domain, DomainInput, Economics, EdgeState, Job, JobInput, Limits, MAX_GRID_PAIRS, Outcome, Outside, Range,
-};
+pub use domain::{Axis, Domain, DomainInput, MAX_GRID_PAIRS, Range};
+pub use job::{Accumulation, Economics, EdgeState, Job, JobInput, Limits, Outcome, Outside};
 pub use life::{Objective, WholeLife, whole_life_plan};
 pub use model::{LoadLaw, ModelInput, ModelRanges, ScatterInput, ToolWorkMachine, TurningModel, WearLaw};
 pub use plan::{

@@ -2,7 +2,7 @@
 
 use crate::field_error::{FieldError, Problem, within};
 
-use super::job::Range;
+use super::domain::Range;
 
 /// Longest name of a tool, work material or machine in an entry.
 const MAX_NAME_CHARS: usize = 128;

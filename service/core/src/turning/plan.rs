@@ -1,7 +1,8 @@
 //! A plan to the end of the edge's life, and the run at fixed parameters it is measured against.
 
+use super::domain::Domain;
 use super::grid::PairTable;
-use super::job::{Accumulation, Domain};
+use super::job::Accumulation;
 use super::select::{Binding, Chosen, Limit, Selector};
 use super::{Cut, EdgeState, Job, Outside};
 

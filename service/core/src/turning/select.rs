@@ -1,7 +1,7 @@
 //! Choice of one interval: the pair, what it leads to and what keeps it from being faster.
 
+use super::domain::Domain;
 use super::grid::PairTable;
-use super::job::Domain;
 use super::{Cut, EdgeState, Job, Outcome, Outside, continuous};
 
 /// Utilisation from which a limit counts as reached by a continuous optimum.
@@ -123,7 +123,9 @@ impl<'a> Selector<'a> {
     #[must_use]
     pub fn new(job: &'a Job) -> Self {
         let table = match job.domain() {
-            Domain::Grid { speeds_m_min, feeds_mm_rev } => Some(PairTable::new(job, speeds_m_min, feeds_mm_rev)),
+            Domain::Grid { speeds_m_min, feeds_mm_rev } => {
+                Some(PairTable::new(job, speeds_m_min, feeds_mm_rev))
+            }
             Domain::Continuous { .. } => None,
         };
         Self { job, table }
@@ -175,9 +177,9 @@ impl<'a> Selector<'a> {
     /// Between grid points no limit is met exactly: the binding one is what the next step up would break.
     pub(super) fn with_broken_limit(&self, table: &PairTable, state: EdgeState, pair: usize) -> Chosen {
         let mut chosen = Chosen::new(self.job, state, table.cut(pair), Binding::Range);
-        let steps = table.steps_up(pair).map(|cut| {
-            cut.map(|cut| Utilisation::of(self.job, &self.job.predict(state, cut)))
-        });
+        let steps = table
+            .steps_up(pair)
+            .map(|cut| cut.map(|cut| Utilisation::of(self.job, &self.job.predict(state, cut))));
         let breaks = |limit: Limit| {
             steps.iter().flatten().any(|step| match limit {
                 Limit::Power => step.power > 1.0,

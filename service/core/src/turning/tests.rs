@@ -164,7 +164,8 @@ fn looking_ahead_pays_and_says_how_far_to_trust_it() {
     // An expensive edge is used longer than a cheap one.
     let with_price = |edge_cost| {
         let economics = Economics { tool_change_min: 1.0, edge_cost, machine_cost_per_min: 1.0 };
-        let input = JobInput { accumulation: Accumulation::State, economics, ..JobInput::alaskari_oraby_2017() };
+        let input =
+            JobInput { accumulation: Accumulation::State, economics, ..JobInput::alaskari_oraby_2017() };
         whole_life_plan(&Job::new(input).unwrap(), EdgeState::FRESH, Objective::Cost).plan.totals
     };
     let (cheap, dear) = (with_price(0.1), with_price(20.0));
@@ -196,7 +197,8 @@ fn adaptation_finds_the_true_factors_and_brings_the_power_back_under_its_limit()
         assert!(!learnt.gated && !learnt.at_bound);
     }
     let learnt = adaptation.corrections();
-    for (found, truth) in [(learnt.wear_factor, 1.1), (learnt.power_factor, 1.12), (learnt.force_factor, 0.9)] {
+    for (found, truth) in [(learnt.wear_factor, 1.1), (learnt.power_factor, 1.12), (learnt.force_factor, 0.9)]
+    {
         assert!(found.low < truth && truth < found.high, "{found:?} {truth}");
         assert!((found.value / truth - 1.0).abs() < 0.06, "{found:?} {truth}");
     }
@@ -259,7 +261,10 @@ fn bad_input_is_refused_by_name() {
     };
     assert_eq!(refused(JobInput { domain: grid(fine), ..base() }), ("domain.feed_mm_rev", "too_many"));
     let inverted = Axis { min: 0.6, max: 0.06, step: 0.01 };
-    assert_eq!(refused(JobInput { domain: grid(inverted), ..base() }), ("domain.feed_mm_rev", "inverted_range"));
+    assert_eq!(
+        refused(JobInput { domain: grid(inverted), ..base() }),
+        ("domain.feed_mm_rev", "inverted_range")
+    );
     let mut model = TurningModel::alaskari_oraby_2017().data().clone();
     model.set.tool = " ".into();
     assert_eq!(TurningModel::new(model).unwrap_err().code(), "empty");

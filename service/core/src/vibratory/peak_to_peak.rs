@@ -176,9 +176,8 @@ impl Controller {
             }
             self.since_crossing = Some(0);
         }
-        if v < 0.0 || v > 0.0 {
-            self.was_negative = v < 0.0;
-        }
+        // A zero keeps the sign seen last.
+        self.was_negative = v < 0.0 || (self.was_negative && v <= 0.0);
         let omega = self.frequency_rad_s;
         let (by_velocity, by_acceleration) = (v / omega, acc / (omega * omega));
         let raw_displacement_mm =
@@ -207,5 +206,5 @@ impl Controller {
     }
 }
 
-#[cfg(all(test, feature = "std"))]
+#[cfg(test)]
 mod tests;

@@ -155,8 +155,13 @@ mod tests {
         for (eigenfrequency_hz, stiffness_n_mm, limit) in [(45.0, 1500.0, 60.0), (120.0, 5000.0, 200.0)] {
             let scale = eigenfrequency_hz / 70.86;
             let speeds_rpm = vec![3000.0 * scale, 3500.0 * scale, 4500.0 * scale];
-            let input =
-                TuningInput { eigenfrequency_hz, speeds_rpm, actuator_limit_n: limit, computation_s: 1e-4, ..paper() };
+            let input = TuningInput {
+                eigenfrequency_hz,
+                speeds_rpm,
+                actuator_limit_n: limit,
+                computation_s: 1e-4,
+                ..paper()
+            };
             let tuning = tune(&input).unwrap();
             for spindle_rpm in &input.speeds_rpm {
                 let run = LoopRun::new(LoopInput {

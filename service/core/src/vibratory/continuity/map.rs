@@ -8,8 +8,11 @@ use crate::field_error::{FieldError, Problem, count, within};
 
 use super::process::{LANES, Process, ProcessInput, Steady, simulate_many};
 
-/// Most points of a map: about ten minutes on two cores with the paper's settings.
+/// Most points of a map: three minutes on two idle cores with the paper's settings.
 const MAX_POINTS: usize = 250_000;
+
+/// Most steps of all points together: what that many points take with the paper's settings.
+const MAX_MAP_STEPS: u64 = 250_000 * 500 * 100;
 
 /// Evenly spaced values, both ends included.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,7 +61,8 @@ impl MapQuestion {
     /// Checks a map.
     ///
     /// # Errors
-    /// The first bad field; more than 250 000 points are `too_many`.
+    /// The first bad field; more than 250 000 points, or as many steps as they take with the paper's
+    /// settings, are `too_many`.
     pub fn new(input: MapInput) -> Result<Self, FieldError> {
         let ratios = input.frequency_ratio.values("frequency_ratio", 0.01, 100.0)?;
         let coefficients = input.cutting_coefficient.values("cutting_coefficient", 0.0, 100.0)?;
@@ -68,6 +72,12 @@ impl MapQuestion {
             cutting_coefficient: coefficients[0],
             ..input.process
         };
+        let steps = u64::from(process.periods) * u64::from(process.steps_per_period);
+        let points = ratios.len() * coefficients.len();
+        if steps.saturating_mul(points as u64) > MAX_MAP_STEPS {
+            let max = usize::try_from(MAX_MAP_STEPS / steps.max(1)).unwrap_or(MAX_POINTS);
+            return Err(FieldError::new("process.periods", Problem::TooMany { count: points, max }));
+        }
         Ok(Self { ratios, coefficients, process: Process::new(process)? })
     }
 

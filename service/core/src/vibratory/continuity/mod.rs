@@ -3,14 +3,14 @@
 //! Everything is dimensionless, as in the paper: lengths in feeds per edge, time in periods of edge passing, force
 //! in spring force per feed. [`advise`] translates from and to a machine's units.
 
-
 mod advice;
 mod border;
 mod map;
 mod process;
 
 pub use advice::{
-    Advice, AdviceInput, AdviceQuestion, HeadAdvice, MAX_SIMULATIONS, SpeedPoint, SpeedWindow, advise, advise_head,
+    Advice, AdviceInput, AdviceQuestion, HeadAdvice, MAX_SIMULATIONS, SpeedPoint, SpeedWindow, advise,
+    advise_head,
 };
 pub use border::{BorderPoint, border_at, border_minimum, segmentation_amplitude};
 pub use map::{Cancelled, Map, MapAxis, MapInput, MapQuestion, run_map};

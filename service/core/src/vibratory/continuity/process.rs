@@ -6,7 +6,7 @@
 
 use crate::field_error::{FieldError, Problem, within};
 
-/// Most steps of one simulation: about ten seconds.
+/// Most steps of one simulation: about twenty seconds.
 const MAX_STEPS: u64 = 200_000_000;
 
 /// Periods after which the controller corrects its gain (Gouskov et al. 2015, section 4.2).
@@ -194,8 +194,12 @@ pub fn simulate_many(processes: &[Process]) -> Vec<Steady> {
     let mut groups = processes.chunks_exact(LANES);
     for group in &mut groups {
         match <[Process; LANES]>::try_from(group) {
-            Ok(group) if group.iter().all(|p| p.same_course(&group[0])) => done.extend(lanes(group, |_, _| {})),
-            _ => done.extend(group.iter().map(simulate)),
+            Ok(group) if group.iter().all(|p| p.same_course(&group[0])) => {
+                done.extend(lanes(group, |_, _| {}));
+            }
+            _ => {
+                done.extend(group.iter().map(simulate));
+            }
         }
     }
     done.extend(groups.remainder().iter().map(simulate));

@@ -17,11 +17,9 @@ fn near(got: f64, want: f64, tolerance: f64) {
 
 #[test]
 fn the_papers_points_without_control() {
-    for (p, kc, psi, amplitude, force) in [
-        (1.5, 0.1, 0.702, 1.748, 0.2017),
-        (1.5, 0.6, 0.416, 6.391, 1.387),
-        (1.7, 0.1, 0.497, 4.373, 0.2816),
-    ] {
+    for (p, kc, psi, amplitude, force) in
+        [(1.5, 0.1, 0.702, 1.748, 0.2017), (1.5, 0.6, 0.416, 6.391, 1.387), (1.7, 0.1, 0.497, 4.373, 0.2816)]
+    {
         let steady = simulate(&process(p, kc, false));
         near(steady.continuity, psi, 0.01);
         near(steady.amplitude, amplitude, 0.01 * amplitude);
@@ -83,7 +81,8 @@ fn segmentation_sets_in_at_the_border_given_time_to_grow() {
     for p in [1.4, 1.5, 1.7] {
         let border = border_at(p, 0.01, 0.75).unwrap().cutting_coefficient;
         let segmented = |factor: f64| {
-            let input = ProcessInput { periods: 4000, ..ProcessInput::gouskov_2015(p, border * factor, None) };
+            let input =
+                ProcessInput { periods: 4000, ..ProcessInput::gouskov_2015(p, border * factor, None) };
             simulate(&Process::new(input).unwrap()).segmented()
         };
         assert!(!segmented(0.985), "{p}: segments below the border");
@@ -167,7 +166,10 @@ fn bad_processes_are_refused_by_name() {
         let error = Process::new(input).unwrap_err();
         (error.field(), error.code())
     };
-    assert_eq!(refused(ProcessInput { cutting_coefficient: f64::NAN, ..base }), ("cutting_coefficient", "not_finite"));
+    assert_eq!(
+        refused(ProcessInput { cutting_coefficient: f64::NAN, ..base }),
+        ("cutting_coefficient", "not_finite")
+    );
     assert_eq!(refused(ProcessInput { frequency_ratio: -1.0, ..base }), ("frequency_ratio", "out_of_range"));
     assert_eq!(refused(ProcessInput { frequency_ratio: 50.0, ..base }), ("steps_per_period", "inconsistent"));
     let endless = ProcessInput { periods: 1_000_000, steps_per_period: 10_000, ..base };

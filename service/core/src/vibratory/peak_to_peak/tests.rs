@@ -109,7 +109,8 @@ fn zeros_between_the_halves_do_not_hide_a_crossing() {
     let mut controller =
         controller(ControllerInput { frequency_share: 1.0, period_s: 1e-3, ..ControllerInput::IVANOV_2024 });
     let wave = [0.0, 5.0, 5.0, 0.0, 0.0, -5.0, -5.0, -5.0, 0.0, 0.0];
-    let last = wave.iter().cycle().take(40).map(|v| controller.step(sample(*v, 0.0)).unwrap()).last().unwrap();
+    let last =
+        wave.iter().cycle().take(40).map(|v| controller.step(sample(*v, 0.0)).unwrap()).last().unwrap();
     assert!((last.frequency_rad_s - TAU / 0.01).abs() < 1e-9);
     // Touching zero from above is no crossing.
     let rising = controller.step(sample(5.0, 0.0)).unwrap();
