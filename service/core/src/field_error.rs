@@ -165,6 +165,12 @@ mod tests {
         assert_eq!((refused.field(), refused.code()), ("diameter_mm", "not_finite"));
         let refused = within("diameter_mm", 200.0, 0.1, 100.0).unwrap_err();
         assert_eq!(refused.to_string(), "diameter_mm is 200, must lie within 0.1 and 100");
+    }
+
+    #[cfg(feature = "std")]
+    #[test]
+    fn a_refusal_inside_a_list_is_found_again() {
+        let refused = within("diameter_mm", -1.0, 0.1, 100.0).unwrap_err();
         assert_eq!(refused.path_in("drills[3]"), "drills[3].diameter_mm");
         assert_eq!(count("drills", 0, 1, 9).unwrap_err().code(), "empty");
         assert_eq!(count("drills", 10, 1, 9).unwrap_err().code(), "too_many");

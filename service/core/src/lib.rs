@@ -4,7 +4,8 @@
 //! input gives the same bits. Storage, JSON and HTTP do not belong here. One folder per machining process:
 //! a new one is a folder with its paper's equations, its tests beside it, and a line in the list below.
 //!
-//! Without the feature `std` only what a controller board needs is compiled; every other module says so below.
+//! Without the feature `std` only what a controller board needs is compiled, for targets such as
+//! `thumbv7em-none-eabihf`; a module that needs `std` says so below.
 
 #![cfg_attr(not(any(feature = "std", test)), no_std)]
 

@@ -12,7 +12,7 @@ use super::plan::{EndOfLife, MAX_INTERVALS, Plan, SAMPLES, greedy_with, replay};
 use super::select::{Binding, Chosen, Selector};
 use super::{EdgeState, Job};
 
-/// Wear steps between the start and the wear limit; twice as many change the plans of the paper's job by < 0.1 %.
+/// Wear steps between the start and the wear limit; twice as many give the same plans for the paper's job.
 const WEAR_STEPS: u16 = 128;
 
 /// Rounds of repricing; the ratio converges superlinearly, in 2 to 4.

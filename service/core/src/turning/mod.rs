@@ -6,6 +6,19 @@
 //!
 //! Parse a [`ModelInput`] (a library entry) and a [`JobInput`], then [`greedy_plan`], [`whole_life_plan`],
 //! [`fixed_run`] or, interval by interval, [`Selector`] with [`Adaptation`]. Storage of entries does not belong here.
+//!
+//! ```
+//! use feedwright_core::turning::{EdgeState, Job, JobInput, best_fixed_run, compare, greedy_plan};
+//!
+//! let job = Job::new(JobInput::alaskari_oraby_2017())?;
+//! let plan = greedy_plan(&job, EdgeState::FRESH);
+//! assert_eq!(plan.intervals.len(), 14);
+//! assert_eq!((plan.intervals[0].cut.speed_m_min(), plan.intervals[0].cut.feed_mm_rev()), (150.0, 0.58));
+//! if let Some(fixed) = best_fixed_run(&job, EdgeState::FRESH) {
+//!     println!("removes {:?} × a life at a fixed pair", compare(&plan, &fixed).removed);
+//! }
+//! # Ok::<(), feedwright_core::field_error::FieldError>(())
+//! ```
 
 mod adapt;
 mod continuous;

@@ -173,6 +173,40 @@ fn looking_ahead_pays_and_says_how_far_to_trust_it() {
 }
 
 #[test]
+fn looking_ahead_finds_what_trying_every_sequence_finds() {
+    let input = JobInput {
+        interval_min: 3.0,
+        domain: DomainInput::Grid {
+            speed_m_min: Axis { min: 100.0, max: 200.0, step: 50.0 },
+            feed_mm_rev: Axis { min: 0.2, max: 0.6, step: 0.2 },
+        },
+        accumulation: Accumulation::State,
+        ..JobInput::alaskari_oraby_2017()
+    };
+    let job = Job::new(input).unwrap();
+    let cuts: Vec<Cut> = [100.0, 150.0, 200.0]
+        .into_iter()
+        .flat_map(|v| [0.2, 0.4, 0.6].map(|f| Cut::new(v, f).unwrap()))
+        .collect();
+    fn most(job: &Job, cuts: &[Cut], state: EdgeState, left: usize) -> f64 {
+        if left == 0 {
+            return 0.0;
+        }
+        cuts.iter()
+            .map(|cut| Chosen::new(job, state, *cut, Binding::Given))
+            .filter(|next| next.utilisation.exceeded().is_none())
+            .map(|next| next.outcome.removal_mm3_min * 3.0 + most(job, cuts, next.after(), left - 1))
+            .fold(0.0, f64::max)
+    }
+    let life = whole_life_plan(&job, EdgeState::FRESH, Objective::RemovalInGreedyTime);
+    let intervals = life.greedy.intervals.len();
+    assert!((3..=6).contains(&intervals), "{intervals}");
+    let best = most(&job, &cuts, EdgeState::FRESH, intervals);
+    let got = life.plan.totals.removed_mm3;
+    assert!(got <= best * (1.0 + 1e-9) && got >= 0.995 * best, "{got} of {best}");
+}
+
+#[test]
 fn adaptation_finds_the_true_factors_and_brings_the_power_back_under_its_limit() {
     let library = paper();
     let truth = library.with_model(library.model().scaled(1.1, 1.12, 0.9));
