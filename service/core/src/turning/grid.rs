@@ -51,7 +51,9 @@ impl PairTable {
                 severity.push(wear.0[i] * wear.1[j]);
                 let by_power = drive * drive_v[i] * drive_f[j];
                 let by_force = force * force_v[i] * force_f[j];
-                capacities.push(by_wear.min(by_power).min(by_force));
+                // Powers of an extreme entry can overflow against each other: such a pair is never feasible.
+                let usable = !by_power.is_nan() && !by_force.is_nan();
+                capacities.push(if usable { by_wear.min(by_power).min(by_force) } else { 0.0 });
             }
         }
         Self { speeds: speeds.to_vec(), feeds: feeds.to_vec(), severity, capacity: capacities }

@@ -67,7 +67,8 @@ impl Utilisation {
     /// The most used of the limits exceeded, or none.
     pub(super) fn exceeded(self) -> Option<Limit> {
         let (limit, share) = self.ranked()[0];
-        (share > 1.0).then_some(limit)
+        // Also a share that is no number, from an entry so extreme that its powers overflow, counts as exceeded.
+        if share <= 1.0 { None } else { Some(limit) }
     }
 }
 

@@ -304,7 +304,65 @@ fn bad_input_is_refused_by_name() {
     assert_eq!(TurningModel::new(model).unwrap_err().code(), "empty");
 }
 
+#[test]
+fn entries_at_the_edge_of_what_is_accepted_give_finite_plans_within_the_limits() {
+    for (speed, feed, last) in [(3.0, 3.0, 5.0_f64), (-3.0, 0.01, 0.05), (3.0, 0.01, 0.05), (-3.0, 3.0, 3.0)]
+    {
+        for accumulation in [Accumulation::ElapsedTime, Accumulation::State] {
+            let mut data = TurningModel::alaskari_oraby_2017().data().clone();
+            (data.wear.speed_exponent, data.wear.feed_exponent) = (speed, feed);
+            data.wear.time_exponent = last.min(3.0);
+            (data.power.speed_exponent, data.power.feed_exponent, data.power.wear_exponent) =
+                (speed, feed, last);
+            (data.force.speed_exponent, data.force.feed_exponent, data.force.wear_exponent) =
+                (speed, feed, last);
+            let continuous = DomainInput::Continuous {
+                speed_m_min: Range { min: 1e-3, max: 1e5 },
+                feed_mm_rev: Range { min: 1e-6, max: 100.0 },
+            };
+            for domain in [JobInput::alaskari_oraby_2017().domain, continuous] {
+                let model = TurningModel::new(data.clone()).unwrap();
+                let input = JobInput { model, domain, accumulation, ..JobInput::alaskari_oraby_2017() };
+                let job = Job::new(input).unwrap();
+                let plan = greedy_plan(&job, EdgeState::FRESH);
+                let life =
+                    whole_life_plan(&job, EdgeState::new(1.0, 0.1).unwrap(), Objective::OverallRemoval);
+                for interval in plan.intervals.iter().chain(&life.plan.intervals) {
+                    let u = interval.utilisation;
+                    assert!(u.power <= 1.0 && u.force <= 1.0 && u.wear <= 1.0, "{interval:?}");
+                    assert!(interval.outcome.removal_mm3_min.is_finite());
+                }
+                assert!(life.gain >= 0.0 && plan.totals.removed_mm3.is_finite());
+            }
+        }
+    }
+}
+
+/// The paper's entry with other exponents and coefficients: nothing may rely on its numbers.
+fn any_model() -> impl Strategy<Value = TurningModel> {
+    let wear = (0.5..2.0_f64, -0.5..1.5_f64, 0.02..1.0_f64, 0.1..1.2_f64);
+    let power = (0.5..2.0_f64, -0.5..1.3_f64, 0.1..1.2_f64, 0.06..1.5_f64);
+    let force = (0.2..2.0_f64, -1.0..0.8_f64, 0.1..1.2_f64, 0.06..2.0_f64);
+    (wear, power, force).prop_map(|(w, p, f)| {
+        let mut data = TurningModel::alaskari_oraby_2017().data().clone();
+        data.wear.coefficient *= w.0;
+        (data.wear.speed_exponent, data.wear.feed_exponent, data.wear.time_exponent) = (w.1, w.2, w.3);
+        data.power.coefficient *= p.0;
+        (data.power.speed_exponent, data.power.feed_exponent, data.power.wear_exponent) = (p.1, p.2, p.3);
+        data.force.coefficient *= f.0;
+        (data.force.speed_exponent, data.force.feed_exponent, data.force.wear_exponent) = (f.1, f.2, f.3);
+        TurningModel::new(data).unwrap()
+    })
+}
+
 fn any_job() -> impl Strategy<Value = (JobInput, f64, f64)> {
+    (a_job(), prop::option::of(any_model())).prop_map(|((input, elapsed, worn), model)| match model {
+        Some(model) => (JobInput { model, ..input }, elapsed, worn),
+        None => (input, elapsed, worn),
+    })
+}
+
+fn a_job() -> impl Strategy<Value = (JobInput, f64, f64)> {
     let limits = (1.0..20.0_f64, 300.0..4000.0_f64, 0.1..0.6_f64);
     (limits, 0.5..5.0_f64, 0.1..5.0_f64, 0.0..10.0_f64, 0.0..0.3_f64, 1..40_u32, any::<bool>()).prop_map(
         |((power_kw, force_n, wear_mm), depth_mm, interval_min, elapsed, worn, step, by_state)| {
