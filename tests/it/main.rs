@@ -1,1 +1,3 @@
 //! One binary with every story; a module per subject.
+
+mod store;

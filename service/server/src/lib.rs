@@ -11,6 +11,7 @@ pub mod config;
 pub mod data_dir;
 pub mod database;
 pub mod http;
+pub mod ingest;
 pub mod lifecycle;
 pub mod metrics;
 mod readiness;
