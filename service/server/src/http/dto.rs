@@ -6,13 +6,16 @@
 pub mod alarm;
 pub mod audit;
 pub mod calibration;
+pub mod cycle;
 pub mod machine;
 pub mod operation;
 pub mod quarantine;
+pub mod recommendation;
 pub mod text;
 pub mod time;
 pub mod token;
 pub mod tool;
+pub mod wear;
 pub mod word;
 
 use feedwright_core::invalid::Violation;

@@ -1,8 +1,8 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, edge, health, machines, openapi, operations, quarantine, tokens,
-    tool_events, tools, viewer,
+    alarms, audit, calibrations, cycles, edge, health, machines, openapi, operations, quarantine,
+    recommendations, tokens, tool_events, tools, viewer, wear,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -31,8 +31,8 @@ pub enum Access {
 pub const READ: Access = Access::Roles(&[Role::Viewer, Role::Engineer, Role::Approver, Role::Admin]);
 /// Reads, and a machine its own.
 pub const READ_OR_OWN: Access = Access::Roles(&Role::ALL);
-/// A machine writes its own.
-pub const OWN: Access = Access::Roles(&[Role::Machine]);
+/// A machine writes its own; an admin, who could make its token, replays and repairs.
+pub const OWN: Access = Access::Roles(&[Role::Machine, Role::Admin]);
 /// Registers, resets, acknowledges, repairs.
 pub const ENGINEER: Access = Access::Roles(&[Role::Engineer, Role::Admin]);
 /// Manages identities.
@@ -142,6 +142,15 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(health::readyz), Access::Open),
         Route::new(routes!(health::metrics), READ),
         Route::new(routes!(openapi::document), Access::Open),
+        Route::new(routes!(cycles::post_cycle), OWN).takes_cycles(),
+        Route::new(routes!(cycles::post_batch), OWN).takes_cycles(),
+        Route::new(routes!(cycles::get_cycle), READ_OR_OWN),
+        Route::new(routes!(cycles::get_samples), READ_OR_OWN),
+        Route::new(routes!(cycles::list_cycles), READ),
+        Route::new(routes!(wear::get_wear), READ),
+        Route::new(routes!(wear::get_history), READ),
+        Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
+        Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),
