@@ -8,10 +8,12 @@ use feedwright_core::summary::{Context, summarise};
 use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_store::{
-    Actor, Committed, CycleAnswer, NewCycle, Precondition, Role, SqliteOptions, SqliteStore, Store,
-    StoreResult, codec,
+    Actor, Committed, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition, Role,
+    SqliteOptions, SqliteStore, Store, StoreResult, codec,
 };
+use sqlx::{Connection, PgConnection};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Tells a story to each engine: `stories!(name, name, …)` makes a test per engine of each function.
 macro_rules! stories {
@@ -51,6 +53,7 @@ pub(crate) struct Given {
 
 enum Place {
     File(tempfile::TempDir),
+    Database { server: String, name: String },
 }
 
 impl Given {
@@ -62,8 +65,29 @@ impl Given {
         Self { store: Arc::new(store), place: Place::File(folder) }
     }
 
+    /// A database of its own on the server that `tests/postgres` started. Without one the story fails, so that nobody
+    /// believes it was told; `None` only where a person asked to leave it out.
     pub(crate) async fn postgres() -> Option<Self> {
-        None
+        let Ok(server) = std::env::var("FEEDWRIGHT_TEST_POSTGRES") else {
+            let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+            assert!(
+                set("FEEDWRIGHT_TEST_SKIP_POSTGRES") && !set("CI"),
+                "no PostgreSQL: run `tests/run`, or this command behind `tests/postgres`, or set \
+                 FEEDWRIGHT_TEST_SKIP_POSTGRES=1 to leave its stories out"
+            );
+            return None;
+        };
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("story_{}_{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+        let mut admin = PgConnection::connect(&server).await.expect("the server of tests/postgres answers");
+        let mut create = sqlx::QueryBuilder::<sqlx::Postgres>::new("CREATE DATABASE ");
+        create.push(&name);
+        create.build().persistent(false).execute(&mut admin).await.expect("a fresh database");
+        let (base, _) = server.rsplit_once('/').expect("an address ends in a database");
+        let store = PostgresStore::open(&format!("{base}/{name}"), PostgresOptions::default())
+            .await
+            .expect("a fresh store opens");
+        Some(Self { store: Arc::new(store), place: Place::Database { server, name } })
     }
 
     pub(crate) fn store(&self) -> Arc<dyn Store> {
@@ -74,6 +98,16 @@ impl Given {
         self.store.close().await;
         match self.place {
             Place::File(folder) => folder.close().expect("the temporary folder is removed"),
+            Place::Database { server, name } => {
+                let mut admin = PgConnection::connect(&server).await.expect("the server answers");
+                let mut drop = sqlx::QueryBuilder::<sqlx::Postgres>::new("DROP DATABASE ");
+                drop.push(&name);
+                drop.build()
+                    .persistent(false)
+                    .execute(&mut admin)
+                    .await
+                    .expect("nobody is connected any more");
+            }
         }
     }
 }
