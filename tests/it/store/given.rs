@@ -11,20 +11,27 @@ use feedwright_store::{
     Actor, Committed, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition, Role,
     SqliteOptions, SqliteStore, Store, StoreResult, codec,
 };
-use sqlx::{Connection, PgConnection};
+use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Tells a story to each engine: `stories!(name, name, …)` makes a test per engine of each function.
 macro_rules! stories {
     ($($story:ident),* $(,)?) => {
+        $crate::store::given::stories!(@told given => { given.store() }, $($story),*);
+    };
+    // Stories that also look at the tables themselves.
+    (with tables: $($story:ident),* $(,)?) => {
+        $crate::store::given::stories!(@told given => { &given }, $($story),*);
+    };
+    (@told $given:ident => $argument:block, $($story:ident),*) => {
         mod sqlite {
             $(
                 #[tokio::test]
                 async fn $story() {
-                    let given = $crate::store::given::Given::sqlite().await;
-                    super::$story(given.store()).await;
-                    given.done().await;
+                    let $given = $crate::store::given::Given::sqlite().await;
+                    super::$story($argument).await;
+                    $given.done().await;
                 }
             )*
         }
@@ -33,11 +40,11 @@ macro_rules! stories {
             $(
                 #[tokio::test]
                 async fn $story() {
-                    let Some(given) = $crate::store::given::Given::postgres().await else {
+                    let Some($given) = $crate::store::given::Given::postgres().await else {
                         return;
                     };
-                    super::$story(given.store()).await;
-                    given.done().await;
+                    super::$story($argument).await;
+                    $given.done().await;
                 }
             )*
         }
@@ -92,6 +99,53 @@ impl Given {
 
     pub(crate) fn store(&self) -> Arc<dyn Store> {
         Arc::clone(&self.store)
+    }
+
+    /// Runs a statement on the tables themselves, as any other client of the database might.
+    pub(crate) async fn raw(&self, sql: &'static str) -> Result<u64, sqlx::Error> {
+        match &self.place {
+            Place::File(_) => {
+                Ok(sqlx::query(sql).execute(&mut self.sqlite_tables().await).await?.rows_affected())
+            }
+            Place::Database { .. } => {
+                let mut conn = PgConnection::connect(&self.address()).await?;
+                Ok(sqlx::query(sql).execute(&mut conn).await?.rows_affected())
+            }
+        }
+    }
+
+    /// The cached folds as they are stored: machine, tool, cycles folded, state.
+    pub(crate) async fn wear_states(&self) -> Vec<(String, String, i64, Vec<u8>)> {
+        const SQL: &str =
+            "SELECT machine_id, tool_id, folded, state FROM tool_wear ORDER BY machine_id, tool_id";
+        match &self.place {
+            Place::File(_) => sqlx::query_as(SQL).fetch_all(&mut self.sqlite_tables().await).await.unwrap(),
+            Place::Database { .. } => {
+                let mut conn = PgConnection::connect(&self.address()).await.unwrap();
+                sqlx::query_as(SQL).fetch_all(&mut conn).await.unwrap()
+            }
+        }
+    }
+
+    async fn sqlite_tables(&self) -> SqliteConnection {
+        let Place::File(folder) = &self.place else { unreachable!("only a file has these") };
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("cell.sqlite3"));
+        options.connect().await.expect("the file opens beside the store")
+    }
+
+    pub(crate) const fn is_postgres(&self) -> bool {
+        matches!(self.place, Place::Database { .. })
+    }
+
+    /// Address of the database, where it is PostgreSQL's.
+    pub(crate) fn address(&self) -> String {
+        match &self.place {
+            Place::File(_) => unreachable!("only a server has an address"),
+            Place::Database { server, name } => {
+                let (base, _) = server.rsplit_once('/').expect("an address ends in a database");
+                format!("{base}/{name}")
+            }
+        }
     }
 
     pub(crate) async fn done(self) {
@@ -189,7 +243,7 @@ pub(crate) fn event(kind: ToolEventKind, at: Timestamp) -> ToolEvent {
 pub(crate) struct Run {
     pub(crate) machine: &'static str,
     pub(crate) id: String,
-    pub(crate) tool: &'static str,
+    pub(crate) tool: String,
     pub(crate) operation: &'static str,
     pub(crate) seconds: i64,
     pub(crate) seq: Option<u64>,
@@ -204,7 +258,7 @@ impl Run {
         Self {
             machine: "M1",
             id: format!("c{n:05}"),
-            tool: "T1",
+            tool: "T1".to_owned(),
             operation: "O1",
             seconds: i64::from(n) * 60,
             seq: Some(u64::from(n)),
@@ -223,7 +277,7 @@ impl Run {
         CycleDraft {
             machine: self.machine.try_into().unwrap(),
             id: self.id.as_str().try_into().unwrap(),
-            tool: self.tool.try_into().unwrap(),
+            tool: self.tool.as_str().try_into().unwrap(),
             operation: self.operation.try_into().unwrap(),
             started_at: at(self.seconds),
             seq: self.seq,
