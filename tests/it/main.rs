@@ -1,3 +1,4 @@
 //! One binary with every story; a module per subject.
 
+mod http;
 mod store;
