@@ -9,10 +9,9 @@ pub(crate) const CHECKPOINT_CYCLES: u64 = 256;
 
 /// The fold before any cycle. It depends on whether some event begins a life: the first of them changes all.
 pub(crate) fn beginning(events: &[PlacedEvent]) -> ToolFold {
-    if events.iter().any(|event| event.kind.begins_life()) {
-        ToolFold::awaiting_mount()
-    } else {
-        ToolFold::default()
+    match events.iter().find(|event| event.kind.begins_life()) {
+        Some(first) if first.kind.mounts() => ToolFold::awaiting_mount(),
+        _ => ToolFold::default(),
     }
 }
 

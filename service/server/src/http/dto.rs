@@ -12,6 +12,7 @@ pub mod operation;
 pub mod quarantine;
 pub mod recommendation;
 pub mod text;
+pub mod time;
 pub mod token;
 pub mod tool;
 pub mod wear;

@@ -1,7 +1,7 @@
 //! Alarms in JSON.
 
+use super::time;
 use super::word::AlarmKindWord;
-use crate::ingest::time;
 use feedwright_store::Alarm;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -55,10 +55,10 @@ impl From<Alarm> for AlarmView {
             machine: alarm.machine.map(|machine| machine.as_str().to_owned()),
             tool: alarm.tool.map(|tool| tool.as_str().to_owned()),
             message: alarm.message,
-            raised_at: time::format(alarm.raised_at),
-            cleared_at: alarm.cleared_at.map(time::format),
+            raised_at: time::show(alarm.raised_at),
+            cleared_at: alarm.cleared_at.map(time::show),
             acknowledged_by,
-            acknowledged_at: acknowledged_at.map(time::format),
+            acknowledged_at: acknowledged_at.map(time::show),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Audit lines in JSON.
 
+use super::time;
 use super::word::RoleWord;
-use crate::ingest::time;
 use feedwright_store::AuditEntry;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -32,7 +32,7 @@ impl From<AuditEntry> for AuditView {
         let detail = serde_json::from_str(&entry.detail);
         Self {
             id: entry.id,
-            at: time::format(entry.at),
+            at: time::show(entry.at),
             actor: entry.actor,
             role: RoleWord(entry.role),
             action: entry.action,

@@ -1,6 +1,6 @@
 //! Fitted lines of a machine in JSON.
 
-use crate::ingest::time;
+use super::time;
 use feedwright_core::invalid::{Range, Violation};
 use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_core::units::Timestamp;
@@ -114,7 +114,7 @@ impl From<(Calibration, Timestamp)> for CalibrationView {
     fn from((calibration, at): (Calibration, Timestamp)) -> Self {
         Self {
             version: calibration.version,
-            created_at: time::format(at),
+            created_at: time::show(at),
             thrust: calibration.thrust.map(LineBody::from),
             torque: calibration.torque.map(LineBody::from),
         }

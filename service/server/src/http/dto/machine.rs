@@ -1,9 +1,9 @@
 //! Machines in JSON.
 
 use super::text::{MAX_NAME, required};
+use super::time;
 use super::word::LoadReferenceWord;
 use super::{Registered, checked};
-use crate::ingest::time;
 use feedwright_core::ids::MachineId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::machine::{FeedDriveRating, FeedLimits, Machine, SpindleRating};
@@ -133,7 +133,7 @@ impl From<Versioned<Machine>> for Registered<MachineBody> {
                 override_max_percent: limits.override_max_percent(),
             },
         };
-        let updated_at = time::format(stored.updated_at);
+        let updated_at = time::show(stored.updated_at);
         Self { id: id.as_str().to_owned(), version: stored.version, updated_at, body }
     }
 }

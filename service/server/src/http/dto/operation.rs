@@ -1,9 +1,9 @@
 //! Operations in JSON.
 
 use super::text::{MAX_NAME, optional, required};
+use super::time;
 use super::word::ProcessWord;
 use super::{Registered, checked};
-use crate::ingest::time;
 use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::operation::{Operation, WearSettings};
@@ -112,6 +112,6 @@ impl From<Versioned<Operation>> for Registered<OperationBody> {
             wear: WearSettingsBody { baseline_cycles, window_cycles },
         };
         let id = operation.id.as_str().to_owned();
-        Self { id, version: stored.version, updated_at: time::format(stored.updated_at), body }
+        Self { id, version: stored.version, updated_at: time::show(stored.updated_at), body }
     }
 }

@@ -1,7 +1,7 @@
 //! Quarantine entries in JSON.
 
 use super::text::{MAX_REASON, required};
-use crate::ingest::time;
+use super::time;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use feedwright_core::invalid::Violation;
@@ -58,12 +58,12 @@ impl From<QuarantineEntry> for QuarantineView {
             id: entry.id,
             machine: entry.machine.as_str().to_owned(),
             cycle_id: entry.cycle,
-            received_at: time::format(entry.received_at),
+            received_at: time::show(entry.received_at),
             code: entry.code,
             problem: problem.unwrap_or(serde_json::Value::String(entry.problem)),
             content_type: entry.content_type,
             size_bytes: entry.size,
-            settled_at: settled_at.map(time::format),
+            settled_at: settled_at.map(time::show),
             settled_how,
         }
     }

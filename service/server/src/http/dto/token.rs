@@ -1,8 +1,8 @@
 //! Tokens in JSON; the secret only once.
 
 use super::text::{MAX_NAME, required};
+use super::time;
 use super::word::RoleWord;
-use crate::ingest::time;
 use feedwright_core::ids::MachineId;
 use feedwright_core::invalid::Violation;
 use feedwright_store::{Role, TokenRecord};
@@ -80,8 +80,8 @@ impl From<TokenRecord> for TokenView {
             name: record.name,
             role: RoleWord(record.role),
             machine: record.machine.map(|machine| machine.as_str().to_owned()),
-            created_at: time::format(record.created_at),
-            revoked_at: record.revoked_at.map(time::format),
+            created_at: time::show(record.created_at),
+            revoked_at: record.revoked_at.map(time::show),
         }
     }
 }

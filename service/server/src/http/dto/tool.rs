@@ -1,9 +1,9 @@
 //! Tools and their events in JSON.
 
 use super::text::{MAX_NAME, MAX_REASON, optional, required};
+use super::time;
 use super::word::ToolEventKindWord;
 use super::{Registered, checked};
-use crate::ingest::time;
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
@@ -49,7 +49,7 @@ impl From<Versioned<Tool>> for Registered<ToolBody> {
     fn from(stored: Versioned<Tool>) -> Self {
         let Tool { id, name, serial, tool_type, diameter_mm } = stored.value;
         let body = ToolBody { name, serial, tool_type, diameter_mm };
-        let updated_at = time::format(stored.updated_at);
+        let updated_at = time::show(stored.updated_at);
         Self { id: id.as_str().to_owned(), version: stored.version, updated_at, body }
     }
 }
@@ -86,7 +86,7 @@ impl ToolEventBody {
     /// The event; it happened `now` where the body names no time.
     pub fn into_event(self, now: Timestamp) -> Result<ToolEvent, Vec<Violation>> {
         let mut wrong = Vec::new();
-        let at = self.at.as_deref().map_or(Ok(now), |at| time::parse("at", at));
+        let at = self.at.as_deref().map_or(Ok(now), |at| time::read("at", at));
         let reason = optional("reason", self.reason.as_deref(), MAX_REASON, &mut wrong);
         if self.kind.0 == ToolEventKind::Reset && reason.is_none() {
             wrong.push(Violation::new("reason", "reason_required", "a reset needs a reason"));
@@ -137,11 +137,11 @@ impl From<StoredToolEvent> for ToolEventView {
         Self {
             id: stored.id,
             kind: ToolEventKindWord(kind),
-            at: time::format(at),
+            at: time::show(at),
             first_cycle,
             reason,
             actor: stored.actor,
-            recorded_at: time::format(stored.recorded_at),
+            recorded_at: time::show(stored.recorded_at),
         }
     }
 }

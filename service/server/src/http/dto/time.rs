@@ -1,0 +1,42 @@
+//! Times in JSON: RFC 3339, UTC, to the microsecond.
+
+use feedwright_core::invalid::Violation;
+use feedwright_core::units::Timestamp;
+
+/// A time as JSON shows it, with as many digits as it needs.
+pub fn show(at: Timestamp) -> String {
+    match jiff::Timestamp::from_microsecond(at.micros()) {
+        Ok(at) => at.to_string(),
+        // Every time that was read is in range; one that was added up may leave it.
+        Err(_) if at.micros() > 0 => jiff::Timestamp::MAX.to_string(),
+        Err(_) => jiff::Timestamp::MIN.to_string(),
+    }
+}
+
+/// Reads RFC 3339 with any offset; digits finer than a microsecond are cut off.
+pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
+    text.parse::<jiff::Timestamp>().map(|at| Timestamp::from_micros(at.as_microsecond())).map_err(|_| {
+        Violation::new(
+            path,
+            "invalid_timestamp",
+            "must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z",
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_come_back_to_the_microsecond() {
+        let at = Timestamp::from_micros(1_763_695_228_123_456);
+        assert_eq!(show(at), "2025-11-21T03:20:28.123456Z");
+        assert_eq!(read("at", &show(at)), Ok(at));
+        assert_eq!(read("at", "2025-11-21T04:20:28.123456+01:00"), Ok(at));
+        assert_eq!(show(Timestamp::from_micros(0)), "1970-01-01T00:00:00Z");
+        for text in ["", "yesterday", "2025-11-21", "2025-11-21T03:20:28", "1763695228"] {
+            assert_eq!(read("at", text).unwrap_err().code, "invalid_timestamp", "{text}");
+        }
+    }
+}
