@@ -1,7 +1,13 @@
 //! Friction drilling.
 
+pub mod calibration;
 pub mod error;
 pub mod feed_override;
 pub mod filter;
 pub mod law;
 pub mod noise;
+pub mod program;
+pub mod relation;
+pub mod stages;
+pub mod twin;
+pub mod wear;

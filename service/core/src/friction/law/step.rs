@@ -44,7 +44,7 @@ pub struct LawStep {
 /// Memory of the law within one cycle. A new cycle starts with a new state, at 100 %.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawState {
-    ovr: FeedOverride,
+    pub(super) ovr: FeedOverride,
     feed: LoadFilter,
     spindle: LoadFilter,
     last_time_ms: Option<f64>,
