@@ -9,5 +9,7 @@ pub mod noise;
 pub mod program;
 pub mod relation;
 pub mod stages;
+pub mod study;
 pub mod twin;
 pub mod wear;
+pub mod whatif;

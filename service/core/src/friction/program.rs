@@ -162,9 +162,13 @@ mod tests {
         let pairs = [(0.0, 100.0), (2.0, 300.0), (10.0, 700.0)];
         let held = FeedProgram::from_pairs(Between::Held, &pairs).unwrap();
         let linear = FeedProgram::from_pairs(Between::Linear, &pairs).unwrap();
-        for (depth, on_held, on_linear) in
-            [(-1.0, 100.0, 100.0), (1.0, 100.0, 200.0), (2.0, 300.0, 300.0), (6.0, 300.0, 500.0), (99.0, 700.0, 700.0)]
-        {
+        for (depth, on_held, on_linear) in [
+            (-1.0, 100.0, 100.0),
+            (1.0, 100.0, 200.0),
+            (2.0, 300.0, 300.0),
+            (6.0, 300.0, 500.0),
+            (99.0, 700.0, 700.0),
+        ] {
             assert!((held.feed_at(depth) - on_held).abs() < 1e-12);
             assert!((linear.feed_at(depth) - on_linear).abs() < 1e-12);
         }
@@ -178,7 +182,10 @@ mod tests {
             (error.field().to_owned(), error.code())
         };
         assert_eq!(refused(&[]), ("knots".into(), InvalidCode::Empty));
-        assert_eq!(refused(&[(0.0, 1.0), (0.0, 2.0)]), ("knots[1].depth_mm".into(), InvalidCode::NotIncreasing));
+        assert_eq!(
+            refused(&[(0.0, 1.0), (0.0, 2.0)]),
+            ("knots[1].depth_mm".into(), InvalidCode::NotIncreasing)
+        );
         assert_eq!(refused(&[(0.0, 0.0)]), ("knots[0].feed_mm_min".into(), InvalidCode::OutOfRange));
         assert_eq!(refused(&[(f64::NAN, 1.0)]), ("knots[0].depth_mm".into(), InvalidCode::NotFinite));
         assert_eq!(refused(&vec![(0.0, 1.0); 257]), ("knots".into(), InvalidCode::TooMany));

@@ -105,7 +105,11 @@ impl RelationConfig {
         if depth_mm < 0.0 {
             return None;
         }
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "not negative, saturating")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "not negative, saturating"
+        )]
         let bin = (depth_mm / self.params.bin_mm) as usize;
         (bin < self.bins).then_some(bin)
     }

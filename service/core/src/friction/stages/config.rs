@@ -26,9 +26,11 @@ pub struct StageParams {
     pub flange_rise: f64,
     /// Way over which a fall or rise has to last, mm.
     pub confirm_mm: f64,
-    /// Exponent with which loads are put on a common speed before they are compared, 0 to 1: a change of feed
+    /// Exponent with which the thrust is put on a common speed before it is compared, 0 to 1: a change of feed
     /// is no stage.
-    pub feed_exponent: f64,
+    pub thrust_feed_exponent: f64,
+    /// The same for the torque; 1 compares the energy per depth.
+    pub torque_feed_exponent: f64,
 }
 
 impl Default for StageParams {
@@ -43,7 +45,8 @@ impl Default for StageParams {
             idle_travel_fall: 0.5,
             flange_rise: 0.06,
             confirm_mm: 0.2,
-            feed_exponent: 0.5,
+            thrust_feed_exponent: 0.5,
+            torque_feed_exponent: 1.0,
         }
     }
 }
@@ -78,7 +81,8 @@ impl StageConfig {
         between("idle_travel_fall", params.idle_travel_fall, 0.01, 0.99)?;
         between("flange_rise", params.flange_rise, 0.01, 0.99)?;
         between("confirm_mm", params.confirm_mm, 0.0, 10.0)?;
-        between("feed_exponent", params.feed_exponent, 0.0, 1.0)?;
+        between("thrust_feed_exponent", params.thrust_feed_exponent, 0.0, 1.0)?;
+        between("torque_feed_exponent", params.torque_feed_exponent, 0.0, 1.0)?;
         Ok(Self { params })
     }
 

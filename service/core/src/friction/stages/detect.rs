@@ -3,8 +3,12 @@
 use super::average::{Average, Row};
 use super::config::{StageConfig, StageParams};
 
-/// Weight of a new sample in the running idle load; about 20 samples of memory.
-const IDLE_WEIGHT: f64 = 0.05;
+/// Weight of a new sample in the running idle load; about 50 samples of memory.
+const IDLE_WEIGHT: f64 = 0.02;
+
+/// A rise that may be contact stops the idle load from learning: this many of its deviations, and this part of
+/// the rise that means contact. Else a slow first rise would teach the detector that it is idling.
+const SUSPICIOUS: (f64, f64) = (2.5, 0.5);
 
 /// A speed below this part of the one at the maximum is the end of the path, not a stage.
 const STOPPING: f64 = 0.2;
@@ -73,6 +77,37 @@ struct Extreme {
     way_mm: f64,
 }
 
+impl Extreme {
+    /// Takes a value if it is higher, and says so.
+    fn raise(&mut self, value: f64, way_mm: f64, here: Mark) -> bool {
+        let is_higher = value > self.value;
+        if is_higher {
+            *self = Self { value, mark: Some(here), way_mm };
+        }
+        is_higher
+    }
+}
+
+/// Loads over idle: put on a common speed, and as they are.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Loads {
+    thrust: f64,
+    torque: f64,
+    raw_thrust: f64,
+    raw_torque: f64,
+}
+
+impl Loads {
+    fn zip(self, other: Self, pick: fn(f64, f64) -> f64) -> Self {
+        Self {
+            thrust: pick(self.thrust, other.thrust),
+            torque: pick(self.torque, other.torque),
+            raw_thrust: pick(self.raw_thrust, other.raw_thrust),
+            raw_torque: pick(self.raw_torque, other.raw_torque),
+        }
+    }
+}
+
 /// Memory of the detector within one hole.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StageDetector {
@@ -89,8 +124,8 @@ pub struct StageDetector {
     deepest_mm: Option<f64>,
     thrust: Extreme,
     torque: Extreme,
-    low_thrust: f64,
-    low_torque: f64,
+    high: Loads,
+    low: Loads,
     low_mark: Option<Mark>,
     pending: Option<Mark>,
 }
@@ -119,8 +154,8 @@ impl StageDetector {
             deepest_mm: None,
             thrust: Extreme::default(),
             torque: Extreme::default(),
-            low_thrust: f64::MAX,
-            low_torque: f64::MAX,
+            high: Loads::default(),
+            low: Loads::default(),
             low_mark: None,
             pending: None,
         }
@@ -194,54 +229,71 @@ impl StageDetector {
         self.above = 0;
         self.first_above = None;
         self.idle_seen = self.idle_seen.saturating_add(1);
-        self.idle_mean += IDLE_WEIGHT * rise;
-        self.idle_deviation += IDLE_WEIGHT * (rise.abs() - self.idle_deviation);
+        let suspicious = (SUSPICIOUS.0 * self.idle_deviation).max(SUSPICIOUS.1 * params.contact_rise_points);
+        if self.idle_seen > params.idle_samples && rise > suspicious {
+            return;
+        }
+        let weight = IDLE_WEIGHT.max(1.0 / f64::from(self.idle_seen));
+        self.idle_mean += weight * rise;
+        self.idle_deviation += weight * (rise.abs() - self.idle_deviation);
     }
 
     fn advance(&mut self, params: &StageParams, mean: &Row) {
         // The tool leaves no torque behind it: the lowest load since contact is the idling spindle's.
         self.spindle_idle = self.spindle_idle.min(mean.spindle);
-        let speed = mean.way_mm.max(1e-6).powf(params.feed_exponent);
-        let thrust = (mean.feed_drive - self.idle_mean).max(0.0) / speed;
-        let torque = (mean.spindle - self.spindle_idle).max(0.0) / speed;
+        let way = mean.way_mm.max(1e-6);
+        let raw_thrust = (mean.feed_drive - self.idle_mean).max(0.0);
+        let raw_torque = (mean.spindle - self.spindle_idle).max(0.0);
+        let loads = Loads {
+            thrust: raw_thrust / way.powf(params.thrust_feed_exponent),
+            torque: raw_torque / way.powf(params.torque_feed_exponent),
+            raw_thrust,
+            raw_torque,
+        };
+        self.high = self.high.zip(loads, f64::max);
         let here = Mark { index: mean.index, depth_mm: mean.depth_mm };
         match self.stage {
-            Stage::A => self.in_a(params, thrust, torque, mean.way_mm, here),
-            Stage::B => self.in_b(params, thrust, torque, mean.way_mm, here),
-            Stage::C => self.in_c(params, thrust, torque, here),
+            Stage::A => self.in_a(params, &loads, mean.way_mm, here),
+            Stage::B => self.in_b(params, &loads, mean.way_mm, here),
+            Stage::C => self.in_c(params, &loads, here),
             Stage::Air | Stage::D | Stage::Done => {}
         }
     }
 
-    fn in_a(&mut self, params: &StageParams, thrust: f64, torque: f64, way_mm: f64, here: Mark) {
-        higher(&mut self.torque, torque, way_mm, here);
-        if higher(&mut self.thrust, thrust, way_mm, here) {
+    fn in_c(&mut self, params: &StageParams, loads: &Loads, here: Mark) {
+        if self.has_risen(params, loads, here) {
+            self.found.flange = self.low_mark;
+            self.stage = Stage::D;
+        }
+    }
+
+    fn in_a(&mut self, params: &StageParams, loads: &Loads, way_mm: f64, here: Mark) {
+        self.torque.raise(loads.torque, way_mm, here);
+        if self.thrust.raise(loads.thrust, way_mm, here) {
             self.pending = None;
         }
-        let fallen = thrust <= (1.0 - params.breakthrough_fall) * self.thrust.value;
-        if self.confirmed(params, fallen && way_mm > STOPPING * self.thrust.way_mm, here) {
+        let fallen = loads.thrust <= (1.0 - params.breakthrough_fall) * self.thrust.value;
+        if self.is_confirmed(params, fallen && way_mm > STOPPING * self.thrust.way_mm, here) {
             self.found.thrust_maximum = self.thrust.mark;
             self.found.breakthrough = self.pending.take();
+            self.low = *loads;
             self.stage = Stage::B;
         }
     }
 
-    fn in_b(&mut self, params: &StageParams, thrust: f64, torque: f64, way_mm: f64, here: Mark) {
-        if higher(&mut self.torque, torque, way_mm, here) {
+    fn in_b(&mut self, params: &StageParams, loads: &Loads, way_mm: f64, here: Mark) {
+        if self.torque.raise(loads.torque, way_mm, here) {
             self.pending = None;
-            (self.low_thrust, self.low_torque) = (thrust, torque);
-        }
-        if torque < self.low_torque {
+            self.low = *loads;
             self.low_mark = Some(here);
         }
-        self.low_torque = self.low_torque.min(torque);
-        self.low_thrust = self.low_thrust.min(thrust);
-        let fallen = torque <= (1.0 - params.idle_travel_fall) * self.torque.value;
-        if self.confirmed(params, fallen && way_mm > STOPPING * self.torque.way_mm, here) {
+        let fallen = loads.torque <= (1.0 - params.idle_travel_fall) * self.torque.value;
+        let risen = self.has_risen(params, loads, here);
+        if self.is_confirmed(params, fallen && way_mm > STOPPING * self.torque.way_mm, here) {
             self.found.torque_maximum = self.torque.mark;
             self.found.falling_edge = self.pending.take();
             self.stage = Stage::C;
-        } else if torque <= self.torque.value && self.risen(params, thrust, torque) {
+        } else if risen {
             // A short tool: its collar arrives before the idle travel.
             self.found.torque_maximum = self.torque.mark;
             self.found.flange = self.low_mark;
@@ -249,25 +301,22 @@ impl StageDetector {
         }
     }
 
-    fn in_c(&mut self, params: &StageParams, thrust: f64, torque: f64, here: Mark) {
-        if torque < self.low_torque || thrust < self.low_thrust {
+    /// Whether thrust and torque have both risen from their lowest. The loads as they are have to rise as well as
+    /// those on a common speed: a change of feed moves one kind or the other, the collar both.
+    fn has_risen(&mut self, params: &StageParams, loads: &Loads, here: Mark) -> bool {
+        if loads.torque < self.low.torque {
             self.low_mark = Some(here);
         }
-        self.low_torque = self.low_torque.min(torque);
-        self.low_thrust = self.low_thrust.min(thrust);
-        if self.risen(params, thrust, torque) {
-            self.found.flange = self.low_mark;
-            self.stage = Stage::D;
-        }
-    }
-
-    fn risen(&self, params: &StageParams, thrust: f64, torque: f64) -> bool {
-        thrust >= self.low_thrust + params.flange_rise * self.thrust.value
-            && torque >= self.low_torque + params.flange_rise * self.torque.value
+        self.low = self.low.zip(*loads, f64::min);
+        let needed = |low: f64, high: f64| low + params.flange_rise * high;
+        loads.thrust >= needed(self.low.thrust, self.high.thrust)
+            && loads.torque >= needed(self.low.torque, self.high.torque)
+            && loads.raw_thrust >= needed(self.low.raw_thrust, self.high.raw_thrust)
+            && loads.raw_torque >= needed(self.low.raw_torque, self.high.raw_torque)
     }
 
     /// Whether `shown` has lasted over the way that confirms it; `pending` is where it began.
-    fn confirmed(&mut self, params: &StageParams, shown: bool, here: Mark) -> bool {
+    fn is_confirmed(&mut self, params: &StageParams, shown: bool, here: Mark) -> bool {
         if !shown {
             self.pending = None;
             return false;
@@ -275,12 +324,4 @@ impl StageDetector {
         let start = *self.pending.get_or_insert(here);
         here.depth_mm - start.depth_mm >= params.confirm_mm
     }
-}
-
-fn higher(extreme: &mut Extreme, value: f64, way_mm: f64, here: Mark) -> bool {
-    let is_higher = value > extreme.value;
-    if is_higher {
-        *extreme = Extreme { value, mark: Some(here), way_mm };
-    }
-    is_higher
 }

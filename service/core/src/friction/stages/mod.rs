@@ -32,7 +32,8 @@ pub fn find_stages(
     feed_drive_percent: &[f64],
     spindle_percent: &[f64],
 ) -> Result<Stages, Invalid> {
-    for (field, column) in [("feed_drive_percent", feed_drive_percent), ("spindle_percent", spindle_percent)] {
+    for (field, column) in [("feed_drive_percent", feed_drive_percent), ("spindle_percent", spindle_percent)]
+    {
         if column.len() != depth_mm.len() {
             let text = format!("has {} entries, depth_mm has {}", column.len(), depth_mm.len());
             return Err(Invalid::new(field, InvalidCode::LengthMismatch, text));

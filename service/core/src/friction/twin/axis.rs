@@ -1,12 +1,32 @@
 //! The feed axis: programmed feed times override, with the override's latency and a limited acceleration.
 
-use super::config::MachineRatings;
+use crate::friction::error::{Invalid, InvalidCode, positive};
 
 /// Longest override latency that the model can hold, in IPO cycles.
 pub const LONGEST_LATENCY_IPO: usize = 16;
 
 /// Remaining way at which the path counts as ended, mm: the resolution of a control.
 const END_MM: f64 = 0.001;
+
+/// What the feed axis can do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisLimits {
+    /// Largest acceleration in mm/s².
+    pub acceleration_mm_s2: f64,
+    /// IPO cycles between an override and its effect on the feed.
+    pub override_latency_ipo: u32,
+}
+
+impl AxisLimits {
+    pub(crate) fn check(&self) -> Result<(), Invalid> {
+        positive("acceleration_mm_s2", self.acceleration_mm_s2, 1e5)?;
+        if self.override_latency_ipo as usize > LONGEST_LATENCY_IPO {
+            let text = format!("at most {LONGEST_LATENCY_IPO} IPO cycles");
+            return Err(Invalid::new("override_latency_ipo", InvalidCode::OutOfRange, text));
+        }
+        Ok(())
+    }
+}
 
 /// Position and speed of the tool tip, and the overrides that are still on their way.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,6 +44,12 @@ impl AxisState {
     pub const fn at_rest(depth_mm: f64) -> Self {
         let pending = [100.0; LONGEST_LATENCY_IPO];
         Self { depth_mm, speed_mm_s: 0.0, acceleration_mm_s2: 0.0, pending, next: 0 }
+    }
+
+    /// An axis that already moves, as one does at first contact; 100 % is in force.
+    #[must_use]
+    pub const fn moving(depth_mm: f64, feed_mm_min: f64) -> Self {
+        Self { speed_mm_s: feed_mm_min / 60.0, ..Self::at_rest(depth_mm) }
     }
 
     /// Tip depth in mm.
@@ -46,16 +72,16 @@ impl AxisState {
 
     /// Moves for `dt_s` seconds towards `programmed_mm_min` × `override_percent`, braking for `end_mm`.
     ///
-    /// The override acts after the machine's latency. Returns whether the end is reached.
+    /// The override acts after the axis's latency. Returns whether the end is reached.
     pub fn step(
         &mut self,
-        machine: &MachineRatings,
+        limits: &AxisLimits,
         programmed_mm_min: f64,
         override_percent: f64,
         end_mm: f64,
         dt_s: f64,
     ) -> bool {
-        let latency = (machine.override_latency_ipo as usize).min(LONGEST_LATENCY_IPO);
+        let latency = (limits.override_latency_ipo as usize).min(LONGEST_LATENCY_IPO);
         let acting = if latency == 0 {
             override_percent
         } else {
@@ -64,7 +90,7 @@ impl AxisState {
             self.next = (self.next + 1) % latency;
             oldest
         };
-        let limit = machine.feed_acceleration_mm_s2;
+        let limit = limits.acceleration_mm_s2;
         let wanted = programmed_mm_min / 60.0 * acting / 100.0;
         let change = (wanted - self.speed_mm_s).clamp(-limit * dt_s, limit * dt_s);
         let way = (end_mm - self.depth_mm).max(0.0);
@@ -82,23 +108,18 @@ impl AxisState {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::friction::twin::paper_params;
 
     #[test]
     fn an_override_acts_after_its_latency_and_with_limited_acceleration() {
-        let machine = MachineRatings {
-            override_latency_ipo: 3,
-            feed_acceleration_mm_s2: 50.0,
-            ..paper_params().machine
-        };
+        let limits = AxisLimits { override_latency_ipo: 3, acceleration_mm_s2: 50.0 };
         let mut axis = AxisState::at_rest(0.0);
         for _ in 0..50 {
-            axis.step(&machine, 300.0, 100.0, 100.0, 0.01);
+            axis.step(&limits, 300.0, 100.0, 100.0, 0.01);
         }
         assert!((axis.feed_mm_min() - 300.0).abs() < 1e-9);
         let feeds: Vec<f64> = (0..6)
             .map(|_| {
-                axis.step(&machine, 300.0, 200.0, 100.0, 0.01);
+                axis.step(&limits, 300.0, 200.0, 100.0, 0.01);
                 axis.feed_mm_min()
             })
             .collect();
@@ -108,10 +129,10 @@ mod tests {
 
     #[test]
     fn the_axis_stops_at_its_end_without_passing_it() {
-        let machine = paper_params().machine;
+        let limits = AxisLimits { override_latency_ipo: 2, acceleration_mm_s2: 300.0 };
         let mut axis = AxisState::at_rest(0.0);
         let mut steps = 0;
-        while !axis.step(&machine, 1000.0, 100.0, 5.0, 0.01) {
+        while !axis.step(&limits, 1000.0, 100.0, 5.0, 0.01) {
             steps += 1;
             assert!(axis.depth_mm() <= 5.0 && steps < 200);
         }

@@ -1,5 +1,6 @@
 //! What the process model is told: tool, sheet, material, wear, machine and noise.
 
+use super::axis::AxisLimits;
 use crate::friction::error::{Invalid, InvalidCode, between, positive};
 
 /// The tool, tip first: centre, cone, calibrating cylinder, collar (Stryczek & Błaszczak 2020, Fig. 3). All in mm.
@@ -122,10 +123,8 @@ pub struct MachineRatings {
     pub feed_idle_percent: f64,
     /// Mass that the feed drive accelerates, kg.
     pub feed_mass_kg: f64,
-    /// Largest acceleration of the feed axis, mm/s².
-    pub feed_acceleration_mm_s2: f64,
-    /// IPO cycles between an override and its effect on the feed.
-    pub override_latency_ipo: u32,
+    /// Acceleration and override latency of the feed axis.
+    pub axis: AxisLimits,
     /// Spindle acceleration, rpm/s.
     pub spindle_acceleration_rpm_s: f64,
 }
@@ -162,6 +161,14 @@ pub struct TwinParams {
     pub noise: NoiseLevels,
 }
 
+impl MachineRatings {
+    /// Spindle torque that 100 % load stands for, N·m.
+    #[must_use]
+    pub fn spindle_rated_torque_nm(&self) -> f64 {
+        self.spindle_rated_power_w / (self.spindle_rated_rpm * 2.0 * std::f64::consts::PI / 60.0)
+    }
+}
+
 impl TwinParams {
     /// Checks every value.
     ///
@@ -178,12 +185,8 @@ impl TwinParams {
         positive("machine.feed_rated_thrust_n", m.feed_rated_thrust_n, 1e6)?;
         between("machine.feed_idle_percent", m.feed_idle_percent, 0.0, 100.0)?;
         between("machine.feed_mass_kg", m.feed_mass_kg, 0.0, 1e5)?;
-        positive("machine.feed_acceleration_mm_s2", m.feed_acceleration_mm_s2, 1e5)?;
+        m.axis.check().map_err(|error| error.within("machine.axis"))?;
         positive("machine.spindle_acceleration_rpm_s", m.spindle_acceleration_rpm_s, 1e6)?;
-        if m.override_latency_ipo as usize > super::axis::LONGEST_LATENCY_IPO {
-            let text = format!("at most {} IPO cycles", super::axis::LONGEST_LATENCY_IPO);
-            return Err(Invalid::new("machine.override_latency_ipo", InvalidCode::OutOfRange, text));
-        }
         let n = &self.noise;
         between("noise.load_points", n.load_points, 0.0, 20.0)?;
         between("noise.thrust_n", n.thrust_n, 0.0, 1e4)?;

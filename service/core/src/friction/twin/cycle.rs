@@ -123,7 +123,7 @@ impl Twin {
             let time_s = (k + 1) as f64 * dt;
             rpm = (rpm + machine.spindle_acceleration_rpm_s * dt).min(setup.spindle_rpm);
             let programmed = strategy.program.feed_at(axis.depth_mm());
-            let done = axis.step(machine, programmed, law_state.ovr().percent(), end, dt);
+            let done = axis.step(&machine.axis, programmed, law_state.ovr().percent(), end, dt);
             let (depth, feed) = (axis.depth_mm(), axis.feed_mm_min());
             let input = TwinInput { depth_mm: depth, feed_mm_min: feed, spindle_rpm: rpm, dt_s: dt };
             let process = self.advance(&mut state, &input, noise.as_deref_mut());

@@ -154,8 +154,8 @@ impl Twin {
             let levels = &self.params.noise;
             if levels.process > 0.0 {
                 let keep = (-input.dt_s / FLUCTUATION_S).exp();
-                state.fluctuation = keep * state.fluctuation
-                    + (1.0 - keep * keep).sqrt() * levels.process * noise.normal();
+                state.fluctuation =
+                    keep * state.fluctuation + (1.0 - keep * keep).sqrt() * levels.process * noise.normal();
             }
             let scales = [levels.thrust_n, levels.torque_nm, levels.load_points, levels.load_points];
             for (sample, scale) in samples.iter_mut().zip(scales) {
@@ -166,14 +166,16 @@ impl Twin {
         }
         let strength = state.strength * (1.0 + state.fluctuation).max(0.0) * soft;
         let turning = if omega > 0.0 { 1.0 } else { 0.0 };
-        let (collar_r, tool_r) = (self.params.tool.collar_diameter_mm / 2.0, self.params.tool.diameter_mm / 2.0);
+        let (collar_r, tool_r) =
+            (self.params.tool.collar_diameter_mm / 2.0, self.params.tool.diameter_mm / 2.0);
         let ring_mm2 = PI * (collar_r * collar_r - tool_r * tool_r);
         let flash_mm3 = ring_mm2 * (collar_r + tool_r) / 2.0 * contact.flash;
         // MPa × mm³ is N·mm.
         let torque_nm = 1e-3
             * turning
             * strength
-            * (torque_rate * (material.forming_mpa * contact.forming_mm3 + material.flash_shear_mpa * flash_mm3)
+            * (torque_rate
+                * (material.forming_mpa * contact.forming_mm3 + material.flash_shear_mpa * flash_mm3)
                 + material.friction_mpa * contact.sliding_mm3
                 + state.wear * wear.drag_mpa * drag_rate * contact.worn_mm3);
         let thrust_n = strength
@@ -189,8 +191,9 @@ impl Twin {
         let spin_up = machine.spindle_inertia_kg_m2 * (input.spindle_rpm - state.last_rpm) * 2.0 * PI
             / 60.0
             / input.dt_s;
-        let rated_nm = machine.spindle_rated_power_w / (machine.spindle_rated_rpm * 2.0 * PI / 60.0);
-        let inertia_n = machine.feed_mass_kg * (input.feed_mm_min - state.last_feed_mm_min) / 60e3 / input.dt_s;
+        let rated_nm = machine.spindle_rated_torque_nm();
+        let inertia_n =
+            machine.feed_mass_kg * (input.feed_mm_min - state.last_feed_mm_min) / 60e3 / input.dt_s;
         state.last_rpm = input.spindle_rpm;
         state.last_feed_mm_min = input.feed_mm_min;
         let feed_mm = input.feed_mm_min / 60.0 * input.dt_s;

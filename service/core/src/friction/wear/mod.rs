@@ -269,9 +269,9 @@ impl WearState {
     }
 
     fn is_reference_due(&self, params: &WearParams) -> bool {
-        params.reference_every.is_some_and(|every| {
-            self.last_reference.is_none_or(|last| self.cycles - last >= every)
-        })
+        params
+            .reference_every
+            .is_some_and(|every| self.last_reference.is_none_or(|last| self.cycles - last >= every))
     }
 
     /// Energy over the median of the key's first cycles; a key first met on a worn tool carries its wear over.
