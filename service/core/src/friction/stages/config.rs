@@ -52,15 +52,9 @@ impl Default for StageParams {
 }
 
 /// Thresholds in range.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StageConfig {
     params: StageParams,
-}
-
-impl Default for StageConfig {
-    fn default() -> Self {
-        Self { params: StageParams::default() }
-    }
 }
 
 impl StageConfig {

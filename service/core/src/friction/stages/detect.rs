@@ -294,7 +294,7 @@ impl StageDetector {
             self.found.falling_edge = self.pending.take();
             self.stage = Stage::C;
         } else if risen {
-            // A short tool: its collar arrives before the idle travel.
+            // A short tool: its collar arrives before the idle travel, and both loads rise again from B.
             self.found.torque_maximum = self.torque.mark;
             self.found.flange = self.low_mark;
             self.stage = Stage::D;

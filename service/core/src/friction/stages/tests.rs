@@ -108,17 +108,23 @@ fn without_a_flange_the_hole_ends_in_the_idle_travel() {
 }
 
 #[test]
-fn a_short_tool_forms_its_flange_without_idle_travel() {
+fn a_short_tool_has_a_short_idle_travel_and_a_very_short_one_none() {
     let s = PaperStrategies::new().unwrap();
-    let short = |p: &mut TwinParams| p.tool.cylinder_length_mm = 3.5;
-    let collar = {
+    let drilled = |cylinder_mm: f64, seed| {
         let mut params = paper_params();
-        short(&mut params);
-        params.tool.collar_depth_mm() - params.sheet.flash_height_mm
+        params.tool.cylinder_length_mm = cylinder_mm;
+        let collar = params.tool.collar_depth_mm() - params.sheet.flash_height_mm;
+        let end = until(&s.constant, collar + 1.5);
+        (collar, stages(&hole(|p| p.tool.cylinder_length_mm = cylinder_mm, &end, 0.0, seed)))
     };
-    let found = stages(&hole(short, &until(&s.constant, collar + 1.5), 0.0, None));
-    assert!(found.falling_edge.is_none(), "no idle travel: {found:?}");
-    assert!((depth(found.flange) - collar).abs() < 1.0, "{found:?}");
+    for seed in [None, Some(1), Some(2), Some(3)] {
+        let (collar, short) = drilled(5.5, seed);
+        assert!(depth(short.falling_edge) < collar, "{short:?}");
+        assert!((depth(short.flange) - collar).abs() < 1.0, "collar at {collar}: {short:?}");
+    }
+    // The collar arrives while the loads still fall: no sharp fall, so no stage C.
+    let (_, very_short) = drilled(3.0, None);
+    assert!(very_short.breakthrough.is_some() && very_short.falling_edge.is_none(), "{very_short:?}");
 }
 
 #[test]

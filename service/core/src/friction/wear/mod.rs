@@ -2,7 +2,9 @@
 //!
 //! A law that slows the feed when the tool gets dull hides the wear from the energy. Two ratios are reported:
 //! as run, energy over the new tool's energy under the same key; and feed-compensated, energy over what the new
-//! tool would have needed at the feeds actually run, from the relation learned on its first cycles.
+//! tool would have needed at the feeds actually run. For that each key (strategy, law, profile version …) learns
+//! its own relation of energy to depth and feed on its first cycles: a slope fitted across strategies would be a
+//! chord over feeds where the truth is curved.
 //!
 //! The limit (+10 %) is defined at one constant feed, and the same wear is worth less where the feed is higher,
 //! because a worn surface drags for a shorter time. So the extra energy of each depth bin is also carried over to
@@ -16,7 +18,9 @@
 use super::calibration::median;
 use super::error::{Invalid, InvalidCode, between, positive};
 use super::program::HIGHEST_FEED_MM_MIN;
-use super::relation::{DepthProfile, Estimate, FeedSource, Per, Relation, RelationConfig, RelationParams};
+use super::relation::{
+    DepthBin, DepthProfile, Estimate, FeedSource, Per, Prediction, Relation, RelationConfig, RelationParams,
+};
 use std::collections::VecDeque;
 
 /// Most keys (strategy, law, profile version …) of one tool's life that are told apart.
@@ -24,6 +28,9 @@ pub const MOST_KEYS: usize = 64;
 
 /// Longest window of cycles.
 pub const LONGEST_WINDOW: u32 = 1000;
+
+/// Largest factor by which a window's wear is carried on to the present; early in a life it would be noise.
+const MOST_ONWARD: f64 = 1.25;
 
 /// Fewest reference cycles that may decide.
 const FEWEST_REFERENCES: usize = 3;
@@ -39,10 +46,9 @@ pub struct WearParams {
     pub drag_feed_exponent: f64,
     /// Standard deviation of that exponent.
     pub drag_feed_exponent_sd: f64,
-    /// First cycles of a life, which count as new and teach the relation.
+    /// First cycles of a key, which teach its relation and whose median is its as-run baseline. Those of the
+    /// first keys count as new; a key first met later carries the level at its entry.
     pub learning_cycles: u32,
-    /// Cycles whose median is the as-run baseline of a key.
-    pub baseline_cycles: u32,
     /// Cycles whose median is the level.
     pub window_cycles: u32,
     /// Reference cycles whose median is the level.
@@ -60,19 +66,18 @@ pub struct WearParams {
 }
 
 impl WearParams {
-    /// Warning at 1.07, cleared below 1.05, worn at 1.10; 30 learning cycles, windows of 11.
+    /// Warning at 1.07, cleared below 1.05, worn at 1.10; 20 learning cycles, windows of 21, a reference cycle every 50.
     #[must_use]
     pub const fn new(depth_mm: f64, reference_feed_mm_min: f64) -> Self {
         Self {
             energy: RelationParams::energy(depth_mm),
             reference_feed_mm_min,
             drag_feed_exponent: 0.0,
-            drag_feed_exponent_sd: 0.15,
-            learning_cycles: 30,
-            baseline_cycles: 5,
-            window_cycles: 11,
-            reference_window: 11,
-            reference_every: None,
+            drag_feed_exponent_sd: 0.3,
+            learning_cycles: 20,
+            window_cycles: 21,
+            reference_window: 21,
+            reference_every: Some(50),
             enough_sd: 0.03,
             warning: 1.07,
             cleared: 1.05,
@@ -100,7 +105,6 @@ impl WearConfig {
         between("drag_feed_exponent_sd", params.drag_feed_exponent_sd, 0.0, 2.0)?;
         let longest = f64::from(LONGEST_WINDOW);
         between("learning_cycles", f64::from(params.learning_cycles), 1.0, longest)?;
-        between("baseline_cycles", f64::from(params.baseline_cycles), 1.0, longest)?;
         between("window_cycles", f64::from(params.window_cycles), 1.0, longest)?;
         between("reference_window", f64::from(params.reference_window), 3.0, longest)?;
         if let Some(every) = params.reference_every {
@@ -139,7 +143,8 @@ pub struct WearCycle<'a> {
     pub source: FeedSource,
     /// Whether it is a reference cycle: the reference feed from end to end, no override.
     pub is_reference: bool,
-    /// What has to be equal for as-run energies to be compared: strategy, law, profile version …
+    /// What has to be equal for energies to be compared as run: strategy, law, profile version … Reference cycles
+    /// are a key of their own, whatever stands here.
     pub key: u32,
 }
 
@@ -169,7 +174,7 @@ pub enum WearVerdict {
 /// What one cycle says about the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WearReading {
-    /// Energy over the baseline of the same key; `None` while that baseline is being formed.
+    /// Energy over the baseline of the same key; `None` while the key is learning.
     pub as_run: Option<f64>,
     /// Energy over what the new tool would have needed at the feeds actually run.
     pub compensated: Option<Estimate>,
@@ -185,32 +190,39 @@ pub struct WearReading {
     pub reference_due: bool,
 }
 
+/// What is known about the tool under one key.
 #[derive(Debug, Clone, PartialEq)]
-struct KeyBaseline {
-    key: u32,
+struct KeyState {
+    key: Option<u32>,
+    relation: Relation,
     energies: Vec<f64>,
+    baseline_j: f64,
     level_at_entry: f64,
 }
 
 /// Memory of one tool's life.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WearState {
-    relation: Relation,
-    keys: Vec<KeyBaseline>,
-    recent: VecDeque<f64>,
-    references: VecDeque<f64>,
+    keys: Vec<KeyState>,
+    recent: VecDeque<(u32, f64)>,
+    references: VecDeque<(u32, f64)>,
     cycles: u32,
     last_reference: Option<u32>,
     level: Option<(f64, WearBasis)>,
     verdict: WearVerdict,
 }
 
+impl Default for WearState {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl WearState {
     /// A new tool.
     #[must_use]
-    pub fn new(config: &WearConfig) -> Self {
+    pub const fn new() -> Self {
         Self {
-            relation: Relation::new(config.energy),
             keys: Vec::new(),
             recent: VecDeque::new(),
             references: VecDeque::new(),
@@ -221,10 +233,10 @@ impl WearState {
         }
     }
 
-    /// The relation learned on the new tool.
+    /// The relation learned under a key (`None`: under reference cycles).
     #[must_use]
-    pub const fn relation(&self) -> &Relation {
-        &self.relation
+    pub fn relation(&self, key: Option<u32>) -> Option<&Relation> {
+        self.keys.iter().find(|known| known.key == key).map(|known| &known.relation)
     }
 
     /// Cycles counted.
@@ -240,18 +252,21 @@ impl WearState {
         if cycle.is_reference {
             self.last_reference = Some(self.cycles);
         }
-        let as_run = self.as_run(params, cycle);
-        let (mut compensated, mut at_reference_feed) = (None, None);
-        if self.cycles <= params.learning_cycles {
-            self.relation.observe(cycle.energy, Per::Depth, cycle.source);
-        } else if let Some((own, reference)) = self.compensate(params, cycle) {
-            compensated = Some(own);
-            at_reference_feed = Some(reference);
-            if cycle.is_reference {
-                push(&mut self.references, reference.value, params.reference_window);
+        let (mut as_run, mut compensated, mut at_reference_feed) = (None, None, None);
+        if let Some(place) = self.learned_key(config, cycle) {
+            let known = &self.keys[place];
+            if known.baseline_j > 0.0 {
+                as_run = Some(known.level_at_entry * cycle.energy.total() / known.baseline_j);
             }
-            if reference.sd <= params.enough_sd {
-                push(&mut self.recent, reference.value, params.window_cycles);
+            if let Some((own, reference)) = self.compensate(params, cycle, known) {
+                compensated = Some(own);
+                at_reference_feed = Some(reference);
+                if cycle.is_reference {
+                    push(&mut self.references, (self.cycles, reference.value), params.reference_window);
+                }
+                if reference.sd <= params.enough_sd {
+                    push(&mut self.recent, (self.cycles, reference.value), params.window_cycles);
+                }
             }
         }
         let decided = at_reference_feed.is_some_and(|ratio| ratio.sd <= params.enough_sd);
@@ -268,64 +283,80 @@ impl WearState {
         }
     }
 
+    /// The place of the cycle's key once it has learned; a key that still learns takes the cycle in.
+    fn learned_key(&mut self, config: &WearConfig, cycle: &WearCycle<'_>) -> Option<usize> {
+        let key = (!cycle.is_reference).then_some(cycle.key);
+        let place = match self.keys.iter().position(|known| known.key == key) {
+            Some(place) => place,
+            None if self.keys.len() < MOST_KEYS => {
+                self.keys.push(KeyState {
+                    key,
+                    relation: Relation::new(config.energy),
+                    energies: Vec::new(),
+                    baseline_j: 0.0,
+                    level_at_entry: self.level.map_or(1.0, |(level, _)| level),
+                });
+                self.keys.len() - 1
+            }
+            None => return None,
+        };
+        let known = &mut self.keys[place];
+        if known.relation.cycles() >= config.params.learning_cycles {
+            return Some(place);
+        }
+        known.relation.observe(cycle.energy, Per::Depth, cycle.source);
+        known.energies.push(cycle.energy.total());
+        known.baseline_j = median(&mut known.energies);
+        None
+    }
+
     fn is_reference_due(&self, params: &WearParams) -> bool {
         params
             .reference_every
             .is_some_and(|every| self.last_reference.is_none_or(|last| self.cycles - last >= every))
     }
 
-    /// Energy over the median of the key's first cycles; a key first met on a worn tool carries its wear over.
-    fn as_run(&mut self, params: &WearParams, cycle: &WearCycle<'_>) -> Option<f64> {
-        let energy = cycle.energy.total();
-        let level_at_entry = self.level.map_or(1.0, |(level, _)| level);
-        let place = self.keys.iter().position(|known| known.key == cycle.key);
-        let known = match place {
-            Some(place) => &mut self.keys[place],
-            None if self.keys.len() < MOST_KEYS => {
-                self.keys.push(KeyBaseline { key: cycle.key, energies: Vec::new(), level_at_entry });
-                self.keys.last_mut()?
-            }
-            None => return None,
-        };
-        if known.energies.len() < params.baseline_cycles as usize {
-            known.energies.push(energy);
-            known.energies.sort_by(f64::total_cmp);
-            return None;
-        }
-        let baseline = median(&mut known.energies) / known.level_at_entry;
-        (baseline > 0.0).then(|| energy / baseline)
-    }
-
     /// The ratio at the feeds run, and the ratio that the same extra energy means at the reference feed.
-    fn compensate(&self, params: &WearParams, cycle: &WearCycle<'_>) -> Option<(Estimate, Estimate)> {
-        let feed_run = self.relation.predict(cycle.energy, |_, bin| bin.feed_mm_min());
-        let at_reference = self.relation.predict(cycle.energy, |_, _| Some(params.reference_feed_mm_min));
-        let (mut measured, mut expected, mut reference) = (0.0, 0.0, 0.0);
-        let (mut extra, mut by_exponent) = (0.0, 0.0);
-        let (mut own_level, mut own_slope, mut carried_level, mut carried_slope) = (0.0, 0.0, 0.0, 0.0);
-        for ((bin, own), other) in cycle.energy.bins().iter().zip(&feed_run).zip(&at_reference) {
-            let (Some(own), Some(other), Some(feed)) = (own, other, bin.feed_mm_min()) else { continue };
+    fn compensate(
+        &self,
+        params: &WearParams,
+        cycle: &WearCycle<'_>,
+        known: &KeyState,
+    ) -> Option<(Estimate, Estimate)> {
+        let needed = known.relation.predict(cycle.energy, DepthBin::feed_mm_min);
+        // What the new tool needs at the reference feed is measured where reference cycles were run.
+        let reference_relation = self.relation(None).filter(|relation| relation.cycles() > 0);
+        let reference = reference_relation
+            .unwrap_or(&known.relation)
+            .predict(cycle.energy, |_| Some(params.reference_feed_mm_min));
+        let (mut measured, mut extra, mut by_exponent) = (0.0, 0.0, 0.0);
+        let (mut own, mut carried, mut at_reference) =
+            (Prediction::default(), Prediction::default(), Prediction::default());
+        for ((bin, need), other) in cycle.energy.bins().iter().zip(needed).zip(reference) {
+            let (Some(need), Some(other), Some(feed)) = (need, other, bin.feed_mm_min()) else { continue };
             let faster = feed / params.reference_feed_mm_min;
             // Energy is power × time: the same drag lasts `faster` times longer at the reference feed.
             let carry = faster.powf(1.0 - params.drag_feed_exponent);
+            let here = carry * (bin.total - need.total);
             measured += bin.total;
-            expected += own.total;
-            reference += other.total;
-            extra += carry * (bin.total - own.total);
-            by_exponent += carry * (bin.total - own.total) * faster.ln();
-            own_level += own.level_sd;
-            own_slope += own.slope_sd;
-            carried_level += carry * own.level_sd;
-            carried_slope += carry * own.slope_sd;
+            extra += here;
+            by_exponent += here * faster.ln();
+            own = own.plus(need);
+            carried = carried.plus(need.times(carry));
+            at_reference = at_reference.plus(other);
         }
-        if expected <= 0.0 || reference <= 0.0 {
+        if own.total <= 0.0 || at_reference.total <= 0.0 {
             return None;
         }
-        let ratio = measured / expected;
-        let own = Estimate { value: ratio, sd: ratio * own_level.hypot(own_slope) / expected };
-        let exponent = params.drag_feed_exponent_sd * by_exponent;
-        let sd = carried_level.hypot(carried_slope).hypot(exponent) / reference;
-        Some((own, Estimate { value: 1.0 + extra / reference, sd }))
+        let ratio = known.level_at_entry * measured / own.total;
+        let rise = extra / at_reference.total;
+        let exponent = params.drag_feed_exponent_sd * by_exponent / at_reference.total;
+        let scale = rise * at_reference.sd() / at_reference.total;
+        let sd = (carried.sd() / at_reference.total).hypot(exponent).hypot(scale);
+        Some((
+            Estimate { value: ratio, sd: ratio * own.sd() / own.total },
+            Estimate { value: known.level_at_entry + rise, sd },
+        ))
     }
 
     fn decide(&self, params: &WearParams, compensation_decides: bool) -> Option<(f64, WearBasis)> {
@@ -335,15 +366,28 @@ impl WearState {
             (_, None) => false,
         };
         if fresh && self.references.len() >= FEWEST_REFERENCES {
-            return Some((middle(&self.references), WearBasis::ReferenceCycles));
+            return Some((self.level_of(&self.references), WearBasis::ReferenceCycles));
         }
         let full = self.recent.len() >= params.window_cycles as usize;
-        (full && compensation_decides).then(|| (middle(&self.recent), WearBasis::FeedCompensated))
+        (full && compensation_decides).then(|| (self.level_of(&self.recent), WearBasis::FeedCompensated))
+    }
+
+    /// The median of a window, carried from the window's middle to now.
+    ///
+    /// A window's median is as old as its middle. The wear so far is taken to go on at its mean rate for that
+    /// long, which is exact for steady wear and cautious for wear that slows down.
+    fn level_of(&self, window: &VecDeque<(u32, f64)>) -> f64 {
+        let mut values: Vec<f64> = window.iter().map(|entry| entry.1).collect();
+        let mut cycles: Vec<f64> = window.iter().map(|entry| f64::from(entry.0)).collect();
+        let (level, age) = (median(&mut values), median(&mut cycles));
+        let onward = (f64::from(self.cycles) / age.max(1.0)).min(MOST_ONWARD);
+        1.0 + (level - 1.0) * onward
     }
 
     fn judge(&self, params: &WearParams) -> WearVerdict {
         let Some((level, _)) = self.level else {
-            return self.verdict;
+            // What was good once is not known to be good now.
+            return if self.verdict == WearVerdict::Good { WearVerdict::Unknown } else { self.verdict };
         };
         match self.verdict {
             WearVerdict::Worn => WearVerdict::Worn,
@@ -355,14 +399,12 @@ impl WearState {
     }
 }
 
-fn push(ring: &mut VecDeque<f64>, value: f64, length: u32) {
+fn push(ring: &mut VecDeque<(u32, f64)>, value: (u32, f64), length: u32) {
     while ring.len() >= length as usize {
         ring.pop_front();
     }
     ring.push_back(value);
 }
 
-fn middle(ring: &VecDeque<f64>) -> f64 {
-    let mut values: Vec<f64> = ring.iter().copied().collect();
-    median(&mut values)
-}
+#[cfg(test)]
+mod tests;

@@ -378,3 +378,6 @@ impl<'a> Anchor<'a> {
         Ok(((feed / count).sqrt(), (spindle / count).sqrt()))
     }
 }
+
+#[cfg(test)]
+mod tests;
