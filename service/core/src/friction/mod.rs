@@ -12,6 +12,7 @@
 //! | [`program`] | feed programs and strategies (F_Const, F_Sec, F_Lin, F_AC) as data |
 //! | [`stages`] | contact, breakthrough and stages A to D from the loads |
 //! | [`calibration`] | lines from drive load to thrust and torque |
+//! | [`energy`] | energy of a hole, Eq. 5–7, on two bases |
 //! | [`relation`] | energy or load over depth and feed, learned with uncertainty |
 //! | [`wear`] | as-run and feed-compensated wear, masking, reference cycles |
 //! | [`whatif`] | a stored cycle under another law, program or limits |
@@ -23,6 +24,7 @@
 //! Transport, storage and the choice of which cycles count do not belong here.
 
 pub mod calibration;
+pub mod energy;
 pub mod error;
 pub mod feed_override;
 pub mod filter;

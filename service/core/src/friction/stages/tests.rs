@@ -62,16 +62,18 @@ fn a_quiet_hole_shows_contact_and_all_four_stages_where_the_model_has_them() {
 
 #[test]
 fn noise_moves_the_boundaries_only_a_little() {
-    let constant = PaperStrategies::new().unwrap().constant;
-    let quiet = stages(&hole(|_| {}, &constant, 0.0, None));
-    for seed in 0..30 {
-        let noisy = stages(&hole(|_| {}, &constant, 0.0, Some(seed)));
-        let near = |a: Option<Mark>, b: Option<Mark>, mm: f64| (depth(a) - depth(b)).abs() < mm;
-        assert!(near(noisy.contact, quiet.contact, 0.4), "seed {seed}: {noisy:?}");
-        assert!(near(noisy.thrust_maximum, quiet.thrust_maximum, 0.5), "seed {seed}: {noisy:?}");
-        assert!(near(noisy.torque_maximum, quiet.torque_maximum, 2.0), "seed {seed}: {noisy:?}");
-        assert!(near(noisy.falling_edge, quiet.falling_edge, 0.6), "seed {seed}: {noisy:?}");
-        assert!(near(noisy.flange, quiet.flange, 1.5), "seed {seed}: {noisy:?}");
+    for strategy in PaperStrategies::new().unwrap().all() {
+        let quiet = stages(&hole(|_| {}, strategy, 0.0, None));
+        for seed in 0..20 {
+            let noisy = stages(&hole(|_| {}, strategy, 0.0, Some(seed)));
+            let near = |a: Option<Mark>, b: Option<Mark>, mm: f64| (depth(a) - depth(b)).abs() < mm;
+            let name = &strategy.name;
+            assert!(near(noisy.contact, quiet.contact, 0.4), "{name}, seed {seed}: {noisy:?}");
+            assert!(near(noisy.thrust_maximum, quiet.thrust_maximum, 0.5), "{name}, seed {seed}: {noisy:?}");
+            assert!(near(noisy.torque_maximum, quiet.torque_maximum, 2.0), "{name}, seed {seed}: {noisy:?}");
+            assert!(near(noisy.falling_edge, quiet.falling_edge, 0.6), "{name}, seed {seed}: {noisy:?}");
+            assert!(near(noisy.flange, quiet.flange, 1.5), "{name}, seed {seed}: {noisy:?}");
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::config::TwinParams;
 use super::geometry::ContactTable;
+use crate::friction::energy::{thrust_energy_j, torque_energy_j};
 use crate::friction::error::{Invalid, between, positive};
 use crate::friction::noise::Noise;
 use std::f64::consts::PI;
@@ -209,7 +210,8 @@ impl Twin {
                 + samples[3],
             temperature_rise_k: state.temperature_rise_k,
             power_w: power + thrust_n * input.feed_mm_min.max(0.0) / 60e3,
-            energy_j: torque_read * omega * input.dt_s + thrust_read * feed_mm / 1e3,
+            energy_j: torque_energy_j(torque_read, input.spindle_rpm, input.dt_s)
+                + thrust_energy_j(thrust_read, feed_mm),
         }
     }
 }
