@@ -7,6 +7,19 @@
 //!
 //! Three ways in: [`Twin::step`] for a driver that sends a line per sample, [`Twin::drill`] for a whole cycle
 //! under a strategy, [`Twin::record`] for its columns. What does not belong here: wear detection and the law.
+//!
+//! ```
+//! use feedwright_core::friction::twin::{Twin, TwinInput, TwinState, paper_params};
+//!
+//! # fn main() -> Result<(), feedwright_core::friction::error::Invalid> {
+//! let twin = Twin::new(paper_params())?;
+//! let mut state = TwinState::new(0.0)?;
+//! let line = TwinInput { depth_mm: 5.0, feed_mm_min: 120.0, spindle_rpm: 2800.0, dt_s: 0.01 };
+//! let loads = twin.step(&mut state, &line, None)?;
+//! assert!(loads.thrust_n > 0.0 && loads.torque_nm > 0.0);
+//! # Ok(())
+//! # }
+//! ```
 
 mod axis;
 mod config;

@@ -32,6 +32,9 @@ pub const LONGEST_WINDOW: u32 = 1000;
 /// Largest factor by which a window's wear is carried on to the present; early in a life it would be noise.
 const MOST_ONWARD: f64 = 1.25;
 
+/// Age in cycles up to which reference cycles may decide, where none are asked for regularly.
+const OLDEST_REFERENCE: u32 = 500;
+
 /// Fewest reference cycles that may decide.
 const FEWEST_REFERENCES: usize = 3;
 
@@ -362,7 +365,7 @@ impl WearState {
     fn decide(&self, params: &WearParams, compensation_decides: bool) -> Option<(f64, WearBasis)> {
         let fresh = match (params.reference_every, self.last_reference) {
             (Some(every), Some(last)) => self.cycles - last <= every.saturating_mul(2),
-            (None, Some(_)) => !compensation_decides,
+            (None, Some(last)) => !compensation_decides && self.cycles - last <= OLDEST_REFERENCE,
             (_, None) => false,
         };
         if fresh && self.references.len() >= FEWEST_REFERENCES {
