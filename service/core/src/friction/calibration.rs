@@ -4,7 +4,7 @@
 //! load as close to straight. The fit is Theil–Sen (Sen 1968): the median of the slopes of all pairs stands up
 //! to 29 % of bad points, such as the spin-up of the spindle. A line answers only inside the loads it has seen.
 
-use super::error::{Invalid, InvalidCode, finite};
+use super::error::{Invalid, InvalidCode, finite, same_length};
 
 /// Most points that enter the pairwise slopes; beyond it the points are thinned evenly over the load.
 pub const MOST_FIT_POINTS: usize = 800;
@@ -68,14 +68,7 @@ impl LoadLine {
     pub fn fit(quantity: Quantity, cycles: &[DynamometerCycle<'_>]) -> Result<Self, Invalid> {
         let mut points = Vec::new();
         for cycle in cycles {
-            if cycle.load_percent.len() != cycle.measured.len() {
-                let text = format!(
-                    "has {} entries, load_percent has {}",
-                    cycle.measured.len(),
-                    cycle.load_percent.len()
-                );
-                return Err(Invalid::new("measured", InvalidCode::LengthMismatch, text));
-            }
+            same_length(&[("load_percent", cycle.load_percent), ("measured", cycle.measured)])?;
             let pairs = cycle.load_percent.iter().copied().zip(cycle.measured.iter().copied());
             points.extend(pairs.filter(|(load, value)| load.is_finite() && value.is_finite()));
         }

@@ -4,7 +4,7 @@
 //! loads through the machine's fitted lines. What does not belong here: rated or metered power.
 
 use super::calibration::LoadLine;
-use super::error::{Invalid, InvalidCode, between, positive};
+use super::error::{Invalid, all_finite, between, positive, same_length};
 use std::f64::consts::PI;
 
 /// Energy of the thrust over a way, E_Z = F_a·ΔZ (Eq. 5): N and mm in, J out.
@@ -43,7 +43,8 @@ pub fn dynamometer_energy(
     spindle_rpm: f64,
     period_s: f64,
 ) -> Result<HoleEnergy, Invalid> {
-    check(depth_mm, &[("thrust_n", thrust_n), ("torque_nm", torque_nm)], spindle_rpm, period_s)?;
+    let columns = [("depth_mm", depth_mm), ("thrust_n", thrust_n), ("torque_nm", torque_nm)];
+    check(&columns, spindle_rpm, period_s)?;
     let rows = thrust_n.iter().zip(torque_nm).map(|(&thrust, &torque)| (thrust, torque, false));
     Ok(sum(depth_mm, rows, spindle_rpm, period_s))
 }
@@ -62,8 +63,12 @@ pub fn calibrated_energy(
     spindle_rpm: f64,
     period_s: f64,
 ) -> Result<HoleEnergy, Invalid> {
-    let columns = [("feed_drive_percent", feed_drive_percent.0), ("spindle_percent", spindle_percent.0)];
-    check(depth_mm, &columns, spindle_rpm, period_s)?;
+    let columns = [
+        ("depth_mm", depth_mm),
+        ("feed_drive_percent", feed_drive_percent.0),
+        ("spindle_percent", spindle_percent.0),
+    ];
+    check(&columns, spindle_rpm, period_s)?;
     let rows = feed_drive_percent.0.iter().zip(spindle_percent.0).map(|(&feed, &spindle)| {
         let (thrust, thrust_known) = feed_drive_percent.1.flagged(feed);
         let (torque, torque_known) = spindle_percent.1.flagged(spindle);
@@ -72,25 +77,11 @@ pub fn calibrated_energy(
     Ok(sum(depth_mm, rows, spindle_rpm, period_s))
 }
 
-fn check(
-    depth_mm: &[f64],
-    columns: &[(&'static str, &[f64])],
-    rpm: f64,
-    period_s: f64,
-) -> Result<(), Invalid> {
-    between("spindle_rpm", rpm, 0.0, 1e6)?;
+fn check(columns: &[(&'static str, &[f64])], spindle_rpm: f64, period_s: f64) -> Result<(), Invalid> {
+    between("spindle_rpm", spindle_rpm, 0.0, 1e6)?;
     positive("period_s", period_s, 60.0)?;
-    for (field, column) in columns.iter().chain(&[("depth_mm", depth_mm)]) {
-        if column.len() != depth_mm.len() {
-            let text = format!("has {} entries, depth_mm has {}", column.len(), depth_mm.len());
-            return Err(Invalid::new(*field, InvalidCode::LengthMismatch, text));
-        }
-        if let Some(at) = column.iter().position(|value| !value.is_finite()) {
-            let path = format!("{field}[{at}]");
-            return Err(Invalid::new(path, InvalidCode::NotFinite, "must be a finite number"));
-        }
-    }
-    Ok(())
+    same_length(columns)?;
+    all_finite(columns)
 }
 
 fn sum(

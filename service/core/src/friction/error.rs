@@ -126,6 +126,29 @@ pub(crate) fn positive(field: &'static str, value: f64, high: f64) -> Result<f64
     }
 }
 
+/// Passes columns that all have as many entries as the first.
+pub(crate) fn same_length(columns: &[(&'static str, &[f64])]) -> Result<(), Invalid> {
+    let Some((first, rest)) = columns.split_first() else { return Ok(()) };
+    match rest.iter().find(|(_, column)| column.len() != first.1.len()) {
+        None => Ok(()),
+        Some((field, column)) => {
+            let text = format!("has {} entries, {} has {}", column.len(), first.0, first.1.len());
+            Err(Invalid::new(*field, InvalidCode::LengthMismatch, text))
+        }
+    }
+}
+
+/// Passes columns in which every entry is a finite number.
+pub(crate) fn all_finite(columns: &[(&'static str, &[f64])]) -> Result<(), Invalid> {
+    for (field, column) in columns {
+        if let Some(at) = column.iter().position(|value| !value.is_finite()) {
+            let path = format!("{field}[{at}]");
+            return Err(Invalid::new(path, InvalidCode::NotFinite, "must be a finite number"));
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

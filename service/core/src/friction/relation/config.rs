@@ -93,16 +93,19 @@ impl RelationConfig {
         (bin + 0.5) * self.params.bin_mm
     }
 
-    pub(super) fn bin_of(&self, depth_mm: f64) -> Option<usize> {
-        if depth_mm < 0.0 {
-            return None;
-        }
+    /// The bin of a depth; the first above them and the last below them.
+    pub(crate) fn nearest_bin(&self, depth_mm: f64) -> usize {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
             reason = "not negative, saturating"
         )]
-        let bin = (depth_mm / self.params.bin_mm) as usize;
-        (bin < self.bins).then_some(bin)
+        let bin = (depth_mm.max(0.0) / self.params.bin_mm) as usize;
+        bin.min(self.bins - 1)
+    }
+
+    pub(super) fn bin_of(&self, depth_mm: f64) -> Option<usize> {
+        let inside = depth_mm >= 0.0 && depth_mm <= self.params.depth_mm;
+        inside.then(|| self.nearest_bin(depth_mm))
     }
 }

@@ -1,7 +1,7 @@
 //! Cycles cut into depth bins.
 
 use super::config::RelationConfig;
-use crate::friction::error::{Invalid, InvalidCode, positive};
+use crate::friction::error::{Invalid, positive, same_length};
 
 /// What a cycle did in one depth bin.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -77,13 +77,10 @@ impl DepthProfile {
         total_per_sample: &[f64],
         period_s: f64,
     ) -> Result<Self, Invalid> {
-        if depth_mm.len() != total_per_sample.len() {
-            let text = format!("has {} entries, depth_mm has {}", total_per_sample.len(), depth_mm.len());
-            return Err(Invalid::new("total_per_sample", InvalidCode::LengthMismatch, text));
-        }
+        same_length(&[("depth_mm", depth_mm), ("total_per_sample", total_per_sample)])?;
         positive("period_s", period_s, 60.0)?;
         let mut profile = Self::new(config);
-        for (pair, total) in depth_mm.windows(2).zip(&total_per_sample[1..]) {
+        for (pair, total) in depth_mm.windows(2).zip(total_per_sample.iter().skip(1)) {
             profile.add(config, pair[0], pair[1], period_s, *total);
         }
         Ok(profile)

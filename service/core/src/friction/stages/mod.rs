@@ -18,7 +18,7 @@ mod tests;
 pub use config::{LONGEST_SMOOTHING, StageConfig, StageParams};
 pub use detect::{Mark, Stage, StageDetector, StageSample, Stages};
 
-use super::error::{Invalid, InvalidCode};
+use super::error::{Invalid, same_length};
 
 /// Finds the stages of a whole recording; the columns have one entry per IPO cycle and equal lengths.
 ///
@@ -32,13 +32,11 @@ pub fn find_stages(
     feed_drive_percent: &[f64],
     spindle_percent: &[f64],
 ) -> Result<Stages, Invalid> {
-    for (field, column) in [("feed_drive_percent", feed_drive_percent), ("spindle_percent", spindle_percent)]
-    {
-        if column.len() != depth_mm.len() {
-            let text = format!("has {} entries, depth_mm has {}", column.len(), depth_mm.len());
-            return Err(Invalid::new(field, InvalidCode::LengthMismatch, text));
-        }
-    }
+    same_length(&[
+        ("depth_mm", depth_mm),
+        ("feed_drive_percent", feed_drive_percent),
+        ("spindle_percent", spindle_percent),
+    ])?;
     let mut detector = StageDetector::new();
     for ((&depth_mm, &feed_drive_percent), &spindle_percent) in
         depth_mm.iter().zip(feed_drive_percent).zip(spindle_percent)

@@ -5,13 +5,13 @@
 //! ("thinned"): windows and the distance of reference cycles count drilled cycles. Everything follows from the
 //! seed, so that a study can be run in parts and on any number of threads.
 
+use super::energy::torque_energy_j;
 use super::error::{Invalid, InvalidCode, between};
 use super::noise::Noise;
 use super::program::Strategy;
 use super::relation::{DepthProfile, FeedSource};
 use super::twin::{CycleSetup, PAPER_END_DEPTH_MM, PAPER_SPINDLE_RPM, PaperStrategies, Twin};
 use super::wear::{WearConfig, WearCycle, WearParams, WearState, WearVerdict};
-use std::f64::consts::PI;
 
 /// Most cycles that one simulated life drills.
 pub const MOST_DRILLED_CYCLES: u32 = 200_000;
@@ -265,14 +265,14 @@ impl LifeStudy {
         let bins = self.params.wear.bins();
         let machine = &twin.params().machine;
         let setup = CycleSetup::new(self.params.spindle_rpm, wear);
-        let watts_per_percent =
-            machine.spindle_rated_torque_nm() / 100.0 * self.params.spindle_rpm * 2.0 * PI / 60.0;
+        let rated_nm = machine.spindle_rated_torque_nm();
         let mut profile = DepthProfile::new(bins);
         let mut before = 0.0;
         twin.drill(strategy, &setup, Some(noise), |sample| {
             if sample.depth_mm > 0.0 {
                 let over_idle = sample.process.spindle_percent - machine.spindle_idle_percent;
-                let energy = over_idle * watts_per_percent * setup.period_s;
+                let torque_nm = over_idle / 100.0 * rated_nm;
+                let energy = torque_energy_j(torque_nm, setup.spindle_rpm, setup.period_s);
                 profile.add(bins, before, sample.depth_mm, setup.period_s, energy);
                 before = sample.depth_mm;
             }

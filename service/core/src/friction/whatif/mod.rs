@@ -5,12 +5,12 @@
 //! happened and beside the model's error on the very cycle: its loads predicted without the anchor, and the
 //! cycle's own control run again.
 
-use super::error::{Invalid, InvalidCode, between, positive};
+use super::energy::torque_energy_j;
+use super::error::{Invalid, InvalidCode, all_finite, between, positive, same_length};
 use super::law::{LawConfig, LawSample, LawState};
 use super::program::FeedProgram;
 use super::relation::{DepthProfile, FeedSource, Per, Relation, RelationConfig};
 use super::twin::{AxisLimits, AxisState};
-use std::f64::consts::PI;
 
 /// Most samples of a predicted cycle: ten minutes at 10 ms.
 const MOST_SAMPLES: usize = 60_000;
@@ -56,23 +56,14 @@ impl StoredCycle<'_> {
             ("feed_drive_percent", self.feed_drive_percent),
             ("spindle_percent", self.spindle_percent),
         ];
-        for (field, column) in columns {
-            if column.len() != self.depth_mm.len() {
-                let text = format!("has {} entries, depth_mm has {}", column.len(), self.depth_mm.len());
-                return Err(Invalid::new(field, InvalidCode::LengthMismatch, text));
-            }
-            if let Some(at) = column.iter().position(|value| !value.is_finite()) {
-                let path = format!("{field}[{at}]");
-                return Err(Invalid::new(path, InvalidCode::NotFinite, "must be a finite number"));
-            }
-        }
-        Ok(())
+        same_length(&columns)?;
+        all_finite(&columns)
     }
 
     fn joules(&self, spindle_percent: f64) -> Option<f64> {
         let rated = self.spindle_rated_torque_nm?;
         let torque = (spindle_percent - self.spindle_idle_percent) / 100.0 * rated;
-        Some(torque * self.spindle_rpm * 2.0 * PI / 60.0 * self.period_s)
+        Some(torque_energy_j(torque, self.spindle_rpm, self.period_s))
     }
 
     fn profile(&self, config: &RelationConfig, load: &[f64], idle: f64) -> Result<DepthProfile, Invalid> {
@@ -301,14 +292,7 @@ impl<'a> Anchor<'a> {
     /// Loads in percent at a depth and feed, and whether the feed is far from the recorded one.
     fn loads(&self, depth_mm: f64, feed_mm_min: f64) -> (f64, f64, bool) {
         let row = self.row_at(depth_mm);
-        let width = self.relations.spindle.config().params().bin_mm;
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "saturating, then clamped"
-        )]
-        let bin = ((depth_mm / width).max(0.0) as usize).min(self.slopes.len() - 1);
-        let (feed_slope, spindle_slope) = self.slopes[bin];
+        let (feed_slope, spindle_slope) = self.slopes[self.relations.spindle.config().nearest_bin(depth_mm)];
         let ratio = feed_mm_min.max(0.0) / row.feed_mm_min;
         (
             self.cycle.feed_drive_idle_percent + row.feed_drive * ratio.powf(feed_slope),
