@@ -120,7 +120,7 @@ pub struct StageDetector {
     idle_deviation: f64,
     above: u32,
     first_above: Option<Mark>,
-    spindle_idle: f64,
+    spindle_idle: Option<f64>,
     deepest_mm: Option<f64>,
     thrust: Extreme,
     torque: Extreme,
@@ -150,7 +150,7 @@ impl StageDetector {
             idle_deviation: 0.0,
             above: 0,
             first_above: None,
-            spindle_idle: f64::MAX,
+            spindle_idle: None,
             deepest_mm: None,
             thrust: Extreme::default(),
             torque: Extreme::default(),
@@ -240,10 +240,11 @@ impl StageDetector {
 
     fn advance(&mut self, params: &StageParams, mean: &Row) {
         // The tool leaves no torque behind it: the lowest load since contact is the idling spindle's.
-        self.spindle_idle = self.spindle_idle.min(mean.spindle);
+        let spindle_idle = self.spindle_idle.map_or(mean.spindle, |idle| idle.min(mean.spindle));
+        self.spindle_idle = Some(spindle_idle);
         let way = mean.way_mm.max(1e-6);
         let raw_thrust = (mean.feed_drive - self.idle_mean).max(0.0);
-        let raw_torque = (mean.spindle - self.spindle_idle).max(0.0);
+        let raw_torque = (mean.spindle - spindle_idle).max(0.0);
         let loads = Loads {
             thrust: raw_thrust / way.powf(params.thrust_feed_exponent),
             torque: raw_torque / way.powf(params.torque_feed_exponent),

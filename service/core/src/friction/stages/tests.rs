@@ -7,6 +7,7 @@ use crate::friction::twin::{
     CycleSample, CycleSetup, PAPER_SPINDLE_RPM, PaperStrategies, Twin, TwinParams, paper_params,
     typical_noise,
 };
+use proptest::prelude::{Strategy as _, prop_assert, prop_assert_eq, prop_oneof, proptest};
 
 fn hole(
     change: impl FnOnce(&mut TwinParams),
@@ -199,4 +200,37 @@ fn thresholds_out_of_range_and_columns_of_different_length_are_refused() {
     assert_eq!(refused(StageParams { flange_rise: 0.0, ..StageParams::default() }), "flange_rise");
     let error = find_stages(&StageConfig::default(), &[0.0], &[0.0], &[]).unwrap_err();
     assert_eq!(error.field(), "spindle_percent");
+}
+
+fn any_sample() -> impl proptest::strategy::Strategy<Value = StageSample> {
+    let value = || prop_oneof![9 => -50.0..150.0_f64, 1 => proptest::num::f64::ANY];
+    (value(), value(), value()).prop_map(|(depth_mm, feed_drive_percent, spindle_percent)| StageSample {
+        depth_mm,
+        feed_drive_percent,
+        spindle_percent,
+    })
+}
+
+proptest! {
+    #[test]
+    fn whatever_comes_stages_only_go_forward_and_nothing_is_before_contact(
+        samples in proptest::collection::vec(any_sample(), 1..300),
+    ) {
+        let order = [Stage::Air, Stage::A, Stage::B, Stage::C, Stage::D, Stage::Done];
+        let place = |stage| order.iter().position(|other| *other == stage);
+        let mut detector = StageDetector::new();
+        let mut last = place(Stage::Air);
+        for sample in &samples {
+            let now = place(detector.step(&StageConfig::default(), sample));
+            prop_assert!(now >= last);
+            last = now;
+        }
+        let found = detector.stages();
+        if let Some(contact) = found.contact {
+            let later = [found.breakthrough, found.falling_edge, found.flange];
+            prop_assert!(later.iter().flatten().all(|mark| mark.index + LONGEST_SMOOTHING > contact.index));
+        } else {
+            prop_assert_eq!(found, Stages::default());
+        }
+    }
 }
