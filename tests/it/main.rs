@@ -1,6 +1,6 @@
 //! One binary with every story; a module per subject.
 
-#![expect(clippy::unwrap_used, reason = "helpers of stories are part of the stories")]
+#![expect(clippy::unwrap_used, reason = "a story that cannot go on has failed")]
 
 mod http;
 mod shop;

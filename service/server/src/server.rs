@@ -76,8 +76,8 @@ impl Server {
         let first_admin_token = first_admin_token(&store, &clock).await?;
         let metrics = Arc::new(Metrics::new(config.limits.metric_machines)?);
         let lifecycle = Lifecycle::default();
-        let intake = CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics);
-        let state = AppState::new(config, store, clock, metrics, Some(Arc::new(intake)), lifecycle);
+        let intake = Arc::new(CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics));
+        let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
         let local_addr = address(&listener, state.config.server.listen)?;
         let metrics_addr = match (&metrics_listener, state.config.metrics.listen) {
             (Some(listener), Some(asked)) => Some(address(listener, asked)?),
@@ -153,9 +153,7 @@ impl RunningServer {
         tracing::info!("shutting down");
         state.lifecycle.stop();
         acceptor.listeners_closed().await;
-        if let Some(intake) = &state.intake {
-            intake.drain().await;
-        }
+        state.intake.drain().await;
         // Half of the time belongs to clients that still read their answers; the other half to the store.
         acceptor.close(state.config.server.shutdown_timeout() / 2).await;
         state.lifecycle.tasks_ended().await;

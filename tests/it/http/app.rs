@@ -98,7 +98,7 @@ impl App {
         let store = database.store.clone();
         let lifecycle = Lifecycle::default();
         let intake = CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics);
-        let state = AppState::new(config, store, clock, metrics, Some(Arc::new(intake)), lifecycle);
+        let state = AppState::new(config, store, clock, metrics, Arc::new(intake), lifecycle);
         let mut app = Self {
             router: router(state.clone()),
             state,
