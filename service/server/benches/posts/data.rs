@@ -9,26 +9,26 @@ const MACHINES: usize = 40;
 const MORNING_MS: u64 = 1_777_874_400_000;
 
 /// One cycle, as columns of text that already has the control's digits.
-pub struct Cycle {
-    pub machine: String,
-    pub id: String,
-    pub started_ms: u64,
-    pub columns: [(&'static str, Vec<f64>); 8],
+pub(crate) struct Cycle {
+    pub(crate) machine: String,
+    pub(crate) id: String,
+    pub(crate) started_ms: u64,
+    pub(crate) columns: [(&'static str, Vec<f64>); 8],
 }
 
 impl Cycle {
     /// Values in all its columns.
-    pub fn values(&self) -> usize {
+    pub(crate) fn values(&self) -> usize {
         self.columns.len() * self.samples()
     }
 
     /// Samples in each column.
-    pub fn samples(&self) -> usize {
+    pub(crate) fn samples(&self) -> usize {
         self.columns[0].1.len()
     }
 
     /// The body of a post.
-    pub fn json(&self) -> String {
+    pub(crate) fn json(&self) -> String {
         let mut out = String::with_capacity(self.values() * 7);
         let seconds = self.started_ms / 1000;
         // The shift begins at six on the fourth and lasts minutes: no month ends in between.
@@ -77,7 +77,7 @@ fn quantised(value: f64, decimals: i32) -> f64 {
 
 /// `count` cycles, the machines taking turns, 208 to 640 samples of 8 channels at 100 Hz.
 #[expect(clippy::cast_precision_loss, reason = "small counts")]
-pub fn cycles(count: usize) -> Vec<Cycle> {
+pub(crate) fn cycles(count: usize) -> Vec<Cycle> {
     let mut noise = Noise(0x9E37_79B9_7F4A_7C15);
     (0..count)
         .map(|index| {
@@ -130,7 +130,7 @@ pub fn cycles(count: usize) -> Vec<Cycle> {
 }
 
 /// Registers machines, tools and the operation, so that wear and recommendations are computed in earnest.
-pub async fn register(client: &reqwest::Client, address: &str, token: &str) {
+pub(crate) async fn register(client: &reqwest::Client, address: &str, token: &str) {
     let put = |path: String, body: serde_json::Value| {
         let request = client.put(format!("{address}{path}")).bearer_auth(token).json(&body);
         async move {
@@ -153,7 +153,7 @@ pub async fn register(client: &reqwest::Client, address: &str, token: &str) {
 }
 
 /// Bytes of all files below a directory.
-pub fn size_of(dir: &Path) -> u64 {
+pub(crate) fn size_of(dir: &Path) -> u64 {
     let Ok(entries) = std::fs::read_dir(dir) else { return 0 };
     let sizes = entries.flatten().map(|entry| match entry.metadata() {
         Ok(meta) if meta.is_dir() => size_of(&entry.path()),

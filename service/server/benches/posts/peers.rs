@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 const BULK: usize = 25;
 
 /// VictoriaMetrics over its JSON import. It answers before anything is on disk.
-pub async fn victoria_metrics(cycles: &Arc<Vec<Cycle>>) -> Round {
+pub(crate) async fn victoria_metrics(cycles: &Arc<Vec<Cycle>>) -> Round {
     let dir = tempfile::tempdir().expect("a directory");
     let port = free_port();
     let mut command = Command::new("victoria-metrics");
@@ -26,7 +26,7 @@ pub async fn victoria_metrics(cycles: &Arc<Vec<Cycle>>) -> Round {
 }
 
 /// InfluxDB 1 over its line protocol.
-pub async fn influxdb(cycles: &Arc<Vec<Cycle>>) -> Round {
+pub(crate) async fn influxdb(cycles: &Arc<Vec<Cycle>>) -> Round {
     let dir = tempfile::tempdir().expect("a directory");
     let (port, rpc) = (free_port(), free_port());
     let config = dir.path().join("influxdb.conf");

@@ -11,15 +11,15 @@ const TICKS: f64 = 100.0;
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A server that runs.
-pub struct Running {
+pub(crate) struct Running {
     child: Child,
-    pub address: String,
-    pub token: String,
+    pub(crate) address: String,
+    pub(crate) token: String,
 }
 
 impl Running {
     /// Feedwright in that directory, on a free port.
-    pub async fn feedwright(dir: &Path) -> Self {
+    pub(crate) async fn feedwright(dir: &Path) -> Self {
         let port = free_port();
         let mut child = Command::new(env!("CARGO_BIN_EXE_feedwright"))
             .args(["--data-dir".as_ref(), dir.as_os_str()])
@@ -45,7 +45,7 @@ impl Running {
     }
 
     /// Another program that listens on `port`.
-    pub async fn program(mut command: Command, port: u16, health: &str) -> Self {
+    pub(crate) async fn program(mut command: Command, port: u16, health: &str) -> Self {
         let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the peer starts");
         let running = Self { child, address: format!("http://127.0.0.1:{port}"), token: String::new() };
         running.answers(health).await;
@@ -67,7 +67,7 @@ impl Running {
     }
 
     /// Processor time so far, s.
-    pub fn cpu_seconds(&self) -> f64 {
+    pub(crate) fn cpu_seconds(&self) -> f64 {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).expect("it runs");
         let fields: Vec<&str> = stat.rsplit_once(") ").expect("a name").1.split(' ').collect();
         let ticks = |at: usize| fields[at].parse::<f64>().expect("a number");
@@ -75,7 +75,7 @@ impl Running {
     }
 
     /// Resident memory, bytes.
-    pub fn resident_bytes(&self) -> u64 {
+    pub(crate) fn resident_bytes(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("it runs");
         let line = status.lines().find(|line| line.starts_with("VmRSS:")).expect("a size");
         let kib: u64 = line.split_whitespace().nth(1).and_then(|text| text.parse().ok()).expect("a number");
@@ -83,7 +83,7 @@ impl Running {
     }
 
     /// Asks it to end, and waits.
-    pub async fn stop(mut self) {
+    pub(crate) async fn stop(mut self) {
         let id = self.child.id().to_string();
         Command::new("kill").args(["-TERM", &id]).status().expect("kill");
         tokio::task::spawn_blocking(move || self.child.wait()).await.expect("a thread").expect("it ends");
@@ -91,7 +91,7 @@ impl Running {
 }
 
 /// A port that was free a moment ago.
-pub fn free_port() -> u16 {
+pub(crate) fn free_port() -> u16 {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     listener.local_addr().expect("its address").port()
 }
