@@ -1,1 +1,4 @@
 //! The service: HTTP, configuration and the command line around the store and the science.
+
+pub mod cli;
+pub mod replay;
