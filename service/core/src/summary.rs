@@ -6,6 +6,7 @@ mod energy;
 mod loads;
 
 pub use energy::{Energy, EnergyBasis, IdlePower};
+pub(crate) use loads::median;
 pub use loads::{Peak, PeakShift};
 
 use crate::cycle::{Channel, Cycle, Flag, Flags, Outcome, Samples, TimeBase};

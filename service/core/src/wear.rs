@@ -4,9 +4,16 @@
 //! (Stryczek & Błaszczak 2020: the worn tool needs 9.3 % more). Nothing here depends on the order of arrival:
 //! [`ToolFold`] takes cycles and events in [`OrderKey`] order, and the store refolds when a late one comes.
 
+mod bytes;
 mod facts;
 mod fold;
+mod judge;
+mod key;
+mod trend;
 mod verdict;
+
+#[cfg(test)]
+mod tests;
 
 pub use facts::{CycleFacts, OrderKey};
 pub use fold::{FOLD_VERSION, FoldSettings, ToolFold};

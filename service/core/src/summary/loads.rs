@@ -110,15 +110,14 @@ fn reverses(depth: &[f64]) -> bool {
     let mut deepest = f64::NEG_INFINITY;
     let mut lowest_since = f64::INFINITY;
     for &z in depth {
+        if z > lowest_since + REVERSAL_MM && lowest_since < deepest - REVERSAL_MM {
+            return true;
+        }
         if z > deepest {
             deepest = z;
             lowest_since = z;
         }
-        if z < lowest_since {
-            lowest_since = z;
-        } else if z > lowest_since + REVERSAL_MM && lowest_since < deepest - REVERSAL_MM {
-            return true;
-        }
+        lowest_since = lowest_since.min(z);
     }
     false
 }

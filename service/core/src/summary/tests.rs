@@ -1,1 +1,233 @@
+//! Energies against sums done by hand, maxima, gaps and flags.
 
+use super::*;
+use crate::cycle::CycleDraft;
+use crate::ids::{CycleId, MachineId, OperationId, ToolId};
+use crate::machine::{FeedDriveRating, FeedLimits, FittedLine, LoadReference, SpindleRating};
+
+const N: usize = 400;
+
+fn machine(reference: LoadReference) -> Machine {
+    Machine {
+        id: MachineId::try_from("M1").unwrap(),
+        name: "M1".into(),
+        control: "sinumerik-840d".into(),
+        ipo_period_ms: 10.0,
+        spindle: SpindleRating { reference, rated_power_watts: Some(7000.0), base_speed_rpm: Some(3000.0) },
+        feed_drive: FeedDriveRating::default(),
+        limits: FeedLimits::new(1.0, 10_000.0, 5.0, 200.0).unwrap(),
+    }
+}
+
+fn cycle(time: TimeBase, columns: Vec<(Channel, Vec<f64>)>) -> Cycle {
+    Cycle::new(CycleDraft {
+        machine: MachineId::try_from("M1").unwrap(),
+        id: CycleId::try_from("c1").unwrap(),
+        tool: ToolId::try_from("T1").unwrap(),
+        operation: OperationId::try_from("O1").unwrap(),
+        started_at: Timestamp::from_micros(1_700_000_000_000_000),
+        seq: None,
+        process: None,
+        strategy: None,
+        law_version: None,
+        profile: None,
+        recommendation: None,
+        spindle_speed_rpm: Some(1500.0),
+        outcome: Outcome::Completed,
+        samples: Some(Samples::new(time, columns, 10_000).unwrap()),
+        reported: crate::cycle::Reported::default(),
+    })
+    .unwrap()
+}
+
+fn every_10_ms(columns: Vec<(Channel, Vec<f64>)>) -> Cycle {
+    cycle(TimeBase::Period { period_ms: 10.0 }, columns)
+}
+
+fn told(cycle: &Cycle, machine: &Machine, calibration: Option<&Calibration>) -> CycleSummary {
+    summarise(cycle, Context { machine, calibration, operation: None })
+}
+
+fn close(found: f64, expected: f64) {
+    assert!((found - expected).abs() <= 1e-9 * expected.abs().max(1.0), "{found} is not {expected}");
+}
+
+#[test]
+fn dynamometer_energy_is_the_papers_sum() {
+    // 2 N·m at 1500 rpm for 4 s; 1000 N over the 20 mm between the first and the last sample.
+    #[expect(clippy::cast_precision_loss, reason = "small counts")]
+    let depth: Vec<f64> = (0..N).map(|k| 20.0 * k as f64 / (N - 1) as f64).collect();
+    let cycle = every_10_ms(vec![
+        (Channel::DepthMm, depth),
+        (Channel::ThrustNewtons, vec![1000.0; N]),
+        (Channel::TorqueNewtonMetres, vec![2.0; N]),
+    ]);
+    let summary = told(&cycle, &machine(LoadReference::Unknown), None);
+    let energy = summary.best_energy().unwrap();
+    assert_eq!((energy.basis, summary.energy.len()), (EnergyBasis::Dynamometer, 1));
+    close(energy.spindle_joules.unwrap(), 2.0 * std::f64::consts::TAU * 25.0 * 4.0);
+    close(energy.feed_drive_joules.unwrap(), 20.0);
+    close(energy.total_joules, energy.spindle_joules.unwrap() + 20.0);
+    close(summary.duration_ms.unwrap(), 4000.0);
+}
+
+#[test]
+fn loads_alone_give_no_joules() {
+    let cycle = every_10_ms(vec![
+        (Channel::SpindleLoadPercent, vec![40.0; N]),
+        (Channel::FeedDriveLoadPercent, vec![30.0; N]),
+        (Channel::SpindleCurrentAmperes, vec![12.0; N]),
+    ]);
+    let summary = told(&cycle, &machine(LoadReference::Unknown), None);
+    assert!(summary.energy.is_empty() && summary.flags.contains(Flag::NoEnergy));
+    // Torque-like loads need the base speed too.
+    let mut nearly = machine(LoadReference::RatedTorque);
+    nearly.spindle.base_speed_rpm = None;
+    assert!(told(&cycle, &nearly, None).energy.is_empty());
+}
+
+#[test]
+fn rated_power_falls_with_speed_only_where_the_percent_follows_torque() {
+    let cycle = every_10_ms(vec![(Channel::SpindleLoadPercent, vec![50.0; N])]);
+    for (reference, joules) in [
+        (LoadReference::RatedPower, 0.5 * 7000.0 * 4.0),
+        (LoadReference::RatedTorque, 0.5 * 7000.0 * 4.0 * 0.5),
+        (LoadReference::MaximumCurrent, 0.5 * 7000.0 * 4.0 * 0.5),
+    ] {
+        let summary = told(&cycle, &machine(reference), None);
+        let energy = summary.best_energy().unwrap();
+        assert_eq!(energy.basis, EnergyBasis::RatedPower);
+        close(energy.total_joules, joules);
+        assert_eq!(energy.feed_drive_joules, None, "no thrust is declared: counted as 0 and said so");
+    }
+}
+
+#[test]
+fn the_rated_feed_drive_is_a_force() {
+    let mut rated = machine(LoadReference::RatedPower);
+    rated.feed_drive =
+        FeedDriveRating { reference: LoadReference::RatedTorque, rated_thrust_newtons: Some(5000.0) };
+    let cycle = every_10_ms(vec![
+        (Channel::SpindleLoadPercent, vec![50.0; N]),
+        (Channel::FeedDriveLoadPercent, vec![20.0; N]),
+        (Channel::FeedActualMmMin, vec![300.0; N]),
+    ]);
+    // 1000 N at 5 mm/s for 4 s.
+    close(told(&cycle, &rated, None).best_energy().unwrap().feed_drive_joules.unwrap(), 20.0);
+}
+
+#[test]
+fn measured_power_is_a_trapezoid_less_the_idle_power_before_contact() {
+    let mut depth = vec![-1.0; 100];
+    depth.extend(vec![5.0; 300]);
+    let mut watts = vec![900.0; 20];
+    watts.extend(vec![400.0; 80]);
+    watts.extend(vec![1400.0; 300]);
+    let power = (Channel::SpindlePowerWatts, watts);
+    let summary = told(
+        &every_10_ms(vec![(Channel::DepthMm, depth), power.clone()]),
+        &machine(LoadReference::Unknown),
+        None,
+    );
+    let energy = summary.best_energy().unwrap();
+    assert_eq!(energy.idle, IdlePower::Subtracted { watts: 400.0 });
+    // Above idle: 19 intervals and a half step of spinning up, then 299 and a half step of cutting.
+    close(energy.total_joules, 500.0 * 0.195 + 1000.0 * 2.995);
+    let without_depth = told(&every_10_ms(vec![power]), &machine(LoadReference::Unknown), None);
+    assert_eq!(without_depth.best_energy().unwrap().idle, IdlePower::Included);
+}
+
+#[test]
+fn fitted_lines_are_not_asked_beyond_their_range() {
+    let line = |slope| {
+        Some(FittedLine {
+            slope,
+            intercept: 0.0,
+            min_percent: 0.0,
+            max_percent: 50.0,
+            r_squared: 0.99,
+            residual_spread: 1.0,
+        })
+    };
+    let calibration = Calibration { version: 1, thrust: line(50.0), torque: line(0.1) };
+    let cycle = |load: f64| {
+        every_10_ms(vec![
+            (Channel::SpindleLoadPercent, vec![load; N]),
+            (Channel::FeedDriveLoadPercent, vec![20.0; N]),
+            (Channel::FeedActualMmMin, vec![300.0; N]),
+        ])
+    };
+    let known = machine(LoadReference::RatedPower);
+    let summary = told(&cycle(40.0), &known, Some(&calibration));
+    let energy = summary.best_energy().unwrap();
+    assert_eq!(energy.basis, EnergyBasis::Calibrated);
+    close(energy.total_joules, 4.0 * std::f64::consts::TAU * 25.0 * 4.0 + 20.0);
+    assert_eq!(summary.energy[1].basis, EnergyBasis::RatedPower);
+    let beyond = told(&cycle(60.0), &known, Some(&calibration));
+    assert!(beyond.flags.contains(Flag::BeyondCalibration));
+    assert_eq!(beyond.best_energy().unwrap().basis, EnergyBasis::RatedPower);
+}
+
+#[test]
+fn gaps_carry_no_energy_and_lower_the_coverage() {
+    let time = |gap: f64| (0..100).map(|k| 10.0 * k as f64 + if k >= 50 { gap } else { 0.0 }).collect();
+    let of = |gap: f64| {
+        let base = TimeBase::Stamps { time_ms: time(gap) };
+        told(
+            &cycle(base, vec![(Channel::SpindlePowerWatts, vec![1000.0; 100])]),
+            &machine(LoadReference::Unknown),
+            None,
+        )
+    };
+    let whole = of(0.0);
+    assert_eq!((whole.coverage, whole.flags.contains(Flag::Gaps)), (1.0, false));
+    let torn = of(1000.0);
+    assert!(torn.flags.contains(Flag::Gaps) && (torn.coverage - 0.5).abs() < 1e-9, "{}", torn.coverage);
+    close(torn.best_energy().unwrap().total_joules, whole.best_energy().unwrap().total_joules);
+    let at_once = cycle(
+        TimeBase::Stamps { time_ms: vec![5.0; 3] },
+        vec![(Channel::SpindlePowerWatts, vec![1000.0; 3])],
+    );
+    let summary = told(&at_once, &machine(LoadReference::Unknown), None);
+    assert_eq!((summary.duration_ms, summary.best_energy().unwrap().total_joules), (Some(0.0), 0.0));
+}
+
+#[test]
+fn maxima_come_with_their_place_and_the_edge_is_interpolated() {
+    let depth = vec![-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+    let load = vec![90.0, 10.0, 40.0, 60.0, 40.0, 20.0, 10.0];
+    let summary = told(
+        &every_10_ms(vec![(Channel::DepthMm, depth), (Channel::SpindleLoadPercent, load)]),
+        &machine(LoadReference::Unknown),
+        None,
+    );
+    let peak = summary.max_spindle_load_percent.unwrap();
+    assert_eq!((peak.value, peak.depth_mm, peak.time_ms), (90.0, Some(-1.0), Some(10.0)));
+    // The peak of spinning up at −1 mm is no stage: the edge is that of the 60 % at 2 mm, half of it at 3.5 mm.
+    close(summary.spindle_load_fall_depth_mm.unwrap(), 3.5);
+}
+
+#[test]
+fn what_is_unusual_is_flagged() {
+    let cycle = every_10_ms(vec![
+        (Channel::DepthMm, vec![0.0, 1.0, 0.5, 1.5]),
+        (Channel::FeedActualMmMin, vec![100.0, 0.0, 100.0, 100.0]),
+        (Channel::OverridePercent, vec![100.0, 0.0, 100.0, 100.0]),
+        (Channel::SpindleLoadPercent, vec![-0.5, 10.0, 401.0, 10.0]),
+        (Channel::SpindlePowerWatts, vec![-3.0, 1.0, 1.0, 1.0]),
+    ]);
+    let flags = told(&cycle, &machine(LoadReference::Unknown), None).flags;
+    for flag in [
+        Flag::FeedHold,
+        Flag::OverrideZero,
+        Flag::NegativeLoad,
+        Flag::NegativePower,
+        Flag::DepthReversal,
+        Flag::LoadOver400,
+        Flag::OperationUnregistered,
+    ] {
+        assert!(flags.contains(flag), "{flag:?} in {flags:?}");
+    }
+    let retract = every_10_ms(vec![(Channel::DepthMm, vec![0.0, 2.0, 4.0, 2.0, 0.0])]);
+    assert!(!told(&retract, &machine(LoadReference::Unknown), None).flags.contains(Flag::DepthReversal));
+}

@@ -1,12 +1,34 @@
-//! The fold itself: baselines, level, states.
+//! The fold itself: which cycles count, the level, and the state that follows.
+//!
+//! Nothing here looks ahead: a cycle whose meaning only the next ones can tell is held, and counted or left out
+//! when they have come. So the state after a cycle depends on the cycles up to it and on nothing else.
 
 use super::facts::{CycleFacts, OrderKey};
-use super::verdict::Verdict;
-use crate::operation::WearSettings;
+use super::key::{Change, KeyState, Look, Measured, Usual};
+use super::trend::TrendPoints;
+use super::verdict::{BaselineKey, Exclusion, ExclusionCounts};
+use super::{WARNING_CLEARED_LEVEL, WARNING_LEVEL, WORN_LEVEL};
+use crate::cycle::Flag;
+use crate::ids::{CycleId, MachineId};
+use crate::operation::{WINDOW_CYCLES, WearSettings};
+use crate::summary::{COVERAGE_FLOOR, DEPTH_FLOOR, median};
 use crate::tool::ToolEventKind;
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
 pub const FOLD_VERSION: u16 = 1;
+
+/// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
+pub(super) const MAX_KEYS: usize = 64;
+/// Cycles left out that are kept by name.
+pub(super) const LAST_EXCLUDED: usize = 20;
+/// Newest undercuts in a row that are kept apart; beyond them the tool is not less broken.
+const MAX_SUSPECTS: usize = 64;
+/// Cycles off the usual that make a lasting step, where the level's window is not smaller still.
+const LASTING: usize = 3;
+/// Two single cycles off the usual within so many of one key: conditions alternate.
+const FLIP_SPAN: u64 = 6;
+/// Levels are compared with the limits with this much room for rounding.
+const ROUNDING: f64 = 1e-9;
 
 /// What the operation of a cycle says about how it is judged; `None` fields where it is silent.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,37 +45,395 @@ pub struct FoldSettings {
 ///
 /// Feed it cycles and events in order: an event goes before the first cycle that it covers.
 /// [`ToolFold::to_bytes`] and [`ToolFold::from_bytes`] keep it bit for bit.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ToolFold {
-    last: Option<OrderKey>,
+    pub(super) last: Option<OrderKey>,
+    pub(super) life: u32,
+    /// Whether the life began with an unworn tool.
+    pub(super) unworn: bool,
+    /// Whether the tool is known to be mounted only later: cycles before that have a wrong clock.
+    pub(super) awaiting_mount: bool,
+    /// An engineer announced changed conditions before a step was seen.
+    pub(super) change_announced: bool,
+    pub(super) cycles: u64,
+    pub(super) counted: u64,
+    pub(super) last_counted: u64,
+    pub(super) last_counted_us: Option<i64>,
+    /// Cycles that really cut, as far as is known, but could not be measured, since the last counted one.
+    pub(super) unmeasured: u64,
+    pub(super) excluded: ExclusionCounts,
+    pub(super) last_excluded: Vec<(MachineId, CycleId, Exclusion)>,
+    pub(super) keys: Vec<KeyState>,
+    /// Place in `keys` of the one that ran last.
+    pub(super) current: Option<usize>,
+    /// Last counted ratios, oldest first.
+    pub(super) ratios: Vec<f64>,
+    pub(super) window: u32,
+    pub(super) warned: bool,
+    pub(super) worn: bool,
+    /// Undercuts that no usual cycle has followed yet: whether each was short of its usual time.
+    pub(super) suspects: Vec<bool>,
+    pub(super) trend: TrendPoints,
+}
+
+impl Default for ToolFold {
+    fn default() -> Self {
+        Self {
+            last: None,
+            life: 0,
+            unworn: true,
+            awaiting_mount: false,
+            change_announced: false,
+            cycles: 0,
+            counted: 0,
+            last_counted: 0,
+            last_counted_us: None,
+            unmeasured: 0,
+            excluded: [0; Exclusion::ALL.len()],
+            last_excluded: Vec::new(),
+            keys: Vec::new(),
+            current: None,
+            ratios: Vec::new(),
+            window: WearSettings::default().window_cycles,
+            warned: false,
+            worn: false,
+            suspects: Vec::new(),
+            trend: TrendPoints::default(),
+        }
+    }
 }
 
 impl ToolFold {
+    /// The fold of a tool that has an event which begins a life: what comes before the first such event has a
+    /// wrong clock and is not counted. A tool without one has its life begin with its first cycle
+    /// ([`ToolFold::default`]).
+    pub fn awaiting_mount() -> Self {
+        Self { awaiting_mount: true, ..Self::default() }
+    }
+
     /// The last cycle folded in.
     pub fn last(&self) -> Option<&OrderKey> {
         self.last.as_ref()
     }
 
     /// Applies an event that takes effect before the next cycle.
-    pub fn event(&mut self, _kind: ToolEventKind) {}
+    pub fn event(&mut self, kind: ToolEventKind) {
+        if kind.begins_life() {
+            *self = Self {
+                last: self.last.take(),
+                life: self.life + 1,
+                unworn: kind.starts_unworn(),
+                ..Self::default()
+            };
+            return;
+        }
+        let level = self.level();
+        let mut announced = true;
+        for key in self.keys.iter_mut().filter(|key| key.change.is_some()) {
+            key.relearn(level.unwrap_or(1.0));
+            announced = false;
+        }
+        self.change_announced = announced;
+        self.settle_suspects();
+    }
 
     /// Folds one cycle in; `settings` is `None` where its operation is not registered.
-    pub fn cycle(&mut self, facts: &CycleFacts, _settings: Option<&FoldSettings>) {
+    pub fn cycle(&mut self, facts: &CycleFacts, settings: Option<&FoldSettings>) {
+        if self.life == 0 && !self.awaiting_mount {
+            self.life = 1;
+        }
         self.last = Some(facts.order.clone());
+        self.cycles += 1;
+        let (joules, settings) = match self.countable(facts, settings) {
+            Ok(found) => found,
+            Err(why) => {
+                if !matches!(why, Exclusion::Aborted | Exclusion::Incomplete) {
+                    self.unmeasured += 1;
+                }
+                self.exclude(&facts.order.machine, &facts.order.cycle, why);
+                return;
+            }
+        };
+        let at = self.key_of(facts, settings);
+        let cycle = Measured::of(facts, joules, self.cycles);
+        self.current = Some(at);
+        self.keys[at].used = self.cycles;
+        self.keys[at].seen += 1;
+        if self.keys[at].baseline.is_none() {
+            self.learn(at, cycle);
+        } else if self.keys[at].override_differs(&cycle) {
+            self.leave_out(&cycle, Exclusion::OperatorOverride);
+        } else if self.keys[at].change.is_some() {
+            self.compare_after_change(at, cycle);
+        } else {
+            self.compare(at, cycle);
+        }
     }
 
-    /// What the fold says now.
-    pub fn verdict(&self) -> Verdict {
-        Verdict::unknown("no_cycles", "no cycle of this tool is known")
+    /// The joules and settings of a cycle that can be compared at all, or why it cannot.
+    fn countable<'a>(
+        &self,
+        facts: &CycleFacts,
+        settings: Option<&'a FoldSettings>,
+    ) -> Result<(f64, &'a FoldSettings), Exclusion> {
+        if self.awaiting_mount || facts.flags.contains(Flag::ClockSuspect) {
+            return Err(Exclusion::ClockSuspect);
+        }
+        if facts.flags.contains(Flag::Aborted) {
+            return Err(Exclusion::Aborted);
+        }
+        let settings = settings.ok_or(Exclusion::OperationUnregistered)?;
+        let (_, _, joules) = facts.energy.ok_or(Exclusion::NoEnergy)?;
+        if facts.coverage < COVERAGE_FLOOR {
+            return Err(Exclusion::LowCoverage);
+        }
+        if let (Some(asked), Some(reached)) = (settings.depth_mm, facts.max_depth_mm)
+            && reached < DEPTH_FLOOR * asked
+        {
+            return Err(Exclusion::Incomplete);
+        }
+        Ok((joules, settings))
     }
 
-    /// The state as bytes, for the store's cache.
-    pub fn to_bytes(&self) -> Vec<u8> {
-        Vec::new()
+    /// The place of the cycle's key, which is made where it is met first.
+    fn key_of(&mut self, facts: &CycleFacts, settings: &FoldSettings) -> usize {
+        let (basis, idle_subtracted) = facts
+            .energy
+            .map_or((crate::summary::EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
+        let key = BaselineKey {
+            machine: facts.order.machine.clone(),
+            operation: facts.operation.clone(),
+            spindle_speed_rpm: facts.spindle_speed_rpm.or(settings.spindle_speed_rpm),
+            basis,
+            idle_subtracted,
+            strategy: facts.strategy,
+            law_version: facts.law_version.clone(),
+            profile: facts.profile.clone(),
+        };
+        if let Some(at) = self.keys.iter().position(|known| known.matches(&key)) {
+            return at;
+        }
+        let level = self.level();
+        if level.is_none() && self.unmeasured > u64::from(settings.wear.baseline_cycles) {
+            // It has worked unmeasured for so long that its first measured cycles are no new tool's.
+            self.unworn = false;
+        }
+        let state = KeyState::new(key, settings.wear, level.unwrap_or(1.0));
+        if self.keys.len() < MAX_KEYS {
+            self.keys.push(state);
+            return self.keys.len() - 1;
+        }
+        let oldest = (0..self.keys.len()).min_by_key(|&at| self.keys[at].used).unwrap_or(0);
+        self.keys[oldest] = state;
+        oldest
     }
 
-    /// The state of those bytes; `None` where they are of another version or damaged, so that it is refolded.
-    pub fn from_bytes(_bytes: &[u8]) -> Option<Self> {
-        None
+    fn learn(&mut self, at: usize, cycle: Measured) {
+        let key = &mut self.keys[at];
+        // Two cycles that agree are what "after good cycles" takes: one alone may itself be the odd one.
+        let centre = key.learning_centre(2);
+        let undercut = match &centre {
+            Some(centre) => key.look(&cycle, centre) == Look::Undercut,
+            None => false,
+        };
+        if undercut {
+            let short = centre.is_some_and(|centre| KeyState::looks_incomplete(&cycle, &centre));
+            self.suspect(&cycle, short);
+            return;
+        }
+        if cycle.joules <= 0.0 {
+            self.leave_out(&cycle, Exclusion::AirCut);
+            return;
+        }
+        if centre.is_some_and(|centre| key.look(&cycle, &centre) == Look::Usual) {
+            self.settle_suspects();
+        }
+        let key = &mut self.keys[at];
+        key.learning.push(cycle);
+        if let Some(judged) = key.complete() {
+            for (cycle, why) in judged {
+                match why {
+                    None => self.count(at, cycle),
+                    Some(why) => self.leave_out(&cycle, why),
+                }
+            }
+        } else if key.learning.len() > key.learning_bound() {
+            let first = key.learning.remove(0);
+            self.leave_out(&first, Exclusion::BaselineOutlier);
+        }
     }
+
+    fn compare(&mut self, at: usize, cycle: Measured) {
+        let key = &mut self.keys[at];
+        let Some(usual) = key.usual() else {
+            // A complete baseline was counted, so something is usual; without it the cycle only adds to it.
+            self.count(at, cycle);
+            return;
+        };
+        match key.look(&cycle, &usual) {
+            Look::Undercut => {
+                let short = KeyState::looks_incomplete(&cycle, &usual);
+                self.suspect(&cycle, short);
+            }
+            _ if cycle.joules <= 0.0 => self.leave_out(&cycle, Exclusion::Incomplete),
+            Look::Usual => {
+                if !key.off.is_empty() {
+                    let seen = key.seen;
+                    key.flips.retain(|flip| seen - flip < FLIP_SPAN);
+                    key.flips.push(seen);
+                    if key.flips.len() >= 2 {
+                        let off = std::mem::take(&mut key.off);
+                        key.change = Some(Change { before: usual, back: Vec::new() });
+                        off.iter().for_each(|cycle| self.leave_out(cycle, Exclusion::ConditionsChanged));
+                    } else {
+                        self.settle_off(at, &usual);
+                    }
+                }
+                self.count(at, cycle);
+            }
+            Look::Off if key.off.is_empty() && !key.jumped(&cycle) => self.count(at, cycle),
+            Look::Off => {
+                key.off.push(cycle);
+                if key.off.len() >= lasting(key.window) {
+                    self.judge_step(at, usual);
+                }
+            }
+        }
+    }
+
+    /// Enough cycles in a row are off: a lasting step, or wear that runs away.
+    fn judge_step(&mut self, at: usize, usual: Usual) {
+        let level = self.level();
+        let key = &mut self.keys[at];
+        let level_step = key.off_is_level();
+        let off = std::mem::take(&mut key.off);
+        if !level_step {
+            off.into_iter().for_each(|cycle| self.count(at, cycle));
+        } else if self.change_announced {
+            self.change_announced = false;
+            key.relearn(level.unwrap_or(1.0));
+            off.into_iter().for_each(|cycle| self.learn(at, cycle));
+        } else {
+            key.change = Some(Change { before: usual, back: Vec::new() });
+            off.iter().for_each(|cycle| self.leave_out(cycle, Exclusion::ConditionsChanged));
+        }
+    }
+
+    /// After a step that nobody has confirmed: only what comes back to the old usual for good is counted again.
+    fn compare_after_change(&mut self, at: usize, cycle: Measured) {
+        let key = &mut self.keys[at];
+        let needed = lasting(key.window);
+        let Some(mut change) = key.change.take() else { return };
+        match key.look(&cycle, &change.before) {
+            Look::Undercut => {
+                let short = KeyState::looks_incomplete(&cycle, &change.before);
+                key.change = Some(change);
+                self.suspect(&cycle, short);
+            }
+            Look::Usual => {
+                change.back.push(cycle);
+                if change.back.len() >= needed {
+                    key.flips.clear();
+                    change.back.into_iter().for_each(|cycle| self.count(at, cycle));
+                } else {
+                    key.change = Some(change);
+                }
+            }
+            Look::Off => {
+                let back = std::mem::take(&mut change.back);
+                key.change = Some(change);
+                for held in back.iter().chain([&cycle]) {
+                    self.leave_out(held, Exclusion::ConditionsChanged);
+                }
+            }
+        }
+    }
+
+    /// Single cycles off the usual, followed by a usual one: counted, unless they were not finished.
+    fn settle_off(&mut self, at: usize, usual: &Usual) {
+        for cycle in std::mem::take(&mut self.keys[at].off) {
+            if KeyState::looks_incomplete(&cycle, usual) {
+                self.leave_out(&cycle, Exclusion::Incomplete);
+            } else {
+                self.count(at, cycle);
+            }
+        }
+    }
+
+    fn count(&mut self, at: usize, cycle: Measured) {
+        let key = &mut self.keys[at];
+        let Some(baseline) = &key.baseline else { return };
+        let ratio = cycle.joules / baseline.joules;
+        self.window = key.window;
+        self.counted += 1;
+        self.last_counted = self.last_counted.max(cycle.number);
+        self.last_counted_us = self.last_counted_us.max(Some(cycle.started_us));
+        self.unmeasured = 0;
+        key.keep(cycle);
+        if self.ratios.len() == *WINDOW_CYCLES.end() as usize {
+            self.ratios.remove(0);
+        }
+        self.ratios.push(ratio);
+        self.trend.push(ratio);
+        self.settle_suspects();
+        if let Some(level) = self.level() {
+            self.worn |= level >= WORN_LEVEL - ROUNDING;
+            self.warned =
+                level >= WARNING_LEVEL - ROUNDING || (self.warned && level >= WARNING_CLEARED_LEVEL);
+        }
+    }
+
+    /// The ratios that the level is the median of.
+    pub(super) fn window(&self) -> &[f64] {
+        &self.ratios[self.ratios.len().saturating_sub(self.window as usize)..]
+    }
+
+    /// Median of the last counted ratios.
+    pub(super) fn level(&self) -> Option<f64> {
+        let window = self.window();
+        (!window.is_empty()).then(|| median(window))
+    }
+
+    fn suspect(&mut self, cycle: &Measured, short: bool) {
+        if self.suspects.len() == MAX_SUSPECTS {
+            self.suspects.remove(0);
+        }
+        self.suspects.push(short);
+        self.leave_out(cycle, Exclusion::BrokenSuspected);
+    }
+
+    /// A usual cycle has come: what looked like a broken tool was air.
+    fn settle_suspects(&mut self) {
+        if self.suspects.is_empty() {
+            return;
+        }
+        let shorts = std::mem::take(&mut self.suspects);
+        let suspected = std::mem::take(&mut self.excluded[Exclusion::BrokenSuspected as usize]);
+        let short = shorts.iter().filter(|short| **short).count() as u64;
+        self.excluded[Exclusion::Incomplete as usize] += short;
+        self.excluded[Exclusion::AirCut as usize] += suspected - short;
+        // Names and undercuts are both in order, and the newest of each are kept.
+        let named =
+            self.last_excluded.iter_mut().rev().filter(|(_, _, why)| *why == Exclusion::BrokenSuspected);
+        for ((_, _, why), short) in named.zip(shorts.iter().rev()) {
+            *why = if *short { Exclusion::Incomplete } else { Exclusion::AirCut };
+        }
+    }
+
+    fn leave_out(&mut self, cycle: &Measured, why: Exclusion) {
+        self.exclude(&cycle.machine, &cycle.cycle, why);
+    }
+
+    fn exclude(&mut self, machine: &MachineId, cycle: &CycleId, why: Exclusion) {
+        self.excluded[why as usize] += 1;
+        if self.last_excluded.len() == LAST_EXCLUDED {
+            self.last_excluded.remove(0);
+        }
+        self.last_excluded.push((machine.clone(), cycle.clone(), why));
+    }
+}
+
+/// Cycles that make a step lasting: no more than flip the median of the window.
+fn lasting(window: u32) -> usize {
+    LASTING.min((window as usize).div_ceil(2))
 }

@@ -82,13 +82,11 @@ pub enum Exclusion {
     ConditionsChanged = 9,
     /// Far off the other cycles that a baseline is learnt from.
     BaselineOutlier = 10,
-    /// Its energy is zero or negative: a sensor's offset, not a cut.
-    NotPositive = 11,
 }
 
 impl Exclusion {
     /// Every reason, in the order of the codes.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 11] = [
         Self::Aborted,
         Self::Incomplete,
         Self::AirCut,
@@ -100,7 +98,6 @@ impl Exclusion {
         Self::OperatorOverride,
         Self::ConditionsChanged,
         Self::BaselineOutlier,
-        Self::NotPositive,
     ];
 
     /// The word used in the API.
@@ -117,7 +114,6 @@ impl Exclusion {
             Self::OperatorOverride => "operator_override",
             Self::ConditionsChanged => "conditions_changed",
             Self::BaselineOutlier => "baseline_outlier",
-            Self::NotPositive => "not_positive",
         }
     }
 
@@ -203,8 +199,8 @@ pub struct Remaining {
     pub cycles: u64,
     /// At the steep end of the interval.
     pub low: u64,
-    /// At the flat end; `None` where the level might as well never get there.
-    pub high: Option<u64>,
+    /// At the flat end.
+    pub high: u64,
 }
 
 /// Indicators beside energy.

@@ -157,7 +157,7 @@ fn causes(error: &dyn std::error::Error) -> String {
 
 /// Whether asking again may be answered otherwise: too many requests, or not able to at the moment.
 fn may_pass(status: StatusCode) -> bool {
-    status == StatusCode::TOO_MANY_REQUESTS || status.is_server_error()
+    matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::REQUEST_TIMEOUT) || status.is_server_error()
 }
 
 fn told_wait(response: &Response) -> Option<Duration> {
@@ -166,5 +166,4 @@ fn told_wait(response: &Response) -> Option<Duration> {
 }
 
 #[cfg(test)]
-#[path = "client_tests.rs"]
 mod tests;

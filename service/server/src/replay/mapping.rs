@@ -3,8 +3,14 @@
 //! Documented for its users in `docs/recordings.md`. Unknown keys are refused, and so is a channel without a unit.
 //! To add a key, add a field with its doc here, use it in `plan`, and describe it there.
 
+mod subjects;
+mod time;
+
+pub use subjects::{MachineRule, Mounted, OperationRule, ToolRule};
+pub use time::{Clock, TimeRule};
+
 use super::ReplayError;
-use super::quantity::{Dimension, Unit, dimension_of, quantity};
+use super::quantity::{Dimension, Unit, dimension_of};
 use super::template::Template;
 use feedwright_core::cycle::Channel;
 use serde::Deserialize;
@@ -47,24 +53,6 @@ pub struct Mapping {
 
 fn comma() -> char {
     ','
-}
-
-/// When rows were taken: either one per period, or a column says.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TimeRule {
-    /// Distance of two rows, as in `"100 ms"`.
-    pub period: Option<String>,
-    /// The column that says when.
-    pub column: Option<String>,
-    /// What that column counts in: a unit of time from an arbitrary start, `unix_s`, `unix_ms` or `rfc3339`.
-    pub unit: Option<String>,
-    /// When the first row of the first file was taken, where rows do not say it; RFC 3339.
-    pub start: Option<String>,
-    /// Time between the end of a file and the start of the next, where rows do not say it.
-    pub between_files: Option<String>,
-    /// Time added between two cycles, where rows do not say it.
-    pub between_cycles: Option<String>,
 }
 
 /// How cycles are cut out: the rows are narrowed by each rule that is given, in this order.
@@ -203,92 +191,6 @@ impl ColumnRule {
     }
 }
 
-/// A machine to register; quantities carry their unit as text.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MachineRule {
-    /// Shape of the ids that it registers.
-    pub id: Template,
-    /// What people call it.
-    pub name: Template,
-    /// Kind of control.
-    pub control: String,
-    /// Interpolator cycle.
-    pub ipo_period: String,
-    /// What the spindle's percent refers to.
-    pub spindle_load_refers_to: Option<String>,
-    /// Rated power of the spindle.
-    pub rated_power: Option<String>,
-    /// Base speed of the spindle.
-    pub base_speed: Option<String>,
-    /// What the feed drive's percent refers to.
-    pub feed_load_refers_to: Option<String>,
-    /// Rated thrust of the feed drive.
-    pub rated_thrust: Option<String>,
-    /// Slowest feed.
-    pub feed_min: String,
-    /// Fastest feed.
-    pub feed_max: String,
-    /// Lowest override.
-    pub override_min: String,
-    /// Highest override.
-    pub override_max: String,
-}
-
-/// A tool to register, and how its life began.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ToolRule {
-    /// Shape of the ids that it registers.
-    pub id: Template,
-    /// What people call it.
-    pub name: Template,
-    /// Its type.
-    pub tool_type: Option<String>,
-    /// Its diameter.
-    pub diameter: Option<String>,
-    /// How it was mounted before its first recorded cycle.
-    pub mounted: Mounted,
-    /// Why it counts as new or used, as it is told to the service.
-    pub reason: Option<String>,
-}
-
-/// How a tool's life began.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mounted {
-    /// Its first cycles show a tool without wear.
-    New,
-    /// It had worked before: there is no new-tool baseline.
-    Used,
-}
-
-/// An operation to register.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct OperationRule {
-    /// Shape of the ids that it registers.
-    pub id: Template,
-    /// What people call it.
-    pub name: Template,
-    /// Its process.
-    pub process: String,
-    /// NC program.
-    pub program: Option<String>,
-    /// Feature within the program.
-    pub feature: Option<Template>,
-    /// Work material.
-    pub work_material: Option<String>,
-    /// Commanded spindle speed.
-    pub spindle_speed: Option<Template>,
-    /// Programmed feed; may have holes, as in `"{feed} mm/s"`.
-    pub programmed_feed: Option<Template>,
-    /// Cycles that a baseline is learnt from.
-    pub baseline_cycles: Option<u32>,
-    /// Cycles that the level is the median of.
-    pub window_cycles: Option<u32>,
-}
-
 /// A measured truth beside the recording.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -378,87 +280,5 @@ impl CutRule {
     }
 }
 
-/// How rows are placed in time, once a [`TimeRule`] was checked.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Clock {
-    /// One row per period, ms.
-    Period(f64),
-    /// A column counts from an arbitrary start, in this unit.
-    Counter(Unit),
-    /// A column holds seconds since 1970, times this factor into µs.
-    Unix(f64),
-    /// A column holds RFC 3339.
-    Rfc3339,
-}
-
-impl Clock {
-    /// Whether rows themselves say the time of day.
-    pub fn is_absolute(&self) -> bool {
-        matches!(self, Self::Unix(_) | Self::Rfc3339)
-    }
-}
-
-impl TimeRule {
-    /// Which clock the rows follow.
-    pub fn clock(&self) -> Result<Clock, String> {
-        match (&self.period, &self.column, self.unit.as_deref()) {
-            (Some(period), None, None) => {
-                let period_ms = quantity(period, Dimension::Time)?;
-                if period_ms > 0.0 {
-                    Ok(Clock::Period(period_ms))
-                } else {
-                    Err("time.period: must be above 0".to_owned())
-                }
-            }
-            (None, Some(_), Some("rfc3339")) => Ok(Clock::Rfc3339),
-            (None, Some(_), Some("unix_s")) => Ok(Clock::Unix(1e6)),
-            (None, Some(_), Some("unix_ms")) => Ok(Clock::Unix(1e3)),
-            (None, Some(_), Some(unit)) => match Unit::parse(unit)? {
-                unit if unit.dimension == Dimension::Time => Ok(Clock::Counter(unit)),
-                _ => Err(format!("time.unit: {unit:?} is no unit of time")),
-            },
-            _ => Err("time: needs either period, or column with unit".to_owned()),
-        }
-    }
-
-    /// When the first row was taken, µs since 1970; `None` where rows say it.
-    pub fn start_us(&self) -> Result<Option<i64>, String> {
-        self.start
-            .as_ref()
-            .map(|text| {
-                let time: jiff::Timestamp = text.parse().map_err(|error| format!("time.start: {error}"))?;
-                Ok(time.as_microsecond())
-            })
-            .transpose()
-    }
-
-    /// Time between files and between cycles, ms.
-    pub fn gaps_ms(&self) -> Result<(f64, f64), String> {
-        let gap = |path: &str, text: &Option<String>| match text {
-            None => Ok(0.0),
-            Some(text) => match quantity(text, Dimension::Time)? {
-                gap if gap >= 0.0 => Ok(gap),
-                _ => Err(format!("{path}: must not be negative")),
-            },
-        };
-        Ok((
-            gap("time.between_files", &self.between_files)?,
-            gap("time.between_cycles", &self.between_cycles)?,
-        ))
-    }
-
-    fn check(&self) -> Result<(), String> {
-        let absolute = self.clock()?.is_absolute();
-        let gaps = self.between_files.is_some() || self.between_cycles.is_some();
-        match (absolute, self.start_us()?.is_some()) {
-            (false, false) => Err("time.start: needed, because rows do not say the time of day".to_owned()),
-            (true, true) => Err("time.start: rows themselves say the time of day".to_owned()),
-            (true, false) if gaps => Err("time.between_…: rows themselves say the time of day".to_owned()),
-            _ => self.gaps_ms().map(drop),
-        }
-    }
-}
-
 #[cfg(test)]
-#[path = "mapping_tests.rs"]
 pub(crate) mod tests;

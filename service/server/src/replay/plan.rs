@@ -282,5 +282,4 @@ pub(super) fn filled_quantity(
 }
 
 #[cfg(test)]
-#[path = "plan_tests.rs"]
 mod tests;

@@ -1,0 +1,280 @@
+//! The fold's state as bytes, for the store's cache: bit for bit, versioned, and refused when damaged.
+
+use super::facts::OrderKey;
+use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold};
+use super::key::{Baseline, Change, KeyState, Measured, Usual};
+use super::trend::TrendPoints;
+use super::verdict::{BaselineKey, Exclusion};
+use crate::cycle::ProfileVersion;
+use crate::ids::{CycleId, MachineId, OperationId, ProfileId};
+use crate::summary::EnergyBasis;
+use crate::units::{Strategy, Timestamp};
+
+/// Longest list that a state can hold; a longer one is damage.
+const MAX_LIST: u64 = 4096;
+
+/// What can be written and read back to the bit.
+trait Field: Sized {
+    fn put(&self, out: &mut Vec<u8>);
+    /// Takes the value off the front of `input`.
+    fn take(input: &mut &[u8]) -> Option<Self>;
+}
+
+macro_rules! numbers {
+    ($($type:ty),*) => {$(
+        impl Field for $type {
+            fn put(&self, out: &mut Vec<u8>) {
+                out.extend_from_slice(&self.to_le_bytes());
+            }
+            fn take(input: &mut &[u8]) -> Option<Self> {
+                let (head, rest) = input.split_first_chunk()?;
+                *input = rest;
+                Some(Self::from_le_bytes(*head))
+            }
+        }
+    )*};
+}
+numbers!(u8, u16, u32, u64, i64, f64);
+
+macro_rules! fields {
+    ($type:ident { $($field:ident),* $(,)? }) => {
+        impl Field for $type {
+            fn put(&self, out: &mut Vec<u8>) {
+                $(self.$field.put(out);)*
+            }
+            fn take(input: &mut &[u8]) -> Option<Self> {
+                // Struct fields are evaluated in the order written, which is the order of the bytes.
+                Some(Self { $($field: Field::take(input)?),* })
+            }
+        }
+    };
+}
+
+macro_rules! words {
+    ($($type:ty: $put:expr, $take:expr;)*) => {$(
+        impl Field for $type {
+            fn put(&self, out: &mut Vec<u8>) {
+                let put: fn(&$type) -> &str = $put;
+                put(self).to_owned().put(out);
+            }
+            fn take(input: &mut &[u8]) -> Option<Self> {
+                let text = String::take(input)?;
+                let take: fn(&str) -> Option<$type> = $take;
+                take(&text)
+            }
+        }
+    )*};
+}
+
+words! {
+    MachineId: |id| id.as_str(), |text| MachineId::try_from(text).ok();
+    CycleId: |id| id.as_str(), |text| CycleId::try_from(text).ok();
+    OperationId: |id| id.as_str(), |text| OperationId::try_from(text).ok();
+    ProfileId: |id| id.as_str(), |text| ProfileId::try_from(text).ok();
+    EnergyBasis: |basis| basis.as_str(), EnergyBasis::parse;
+    Strategy: |strategy| strategy.as_str(), Strategy::parse;
+}
+
+impl Field for usize {
+    fn put(&self, out: &mut Vec<u8>) {
+        (*self as u64).put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        Self::try_from(u64::take(input)?).ok()
+    }
+}
+
+impl Field for bool {
+    fn put(&self, out: &mut Vec<u8>) {
+        u8::from(*self).put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        match u8::take(input)? {
+            0 => Some(false),
+            1 => Some(true),
+            _ => None,
+        }
+    }
+}
+
+impl Field for String {
+    fn put(&self, out: &mut Vec<u8>) {
+        (self.len() as u64).put(out);
+        out.extend_from_slice(self.as_bytes());
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        let len = usize::try_from(u64::take(input)?).ok()?;
+        let (head, rest) = input.split_at_checked(len)?;
+        *input = rest;
+        Self::from_utf8(head.to_vec()).ok()
+    }
+}
+
+impl<T: Field> Field for Option<T> {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.is_some().put(out);
+        if let Some(value) = self {
+            value.put(out);
+        }
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        if bool::take(input)? { Some(Some(T::take(input)?)) } else { Some(None) }
+    }
+}
+
+impl<T: Field> Field for Vec<T> {
+    fn put(&self, out: &mut Vec<u8>) {
+        (self.len() as u64).put(out);
+        self.iter().for_each(|value| value.put(out));
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        let len = u64::take(input)?;
+        if len > MAX_LIST {
+            return None;
+        }
+        (0..len).map(|_| T::take(input)).collect()
+    }
+}
+
+impl<A: Field, B: Field> Field for (A, B) {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.0.put(out);
+        self.1.put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        Some((A::take(input)?, B::take(input)?))
+    }
+}
+
+impl<A: Field, B: Field, C: Field> Field for (A, B, C) {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.0.put(out);
+        self.1.put(out);
+        self.2.put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        Some((A::take(input)?, B::take(input)?, C::take(input)?))
+    }
+}
+
+impl Field for Timestamp {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.micros().put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        i64::take(input).map(Self::from_micros)
+    }
+}
+
+impl Field for Exclusion {
+    fn put(&self, out: &mut Vec<u8>) {
+        (*self as u8).put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        Self::from_code(u8::take(input)?)
+    }
+}
+
+impl Field for [u64; Exclusion::ALL.len()] {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.iter().for_each(|count| count.put(out));
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        let mut counts = [0; Exclusion::ALL.len()];
+        for count in &mut counts {
+            *count = u64::take(input)?;
+        }
+        Some(counts)
+    }
+}
+
+fields!(OrderKey { started_at, machine, seq, cycle });
+fields!(ProfileVersion { profile, version });
+fields!(BaselineKey {
+    machine,
+    operation,
+    spindle_speed_rpm,
+    basis,
+    idle_subtracted,
+    strategy,
+    law_version,
+    profile,
+});
+fields!(Measured {
+    number,
+    machine,
+    cycle,
+    started_us,
+    joules,
+    duration_ms,
+    depth_mm,
+    fall_depth_mm,
+    operator_percent,
+});
+fields!(Baseline { joules, duration_ms, depth_mm, fall_depth_mm, operator_percent, learnt_from });
+fields!(Usual { joules, duration_ms, depth_mm });
+fields!(Change { before, back });
+fields!(TrendPoints { per_point, points, filling, count });
+fields!(KeyState {
+    key,
+    needed,
+    window,
+    level_at_entry,
+    learning,
+    baseline,
+    recent,
+    energy_noise,
+    time_noise,
+    off,
+    seen,
+    flips,
+    change,
+    used,
+});
+
+fields!(ToolFold {
+    last,
+    life,
+    unworn,
+    awaiting_mount,
+    change_announced,
+    cycles,
+    counted,
+    last_counted,
+    last_counted_us,
+    unmeasured,
+    excluded,
+    last_excluded,
+    keys,
+    current,
+    ratios,
+    window,
+    warned,
+    worn,
+    suspects,
+    trend,
+});
+
+impl ToolFold {
+    /// The state as bytes, for the store's cache.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(1024);
+        FOLD_VERSION.put(&mut out);
+        self.put(&mut out);
+        out
+    }
+
+    /// The state of those bytes; `None` where they are of another version or damaged, so that it is refolded.
+    pub fn from_bytes(mut bytes: &[u8]) -> Option<Self> {
+        let input = &mut bytes;
+        if u16::take(input)? != FOLD_VERSION {
+            return None;
+        }
+        let fold: Self = Field::take(input)?;
+        let sound = fold.keys.len() <= MAX_KEYS
+            && fold.last_excluded.len() <= LAST_EXCLUDED
+            && fold.current.is_none_or(|at| at < fold.keys.len())
+            && fold.last_counted <= fold.cycles;
+        (sound && input.is_empty()).then_some(fold)
+    }
+}

@@ -1,0 +1,172 @@
+//! From the fold's state to a verdict with its reasons.
+
+use super::fold::ToolFold;
+use super::key::KeyState;
+use super::trend::remaining;
+use super::verdict::{BaselineEvidence, Exclusion, Level, SecondIndicators, ToolState, Verdict};
+use crate::summary::PeakShift;
+use crate::units::{Strategy, Timestamp};
+
+/// A level with so many cycles since, or four windows, is outdated: nothing can be said of the tool as it is now.
+const OUTDATED_CYCLES: u64 = 20;
+
+impl ToolFold {
+    /// What the fold says now.
+    pub fn verdict(&self) -> Verdict {
+        if self.cycles == 0 && self.life == 0 {
+            return Verdict::unknown("no_cycles", "no cycle of this tool is known");
+        }
+        let mut reasons = Vec::new();
+        let state = self.state(&mut reasons);
+        let level = if self.unworn { self.level_evidence() } else { None };
+        let trend = if self.unworn { self.trend.trend() } else { None };
+        let sure = matches!(state, ToolState::Good | ToolState::Warning);
+        let remaining = match (&trend, &level) {
+            (Some(trend), Some(level)) if sure => remaining(&self.trend, trend, level),
+            _ => None,
+        };
+        let current = self.current.map(|at| &self.keys[at]);
+        let mut baselines: Vec<&KeyState> = self.keys.iter().collect();
+        baselines.sort_by_key(|key| std::cmp::Reverse(key.used));
+        Verdict {
+            state,
+            reasons,
+            level,
+            trend,
+            remaining,
+            indicators: current.map(indicators).unwrap_or_default(),
+            life: self.life,
+            started_unworn: self.unworn,
+            baselines: baselines.into_iter().map(evidence).collect(),
+            cycles: self.cycles,
+            counted: self.counted,
+            excluded: self.excluded,
+            last_excluded: self.last_excluded.clone(),
+            age_cycles: self.cycles - self.last_counted,
+            last_counted_at: self.last_counted_us.map(Timestamp::from_micros),
+            last: self.last.clone(),
+        }
+    }
+
+    fn state(&self, reasons: &mut Vec<(&'static str, String)>) -> ToolState {
+        let mut say = |code, why: String| reasons.push((code, why));
+        let current = self.current.map(|at| &self.keys[at]);
+        if current.is_some_and(|key| key.key.strategy == Some(Strategy::FAc)) {
+            say(
+                "masked_by_control",
+                "the control slows the feed as the tool wears, so energy hides wear".into(),
+            );
+        }
+        if current.is_some_and(|key| (key.level_at_entry - 1.0).abs() > f64::EPSILON) {
+            say(
+                "level_carried_over",
+                "this baseline was met in mid-life: the wear until then is carried over".into(),
+            );
+        }
+        if !self.unworn {
+            say(
+                "no_new_tool_baseline",
+                "the tool was not new at its first measured cycle: no new-tool baseline".into(),
+            );
+        }
+        let level = self.level();
+        let percent = level.map_or(0.0, |level| 100.0 * (level - 1.0));
+        if !self.suspects.is_empty() {
+            let n = self.excluded[Exclusion::BrokenSuspected as usize];
+            say(
+                "undercut",
+                format!("{n} cycle(s) cut hardly anything after good ones: the tool may be broken"),
+            );
+            return ToolState::BrokenSuspected;
+        }
+        if self.worn {
+            say("worn", format!("energy reached 10 % above the new tool (now {percent:+.1} %), latched"));
+            return ToolState::Worn;
+        }
+        if current.is_some_and(|key| key.change.is_some()) {
+            say(
+                "conditions_changed",
+                "energy, time or depth jumped and stayed: confirm the conditions".into(),
+            );
+            return ToolState::Changed;
+        }
+        let Some(key) = current else {
+            let (code, why) = self.why_nothing();
+            say(code, why);
+            return ToolState::Unknown;
+        };
+        if self.warned {
+            say("warning", format!("energy is {percent:+.1} % against the new tool"));
+            return ToolState::Warning;
+        }
+        if key.baseline.is_none() {
+            let (have, need) = (key.learnt_from(), key.needed);
+            say("learning", format!("{have} of {need} cycles that a baseline needs"));
+            return if self.unworn { ToolState::Learning } else { ToolState::Unknown };
+        }
+        let age = self.cycles - self.last_counted;
+        if age > OUTDATED_CYCLES.max(4 * u64::from(self.window)) {
+            say("level_outdated", format!("none of the last {age} cycles could be counted"));
+            return ToolState::Unknown;
+        }
+        if !self.unworn {
+            return ToolState::Unknown;
+        }
+        say("good", format!("energy is {percent:+.1} % against the new tool"));
+        ToolState::Good
+    }
+
+    /// Why no cycle of this life could be compared.
+    fn why_nothing(&self) -> (&'static str, String) {
+        let most = Exclusion::ALL
+            .into_iter()
+            .max_by_key(|why| (self.excluded[*why as usize], std::cmp::Reverse(*why)));
+        match most.filter(|why| self.excluded[*why as usize] > 0) {
+            Some(why) => (why.as_str(), format!("no cycle of this life could be compared: {}", why.as_str())),
+            None => ("no_cycles", "no cycle since the tool was mounted".into()),
+        }
+    }
+
+    fn level_evidence(&self) -> Option<Level> {
+        let window = self.window();
+        Some(Level {
+            as_run: self.level()?,
+            lowest: window.iter().copied().fold(f64::INFINITY, f64::min),
+            highest: window.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            n: u32::try_from(window.len()).unwrap_or(u32::MAX),
+            window: self.window,
+        })
+    }
+}
+
+impl KeyState {
+    /// Cycles that agree so far, of those being learnt from; all that were needed once it is complete.
+    fn learnt_from(&self) -> u32 {
+        match &self.baseline {
+            Some(baseline) => baseline.learnt_from,
+            None => self.agreeing(),
+        }
+    }
+}
+
+fn evidence(key: &KeyState) -> BaselineEvidence {
+    BaselineEvidence {
+        key: key.key.clone(),
+        learnt_from: key.learnt_from(),
+        needed: key.needed,
+        baseline_joules: key.baseline.as_ref().map(|baseline| baseline.joules),
+        level_at_entry: key.level_at_entry,
+        operator_override_percent: key.baseline.as_ref().and_then(|baseline| baseline.operator_percent),
+    }
+}
+
+fn indicators(key: &KeyState) -> SecondIndicators {
+    let baseline = key.baseline.as_ref();
+    let fall = baseline.and_then(|baseline| baseline.fall_depth_mm).zip(key.fall_depth_now());
+    let time = baseline.and_then(|baseline| baseline.duration_ms).zip(key.duration_now());
+    SecondIndicators {
+        fall_depth: fall.map(|(baseline_mm, now_mm)| PeakShift { baseline_mm, now_mm }),
+        cycle_time_ratio: time.filter(|(before, _)| *before > 0.0).map(|(before, now)| now / before),
+        masked_by_control: key.key.strategy == Some(Strategy::FAc),
+    }
+}

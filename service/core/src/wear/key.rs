@@ -1,0 +1,397 @@
+//! One baseline key: learning its baseline, and telling usual cycles from unusual ones.
+
+use super::facts::CycleFacts;
+use super::verdict::{BaselineKey, Exclusion};
+use crate::ids::{CycleId, MachineId};
+use crate::operation::WearSettings;
+use crate::summary::median;
+
+/// Below this share of what is usual, hardly anything was cut.
+pub(super) const UNDERCUT: f64 = 0.6;
+/// A baseline is learnt from energies within this factor of their median, either way.
+const LEARNING_BAND: f64 = 4.0 / 3.0;
+/// Speeds within ±2 % share a key.
+const SPEED_TOLERANCE: f64 = 0.02;
+/// Operator's overrides further apart than this are not compared, points.
+const OPERATOR_TOLERANCE: f64 = 5.0;
+/// The operator's override where none is reported, %.
+const OPERATOR_NEUTRAL: f64 = 100.0;
+/// A depth this share off the usual one is another depth.
+const DEPTH_TOLERANCE: f64 = 0.1;
+/// Shorter than this share of the usual time, a cycle without depth may be incomplete.
+const SHORT: f64 = 0.85;
+/// Steps below this are never told from noise and wear.
+const STEP_MIN: f64 = 0.12;
+/// Step taken where the noise is not known yet.
+const STEP_UNKNOWN_NOISE: f64 = 0.15;
+/// Steps above this are told however noisy the energies are.
+const STEP_MAX: f64 = 0.20;
+/// A step has to exceed the noise of single cycles so many times.
+const STEP_SIGMAS: f64 = 5.0;
+/// Successive differences that the noise is told from.
+const NOISE_LENGTH: usize = 16;
+/// Differences needed before the noise counts as known.
+const NOISE_KNOWN: usize = 6;
+/// Counted cycles that "usual" is the median of.
+const USUAL_LENGTH: usize = 5;
+/// Counted cycles that the second indicators are the median of.
+const INDICATOR_LENGTH: usize = 5;
+/// Normal distribution: median of |a − b| over sigma, √2 · 0.6745.
+const DIFFERENCE_MEDIAN: f64 = 0.953_87;
+
+/// What is measured of one cycle, as far as wear compares it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Measured {
+    /// Running number of the cycle within its tool's life.
+    pub(super) number: u64,
+    pub(super) machine: MachineId,
+    pub(super) cycle: CycleId,
+    pub(super) started_us: i64,
+    pub(super) joules: f64,
+    pub(super) duration_ms: Option<f64>,
+    pub(super) depth_mm: Option<f64>,
+    pub(super) fall_depth_mm: Option<f64>,
+    pub(super) operator_percent: Option<f64>,
+}
+
+impl Measured {
+    pub(super) fn of(facts: &CycleFacts, joules: f64, number: u64) -> Self {
+        Self {
+            number,
+            machine: facts.order.machine.clone(),
+            cycle: facts.order.cycle.clone(),
+            started_us: facts.order.started_at.micros(),
+            joules,
+            duration_ms: facts.duration_ms,
+            depth_mm: facts.max_depth_mm,
+            fall_depth_mm: facts.fall_depth_mm,
+            operator_percent: facts.operator_override_percent,
+        }
+    }
+
+    fn operator(&self) -> f64 {
+        self.operator_percent.unwrap_or(OPERATOR_NEUTRAL)
+    }
+}
+
+/// A complete baseline.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Baseline {
+    /// B: median energy of the cycles it was learnt from over the level at entry, J.
+    pub(super) joules: f64,
+    pub(super) duration_ms: Option<f64>,
+    pub(super) depth_mm: Option<f64>,
+    pub(super) fall_depth_mm: Option<f64>,
+    pub(super) operator_percent: Option<f64>,
+    pub(super) learnt_from: u32,
+}
+
+/// What the last counted cycles of a key amount to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Usual {
+    pub(super) joules: f64,
+    pub(super) duration_ms: Option<f64>,
+    pub(super) depth_mm: Option<f64>,
+}
+
+/// How a cycle compares with what is usual for its key.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Look {
+    /// As usual.
+    Usual,
+    /// Hardly anything was cut, at the usual depth as far as that is known.
+    Undercut,
+    /// Energy, time or depth is off by more than noise and wear do from one cycle to the next.
+    Off,
+}
+
+/// A key whose conditions changed: what was usual before, and how often that has come back in a row.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Change {
+    pub(super) before: Usual,
+    pub(super) back: Vec<Measured>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct KeyState {
+    pub(super) key: BaselineKey,
+    pub(super) needed: u32,
+    pub(super) window: u32,
+    pub(super) level_at_entry: f64,
+    /// Cycles the baseline is being learnt from, in order; empty once it is complete.
+    pub(super) learning: Vec<Measured>,
+    pub(super) baseline: Option<Baseline>,
+    /// Last counted cycles, oldest first.
+    pub(super) recent: Vec<Measured>,
+    /// Relative differences of successive counted energies and times.
+    pub(super) energy_noise: Vec<f64>,
+    pub(super) time_noise: Vec<f64>,
+    /// Cycles off the usual that are not told yet from a lasting step.
+    pub(super) off: Vec<Measured>,
+    /// Cycles of this key so far, and those at which a single cycle off the usual was followed by a usual one.
+    pub(super) seen: u64,
+    pub(super) flips: Vec<u64>,
+    pub(super) change: Option<Change>,
+    /// Running number of the last cycle, to evict the key that was not run for longest.
+    pub(super) used: u64,
+}
+
+fn medians(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let known: Vec<f64> = values.flatten().collect();
+    (!known.is_empty()).then(|| median(&known))
+}
+
+fn push_bounded<T>(ring: &mut Vec<T>, value: T, bound: usize) {
+    if ring.len() == bound {
+        ring.remove(0);
+    }
+    ring.push(value);
+}
+
+/// Whether two speeds share a key.
+fn speeds_match(one: Option<f64>, other: Option<f64>) -> bool {
+    match (one, other) {
+        (Some(one), Some(other)) => (one - other).abs() <= SPEED_TOLERANCE * one.abs(),
+        (None, None) => true,
+        _ => false,
+    }
+}
+
+impl KeyState {
+    pub(super) fn new(key: BaselineKey, settings: WearSettings, level_at_entry: f64) -> Self {
+        Self {
+            key,
+            needed: settings.baseline_cycles,
+            window: settings.window_cycles,
+            level_at_entry,
+            learning: Vec::new(),
+            baseline: None,
+            recent: Vec::new(),
+            energy_noise: Vec::new(),
+            time_noise: Vec::new(),
+            off: Vec::new(),
+            seen: 0,
+            flips: Vec::new(),
+            change: None,
+            used: 0,
+        }
+    }
+
+    /// Whether `key` is this one, speeds being alike within ±2 %.
+    pub(super) fn matches(&self, key: &BaselineKey) -> bool {
+        speeds_match(self.key.spindle_speed_rpm, key.spindle_speed_rpm)
+            && self.key.machine == key.machine
+            && self.key.operation == key.operation
+            && self.key.basis == key.basis
+            && self.key.idle_subtracted == key.idle_subtracted
+            && self.key.strategy == key.strategy
+            && self.key.law_version == key.law_version
+            && self.key.profile == key.profile
+    }
+
+    /// Forgets the baseline and learns a new one that carries `level` over.
+    pub(super) fn relearn(&mut self, level: f64) {
+        let settings = WearSettings { baseline_cycles: self.needed, window_cycles: self.window };
+        let used = self.used;
+        *self = Self::new(self.key.clone(), settings, level);
+        self.used = used;
+    }
+
+    /// Whether the operator's override keeps `cycle` from being compared with the baseline.
+    pub(super) fn override_differs(&self, cycle: &Measured) -> bool {
+        self.baseline.as_ref().is_some_and(|baseline| {
+            let expected = baseline.operator_percent.unwrap_or(OPERATOR_NEUTRAL);
+            (cycle.operator() - expected).abs() > OPERATOR_TOLERANCE
+        })
+    }
+
+    /// What the last counted cycles amount to.
+    pub(super) fn usual(&self) -> Option<Usual> {
+        let last = &self.recent[self.recent.len().saturating_sub(USUAL_LENGTH)..];
+        if last.is_empty() {
+            return None;
+        }
+        let energies: Vec<f64> = last.iter().map(|cycle| cycle.joules).collect();
+        Some(Usual {
+            joules: median(&energies),
+            duration_ms: medians(last.iter().map(|cycle| cycle.duration_ms)),
+            depth_mm: medians(last.iter().map(|cycle| cycle.depth_mm)),
+        })
+    }
+
+    /// How `cycle` compares with `usual`.
+    pub(super) fn look(&self, cycle: &Measured, usual: &Usual) -> Look {
+        let depth_off =
+            ratio(cycle.depth_mm, usual.depth_mm).is_some_and(|r| (r - 1.0).abs() > DEPTH_TOLERANCE);
+        if cycle.joules < UNDERCUT * usual.joules && !depth_off {
+            return Look::Undercut;
+        }
+        let energy_off = (cycle.joules / usual.joules - 1.0).abs() > self.energy_step();
+        let time_off =
+            ratio(cycle.duration_ms, usual.duration_ms).is_some_and(|r| (r - 1.0).abs() > self.time_step());
+        if depth_off || energy_off || time_off { Look::Off } else { Look::Usual }
+    }
+
+    /// Whether `cycle` is off not only what is usual but also its predecessor: wear creeps, a step jumps.
+    pub(super) fn jumped(&self, cycle: &Measured) -> bool {
+        let Some(last) = self.recent.last() else { return false };
+        let usual = Usual { joules: last.joules, duration_ms: last.duration_ms, depth_mm: last.depth_mm };
+        self.look(cycle, &usual) != Look::Usual
+    }
+
+    /// The relative step in energy that is more than noise.
+    pub(super) fn energy_step(&self) -> f64 {
+        step(&self.energy_noise)
+    }
+
+    fn time_step(&self) -> f64 {
+        step(&self.time_noise)
+    }
+
+    /// Whether a cycle that is off looks like one that was not finished.
+    pub(super) fn looks_incomplete(cycle: &Measured, usual: &Usual) -> bool {
+        match ratio(cycle.depth_mm, usual.depth_mm) {
+            Some(depth) => depth < 1.0 - DEPTH_TOLERANCE,
+            None => {
+                ratio(cycle.duration_ms, usual.duration_ms).is_some_and(|time| time < SHORT)
+                    && cycle.joules < 0.9 * usual.joules
+            }
+        }
+    }
+
+    /// Whether all cycles that are off stayed where the first of them jumped to.
+    pub(super) fn off_is_level(&self) -> bool {
+        let Some((first, rest)) = self.off.split_first() else { return false };
+        let jump = self.usual().map_or(0.0, |usual| (first.joules / usual.joules - 1.0).abs());
+        let allowed = self.energy_step().max(0.5 * jump);
+        rest.iter().all(|cycle| (cycle.joules / first.joules - 1.0).abs() <= allowed)
+    }
+
+    /// Keeps a counted cycle for what is usual, noise and indicators.
+    pub(super) fn keep(&mut self, cycle: Measured) {
+        if let Some(last) = self.recent.last() {
+            let apart = |now: f64, before: f64| (now / before).ln().abs();
+            push_bounded(&mut self.energy_noise, apart(cycle.joules, last.joules), NOISE_LENGTH);
+            if let (Some(now), Some(before)) = (cycle.duration_ms, last.duration_ms)
+                && now > 0.0
+                && before > 0.0
+            {
+                push_bounded(&mut self.time_noise, apart(now, before), NOISE_LENGTH);
+            }
+        }
+        push_bounded(&mut self.recent, cycle, USUAL_LENGTH.max(INDICATOR_LENGTH));
+    }
+
+    /// How many of the cycles being learnt from agree.
+    pub(super) fn agreeing(&self) -> u32 {
+        let energies: Vec<f64> = self.learning.iter().map(|cycle| cycle.joules).collect();
+        if energies.is_empty() {
+            return 0;
+        }
+        let centre = median(&energies);
+        let n = energies.iter().filter(|joules| within(**joules, centre, LEARNING_BAND)).count();
+        u32::try_from(n).unwrap_or(u32::MAX).min(self.needed)
+    }
+
+    /// Median energy of the cycles that agree, where at least `least` of those being learnt from do.
+    pub(super) fn learning_centre(&self, least: usize) -> Option<Usual> {
+        let energies: Vec<f64> = self.learning.iter().map(|cycle| cycle.joules).collect();
+        if energies.is_empty() {
+            return None;
+        }
+        let centre = median(&energies);
+        let agreeing: Vec<&Measured> =
+            self.learning.iter().filter(|cycle| within(cycle.joules, centre, LEARNING_BAND)).collect();
+        if agreeing.len() < least {
+            return None;
+        }
+        let energies: Vec<f64> = agreeing.iter().map(|cycle| cycle.joules).collect();
+        Some(Usual {
+            joules: median(&energies),
+            duration_ms: medians(agreeing.iter().map(|cycle| cycle.duration_ms)),
+            depth_mm: medians(agreeing.iter().map(|cycle| cycle.depth_mm)),
+        })
+    }
+
+    /// Completes the baseline where enough cycles agree. Returns every cycle that was held, in order, with the
+    /// reason why it is left out, or `None` in its place where it is counted.
+    pub(super) fn complete(&mut self) -> Option<Vec<(Measured, Option<Exclusion>)>> {
+        let centre = self.learning_centre(self.needed as usize)?;
+        let operator =
+            medians(self.learning.iter().map(|cycle| cycle.operator_percent)).unwrap_or(OPERATOR_NEUTRAL);
+        let judged: Vec<(Measured, Option<Exclusion>)> = self
+            .learning
+            .iter()
+            .map(|cycle| (cycle.clone(), Self::unfit_to_learn_from(cycle, &centre, operator)))
+            .collect();
+        let fit: Vec<&Measured> = judged
+            .iter()
+            .filter(|(_, why)| why.is_none())
+            .map(|(cycle, _)| cycle)
+            .take(self.needed as usize)
+            .collect();
+        if fit.len() < self.needed as usize {
+            return None;
+        }
+        let energies: Vec<f64> = fit.iter().map(|cycle| cycle.joules).collect();
+        self.baseline = Some(Baseline {
+            joules: median(&energies) / self.level_at_entry,
+            duration_ms: medians(fit.iter().map(|cycle| cycle.duration_ms)),
+            depth_mm: medians(fit.iter().map(|cycle| cycle.depth_mm)),
+            fall_depth_mm: medians(fit.iter().map(|cycle| cycle.fall_depth_mm)),
+            operator_percent: medians(fit.iter().map(|cycle| cycle.operator_percent)),
+            learnt_from: self.needed,
+        });
+        self.learning.clear();
+        Some(judged)
+    }
+
+    /// Why `cycle` is left out of a baseline around `centre`.
+    pub(super) fn unfit_to_learn_from(cycle: &Measured, centre: &Usual, operator: f64) -> Option<Exclusion> {
+        if (cycle.operator() - operator).abs() > OPERATOR_TOLERANCE {
+            Some(Exclusion::OperatorOverride)
+        } else if Self::looks_incomplete(cycle, centre) {
+            Some(Exclusion::Incomplete)
+        } else if cycle.joules < UNDERCUT * centre.joules {
+            Some(Exclusion::AirCut)
+        } else if within(cycle.joules, centre.joules, LEARNING_BAND) {
+            None
+        } else {
+            Some(Exclusion::BaselineOutlier)
+        }
+    }
+
+    /// Cycles that may be held while a baseline is being learnt.
+    pub(super) fn learning_bound(&self) -> usize {
+        2 * self.needed as usize + 16
+    }
+
+    /// Median depth of the falling edge over the last counted cycles, mm.
+    pub(super) fn fall_depth_now(&self) -> Option<f64> {
+        medians(self.recent.iter().map(|cycle| cycle.fall_depth_mm))
+    }
+
+    /// Median cycle time over the last counted cycles, ms.
+    pub(super) fn duration_now(&self) -> Option<f64> {
+        medians(self.recent.iter().map(|cycle| cycle.duration_ms))
+    }
+}
+
+fn ratio(value: Option<f64>, usual: Option<f64>) -> Option<f64> {
+    match (value, usual) {
+        (Some(value), Some(usual)) if usual > 0.0 => Some(value / usual),
+        _ => None,
+    }
+}
+
+fn within(value: f64, centre: f64, factor: f64) -> bool {
+    value * factor >= centre && value <= centre * factor
+}
+
+fn step(differences: &[f64]) -> f64 {
+    if differences.len() < NOISE_KNOWN {
+        return STEP_UNKNOWN_NOISE;
+    }
+    let sigma = median(differences) / DIFFERENCE_MEDIAN;
+    (STEP_SIGMAS * sigma).clamp(STEP_MIN, STEP_MAX)
+}

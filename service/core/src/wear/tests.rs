@@ -1,0 +1,464 @@
+//! The life of tools as stories.
+
+use super::*;
+use crate::cycle::{Flag, Flags};
+use crate::ids::{CycleId, MachineId, OperationId};
+use crate::operation::WearSettings;
+use crate::summary::EnergyBasis;
+use crate::tool::ToolEventKind;
+use crate::units::{Strategy as FeedStrategy, Timestamp};
+use proptest::prelude::*;
+
+const NEW: f64 = 1992.0;
+
+fn settings() -> FoldSettings {
+    FoldSettings { wear: WearSettings::default(), depth_mm: None, spindle_speed_rpm: None }
+}
+
+fn facts(number: u32, joules: f64) -> CycleFacts {
+    CycleFacts {
+        order: OrderKey {
+            started_at: Timestamp::from_micros(1_700_000_000_000_000 + i64::from(number) * 10_000_000),
+            machine: MachineId::try_from("M1").unwrap(),
+            seq: None,
+            cycle: CycleId::try_from(format!("c{number}").as_str()).unwrap(),
+        },
+        operation: OperationId::try_from("O1").unwrap(),
+        spindle_speed_rpm: Some(2500.0),
+        strategy: Some(FeedStrategy::FConst),
+        law_version: None,
+        profile: None,
+        energy: Some((EnergyBasis::Dynamometer, false, joules)),
+        duration_ms: Some(4280.0),
+        max_depth_mm: None,
+        fall_depth_mm: None,
+        operator_override_percent: None,
+        coverage: 1.0,
+        flags: Flags::NONE,
+    }
+}
+
+/// A tool's history in the making.
+struct Life {
+    fold: ToolFold,
+    number: u32,
+}
+
+impl Life {
+    fn new() -> Self {
+        Self { fold: ToolFold::default(), number: 0 }
+    }
+
+    fn with(&mut self, change: impl FnOnce(&mut CycleFacts)) -> Verdict {
+        self.number += 1;
+        let mut cycle = facts(self.number, NEW);
+        change(&mut cycle);
+        self.fold.cycle(&cycle, Some(&settings()));
+        self.fold.verdict()
+    }
+
+    fn ratio(&mut self, ratio: f64) -> Verdict {
+        self.with(|cycle| cycle.energy = Some((EnergyBasis::Dynamometer, false, ratio * NEW)))
+    }
+
+    fn ratios(&mut self, ratios: &[f64]) -> Verdict {
+        ratios.iter().map(|ratio| self.ratio(*ratio)).last().unwrap()
+    }
+
+    /// Five cycles of a new tool: learnt.
+    fn learnt() -> Self {
+        let mut life = Self::new();
+        let verdict = life.ratios(&[1.0, 1.01, 0.99, 1.0, 1.0]);
+        assert_eq!(verdict.state, ToolState::Good);
+        life
+    }
+}
+
+fn why(verdict: &Verdict) -> Vec<&'static str> {
+    verdict.reasons.iter().map(|(code, _)| *code).collect()
+}
+
+fn excluded(verdict: &Verdict, why: Exclusion) -> u64 {
+    verdict.excluded[why as usize]
+}
+
+#[test]
+fn a_new_tool_is_learnt_then_good_then_warned_of_then_worn_for_good() {
+    let mut life = Life::new();
+    for n in 1..5 {
+        let verdict = life.ratio(1.0);
+        assert_eq!((verdict.state, verdict.level), (ToolState::Learning, None));
+        assert_eq!(verdict.baselines[0].learnt_from, n);
+    }
+    let verdict = life.ratio(1.0);
+    assert_eq!(verdict.state, ToolState::Good);
+    assert_eq!(verdict.baselines[0].baseline_joules, Some(NEW));
+    // The paper's worn tool, +9.3 %, reads "warning" (Stryczek & Błaszczak 2020, 1992 J and 2178 J).
+    let verdict = life.ratios(&[2178.0 / 1992.0; 5]);
+    assert_eq!(verdict.state, ToolState::Warning);
+    assert!((verdict.level.unwrap().as_run - 1.0934).abs() < 1e-4);
+    assert_eq!(life.ratios(&[1.06; 3]).state, ToolState::Warning, "held until below 1.05");
+    assert_eq!(life.ratios(&[1.049; 3]).state, ToolState::Good);
+    assert_eq!(life.ratios(&[1.07; 3]).state, ToolState::Warning, "at the limit is over it");
+    assert_eq!(life.ratios(&[1.1; 3]).state, ToolState::Worn, "at the limit is over it");
+    assert_eq!(life.ratios(&[1.0; 10]).state, ToolState::Worn, "latched");
+    life.fold.event(ToolEventKind::Reground);
+    let verdict = life.ratios(&[1.05; 5]);
+    assert_eq!((verdict.state, verdict.life), (ToolState::Good, 2));
+    assert!((verdict.level.unwrap().as_run - 1.0).abs() < 1e-12, "a regrind has a baseline of its own");
+}
+
+#[test]
+fn one_bad_cycle_is_no_verdict() {
+    let mut life = Life::learnt();
+    for ratio in [1.3, 1.0, 1.0, 0.99, 1.0, 1.0, 1.0, 1.4] {
+        assert_eq!(life.ratio(ratio).state, ToolState::Good);
+    }
+}
+
+#[test]
+fn air_cuts_spoil_no_baseline_even_as_first_and_second_hole() {
+    for order in [[0.1, 1.0, 1.0], [1.0, 0.1, 1.0], [0.1, 0.1, 1.0], [0.0, 1.0, -0.01]] {
+        let mut life = Life::new();
+        life.ratios(&order);
+        let verdict = life.ratios(&[1.0, 1.01, 0.99, 1.0]);
+        assert_eq!(verdict.state, ToolState::Good, "{order:?}: {verdict:?}");
+        let baseline = verdict.baselines[0].baseline_joules.unwrap();
+        assert!((baseline / NEW - 1.0).abs() < 0.01, "{order:?}: {baseline}");
+        let air = order.iter().filter(|ratio| **ratio < 0.5).count() as u64;
+        assert_eq!(excluded(&verdict, Exclusion::AirCut), air, "{order:?}");
+        assert_eq!(verdict.counted + air, verdict.cycles, "{order:?}");
+    }
+}
+
+#[test]
+fn aborted_and_incomplete_cycles_are_neither_baselined_nor_counted() {
+    let mut life = Life::new();
+    life.with(|cycle| {
+        cycle.flags.insert(Flag::Aborted);
+        cycle.energy = Some((EnergyBasis::Dynamometer, false, 0.3 * NEW));
+    });
+    life.with(|cycle| {
+        cycle.duration_ms = Some(2000.0);
+        cycle.energy = Some((EnergyBasis::Dynamometer, false, 0.45 * NEW));
+    });
+    let verdict = life.ratios(&[1.0; 5]);
+    assert_eq!(verdict.state, ToolState::Good);
+    assert_eq!(verdict.baselines[0].baseline_joules, Some(NEW));
+    assert_eq!((excluded(&verdict, Exclusion::Aborted), excluded(&verdict, Exclusion::Incomplete)), (1, 1));
+    // Later a single one in between is left out too, and said so by name.
+    life.with(|cycle| {
+        cycle.duration_ms = Some(3300.0);
+        cycle.energy = Some((EnergyBasis::Dynamometer, false, 0.75 * NEW));
+    });
+    let verdict = life.ratio(1.0);
+    assert_eq!(excluded(&verdict, Exclusion::Incomplete), 2);
+    let (_, cycle, reason) = verdict.last_excluded.last().unwrap();
+    assert_eq!((cycle.as_str(), *reason), ("c8", Exclusion::Incomplete));
+}
+
+#[test]
+fn an_undercut_after_good_cycles_is_suspected_until_a_normal_one_follows() {
+    let mut life = Life::learnt();
+    let verdict = life.ratio(0.1);
+    assert_eq!(verdict.state, ToolState::BrokenSuspected);
+    assert_eq!(excluded(&verdict, Exclusion::BrokenSuspected), 1);
+    let verdict = life.ratio(1.0);
+    assert_eq!(verdict.state, ToolState::Good);
+    assert_eq!(
+        (excluded(&verdict, Exclusion::BrokenSuspected), excluded(&verdict, Exclusion::AirCut)),
+        (0, 1)
+    );
+    assert_eq!(verdict.last_excluded.last().unwrap().2, Exclusion::AirCut);
+    assert_eq!(
+        life.ratios(&[0.1; 100]).state,
+        ToolState::BrokenSuspected,
+        "and stays so while nothing is cut"
+    );
+    let verdict = life.ratio(1.0);
+    assert_eq!((verdict.state, excluded(&verdict, Exclusion::AirCut)), (ToolState::Good, 101));
+    // While learning, two good cycles are enough to suspect.
+    let mut young = Life::new();
+    young.ratios(&[1.0, 1.0]);
+    assert_eq!(young.ratio(0.1).state, ToolState::BrokenSuspected);
+    assert_eq!(young.ratio(1.0).state, ToolState::Learning);
+}
+
+#[test]
+fn a_lasting_step_is_changed_conditions_neither_wear_nor_a_new_tool() {
+    for step in [0.77, 1.34, 1.15, 0.85] {
+        let mut life = Life::learnt();
+        life.ratios(&[1.0, 1.005, 0.995, 1.0, 1.0, 1.005, 0.995]);
+        let states: Vec<ToolState> = (0..10).map(|_| life.ratio(step).state).collect();
+        assert_eq!(states[..2], [ToolState::Good; 2], "{step}: not yet lasting");
+        assert!(states[2..].iter().all(|state| *state == ToolState::Changed), "{step}: {states:?}");
+        // Coming back to the old conditions uses the old baseline.
+        let verdict = life.ratios(&[1.02; 5]);
+        assert_eq!(verdict.state, ToolState::Good, "{step}");
+        assert!((verdict.level.unwrap().as_run - 1.02).abs() < 1e-9, "{step}");
+    }
+}
+
+#[test]
+fn a_lasting_step_in_cycle_time_alone_is_changed_conditions() {
+    let mut life = Life::learnt();
+    for _ in 0..3 {
+        life.with(|cycle| cycle.duration_ms = Some(3400.0));
+    }
+    assert_eq!(life.fold.verdict().state, ToolState::Changed);
+}
+
+#[test]
+fn confirmed_conditions_carry_the_wear_over() {
+    let mut life = Life::learnt();
+    life.ratios(&[1.06; 6]);
+    life.ratios(&[1.06 * 0.7; 4]);
+    assert_eq!(life.fold.verdict().state, ToolState::Changed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(life.ratio(1.06 * 0.7).state, ToolState::Learning);
+    let verdict = life.ratios(&[1.06 * 0.7; 4]);
+    assert!((verdict.level.unwrap().as_run - 1.06).abs() < 1e-9, "{verdict:?}");
+    assert!(why(&verdict).contains(&"level_carried_over"));
+    assert_eq!(life.ratios(&[1.11 * 0.7; 5]).state, ToolState::Worn);
+}
+
+#[test]
+fn conditions_announced_before_the_step_are_not_alarmed() {
+    let mut life = Life::learnt();
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    let states: Vec<ToolState> = (0..8).map(|_| life.ratio(1.34).state).collect();
+    assert!(!states.contains(&ToolState::Changed) && !states.contains(&ToolState::Worn), "{states:?}");
+    assert_eq!(states[7], ToolState::Good);
+}
+
+#[test]
+fn conditions_that_alternate_are_not_taken_for_wear() {
+    let mut life = Life::learnt();
+    let states: Vec<ToolState> =
+        (0..20).map(|k| life.ratio(if k % 2 == 0 { 1.34 } else { 1.0 }).state).collect();
+    assert!(!states.contains(&ToolState::Worn) && !states.contains(&ToolState::Warning), "{states:?}");
+    assert_eq!(*states.last().unwrap(), ToolState::Changed);
+}
+
+#[test]
+fn wear_that_runs_away_is_worn_and_no_step() {
+    let mut life = Life::learnt();
+    let verdict = life.ratios(&[1.2, 1.5, 1.9, 2.4, 3.0]);
+    assert_eq!(verdict.state, ToolState::Worn);
+    let mut fast = Life::learnt();
+    let states: Vec<ToolState> = (1..=12).map(|k| fast.ratio(1.0 + 0.03 * f64::from(k)).state).collect();
+    assert!(!states.contains(&ToolState::Changed), "{states:?}");
+    assert_eq!(*states.last().unwrap(), ToolState::Worn);
+}
+
+#[test]
+fn another_key_met_in_mid_life_carries_the_wear_and_coming_back_uses_the_old_baseline() {
+    let mut life = Life::learnt();
+    life.ratios(&[1.06; 5]);
+    let slow = |life: &mut Life, joules: f64| {
+        life.with(|cycle| {
+            cycle.spindle_speed_rpm = Some(1800.0);
+            cycle.energy = Some((EnergyBasis::Dynamometer, false, joules));
+        })
+    };
+    assert_eq!(slow(&mut life, 1500.0).state, ToolState::Learning);
+    for _ in 0..4 {
+        slow(&mut life, 1500.0);
+    }
+    let verdict = life.fold.verdict();
+    assert!((verdict.level.unwrap().as_run - 1.06).abs() < 1e-9);
+    for _ in 0..5 {
+        slow(&mut life, 1500.0 * 1.05);
+    }
+    let verdict = life.fold.verdict();
+    assert_eq!(verdict.state, ToolState::Worn, "1.06 carried over times 1.05: {:?}", verdict.level);
+    let mut back = Life::learnt();
+    for _ in 0..7 {
+        slow(&mut back, 1500.0);
+    }
+    let verdict = back.ratios(&[1.08; 5]);
+    assert_eq!((verdict.state, verdict.baselines.len()), (ToolState::Warning, 2));
+}
+
+#[test]
+fn speeds_within_two_percent_share_a_key() {
+    let mut life = Life::new();
+    for (k, speed) in [2500.0, 2549.0, 2451.0, 2500.0, 2510.0].into_iter().enumerate() {
+        let verdict = life.with(|cycle| cycle.spindle_speed_rpm = Some(speed));
+        assert_eq!(verdict.baselines.len(), 1, "{k}");
+    }
+    assert_eq!(life.with(|cycle| cycle.spindle_speed_rpm = Some(2551.0)).baselines.len(), 2);
+}
+
+#[test]
+fn bases_are_never_mixed() {
+    let mut life = Life::learnt();
+    let verdict = life.with(|cycle| cycle.energy = Some((EnergyBasis::RatedPower, false, 9000.0)));
+    assert_eq!((verdict.state, verdict.baselines.len()), (ToolState::Learning, 2));
+    assert!((verdict.level.unwrap().as_run - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn cycles_at_another_operator_override_are_not_compared() {
+    let mut life = Life::learnt();
+    for _ in 0..6 {
+        life.with(|cycle| {
+            cycle.operator_override_percent = Some(94.0);
+            cycle.energy = Some((EnergyBasis::Dynamometer, false, 1.3 * NEW));
+        });
+    }
+    let verdict = life.fold.verdict();
+    assert_eq!((verdict.state, excluded(&verdict, Exclusion::OperatorOverride)), (ToolState::Good, 6));
+    assert_eq!(verdict.age_cycles, 6);
+    let verdict = life.with(|cycle| cycle.operator_override_percent = Some(95.0));
+    assert_eq!(verdict.age_cycles, 0, "5 points apart are compared");
+}
+
+#[test]
+fn a_tool_that_starts_worn_has_no_new_tool_baseline() {
+    let mut life = Life::new();
+    life.fold.event(ToolEventKind::MountedUsed);
+    let verdict = life.ratios(&[1.0; 8]);
+    assert_eq!((verdict.state, verdict.level, verdict.remaining), (ToolState::Unknown, None, None));
+    assert!(why(&verdict).contains(&"no_new_tool_baseline"));
+    // Ten percent above what was already used is worn all the same.
+    assert_eq!(life.ratios(&[1.11; 4]).state, ToolState::Worn);
+    // So is a tool that worked unmeasured for long.
+    let mut late = Life::new();
+    for _ in 0..10 {
+        late.with(|cycle| cycle.energy = None);
+    }
+    assert_eq!(late.fold.verdict().state, ToolState::Unknown);
+    assert_eq!(why(&late.fold.verdict()), ["no_energy"]);
+    assert!(why(&late.ratios(&[1.0; 6])).contains(&"no_new_tool_baseline"));
+}
+
+#[test]
+fn cycles_before_the_tool_was_mounted_have_a_wrong_clock() {
+    let mut fold = ToolFold::awaiting_mount();
+    (1..=6).for_each(|k| fold.cycle(&facts(k, NEW), Some(&settings())));
+    let verdict = fold.verdict();
+    assert_eq!((verdict.state, excluded(&verdict, Exclusion::ClockSuspect)), (ToolState::Unknown, 6));
+    fold.event(ToolEventKind::MountedNew);
+    (7..=11).for_each(|k| fold.cycle(&facts(k, NEW), Some(&settings())));
+    let verdict = fold.verdict();
+    assert_eq!((verdict.state, verdict.life, verdict.cycles), (ToolState::Good, 1, 5));
+}
+
+#[test]
+fn a_level_that_no_cycle_confirms_is_outdated() {
+    let mut life = Life::learnt();
+    for _ in 0..21 {
+        life.with(|cycle| cycle.energy = None);
+    }
+    let verdict = life.fold.verdict();
+    assert_eq!((verdict.state, verdict.age_cycles), (ToolState::Unknown, 21));
+    assert!(why(&verdict).contains(&"level_outdated"));
+}
+
+#[test]
+fn remaining_cycles_are_told_only_on_evidence() {
+    let mut life = Life::learnt();
+    assert_eq!(life.fold.verdict().remaining, None);
+    let noise = |k: u32| 0.004 * (f64::from(k * 7 % 5) - 2.0) / 2.0;
+    for k in 0..60 {
+        life.ratio(1.0 + noise(k));
+    }
+    assert_eq!(life.fold.verdict().remaining, None, "a tool that does not wear has no end in sight");
+    for k in 0..60 {
+        life.ratio(1.0 + 0.001 * f64::from(k) + noise(k));
+    }
+    let verdict = life.fold.verdict();
+    let remaining = verdict.remaining.unwrap();
+    assert!(remaining.low <= 42 && remaining.high >= 38, "40 cycles remain: {remaining:?}");
+}
+
+#[test]
+fn a_window_of_the_operation_is_obeyed() {
+    let wide = FoldSettings { wear: WearSettings { baseline_cycles: 100, window_cycles: 100 }, ..settings() };
+    let mut fold = ToolFold::default();
+    (1..=99).for_each(|k| fold.cycle(&facts(k, NEW), Some(&wide)));
+    assert_eq!(fold.verdict().state, ToolState::Learning);
+    fold.cycle(&facts(100, NEW), Some(&wide));
+    assert_eq!(fold.verdict().level.unwrap().n, 100);
+}
+
+/// Any cycle a shop may send, from usual to absurd.
+fn any_cycle() -> impl proptest::strategy::Strategy<Value = CycleFacts> {
+    (
+        prop_oneof![4 => 0.95..1.15, 1 => -0.1..0.5, 1 => 0.6..1.5, 1 => Just(0.0)],
+        prop_oneof![6 => Just(4280.0), 1 => 1000.0..9000.0],
+        prop::option::weighted(0.3, 80.0..120.0),
+        0..20_u32,
+        0..3_u8,
+    )
+        .prop_map(|(ratio, duration, operator, odd, speed)| {
+            let mut cycle = facts(0, ratio * NEW);
+            cycle.duration_ms = Some(duration);
+            cycle.operator_override_percent = operator;
+            cycle.spindle_speed_rpm = Some(2000.0 + 30.0 * f64::from(speed));
+            match odd {
+                0 => cycle.flags.insert(Flag::Aborted),
+                1 => cycle.energy = None,
+                2 => cycle.coverage = 0.5,
+                3 => cycle.flags.insert(Flag::ClockSuspect),
+                _ => {}
+            }
+            cycle
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+
+    /// A state that was stored and read back goes on as if it had never been away, to the bit.
+    #[test]
+    fn stored_states_go_on_to_the_bit(
+        cycles in prop::collection::vec(any_cycle(), 1..80),
+        event in prop::option::of((0..80_usize, 0..6_usize)),
+    ) {
+        let mut whole = ToolFold::default();
+        let mut stored = ToolFold::default();
+        for (k, mut cycle) in cycles.into_iter().enumerate() {
+            if let Some((at, kind)) = event && at == k {
+                whole.event(ToolEventKind::ALL[kind]);
+                stored.event(ToolEventKind::ALL[kind]);
+            }
+            cycle.order.cycle = CycleId::try_from(format!("c{k}").as_str()).unwrap();
+            whole.cycle(&cycle, Some(&settings()));
+            stored.cycle(&cycle, Some(&settings()));
+            stored = ToolFold::from_bytes(&stored.to_bytes()).unwrap();
+        }
+        prop_assert_eq!(&stored, &whole);
+        prop_assert_eq!(stored.verdict(), whole.verdict());
+    }
+
+    /// Every cycle is counted, left out with a reason, or still held: none is lost, none is counted twice.
+    #[test]
+    fn every_cycle_is_accounted_for(cycles in prop::collection::vec(any_cycle(), 1..120)) {
+        let mut fold = ToolFold::default();
+        for cycle in &cycles {
+            fold.cycle(cycle, Some(&settings()));
+            let verdict = fold.verdict();
+            let held: usize = fold.keys.iter()
+                .map(|key| key.learning.len() + key.off.len() + key.change.as_ref().map_or(0, |c| c.back.len()))
+                .sum();
+            let left_out: u64 = verdict.excluded.iter().sum();
+            prop_assert_eq!(verdict.counted + left_out + held as u64, verdict.cycles);
+            prop_assert!(verdict.level.is_none_or(|level| level.as_run.is_finite()));
+            prop_assert!(!verdict.reasons.is_empty());
+        }
+    }
+
+    /// Damaged states are refused or decoded, never a panic.
+    #[test]
+    fn damaged_states_do_not_panic(at in 0..2000_usize, bit in 0..8_u8, cut in 0..2000_usize) {
+        let mut life = Life::learnt();
+        life.ratios(&[1.02; 7]);
+        let mut bytes = life.fold.to_bytes();
+        let place = at % bytes.len();
+        bytes[place] ^= 1 << bit;
+        let _ = ToolFold::from_bytes(&bytes).map(|fold| fold.verdict().state);
+        prop_assert!(ToolFold::from_bytes(&life.fold.to_bytes()[..cut % (bytes.len() - 1)]).is_none());
+    }
+}

@@ -1,0 +1,162 @@
+//! Trend of the ratios over a tool's life, from a bounded number of points.
+
+use super::verdict::{Remaining, Trend};
+use super::{WORN_LEVEL, verdict::Level};
+use crate::summary::median;
+
+/// Points kept; when there are more, neighbours are merged and each stands for twice as many cycles.
+const MAX_POINTS: usize = 48;
+/// The trend is told from the last so many points, so that it follows the tool's present phase of life.
+const TREND_POINTS: usize = 24;
+/// Points needed before a trend is evidence.
+const MIN_POINTS: usize = 10;
+/// Standard normal quantile of a two-sided 90 % interval.
+const Z_90: f64 = 1.645;
+/// More remaining cycles than this are not told apart from "no end in sight".
+const MOST_REMAINING: f64 = 10_000_000.0;
+
+/// Ratios over the count of counted cycles, thinned to a bounded number of points.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct TrendPoints {
+    /// Counted cycles that one point stands for.
+    pub(super) per_point: u64,
+    /// Mean count and mean ratio of each point, oldest first.
+    pub(super) points: Vec<(f64, f64)>,
+    /// Sum of counts, sum of ratios and number of cycles of the point being filled.
+    pub(super) filling: (f64, f64, u64),
+    /// Ratios so far.
+    pub(super) count: u64,
+}
+
+impl Default for TrendPoints {
+    fn default() -> Self {
+        Self { per_point: 1, points: Vec::new(), filling: (0.0, 0.0, 0), count: 0 }
+    }
+}
+
+impl TrendPoints {
+    #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
+    pub(super) fn push(&mut self, ratio: f64) {
+        self.count += 1;
+        let (counts, ratios, n) = &mut self.filling;
+        *counts += self.count as f64;
+        *ratios += ratio;
+        *n += 1;
+        if *n < self.per_point {
+            return;
+        }
+        self.points.push((*counts / *n as f64, *ratios / *n as f64));
+        self.filling = (0.0, 0.0, 0);
+        if self.points.len() == MAX_POINTS {
+            let merge = |pair: &[(f64, f64)]| {
+                (f64::midpoint(pair[0].0, pair[1].0), f64::midpoint(pair[0].1, pair[1].1))
+            };
+            self.points = self.points.chunks_exact(2).map(merge).collect();
+            self.per_point *= 2;
+        }
+    }
+
+    /// Theil–Sen slope with the distribution-free interval of Sen (1968); `None` before there is evidence.
+    pub(super) fn trend(&self) -> Option<Trend> {
+        let points = &self.points[self.points.len().saturating_sub(TREND_POINTS)..];
+        if points.len() < MIN_POINTS {
+            return None;
+        }
+        let mut slopes = Vec::with_capacity(points.len() * (points.len() - 1) / 2);
+        for (index, late) in points.iter().enumerate() {
+            slopes.extend(points[..index].iter().map(|early| (late.1 - early.1) / (late.0 - early.0)));
+        }
+        slopes.sort_by(f64::total_cmp);
+        #[expect(clippy::cast_precision_loss, reason = "at most 276 slopes")]
+        let (n, pairs) = (points.len() as f64, slopes.len() as f64);
+        let spread = Z_90 * (n * (n - 1.0) * (2.0 * n + 5.0) / 18.0).sqrt();
+        let at = |place: f64| slopes[clamp_index(place, slopes.len())];
+        Some(Trend {
+            slope_per_cycle: median(&slopes),
+            slope_low: at((pairs - spread) / 2.0 - 1.0),
+            slope_high: at((pairs + spread) / 2.0),
+            cycles: self.per_point * points.len() as u64,
+        })
+    }
+
+    /// Robust standard deviation of single points around the trend line.
+    fn scatter(&self, slope: f64) -> f64 {
+        let points = &self.points[self.points.len().saturating_sub(TREND_POINTS)..];
+        let heights: Vec<f64> = points.iter().map(|(count, ratio)| ratio - slope * count).collect();
+        let centre = median(&heights);
+        let deviations: Vec<f64> = heights.iter().map(|height| (height - centre).abs()).collect();
+        1.4826 * median(&deviations)
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the slice first")]
+fn clamp_index(place: f64, len: usize) -> usize {
+    (place.max(0.0) as usize).min(len - 1)
+}
+
+/// Cycles until the level reaches 1.10; `None` where the trend does not surely rise.
+pub(super) fn remaining(points: &TrendPoints, trend: &Trend, level: &Level) -> Option<Remaining> {
+    if trend.slope_low <= 0.0 {
+        return None;
+    }
+    // The level is a median of few ratios: its own error widens the interval of what is left to climb.
+    let error = Z_90 * 1.2533 * points.scatter(trend.slope_per_cycle) / f64::from(level.n.max(1)).sqrt();
+    let cycles = |climb: f64, slope: f64| {
+        let cycles = (climb.max(0.0) / slope).min(MOST_REMAINING);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to ten million")]
+        let whole = cycles as u64;
+        whole
+    };
+    let climb = WORN_LEVEL - level.as_run;
+    if climb / trend.slope_per_cycle > MOST_REMAINING {
+        return None;
+    }
+    Some(Remaining {
+        cycles: cycles(climb, trend.slope_per_cycle),
+        low: cycles(climb - error, trend.slope_high),
+        high: cycles(climb + error, trend.slope_low),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn filled(ratios: impl Iterator<Item = f64>) -> TrendPoints {
+        let mut points = TrendPoints::default();
+        ratios.for_each(|ratio| points.push(ratio));
+        points
+    }
+
+    #[test]
+    fn a_line_is_found_however_long_it_is() {
+        for cycles in [12_u32, 60, 1000, 50_000] {
+            let slope = 0.1 / f64::from(cycles);
+            let points = filled((0..cycles).map(|k| 1.0 + slope * f64::from(k)));
+            assert!(points.points.len() < MAX_POINTS);
+            let trend = points.trend().unwrap();
+            assert!((trend.slope_per_cycle / slope - 1.0).abs() < 1e-6, "{cycles}: {trend:?}");
+        }
+    }
+
+    #[test]
+    fn no_trend_before_evidence_and_no_end_without_a_rise() {
+        assert_eq!(filled((0..9).map(|k| 1.0 + 0.01 * f64::from(k))).trend(), None);
+        let flat = filled((0..200).map(|k| if k % 2 == 0 { 1.01 } else { 0.99 }));
+        let trend = flat.trend().unwrap();
+        let level = Level { as_run: 1.0, lowest: 0.99, highest: 1.01, n: 5, window: 5 };
+        assert_eq!(remaining(&flat, &trend, &level), None);
+    }
+
+    #[test]
+    fn remaining_cycles_come_with_their_interval() {
+        // A saw-tooth of ±0.5 % on a rise of 0.02 % per cycle, at 1.04 after 200 cycles: 300 remain.
+        let noisy =
+            filled((0..200).map(|k| 1.0 + 0.0002 * f64::from(k) + 0.005 * (f64::from(k % 5) - 2.0) / 2.0));
+        let level = Level { as_run: 1.04, lowest: 1.03, highest: 1.05, n: 5, window: 5 };
+        let remaining = remaining(&noisy, &noisy.trend().unwrap(), &level).unwrap();
+        assert!(remaining.low <= remaining.cycles && remaining.cycles <= remaining.high, "{remaining:?}");
+        assert!(remaining.low > 200 && remaining.high < 420, "{remaining:?}");
+        assert!((290..=310).contains(&remaining.cycles), "{remaining:?}");
+    }
+}

@@ -1,0 +1,10 @@
+//! From the bytes a machine sends to a cycle that is committed.
+//!
+//! HTTP and its status codes do not belong here, nor does what a cycle means.
+
+pub mod body;
+pub mod content;
+mod number;
+mod scan;
+pub mod time;
+pub mod writer;

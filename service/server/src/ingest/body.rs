@@ -1,0 +1,336 @@
+//! The JSON body of a cycle, to a checked [`Cycle`], with the path of whatever is wrong.
+//!
+//! The fast way is one pass of `serde_json`. Only what it refuses is looked at again: once with the path of the
+//! field, and once by [`super::scan`], which tells a document that is JSON but for NaN from one that is no JSON.
+
+use super::number::{Number, Numbers};
+use super::scan;
+use feedwright_core::cycle::{
+    Channel, Cycle, CycleDraft, Outcome, ProfileVersion, Reported, Samples, TimeBase,
+};
+use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
+use feedwright_core::invalid::Violation;
+use feedwright_core::units::{Process, Strategy, Timestamp};
+use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+use std::fmt;
+
+/// How far a machine's clock may be ahead of the server's: beyond, a cycle goes to quarantine.
+pub const CLOCK_AHEAD_MS: i64 = 10 * 60 * 1000;
+
+/// Why a body is not a cycle.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum BodyError {
+    /// It is no JSON: answered 400, nothing is kept.
+    Malformed(String),
+    /// It is JSON, but no cycle that could have been run: answered 422 and kept in quarantine.
+    Invalid(Vec<Violation>),
+}
+
+impl BodyError {
+    fn one(path: impl Into<String>, code: &'static str, message: impl Into<String>) -> Self {
+        Self::Invalid(vec![Violation::new(path, code, message)])
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Body {
+    cycle_id: String,
+    tool: String,
+    operation: String,
+    started_at: String,
+    seq: Option<u64>,
+    process: Option<String>,
+    strategy: Option<String>,
+    law_version: Option<String>,
+    profile: Option<ProfileBody>,
+    recommendation_id: Option<String>,
+    spindle_speed_rpm: Option<Number>,
+    outcome: Option<String>,
+    samples: Option<SamplesBody>,
+    reported: Option<ReportedBody>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ProfileBody {
+    id: String,
+    version: u32,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(deny_unknown_fields)]
+struct ReportedBody {
+    energy_joules: Option<Number>,
+    duration_ms: Option<Number>,
+    max_depth_mm: Option<Number>,
+    max_spindle_load_percent: Option<Number>,
+    max_feed_drive_load_percent: Option<Number>,
+    mean_spindle_load_percent: Option<Number>,
+    mean_feed_drive_load_percent: Option<Number>,
+    operator_override_percent: Option<Number>,
+}
+
+#[derive(Default)]
+struct SamplesBody {
+    period_ms: Option<f64>,
+    time_ms: Option<Vec<f64>>,
+    columns: Vec<(Channel, Vec<f64>)>,
+}
+
+/// Name of a field in `samples`, refused where there is no such field.
+enum SamplesField {
+    PeriodMs,
+    TimeMs,
+    Column(Channel),
+}
+
+impl<'de> Deserialize<'de> for SamplesField {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Name;
+        impl Visitor<'_> for Name {
+            type Value = SamplesField;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the name of a channel")
+            }
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<SamplesField, E> {
+                match name {
+                    "period_ms" => Ok(SamplesField::PeriodMs),
+                    "time_ms" => Ok(SamplesField::TimeMs),
+                    _ => Channel::parse(name)
+                        .map(SamplesField::Column)
+                        .ok_or_else(|| E::custom(format!("unknown field `{name}`, expected a channel"))),
+                }
+            }
+        }
+        deserializer.deserialize_identifier(Name)
+    }
+}
+
+impl<'de> Deserialize<'de> for SamplesBody {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Columns;
+        impl<'de> Visitor<'de> for Columns {
+            type Value = SamplesBody;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object of columns")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<SamplesBody, A::Error> {
+                let mut body = SamplesBody::default();
+                let twice = |name: &str| A::Error::custom(format!("duplicate field `{name}`"));
+                while let Some(field) = map.next_key()? {
+                    match field {
+                        SamplesField::PeriodMs => {
+                            if body.period_ms.replace(map.next_value::<Number>()?.0).is_some() {
+                                return Err(twice("period_ms"));
+                            }
+                        }
+                        SamplesField::TimeMs => {
+                            if body.time_ms.replace(map.next_value::<Numbers>()?.0).is_some() {
+                                return Err(twice("time_ms"));
+                            }
+                        }
+                        SamplesField::Column(channel) => {
+                            if body.columns.iter().any(|(known, _)| *known == channel) {
+                                return Err(twice(channel.as_str()));
+                            }
+                            body.columns.push((channel, map.next_value::<Numbers>()?.0));
+                        }
+                    }
+                }
+                Ok(body)
+            }
+        }
+        deserializer.deserialize_map(Columns)
+    }
+}
+
+/// Decodes one cycle's JSON body.
+///
+/// `now` is the server's clock; a cycle that begins more than [`CLOCK_AHEAD_MS`] after it is refused.
+pub fn decode(
+    machine: &MachineId,
+    json: &[u8],
+    max_samples: usize,
+    now: Timestamp,
+) -> Result<Cycle, BodyError> {
+    let body: Body = parse(json)?;
+    let mut wrong = Vec::new();
+    let draft = draft(machine, body, max_samples, now, &mut wrong);
+    match draft {
+        Some(draft) if wrong.is_empty() => Cycle::new(draft).map_err(BodyError::Invalid),
+        _ => Err(BodyError::Invalid(wrong)),
+    }
+}
+
+/// The cycle id of a body that is otherwise refused, for the quarantine's list.
+pub fn cycle_id_of(json: &[u8]) -> Option<String> {
+    #[derive(Deserialize)]
+    struct OnlyId {
+        cycle_id: String,
+    }
+    serde_json::from_slice::<OnlyId>(json).ok().map(|body| body.cycle_id)
+}
+
+fn parse(json: &[u8]) -> Result<Body, BodyError> {
+    let error = match serde_json::from_slice(json) {
+        Ok(body) => return Ok(body),
+        Err(error) => error,
+    };
+    if let Some((path, literal)) = scan::first_non_finite(json) {
+        return Err(BodyError::one(path, "not_finite", format!("must be a finite number, is {literal}")));
+    }
+    // A torn body may break a rule of ours before its tear: whether it is JSON at all comes first.
+    if serde_json::from_slice::<IgnoredAny>(json).is_err() {
+        return Err(BodyError::Malformed(error.to_string()));
+    }
+    Err(located(json))
+}
+
+/// Parses again, slower, to learn the path of what is wrong.
+fn located(json: &[u8]) -> BodyError {
+    let mut deserializer = serde_json::Deserializer::from_slice(json);
+    let Err(error) = serde_path_to_error::deserialize::<_, Body>(&mut deserializer) else {
+        // Whole, but followed by more: two documents in one body.
+        return BodyError::Malformed("there is more after the end of the document".into());
+    };
+    let path = error.path().to_string();
+    let path = if path == "." { String::new() } else { path };
+    let text = error.inner().to_string();
+    let text = text.rsplit_once(" at line ").map_or(text.as_str(), |(text, _)| text);
+    let named = |prefix: &str| {
+        text.strip_prefix(prefix).and_then(|rest| rest.split_once('`')).map(|(name, _)| name.to_owned())
+    };
+    let below = |name: &str| {
+        // The path ends in the field itself where serde was already inside it.
+        if path.is_empty() {
+            name.to_owned()
+        } else if path == name || path.ends_with(&format!(".{name}")) {
+            path.clone()
+        } else {
+            format!("{path}.{name}")
+        }
+    };
+    if let Some(name) = named("unknown field `") {
+        BodyError::one(below(&name), "unknown_field", "is not a field that a cycle has")
+    } else if let Some(name) = named("missing field `") {
+        BodyError::one(below(&name), "missing_field", "is required")
+    } else if let Some(name) = named("duplicate field `") {
+        BodyError::one(below(&name), "duplicate_field", "is given twice")
+    } else if text.contains("null") {
+        BodyError::one(path, "null_value", "must be a number, is null: leave out what was not sampled")
+    } else {
+        BodyError::one(path, "wrong_type", text)
+    }
+}
+
+fn draft(
+    machine: &MachineId,
+    body: Body,
+    max_samples: usize,
+    now: Timestamp,
+    wrong: &mut Vec<Violation>,
+) -> Option<CycleDraft> {
+    let id = keep(CycleId::parse("cycle_id", &body.cycle_id), wrong);
+    let tool = keep(ToolId::parse("tool", &body.tool), wrong);
+    let operation = keep(OperationId::parse("operation", &body.operation), wrong);
+    let started_at = keep(started_at(&body.started_at, now), wrong);
+    let process = word("process", body.process.as_deref(), Process::parse, wrong);
+    let strategy = word("strategy", body.strategy.as_deref(), Strategy::parse, wrong);
+    let outcome = word("outcome", body.outcome.as_deref(), Outcome::parse, wrong);
+    let recommendation = body
+        .recommendation_id
+        .and_then(|text| keep(RecommendationId::parse("recommendation_id", &text), wrong));
+    let profile = body.profile.and_then(|profile| {
+        let id = keep(ProfileId::parse("profile.id", &profile.id), wrong)?;
+        Some(ProfileVersion { profile: id, version: profile.version })
+    });
+    let samples = body.samples.and_then(|samples| columns(samples, max_samples, wrong));
+    let reported = body.reported.unwrap_or_default();
+    let value = |number: Option<Number>| number.map(|number| number.0);
+    Some(CycleDraft {
+        machine: machine.clone(),
+        id: id?,
+        tool: tool?,
+        operation: operation?,
+        started_at: started_at?,
+        seq: body.seq,
+        process,
+        strategy,
+        law_version: body.law_version,
+        profile,
+        recommendation,
+        spindle_speed_rpm: value(body.spindle_speed_rpm),
+        outcome: outcome.unwrap_or_default(),
+        samples,
+        reported: Reported {
+            energy_joules: value(reported.energy_joules),
+            duration_ms: value(reported.duration_ms),
+            max_depth_mm: value(reported.max_depth_mm),
+            max_spindle_load_percent: value(reported.max_spindle_load_percent),
+            max_feed_drive_load_percent: value(reported.max_feed_drive_load_percent),
+            mean_spindle_load_percent: value(reported.mean_spindle_load_percent),
+            mean_feed_drive_load_percent: value(reported.mean_feed_drive_load_percent),
+            operator_override_percent: value(reported.operator_override_percent),
+        },
+    })
+}
+
+fn keep<T>(result: Result<T, Violation>, wrong: &mut Vec<Violation>) -> Option<T> {
+    result.map_err(|violation| wrong.push(violation)).ok()
+}
+
+fn word<T>(
+    path: &'static str,
+    text: Option<&str>,
+    parse: fn(&str) -> Option<T>,
+    wrong: &mut Vec<Violation>,
+) -> Option<T> {
+    let text = text?;
+    let parsed = parse(text);
+    if parsed.is_none() {
+        let shown: String = text.chars().take(40).collect();
+        wrong.push(Violation::new(path, "unknown_word", format!("{shown:?} is not a {path} that is known")));
+    }
+    parsed
+}
+
+fn started_at(text: &str, now: Timestamp) -> Result<Timestamp, Violation> {
+    let at = super::time::parse("started_at", text)?;
+    if at.millis_since(now) > CLOCK_AHEAD_MS {
+        return Err(Violation::new(
+            "started_at",
+            "started_in_future",
+            "is more than 10 minutes ahead of the server's clock",
+        ));
+    }
+    Ok(at)
+}
+
+fn columns(body: SamplesBody, max_samples: usize, wrong: &mut Vec<Violation>) -> Option<Samples> {
+    let time = match (body.period_ms, body.time_ms) {
+        (Some(period_ms), None) => TimeBase::Period { period_ms },
+        (None, Some(time_ms)) => TimeBase::Stamps { time_ms },
+        (None, None) => {
+            wrong.push(Violation::new(
+                "samples.period_ms",
+                "missing_field",
+                "period_ms or time_ms is required",
+            ));
+            return None;
+        }
+        (Some(_), Some(_)) => {
+            wrong.push(Violation::new(
+                "samples.time_ms",
+                "contradictory",
+                "period_ms and time_ms are both given: which of them holds is not known",
+            ));
+            return None;
+        }
+    };
+    Samples::new(time, body.columns, max_samples).map_err(|violations| wrong.extend(violations)).ok()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,154 @@
+//! Every kind of bad body, with its code and path.
+
+use super::*;
+
+const NOW: Timestamp = Timestamp::from_micros(1_777_874_400_000_000);
+
+fn of(json: &str) -> Result<Cycle, BodyError> {
+    decode(&MachineId::try_from("M1").unwrap(), json.as_bytes(), 1000, NOW)
+}
+
+fn with(fields: &str) -> String {
+    format!(
+        r#"{{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"2026-05-04T06:00:00Z",{fields}}}"#
+    )
+}
+
+fn samples(columns: &str) -> String {
+    with(&format!(r#""samples":{{"period_ms":10,{columns}}}"#))
+}
+
+fn refusal(json: &str) -> (String, &'static str) {
+    match of(json) {
+        Err(BodyError::Invalid(wrong)) => {
+            assert_eq!(wrong.len(), 1, "{wrong:?}");
+            (wrong[0].path.clone(), wrong[0].code)
+        }
+        other => panic!("{json}: {other:?}"),
+    }
+}
+
+#[test]
+fn a_whole_cycle_is_read() {
+    let cycle = of(&with(
+        r#""seq":9007199254740993,"process":"friction","strategy":"f_ac","law_version":"ac-1",
+        "profile":{"id":"P1","version":3},"recommendation_id":"r1","spindle_speed_rpm":2500,"outcome":"aborted",
+        "samples":{"time_ms":[0,10,20.5],"depth_mm":[-0.5,-0.0,1e-1],"spindle_load_percent":[1,2,3]},
+        "reported":{"energy_joules":12.5,"operator_override_percent":100}"#,
+    ))
+    .unwrap();
+    assert_eq!(cycle.seq, Some(9_007_199_254_740_993), "2^53 + 1 is kept exactly");
+    assert_eq!((cycle.process, cycle.strategy), (Some(Process::Friction), Some(Strategy::FAc)));
+    assert_eq!(cycle.outcome, Outcome::Aborted);
+    assert_eq!(cycle.started_at, NOW);
+    let samples = cycle.samples.as_ref().unwrap();
+    assert_eq!(samples.column(Channel::DepthMm), Some([-0.5, 0.0, 0.1].as_slice()));
+    assert!(samples.column(Channel::DepthMm).unwrap()[1].is_sign_positive());
+    assert_eq!(cycle.reported.energy_joules, Some(12.5));
+}
+
+#[test]
+fn a_cycle_without_samples_is_read() {
+    assert!(of(&with(r#""reported":{"energy_joules":1992}"#)).unwrap().samples.is_none());
+}
+
+#[test]
+fn numbers_that_are_none_are_named() {
+    let load = |value: &str| refusal(&samples(&format!(r#""spindle_load_percent":[1,{value}]"#)));
+    let at = |code| ("samples.spindle_load_percent[1]".to_owned(), code);
+    for value in ["NaN", "Infinity", "-Infinity", "1e999", "-1e999"] {
+        assert_eq!(load(value), at("not_finite"), "{value}");
+    }
+    assert_eq!(load("\"12.5\""), at("wrong_type"));
+    assert_eq!(load("null"), at("null_value"));
+    assert_eq!(load("true"), at("wrong_type"));
+    assert_eq!(load("9007199254740993"), at("out_of_range"));
+    assert_eq!(load("[]"), at("wrong_type"));
+    let column = |value: &str| refusal(&samples(&format!(r#""spindle_load_percent":{value}"#)));
+    let whole = |code| ("samples.spindle_load_percent".to_owned(), code);
+    assert_eq!(column("[]"), whole("empty"));
+    assert_eq!(column("null"), whole("null_value"));
+    assert_eq!(column("5"), whole("wrong_type"));
+    assert_eq!(
+        refusal(&with(r#""reported":{"energy_joules":NaN}"#)),
+        ("reported.energy_joules".into(), "not_finite")
+    );
+}
+
+#[test]
+fn fields_that_are_unknown_missing_or_given_twice_are_named() {
+    let at = |path: &str, code| (path.to_owned(), code);
+    assert_eq!(refusal(&with(r#""feed":1"#)), at("feed", "unknown_field"));
+    assert_eq!(refusal(&samples(r#""load":[1]"#)), at("samples.load", "unknown_field"));
+    assert_eq!(refusal(&with(r#""reported":{"joules":1}"#)), at("reported.joules", "unknown_field"));
+    assert_eq!(refusal(&with(r#""tool":"T2""#)), at("tool", "duplicate_field"));
+    assert_eq!(
+        refusal(&samples(r#""depth_mm":[1],"depth_mm":[2]"#)),
+        at("samples.depth_mm", "duplicate_field")
+    );
+    assert_eq!(refusal(r#"{"cycle_id":"c1"}"#), at("tool", "missing_field"));
+    assert_eq!(refusal(&with(r#""samples":{"depth_mm":[1]}"#)), at("samples.period_ms", "missing_field"));
+    assert_eq!(refusal(&with(r#""samples":{"period_ms":10}"#)), at("samples", "no_channels"));
+    assert_eq!(
+        refusal(&with(r#""samples":{"period_ms":10,"time_ms":[1],"depth_mm":[1]}"#)),
+        at("samples.time_ms", "contradictory")
+    );
+    assert_eq!(refusal(&with(r#""outcome":"completed""#)), at("samples", "nothing_recorded"));
+}
+
+#[test]
+fn values_out_of_their_words_and_ranges_are_named() {
+    let at = |path: &str, code| (path.to_owned(), code);
+    let reported = r#""reported":{"energy_joules":1}"#;
+    assert_eq!(refusal(&with(&format!(r#""process":"welding",{reported}"#))), at("process", "unknown_word"));
+    assert_eq!(
+        refusal(&with(&format!(r#""spindle_speed_rpm":-1,{reported}"#))),
+        at("spindle_speed_rpm", "out_of_range")
+    );
+    assert_eq!(
+        refusal(&with(&format!(r#""seq":9223372036854775808,{reported}"#))),
+        at("seq", "out_of_range")
+    );
+    assert_eq!(refusal(&with(&format!(r#""seq":-1,{reported}"#))), at("seq", "wrong_type"));
+    assert_eq!(
+        refusal(&with(&format!(r#""profile":{{"id":"P","version":0}},{reported}"#))),
+        at("profile.version", "out_of_range")
+    );
+    let started = |text: &str| {
+        refusal(&format!(
+            r#"{{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"{text}",{reported}}}"#
+        ))
+    };
+    assert_eq!(started("2026-05-04 06:00"), at("started_at", "invalid_timestamp"));
+    assert_eq!(started("2026-05-04T06:10:01Z"), at("started_at", "started_in_future"));
+    let many = vec!["1"; 1001].join(",");
+    assert_eq!(refusal(&samples(&format!(r#""depth_mm":[{many}]"#))), at("samples", "too_many_samples"));
+}
+
+#[test]
+fn every_violation_is_told_at_once() {
+    let json = r#"{"cycle_id":"-","tool":"","operation":"O 1","started_at":"now",
+        "samples":{"period_ms":10,"depth_mm":[1,2],"spindle_load_percent":[1]}}"#;
+    let Err(BodyError::Invalid(wrong)) = of(json) else { panic!() };
+    let paths: Vec<&str> = wrong.iter().map(|violation| violation.path.as_str()).collect();
+    assert_eq!(paths, ["cycle_id", "tool", "operation", "started_at", "samples.spindle_load_percent"]);
+}
+
+#[test]
+fn what_is_no_json_is_malformed() {
+    for json in
+        ["", "{", "not json", r#"{"cycle_id":"c1"}}"#, "{\"cycle_id\":\"c\u{0}\"}", r#"{"cycle_id":"c1","#]
+    {
+        assert!(matches!(of(json), Err(BodyError::Malformed(_))), "{json:?}: {:?}", of(json));
+    }
+    for json in ["[]", "null", "5", "\"text\""] {
+        assert!(matches!(of(json), Err(BodyError::Invalid(_))), "{json:?}: {:?}", of(json));
+    }
+}
+
+#[test]
+fn a_clock_at_1970_is_read_and_flagged_later() {
+    let json = r#"{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"1970-01-01T00:00:07Z",
+        "reported":{"energy_joules":1}}"#;
+    assert_eq!(of(json).unwrap().started_at, Timestamp::from_micros(7_000_000));
+}

@@ -1,0 +1,169 @@
+//! Tells JSON that is broken only by numbers such as NaN from text that is no JSON.
+//!
+//! Controls and scripts do send `NaN`, `Infinity` and `1e999`. A body that has one is no use as it is, but it was
+//! meant as a cycle: it is named by its path and goes to quarantine, while torn bodies are refused.
+
+/// Deepest nesting that is followed; a cycle's body has three levels.
+const MAX_DEPTH: usize = 64;
+
+const LITERALS: [&str; 8] = ["NaN", "nan", "Infinity", "-Infinity", "inf", "-inf", "-NaN", "+Infinity"];
+
+/// Path and literal of the first number that is not finite, where the text is JSON but for such numbers.
+pub(super) fn first_non_finite(json: &[u8]) -> Option<(String, String)> {
+    let text = std::str::from_utf8(json).ok()?;
+    let mut scan = Scan { rest: text.trim_start(), path: String::new(), found: None };
+    scan.value(0)?;
+    scan.rest.trim_start().is_empty().then_some(scan.found).flatten()
+}
+
+struct Scan<'a> {
+    rest: &'a str,
+    path: String,
+    found: Option<(String, String)>,
+}
+
+impl<'a> Scan<'a> {
+    fn value(&mut self, depth: usize) -> Option<()> {
+        if depth > MAX_DEPTH {
+            return None;
+        }
+        match self.rest.as_bytes().first()? {
+            b'{' => self.object(depth),
+            b'[' => self.array(depth),
+            b'"' => self.string().map(drop),
+            _ => self.scalar(),
+        }
+    }
+
+    fn eat(&mut self, token: &str) -> Option<()> {
+        self.rest = self.rest.strip_prefix(token)?.trim_start();
+        Some(())
+    }
+
+    fn object(&mut self, depth: usize) -> Option<()> {
+        self.eat("{")?;
+        if self.eat("}").is_some() {
+            return Some(());
+        }
+        let base = self.path.len();
+        loop {
+            let name = self.string()?;
+            self.eat(":")?;
+            if base > 0 {
+                self.path.push('.');
+            }
+            self.path.push_str(name);
+            self.value(depth + 1)?;
+            self.path.truncate(base);
+            if self.eat(",").is_none() {
+                return self.eat("}");
+            }
+        }
+    }
+
+    fn array(&mut self, depth: usize) -> Option<()> {
+        self.eat("[")?;
+        if self.eat("]").is_some() {
+            return Some(());
+        }
+        let base = self.path.len();
+        let mut index = 0_usize;
+        loop {
+            if self.found.is_none() {
+                self.path.push_str(&format!("[{index}]"));
+            }
+            self.value(depth + 1)?;
+            self.path.truncate(base);
+            index += 1;
+            if self.eat(",").is_none() {
+                return self.eat("]");
+            }
+        }
+    }
+
+    fn string(&mut self) -> Option<&'a str> {
+        let inner = self.rest.strip_prefix('"')?;
+        let mut escaped = false;
+        for (at, byte) in inner.bytes().enumerate() {
+            match byte {
+                _ if escaped => escaped = false,
+                b'\\' => escaped = true,
+                b'"' => {
+                    self.rest = inner[at + 1..].trim_start();
+                    return Some(&inner[..at]);
+                }
+                _ => {}
+            }
+        }
+        None
+    }
+
+    fn scalar(&mut self) -> Option<()> {
+        let end = self.rest.find([',', ']', '}', ' ', '\n', '\r', '\t']).unwrap_or(self.rest.len());
+        let (literal, rest) = self.rest.split_at(end);
+        self.rest = rest.trim_start();
+        if matches!(literal, "true" | "false" | "null") {
+            return Some(());
+        }
+        let not_finite = LITERALS.contains(&literal)
+            || is_json_number(literal)? && literal.parse::<f64>().ok()?.is_infinite();
+        if not_finite && self.found.is_none() {
+            self.found = Some((self.path.clone(), literal.to_owned()));
+        }
+        Some(())
+    }
+}
+
+/// `Some(true)` for what JSON calls a number; `None` for anything else.
+fn is_json_number(literal: &str) -> Option<bool> {
+    let unsigned = literal.strip_prefix('-').unwrap_or(literal);
+    let (mantissa, exponent) = match unsigned.split_once(['e', 'E']) {
+        Some((mantissa, exponent)) => (mantissa, Some(exponent.strip_prefix(['+', '-']).unwrap_or(exponent))),
+        None => (unsigned, None),
+    };
+    let (whole, fraction) = match mantissa.split_once('.') {
+        Some((whole, fraction)) => (whole, Some(fraction)),
+        None => (mantissa, None),
+    };
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let whole_fits = digits(whole) && (whole == "0" || !whole.starts_with('0'));
+    (whole_fits && fraction.is_none_or(digits) && exponent.is_none_or(digits)).then_some(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(json: &str) -> Option<(String, String)> {
+        first_non_finite(json.as_bytes())
+    }
+
+    #[test]
+    fn names_the_first_number_that_is_not_finite() {
+        let at = |path: &str, literal: &str| Some((path.to_owned(), literal.to_owned()));
+        assert_eq!(found(r#"{"samples":{"a":[1,NaN,Infinity]}}"#), at("samples.a[1]", "NaN"));
+        assert_eq!(found(r#"{"a":{"x":"]}\""},"b":[[],[ -Infinity ]]}"#), at("b[1][0]", "-Infinity"));
+        assert_eq!(found(r#"{"a":1e999}"#), at("a", "1e999"));
+        assert_eq!(found(r#"{"a":-1E+400,"b":true}"#), at("a", "-1E+400"));
+    }
+
+    #[test]
+    fn what_is_no_json_stays_no_json() {
+        for text in [
+            "",
+            "{",
+            r#"{"a":NaN"#,
+            r#"{"a":NaN}}"#,
+            r#"{"a":NaN,}"#,
+            r#"{a:NaN}"#,
+            r#"{"a":01,"b":NaN}"#,
+            r#"{"a":"x,"b":NaN}"#,
+            r#"{"a":nope,"b":NaN}"#,
+            "[1 2, NaN]",
+        ] {
+            assert_eq!(found(text), None, "{text}");
+        }
+        assert_eq!(found(&"[".repeat(100_000)), None);
+        assert_eq!(found(r#"{"a":1}"#), None);
+    }
+}

@@ -1,0 +1,108 @@
+//! The one writer: a bounded queue in front, groups behind, an answer to each after its commit.
+
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::units::Timestamp;
+use feedwright_store::{Committed, NewCycle, Store, StoreError, StoreResult};
+use std::sync::Arc;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
+
+/// Most cycles in one commit: beyond, a commit takes longer and is hardly cheaper per cycle.
+pub const MAX_GROUP: usize = 64;
+
+struct Queued {
+    cycle: NewCycle,
+    answer: oneshot::Sender<StoreResult<Committed>>,
+}
+
+/// Told about what the writer does, for metrics.
+pub trait WriterObserver: Send + Sync + 'static {
+    /// A group of `cycles` was committed within `seconds`.
+    fn committed(&self, cycles: usize, seconds: f64);
+    /// The database refuses writes: the service must stop acknowledging and exit.
+    fn not_writable(&self, error: &StoreError);
+}
+
+/// Where cycles are handed in.
+#[derive(Clone)]
+pub struct WriterHandle {
+    queue: mpsc::Sender<Queued>,
+}
+
+/// Why a cycle was not taken.
+#[derive(Debug)]
+pub enum WriteError {
+    /// The queue is full: try again in a moment.
+    Busy,
+    /// The writer is shutting down.
+    Closing,
+    /// The store failed.
+    Store(StoreError),
+}
+
+impl WriterHandle {
+    /// Queues a cycle and waits for its commit. Dropping the future does not take the cycle back.
+    pub async fn commit(&self, cycle: NewCycle) -> Result<Committed, WriteError> {
+        let (answer, answered) = oneshot::channel();
+        self.queue.try_send(Queued { cycle, answer }).map_err(|error| match error {
+            mpsc::error::TrySendError::Full(_) => WriteError::Busy,
+            mpsc::error::TrySendError::Closed(_) => WriteError::Closing,
+        })?;
+        Self::wait(answered).await
+    }
+
+    /// As [`WriterHandle::commit`], but waits for room in the queue: for batches, which must not crowd out live
+    /// posts by filling it.
+    pub async fn commit_patiently(&self, cycle: NewCycle) -> Result<Committed, WriteError> {
+        let (answer, answered) = oneshot::channel();
+        self.queue.send(Queued { cycle, answer }).await.map_err(|_| WriteError::Closing)?;
+        Self::wait(answered).await
+    }
+
+    async fn wait(answered: oneshot::Receiver<StoreResult<Committed>>) -> Result<Committed, WriteError> {
+        answered.await.map_err(|_| WriteError::Closing)?.map_err(WriteError::Store)
+    }
+
+    /// Cycles waiting now.
+    pub fn depth(&self) -> usize {
+        self.queue.max_capacity() - self.queue.capacity()
+    }
+}
+
+/// Starts the writer. It ends, with everything that was queued committed, when all handles are dropped.
+pub fn start(
+    store: Arc<dyn Store>,
+    queue_length: usize,
+    settings: RecommendSettings,
+    clock: Arc<dyn Fn() -> Timestamp + Send + Sync>,
+    observer: Arc<dyn WriterObserver>,
+) -> (WriterHandle, JoinHandle<()>) {
+    let (queue, waiting) = mpsc::channel(queue_length.max(1));
+    let task = tokio::spawn(run(store, waiting, settings, clock, observer));
+    (WriterHandle { queue }, task)
+}
+
+async fn run(
+    store: Arc<dyn Store>,
+    mut waiting: mpsc::Receiver<Queued>,
+    settings: RecommendSettings,
+    clock: Arc<dyn Fn() -> Timestamp + Send + Sync>,
+    observer: Arc<dyn WriterObserver>,
+) {
+    let mut group = Vec::with_capacity(MAX_GROUP);
+    while waiting.recv_many(&mut group, MAX_GROUP).await > 0 {
+        let (cycles, answers): (Vec<_>, Vec<_>) =
+            group.drain(..).map(|queued| (queued.cycle, queued.answer)).unzip();
+        let begun = std::time::Instant::now();
+        let count = cycles.len();
+        let outcomes = store.commit_cycles(cycles, clock(), settings).await;
+        observer.committed(count, begun.elapsed().as_secs_f64());
+        for (answer, outcome) in answers.into_iter().zip(outcomes) {
+            if let Err(error @ StoreError::NotWritable(_)) = &outcome {
+                observer.not_writable(error);
+            }
+            // A client that hung up does not wait; its cycle is kept all the same.
+            let _ = answer.send(outcome);
+        }
+    }
+}
