@@ -1,1 +1,2 @@
 //! One binary with every story; a module per subject.
+mod recordings;

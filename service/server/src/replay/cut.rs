@@ -13,6 +13,8 @@ pub struct Piece {
     pub rows: Range<usize>,
     /// Values of the label's holes; empty without a label.
     pub label: Values,
+    /// Whether it lacks the label that a finished cycle has.
+    pub aborted: bool,
 }
 
 /// What a cut gave.
@@ -26,7 +28,7 @@ pub struct Pieces {
 
 /// Cuts the rows of `table` into cycles.
 pub fn cut(table: &Table, rule: &CutRule) -> Result<Pieces, ReplayError> {
-    let mut pieces = vec![Piece { rows: 0..table.rows(), label: Values::new() }];
+    let mut pieces = vec![Piece { rows: 0..table.rows(), label: Values::new(), aborted: false }];
     if let Some(label) = &rule.label {
         pieces = by_label(table, label)?;
     }
@@ -58,8 +60,8 @@ fn refine(
     mut split: impl FnMut(Range<usize>) -> Result<Vec<Range<usize>>, ReplayError>,
 ) -> Result<Vec<Piece>, ReplayError> {
     let mut finer = Vec::new();
-    for Piece { rows, label } in pieces {
-        finer.extend(split(rows)?.into_iter().map(|rows| Piece { rows, label: label.clone() }));
+    for Piece { rows, label, aborted } in pieces {
+        finer.extend(split(rows)?.into_iter().map(|rows| Piece { rows, label: label.clone(), aborted }));
     }
     Ok(finer)
 }
@@ -73,9 +75,14 @@ fn by_label(table: &Table, rule: &LabelRule) -> Result<Vec<Piece>, ReplayError> 
             open = false;
             continue;
         };
+        let unfinished =
+            !rule.finished.is_empty() && !rule.finished.iter().any(|shape| shape.read(cell).is_some());
         match pieces.last_mut() {
-            Some(last) if open && last.label == label => last.rows.end = row + 1,
-            _ => pieces.push(Piece { rows: row..row + 1, label }),
+            Some(last) if open && last.label == label => {
+                last.rows.end = row + 1;
+                last.aborted &= unfinished;
+            }
+            _ => pieces.push(Piece { rows: row..row + 1, label, aborted: unfinished }),
         }
         open = true;
     }
@@ -141,13 +148,16 @@ mod tests {
 
     #[test]
     fn a_label_run_ends_at_another_label_even_when_it_comes_back() {
+        let template = |text| Template::parse(text).unwrap();
         let label = LabelRule {
             column: "l".to_owned(),
-            is: ["Layer {layer} Up", "Layer {layer} Down"].map(|text| Template::parse(text).unwrap()).into(),
+            is: vec![template("Layer {layer} Up"), template("Layer {layer} Down")],
+            finished: vec![template("Layer {layer} Down")],
         };
         let cut = cut(&table(), &CutRule { label: Some(label), ..rule() }).unwrap();
         let found: Vec<_> = cut.pieces.iter().map(|p| (p.rows.clone(), p.label["layer"].as_str())).collect();
         assert_eq!(found, [(1..3, "1"), (4..5, "1"), (5..8, "2")]);
+        assert_eq!(cut.pieces.iter().map(|piece| piece.aborted).collect::<Vec<_>>(), [false, true, true]);
     }
 
     #[test]

@@ -81,6 +81,9 @@ pub struct LabelRule {
     pub column: String,
     /// Labels that are cycles. Rows whose holes hold the same make one cycle; other labels are left out.
     pub is: Vec<Template>,
+    /// Labels that a finished cycle has in at least one row; one without is posted as aborted.
+    #[serde(default)]
+    pub finished: Vec<Template>,
 }
 
 /// A run of rows above a threshold.

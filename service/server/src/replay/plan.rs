@@ -47,6 +47,8 @@ pub struct RecordedCycle {
     pub duration_us: i64,
     /// Commanded spindle speed, rpm.
     pub spindle_speed_rpm: Option<f64>,
+    /// Whether the recording shows that it was stopped before its end.
+    pub aborted: bool,
     /// When its samples were taken.
     pub time: SampleTime,
     /// Its channels.
@@ -84,6 +86,9 @@ impl RecordedCycle {
         });
         if let Some(speed) = self.spindle_speed_rpm {
             body["spindle_speed_rpm"] = json!(speed);
+        }
+        if self.aborted {
+            body["outcome"] = json!("aborted");
         }
         Ok(body)
     }
@@ -225,6 +230,7 @@ impl Reader<'_> {
             started_us,
             duration_us,
             spindle_speed_rpm,
+            aborted: piece.aborted,
             time,
             channels,
             reference,

@@ -79,6 +79,9 @@ mod tests {
         let feed = &plan.registrations.operations["layer-1-feed-6"]["programmed_feed_mm_min"];
         assert!((feed.as_f64().unwrap() - 360.0).abs() < 1e-9);
         assert_eq!(plan.dropped_rows, 0);
+        let aborted: Vec<&str> =
+            plan.cycles.iter().filter(|cycle| cycle.aborted).map(|cycle| cycle.id.as_str()).collect();
+        assert_eq!(aborted, ["experiment-04-layer-1", "experiment-05-layer-1", "experiment-07-layer-2"]);
     }
 
     #[test]

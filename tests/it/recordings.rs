@@ -1,0 +1,3 @@
+//! Recordings of real machines: what is said of their tools.
+
+mod judged;
