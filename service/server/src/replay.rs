@@ -9,6 +9,7 @@
 
 pub mod client;
 pub mod cut;
+pub mod fleet;
 pub mod mapping;
 pub mod plan;
 pub mod progress;

@@ -1,6 +1,7 @@
 //! `feedwright replay`: posts a recording to a service, as a machine would.
 
 use crate::replay::client::Client;
+use crate::replay::fleet::MachineTokens;
 use crate::replay::progress::Progress;
 use crate::replay::recordings::{embedded, read_embedded, read_folder};
 use crate::replay::run::{Options, run};
@@ -25,9 +26,12 @@ pub struct ReplayArgs {
     /// Address of the service.
     #[arg(long, env = "FEEDWRIGHT_URL", default_value = "http://127.0.0.1:7878")]
     url: String,
-    /// A token that may register machines, tools and operations and write cycles.
+    /// A token that registers machines, tools and operations: an engineer's, or an admin's without --machine-token.
     #[arg(long, env = "FEEDWRIGHT_TOKEN", hide_env_values = true)]
     token: Option<SecretString>,
+    /// The machine's own token. Without it the admin's makes one for each machine and revokes it at the end.
+    #[arg(long, env = "FEEDWRIGHT_MACHINE_TOKEN", hide_env_values = true)]
+    machine_token: Option<SecretString>,
     /// When the recording happens: `recorded`, `now` (the last cycle ends now) or an RFC 3339 time of its first cycle.
     #[arg(long, default_value = "recorded")]
     start: Start,
@@ -74,9 +78,10 @@ pub async fn replay(args: ReplayArgs) -> anyhow::Result<()> {
         Speed::Max => None,
         Speed::Times(times) => Some(times),
     };
+    let tokens = args.machine_token.map_or(MachineTokens::Make, MachineTokens::Given);
     let mut progress = Progress::for_cycles(plan.cycles.len());
     let options = Options { shift_us, speed, batch: usize::from(args.batch) };
-    let outcome = run(&plan, &client, options, &mut progress).await?;
+    let outcome = run(&plan, &client, tokens, options, &mut progress).await?;
     print!("{}", report::summary(&plan, &outcome));
     print!("{}", report::tools(&plan, &client).await?);
     if args.report {

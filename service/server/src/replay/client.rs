@@ -20,7 +20,7 @@ const LONGEST_TOLD_WAIT: Duration = Duration::from_secs(120);
 const REQUEST_TIME: Duration = Duration::from_secs(60);
 
 /// A client of one service with one token.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Client {
     http: reqwest::Client,
     base: String,
@@ -73,6 +73,11 @@ impl Client {
         Ok(Self { http, base, token, patience })
     }
 
+    /// The same client with another token.
+    pub fn with_token(&self, token: SecretString) -> Self {
+        Self { http: self.http.clone(), base: self.base.clone(), token: Some(token), patience: self.patience }
+    }
+
     /// The service's address.
     pub fn base(&self) -> &str {
         &self.base
@@ -81,6 +86,11 @@ impl Client {
     /// Gets `path`.
     pub async fn get(&self, path: &str) -> Result<Answer, ReplayError> {
         self.send(Method::GET, path, None).await
+    }
+
+    /// Deletes what is at `path`.
+    pub async fn delete(&self, path: &str) -> Result<Answer, ReplayError> {
+        self.send(Method::DELETE, path, None).await
     }
 
     /// Sends `body` as JSON.

@@ -101,11 +101,11 @@ fn optional(text: Option<&String>, dimension: Dimension) -> Result<Option<f64>, 
 
 fn machine_body(rule: &MachineRule, values: &Values) -> Result<Value, String> {
     let mut spindle = Map::new();
-    put(&mut spindle, "load_refers_to", rule.spindle_load_refers_to.clone());
+    put(&mut spindle, "reference", rule.spindle_load_refers_to.clone());
     put(&mut spindle, "rated_power_watts", optional(rule.rated_power.as_ref(), Dimension::Power)?);
     put(&mut spindle, "base_speed_rpm", optional(rule.base_speed.as_ref(), Dimension::Speed)?);
     let mut feed_drive = Map::new();
-    put(&mut feed_drive, "load_refers_to", rule.feed_load_refers_to.clone());
+    put(&mut feed_drive, "reference", rule.feed_load_refers_to.clone());
     put(&mut feed_drive, "rated_thrust_newtons", optional(rule.rated_thrust.as_ref(), Dimension::Force)?);
     Ok(json!({
         "name": rule.name.fill(values)?,
@@ -125,7 +125,7 @@ fn machine_body(rule: &MachineRule, values: &Values) -> Result<Value, String> {
 fn tool_body(rule: &ToolRule, values: &Values) -> Result<Value, String> {
     let mut body = Map::new();
     put(&mut body, "name", Some(rule.name.fill(values)?));
-    put(&mut body, "tool_type", rule.tool_type.clone());
+    put(&mut body, "tool_type", Some(rule.tool_type.clone()));
     put(&mut body, "diameter_mm", optional(rule.diameter.as_ref(), Dimension::Length)?);
     Ok(Value::Object(body))
 }

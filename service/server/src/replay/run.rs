@@ -1,6 +1,7 @@
 //! Posts a plan: registrations first, then cycles in the order of time, each until it is answered.
 
 use super::client::{Answer, Client, describe};
+use super::fleet::{Fleet, MachineTokens};
 use super::plan::rfc3339;
 use super::progress::Progress;
 use super::{Plan, RecordedCycle, ReplayError};
@@ -71,14 +72,31 @@ impl Outcome {
     }
 }
 
-/// Registers and posts everything.
+/// Registers and posts everything. `office` registers and reads; cycles are posted with the machines' own tokens.
 pub async fn run(
     plan: &Plan,
-    client: &Client,
+    office: &Client,
+    tokens: MachineTokens,
     options: Options,
     progress: &mut Progress,
 ) -> Result<Outcome, ReplayError> {
-    register(plan, client, options.shift_us).await?;
+    register(plan, office, options.shift_us).await?;
+    let fleet = Fleet::gather(plan, office, tokens).await?;
+    let posted = post(plan, &fleet, options, progress).await;
+    progress.finish();
+    // Whatever happened, no token stays behind that nobody knows.
+    let dismissed = fleet.dismiss(office).await;
+    let outcome = posted?;
+    dismissed?;
+    Ok(outcome)
+}
+
+async fn post(
+    plan: &Plan,
+    fleet: &Fleet,
+    options: Options,
+    progress: &mut Progress,
+) -> Result<Outcome, ReplayError> {
     let since = Instant::now();
     let mut outcome = Outcome::default();
     let mut rest = plan.cycles.as_slice();
@@ -90,6 +108,7 @@ pub async fn run(
         if let (Some(speed), Some(last)) = (options.speed, group.last()) {
             wait_for(since, last.started_us + last.duration_us - first_us, speed).await;
         }
+        let client = fleet.client(&head.machine);
         if options.batch > 1 {
             post_batch(group, client, options.shift_us, &mut outcome).await?;
         } else {
@@ -98,7 +117,6 @@ pub async fn run(
         progress.advance(group.len(), group[group.len() - 1].tool.as_str());
         rest = tail;
     }
-    progress.finish();
     outcome.elapsed = since.elapsed();
     Ok(outcome)
 }
@@ -154,7 +172,7 @@ fn same_time(value: &Value, at: &str) -> bool {
     value.as_str().and_then(parse).is_some_and(|time| parse(at) == Some(time))
 }
 
-fn expect_success(method: &'static str, path: &str, answer: &Answer) -> Result<(), ReplayError> {
+pub(super) fn expect_success(method: &'static str, path: &str, answer: &Answer) -> Result<(), ReplayError> {
     if answer.status.is_success() {
         return Ok(());
     }

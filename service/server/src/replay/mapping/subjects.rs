@@ -44,7 +44,7 @@ pub struct ToolRule {
     /// What people call it.
     pub name: Template,
     /// Its type.
-    pub tool_type: Option<String>,
+    pub tool_type: String,
     /// Its diameter.
     pub diameter: Option<String>,
     /// How it was mounted before its first recorded cycle.

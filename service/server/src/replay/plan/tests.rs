@@ -88,7 +88,7 @@ fn values_can_be_the_most_frequent_that_counts_and_register_what_they_name() {
         + "[values]\nfeed = { column = \"f\", take = \"most_frequent\", ignore = [\"50\"] }\n\
            [[operation]]\nid = \"f{feed}\"\nname = \"at {feed}\"\nprocess = \"milling\"\n\
            programmed_feed = \"{feed} mm/s\"\n\
-           [[tool]]\nid = \"t\"\nname = \"T\"\nmounted = \"used\"\n";
+           [[tool]]\nid = \"t\"\nname = \"T\"\ntool_type = \"x\"\nmounted = \"used\"\n";
     let text = text.replace("rows = 2", "rows = 4");
     let plan = Plan::read(&text, &files(&["f,p\n50.0,1\n50.0,1\n6.0,1\n50.0,1\n"])).unwrap();
     assert_eq!(plan.cycles[0].operation.as_str(), "f6");
