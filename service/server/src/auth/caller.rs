@@ -1,0 +1,145 @@
+//! The caller of a route: found by token, held against the route's roles.
+
+use super::token::Token;
+use crate::http::problem::Problem;
+use crate::http::routes::Access;
+use crate::state::AppState;
+use axum::extract::{FromRequestParts, RawPathParams, Request, State};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use feedwright_core::ids::MachineId;
+use feedwright_store::{Actor, Role, TokenRecord};
+use http::request::Parts;
+use http::{HeaderMap, HeaderValue, StatusCode, header};
+use std::net::{IpAddr, SocketAddr};
+use subtle::ConstantTimeEq;
+
+/// Who calls. Only [`authorise`] makes one, so a handler that can name the caller has been authorised.
+#[derive(Debug, Clone)]
+pub struct Caller {
+    token: String,
+    role: Role,
+    machine: Option<MachineId>,
+}
+
+impl Caller {
+    /// Who is written into the audit.
+    pub fn actor(&self) -> Actor {
+        Actor { token: self.token.clone(), role: self.role }
+    }
+
+    /// The role it acts in.
+    pub const fn role(&self) -> Role {
+        self.role
+    }
+
+    /// The one machine it is bound to.
+    pub const fn machine(&self) -> Option<&MachineId> {
+        self.machine.as_ref()
+    }
+
+    /// Refuses a machine's token that is not `machine`'s own. [`authorise`] has done so already for a `{machine}` in
+    /// the path; a handler does it for a machine that is named in the query or the body.
+    pub fn must_be_for(&self, machine: &str) -> Result<(), Problem> {
+        let own = match (self.role, &self.machine) {
+            (Role::Machine, Some(own)) => own.as_str() == machine,
+            (Role::Machine, None) => false,
+            _ => true,
+        };
+        if own {
+            return Ok(());
+        }
+        Err(Problem::new(StatusCode::FORBIDDEN, "other_machine", "the token is bound to another machine"))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for Caller {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        let caller = parts.extensions.get::<Self>().cloned();
+        caller.ok_or_else(|| Problem::internal("a handler asks for the caller of an open route"))
+    }
+}
+
+/// Runs before every handler: lets pass who may use the route, and nobody else.
+pub async fn authorise(
+    State((state, access)): State<(AppState, Access)>,
+    params: RawPathParams,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let Access::Roles(roles) = access else {
+        return next.run(request).await;
+    };
+    let peer = request.extensions().get::<Peer>().map(|peer| peer.0.ip());
+    let caller = match authenticate(&state, request.headers(), peer).await {
+        Ok(caller) => caller,
+        Err(problem) => return problem.into_response(),
+    };
+    if !roles.contains(&caller.role) {
+        let detail = format!("the role {} may not do this", caller.role.as_str());
+        return Problem::new(StatusCode::FORBIDDEN, "role_not_allowed", detail).into_response();
+    }
+    if let Some((_, machine)) = params.iter().find(|(name, _)| *name == "machine")
+        && let Err(problem) = caller.must_be_for(machine)
+    {
+        return problem.into_response();
+    }
+    tracing::Span::current().record("token", caller.token.as_str());
+    request.extensions_mut().insert(caller);
+    next.run(request).await
+}
+
+/// The address at the other end of the connection.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Peer(pub(crate) SocketAddr);
+
+async fn authenticate(
+    state: &AppState,
+    headers: &HeaderMap,
+    peer: Option<IpAddr>,
+) -> Result<Caller, Problem> {
+    let Some(presented) = headers.get(header::AUTHORIZATION) else {
+        // Not an attempt to guess: not counted.
+        return Err(challenge("token_missing", "send `Authorization: Bearer <token>`", false));
+    };
+    let text = presented.to_str().ok().and_then(|text| text.split_once(' '));
+    let token = text
+        .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+        .and_then(|(_, token)| Token::parse(token.trim()));
+    let Some(token) = token else {
+        return Err(failed(state, peer, "token_malformed", "this is no token of this service"));
+    };
+    let hash = token.hash();
+    let known = state.store.token_by_hash(&hash).await?;
+    let record = known.filter(|known| bool::from(known.hash.ct_eq(&hash)) && known.id == token.id());
+    match record {
+        None => Err(failed(state, peer, "token_unknown", "the token is not known")),
+        Some(TokenRecord { revoked_at: Some(_), .. }) => {
+            Err(failed(state, peer, "token_revoked", "the token was revoked"))
+        }
+        Some(record) => Ok(Caller { token: record.id, role: record.role, machine: record.machine }),
+    }
+}
+
+/// Counts a failure: 401, or 429 where the address had too many.
+fn failed(state: &AppState, peer: Option<IpAddr>, code: &'static str, detail: &'static str) -> Problem {
+    match state.failed_authentications.count(peer) {
+        None => challenge(code, detail, true),
+        Some(wait) => Problem::new(
+            StatusCode::TOO_MANY_REQUESTS,
+            "too_many_failed_authentications",
+            "too many tokens from this address were refused",
+        )
+        .retry_after(wait),
+    }
+}
+
+fn challenge(code: &'static str, detail: &'static str, presented: bool) -> Problem {
+    let value = match presented {
+        false => HeaderValue::from_static("Bearer realm=\"feedwright\""),
+        true => HeaderValue::from_static("Bearer realm=\"feedwright\", error=\"invalid_token\""),
+    };
+    Problem::new(StatusCode::UNAUTHORIZED, code, detail).header(header::WWW_AUTHENTICATE, value)
+}

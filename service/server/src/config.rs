@@ -1,0 +1,305 @@
+//! What can be configured: the embedded defaults, a file, the environment and flags, in that order.
+//!
+//! A new setting is a commented line in `default.toml`, a field here with the same name, and a check in
+//! [`Config::check`] where not every value makes sense. The default file is the schema: a key that it lacks is
+//! refused. Reading a setting anywhere but from a [`Config`] does not belong in this crate.
+
+mod layers;
+
+pub use layers::{ConfigError, Origin, Sources};
+
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_store::QuarantineBounds;
+use secrecy::{ExposeSecret, SecretString};
+use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The configuration in force; running never changes it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where the data is kept.
+    pub data_dir: PathBuf,
+    /// Listener and its bounds.
+    pub server: ServerConfig,
+    /// The database.
+    pub database: DatabaseConfig,
+    /// Bounds of what is taken in and given out.
+    pub limits: Limits,
+    /// Bounds of the quarantine.
+    pub quarantine: QuarantineConfig,
+    /// How long recommendations and data stay good.
+    pub recommendation: RecommendationConfig,
+    /// The metrics' own listener.
+    pub metrics: MetricsConfig,
+    /// Logging.
+    pub log: LogConfig,
+    /// Every leaf as it is printed, with where it came from.
+    #[serde(skip)]
+    pub(crate) printed: BTreeMap<String, (String, Origin)>,
+}
+
+/// Listener and its bounds.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServerConfig {
+    /// Address and port of the API.
+    pub listen: SocketAddr,
+    /// Whether plain HTTP may be served on an address that other machines reach.
+    pub allow_plain_http_on_public_address: bool,
+    /// Connections served at a time.
+    pub max_connections: usize,
+    /// Time for a request's head, ms.
+    pub header_read_timeout_ms: u64,
+    /// Time that a body may stand still, ms.
+    pub body_stall_timeout_ms: u64,
+    /// Time for a whole body, ms.
+    pub body_read_timeout_ms: u64,
+    /// Time for a shutdown, ms.
+    pub shutdown_timeout_ms: u64,
+    /// Failed authentications of one address in a minute.
+    pub failed_auth_per_minute: u32,
+}
+
+impl ServerConfig {
+    /// Time for a request's head, and for silence between requests.
+    pub const fn header_read_timeout(&self) -> Duration {
+        Duration::from_millis(self.header_read_timeout_ms)
+    }
+
+    /// Time that a body may stand still.
+    pub const fn body_stall_timeout(&self) -> Duration {
+        Duration::from_millis(self.body_stall_timeout_ms)
+    }
+
+    /// Time for a whole body.
+    pub const fn body_read_timeout(&self) -> Duration {
+        Duration::from_millis(self.body_read_timeout_ms)
+    }
+
+    /// Time for a shutdown.
+    pub const fn shutdown_timeout(&self) -> Duration {
+        Duration::from_millis(self.shutdown_timeout_ms)
+    }
+}
+
+/// The database.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DatabaseConfig {
+    /// Where it is; empty for SQLite in the data directory. Holds a password, so it prints hidden.
+    #[serde(deserialize_with = "secret")]
+    pub url: SecretString,
+}
+
+/// Which database engine is used.
+#[derive(Debug, Clone)]
+pub enum Engine {
+    /// SQLite in this file.
+    Sqlite(PathBuf),
+    /// PostgreSQL at this address.
+    Postgres(SecretString),
+}
+
+/// Bounds of what is taken in and given out.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limits {
+    /// Largest body as it is sent, bytes.
+    pub body_bytes: usize,
+    /// Largest body after decompression, bytes.
+    pub decoded_bytes: usize,
+    /// Largest body of a registration, bytes.
+    pub registration_bytes: usize,
+    /// Samples in one cycle.
+    pub samples_per_cycle: usize,
+    /// Lines in one batch.
+    pub batch_lines: usize,
+    /// Cycles waiting for the writer.
+    pub queue_length: usize,
+    /// Cycles committed in one transaction.
+    pub group_size: usize,
+    /// Rows in a page where no number is asked for.
+    pub default_page_size: u32,
+    /// Most rows in a page.
+    pub max_page_size: u32,
+    /// Machines that have a metric of their own.
+    pub metric_machines: usize,
+}
+
+/// Bounds of the quarantine.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuarantineConfig {
+    /// Most unsettled entries.
+    pub entries: u64,
+    /// Most bytes of unsettled bodies.
+    pub bytes: u64,
+}
+
+impl QuarantineConfig {
+    /// The bounds as the store takes them.
+    pub const fn bounds(&self) -> QuarantineBounds {
+        QuarantineBounds { entries: self.entries, bytes: self.bytes }
+    }
+}
+
+/// How long recommendations and data stay good.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecommendationConfig {
+    /// A recommendation is valid for so long, ms.
+    pub validity_ms: i64,
+    /// Data older than this is stale, ms.
+    pub stale_after_ms: i64,
+}
+
+impl RecommendationConfig {
+    /// The settings as the rules take them.
+    pub const fn settings(&self) -> RecommendSettings {
+        RecommendSettings { validity_ms: self.validity_ms, stale_after_ms: self.stale_after_ms }
+    }
+}
+
+/// The metrics' own listener.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MetricsConfig {
+    /// Address and port where metrics are served without a token.
+    #[serde(deserialize_with = "address_or_none")]
+    pub listen: Option<SocketAddr>,
+}
+
+/// Logging.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LogConfig {
+    /// How lines look.
+    pub format: LogFormat,
+    /// Which lines are written.
+    pub level: String,
+}
+
+/// How log lines look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// A JSON object a line.
+    Json,
+}
+
+fn secret<'de, D: Deserializer<'de>>(from: D) -> Result<SecretString, D::Error> {
+    String::deserialize(from).map(SecretString::from)
+}
+
+fn address_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SocketAddr>, D::Error> {
+    let text = String::deserialize(from)?;
+    if text.is_empty() {
+        return Ok(None);
+    }
+    text.parse().map(Some).map_err(serde::de::Error::custom)
+}
+
+impl Config {
+    /// Reads the layers, refuses unknown keys and wrong types, and checks the values.
+    pub fn load(sources: &Sources) -> Result<Self, ConfigError> {
+        let config = layers::merge(sources)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// The defaults, with a data directory and any free port of the loopback: for tests and the demo.
+    pub fn for_tests(data_dir: PathBuf) -> Result<Self, ConfigError> {
+        let flags = vec![
+            ("data_dir".to_owned(), data_dir.to_string_lossy().into_owned()),
+            ("server.listen".to_owned(), "127.0.0.1:0".to_owned()),
+        ];
+        Self::load(&Sources { flags, ..Sources::default() })
+    }
+
+    /// Which database engine is used.
+    pub fn engine(&self) -> Engine {
+        if self.database.url.expose_secret().is_empty() {
+            Engine::Sqlite(self.data_dir.join("feedwright.sqlite3"))
+        } else {
+            Engine::Postgres(self.database.url.clone())
+        }
+    }
+
+    /// One line per setting: name, value with secrets hidden, and where it came from.
+    pub fn print(&self) -> String {
+        let lines =
+            self.printed.iter().map(|(name, (value, origin))| format!("{name} = {value}  # {origin}\n"));
+        lines.collect()
+    }
+
+    fn check(&self) -> Result<(), ConfigError> {
+        let mut wrong = Vec::new();
+        let mut must = |holds: bool, path: &str, what: &str| {
+            if !holds {
+                wrong.push(format!("{path}: {what}"));
+            }
+        };
+        let allowed = self.server.allow_plain_http_on_public_address;
+        for (path, address) in
+            [("server.listen", Some(self.server.listen)), ("metrics.listen", self.metrics.listen)]
+        {
+            must(
+                address.is_none_or(|address| allowed || address.ip().is_loopback()),
+                path,
+                "other machines reach this address and plain HTTP would show tokens and data to the network; \
+                 listen on 127.0.0.1 or ::1, or set server.allow_plain_http_on_public_address where TLS is \
+                 ended by something in front",
+            );
+        }
+        let url = self.database.url.expose_secret();
+        let postgres = url.starts_with("postgres://") || url.starts_with("postgresql://");
+        must(url.is_empty() || postgres, "database.url", "must be empty or begin with postgres://");
+        must(!self.data_dir.as_os_str().is_empty(), "data_dir", "must not be empty");
+        must((1..=65_536).contains(&self.server.max_connections), "server.max_connections", "1 to 65536");
+        for (path, value, most) in [
+            ("server.header_read_timeout_ms", self.server.header_read_timeout_ms, 600_000),
+            ("server.body_stall_timeout_ms", self.server.body_stall_timeout_ms, 600_000),
+            ("server.body_read_timeout_ms", self.server.body_read_timeout_ms, 3_600_000),
+            ("server.shutdown_timeout_ms", self.server.shutdown_timeout_ms, 600_000),
+            ("quarantine.entries", self.quarantine.entries, 10_000_000),
+            ("quarantine.bytes", self.quarantine.bytes, 1 << 40),
+            ("recommendation.validity_ms", self.recommendation.validity_ms.max(0).unsigned_abs(), 86_400_000),
+            (
+                "recommendation.stale_after_ms",
+                self.recommendation.stale_after_ms.max(0).unsigned_abs(),
+                366 * 86_400_000,
+            ),
+        ] {
+            must((1..=most).contains(&value), path, &format!("1 to {most}"));
+        }
+        for (path, value, most) in [
+            ("limits.body_bytes", self.limits.body_bytes, 1 << 30),
+            ("limits.decoded_bytes", self.limits.decoded_bytes, 1 << 31),
+            ("limits.registration_bytes", self.limits.registration_bytes, 1 << 24),
+            ("limits.samples_per_cycle", self.limits.samples_per_cycle, 10_000_000),
+            ("limits.batch_lines", self.limits.batch_lines, 1_000_000),
+            ("limits.queue_length", self.limits.queue_length, 1_000_000),
+            ("limits.group_size", self.limits.group_size, 10_000),
+            ("limits.metric_machines", self.limits.metric_machines, 10_000),
+        ] {
+            must((1..=most).contains(&value), path, &format!("1 to {most}"));
+        }
+        let (default, most) = (self.limits.default_page_size, self.limits.max_page_size);
+        must((1..=10_000).contains(&most), "limits.max_page_size", "1 to 10000");
+        must((1..=most).contains(&default), "limits.default_page_size", "1 to limits.max_page_size");
+        must(
+            (1..=100_000).contains(&self.server.failed_auth_per_minute),
+            "server.failed_auth_per_minute",
+            "1 to 100000",
+        );
+        let directives = tracing_subscriber::EnvFilter::try_new(&self.log.level);
+        must(directives.is_ok(), "log.level", "must be a level or directives");
+        if wrong.is_empty() { Ok(()) } else { Err(ConfigError::Invalid(wrong)) }
+    }
+}

@@ -1,0 +1,20 @@
+//! The API: a handler per route, bound together by one table.
+//!
+//! A new route is a handler with its `#[utoipa::path]` in the file of its noun, its bodies in `dto/`, and a line with
+//! its roles in [`routes::table`]; nothing else mounts it, describes it or lets anybody use it.
+//! Handlers are thin: decide by one pure call, save, reply. SQL and science do not belong here.
+
+pub mod body;
+pub mod cursor;
+pub mod dto;
+pub mod edge;
+pub mod extract;
+pub mod openapi;
+pub mod precondition;
+pub mod problem;
+pub mod routes;
+
+mod health;
+mod viewer;
+
+pub use routes::{metrics_router, router};

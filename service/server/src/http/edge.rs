@@ -1,0 +1,93 @@
+//! The outermost layer: request id, log line, metrics, panics, and the rendering of problems.
+
+use super::problem::Problem;
+use crate::auth::Peer;
+use crate::state::AppState;
+use axum::extract::{MatchedPath, Request, State};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use futures_util::FutureExt;
+use http::{HeaderName, HeaderValue, StatusCode, header};
+use std::panic::AssertUnwindSafe;
+use std::time::Instant;
+use tracing::Instrument;
+
+static REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+/// Longest request id that is taken over from a client; the log is not its notebook.
+const MAX_REQUEST_ID: usize = 64;
+
+/// The name of a request in the log and in problem documents.
+#[derive(Debug, Clone)]
+pub struct RequestId(pub String);
+
+/// Answers one request.
+pub(crate) async fn answer(State(state): State<AppState>, mut request: Request, next: Next) -> Response {
+    let begun = Instant::now();
+    let id = request_id(&request);
+    request.extensions_mut().insert(RequestId(id.clone()));
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let route = route.as_ref().map_or("unmatched", MatchedPath::as_str);
+    let peer = request.extensions().get::<Peer>().map(|peer| tracing::field::display(peer.0));
+    let span = tracing::info_span!("request", id, %method, route, peer, token = tracing::field::Empty);
+
+    let ran = AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await;
+    let response = ran.unwrap_or_else(|_| Problem::internal("a handler panicked").into_response());
+    let mut response = finish(response, &id, &span);
+
+    let status = response.status();
+    let elapsed = begun.elapsed();
+    state.metrics.http(route, &method, status, elapsed);
+    span.in_scope(|| {
+        let elapsed_ms = elapsed.as_secs_f64() * 1000.0;
+        tracing::info!(status = status.as_u16(), elapsed_ms, "answered");
+    });
+    let headers = response.headers_mut();
+    if let Ok(id) = HeaderValue::try_from(id) {
+        headers.insert(REQUEST_ID.clone(), id);
+    }
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+    response
+}
+
+fn request_id(request: &Request) -> String {
+    let given = request.headers().get(&REQUEST_ID).and_then(|id| id.to_str().ok());
+    let sane = |id: &&str| {
+        let plain = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.');
+        (1..=MAX_REQUEST_ID).contains(&id.len()) && id.bytes().all(plain)
+    };
+    given.filter(sane).map_or_else(|| uuid::Uuid::now_v7().to_string(), str::to_owned)
+}
+
+/// Renders a problem with the request's id, and logs its private part, once.
+fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
+    let problem = response.extensions_mut().remove::<Problem>().or_else(|| stray(&response));
+    let Some(problem) = problem else {
+        return response;
+    };
+    if let Some(private) = &problem.private {
+        span.in_scope(|| tracing::error!(code = problem.code, private, "request failed"));
+    }
+    let mut rendered = problem.render(Some(id));
+    // Such as `Allow`, which the router adds to a 405.
+    for (name, value) in response.headers() {
+        if *name != header::CONTENT_LENGTH && !rendered.headers().contains_key(name) {
+            rendered.headers_mut().append(name, value.clone());
+        }
+    }
+    rendered
+}
+
+/// The problem for an error answer that no code of this crate made, such as a library's rejection.
+fn stray(response: &Response) -> Option<Problem> {
+    let status = response.status();
+    let is_error = status.is_client_error() || status.is_server_error();
+    let code = match status {
+        StatusCode::METHOD_NOT_ALLOWED => "method_not_allowed",
+        StatusCode::NOT_FOUND => "not_found",
+        _ if status.is_client_error() => "bad_request",
+        _ => "internal_error",
+    };
+    is_error.then(|| Problem::new(status, code, status.canonical_reason().unwrap_or("error")))
+}

@@ -1,0 +1,100 @@
+//! What handlers take out of paths and queries.
+
+use super::problem::Problem;
+use axum::extract::{FromRequestParts, RawPathParams};
+use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::invalid::Violation;
+use http::request::Parts;
+use serde::de::DeserializeOwned;
+
+/// An identifier that stands in the path under its own name.
+pub trait InPath: Sized {
+    /// The parameter's name in the path.
+    const NAME: &'static str;
+
+    /// Reads it.
+    fn read(text: &str) -> Result<Self, Violation>;
+}
+
+macro_rules! in_path {
+    ($($id:ty, $name:literal;)*) => {$(
+        impl InPath for $id {
+            const NAME: &'static str = $name;
+
+            fn read(text: &str) -> Result<Self, Violation> {
+                Self::parse($name, text)
+            }
+        }
+    )*};
+}
+
+in_path! {
+    MachineId, "machine";
+    ToolId, "tool";
+    OperationId, "operation";
+    CycleId, "cycle_id";
+    RecommendationId, "recommendation_id";
+}
+
+/// A number of a row.
+impl InPath for i64 {
+    const NAME: &'static str = "id";
+
+    fn read(text: &str) -> Result<Self, Violation> {
+        text.parse().map_err(|_| Violation::new("id", "invalid_id", "must be a whole number"))
+    }
+}
+
+/// The id of a row as the store made it.
+impl InPath for String {
+    const NAME: &'static str = "id";
+
+    fn read(text: &str) -> Result<Self, Violation> {
+        feedwright_core::ids::CycleId::parse("id", text).map(|id| id.as_str().to_owned())
+    }
+}
+
+/// One identifier of the path; a handler may take several of different types.
+#[derive(Debug)]
+pub struct PathId<T>(pub T);
+
+impl<T: InPath, S: Send + Sync> FromRequestParts<S> for PathId<T> {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let params = RawPathParams::from_request_parts(parts, state)
+            .await
+            .map_err(|_| Problem::bad_request("invalid_path", "the path is not UTF-8"))?;
+        let text = params.iter().find(|(name, _)| *name == T::NAME).map(|(_, text)| text);
+        let text = text.ok_or_else(|| Problem::internal(format!("the path has no {}", T::NAME)))?;
+        let id = T::read(text);
+        id.map(Self).map_err(|violation| {
+            let detail = violation.to_string();
+            Problem { errors: vec![violation], ..Problem::bad_request("invalid_path", detail) }
+        })
+    }
+}
+
+/// The query; its type denies unknown parameters.
+#[derive(Debug)]
+pub struct Query<T>(pub T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let read = axum::extract::Query::<T>::from_request_parts(parts, state).await;
+        read.map(|query| Self(query.0))
+            .map_err(|rejection| Problem::bad_request("invalid_query", rejection.body_text()))
+    }
+}
+
+/// Reads an identifier of the query: 400 with its name.
+pub fn query_id<T: for<'a> TryFrom<&'a str, Error = Violation>>(
+    text: Option<&str>,
+) -> Result<Option<T>, Problem> {
+    text.map(T::try_from).transpose().map_err(|violation| {
+        let detail = violation.to_string();
+        Problem { errors: vec![violation], ..Problem::bad_request("invalid_query", detail) }
+    })
+}

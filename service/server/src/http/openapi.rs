@@ -1,0 +1,83 @@
+//! The description of the API, made from the table of routes.
+
+use super::problem::ProblemDocument;
+use super::routes::{Access, table};
+use axum::response::{IntoResponse, Response};
+use http::header;
+use std::sync::LazyLock;
+use utoipa::openapi::path::{Operation, PathItem};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::{Components, ContentBuilder, InfoBuilder, OpenApi, Paths, Ref, RefOr, ResponseBuilder};
+use utoipa::{PartialSchema, ToSchema};
+
+/// The description as JSON, made once.
+static JSON: LazyLock<Result<String, String>> = LazyLock::new(json);
+
+/// The description of the API: OpenAPI 3.1.
+#[utoipa::path(get, path = "/openapi.json", tag = "service", responses((status = 200, body = Object)))]
+pub(super) async fn document() -> Response {
+    match JSON.as_ref() {
+        Ok(json) => ([(header::CONTENT_TYPE, "application/json")], json.as_str()).into_response(),
+        Err(error) => super::problem::Problem::internal(error.as_str()).into_response(),
+    }
+}
+
+/// The description as JSON, as it is checked in.
+pub fn json() -> Result<String, String> {
+    let json = describe().to_pretty_json().map_err(|error| error.to_string())?;
+    Ok(json + "\n")
+}
+
+fn describe() -> OpenApi {
+    let info = InfoBuilder::new()
+        .title("Feedwright")
+        .version("1")
+        .description(Some("Machining cycles in; tool wear and recommendations out."))
+        .build();
+    let mut paths = Paths::new();
+    let mut components = Components::new();
+    let mut nested = Vec::new();
+    ProblemDocument::schemas(&mut nested);
+    components.schemas.insert(ProblemDocument::name().into_owned(), ProblemDocument::schema());
+    components.schemas.extend(nested);
+    for (path, mut item, schemas, access) in table().into_iter().filter_map(super::routes::Route::description)
+    {
+        for operation in operations(&mut item) {
+            secure(operation, access);
+        }
+        components.schemas.extend(schemas);
+        match paths.paths.get_mut(&path) {
+            Some(known) => known.merge_operations(item),
+            None => {
+                paths.paths.insert(path, item);
+            }
+        }
+    }
+    let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).bearer_format("fwt").build();
+    components.add_security_scheme("token", SecurityScheme::Http(bearer));
+    let mut openapi = OpenApi::new(info, paths);
+    openapi.components = Some(components);
+    openapi
+}
+
+fn operations(item: &mut PathItem) -> impl Iterator<Item = &mut Operation> {
+    [&mut item.get, &mut item.put, &mut item.post, &mut item.delete].into_iter().flatten()
+}
+
+/// Says who may use it, and that every error is a problem document.
+fn secure(operation: &mut Operation, access: Access) {
+    if let Access::Roles(roles) = access {
+        operation.security = Some(vec![SecurityRequirement::new("token", Vec::<String>::new())]);
+        let roles: Vec<_> = roles.iter().map(|role| role.as_str()).collect();
+        let line = format!("Roles: {}.", roles.join(", "));
+        let before = operation.description.take().filter(|text| !text.is_empty());
+        operation.description = Some(before.map_or(line.clone(), |text| format!("{text}\n\n{line}")));
+    }
+    let schema = Ref::from_schema_name(ProblemDocument::name());
+    let content = ContentBuilder::new().schema(Some(schema)).build();
+    let response = ResponseBuilder::new()
+        .description("What went wrong, as a problem document (RFC 9457).")
+        .content("application/problem+json", content)
+        .build();
+    operation.responses.responses.insert("default".to_owned(), RefOr::T(response));
+}

@@ -1,0 +1,164 @@
+//! The one table of routes and roles.
+
+use super::{edge, health, openapi, viewer};
+use crate::auth::authorise;
+use crate::http::problem::Problem;
+use crate::state::AppState;
+use axum::extract::DefaultBodyLimit;
+use axum::middleware::from_fn_with_state;
+use axum::routing::{MethodRouter, get};
+use axum::{Router, response::IntoResponse, response::Response};
+use feedwright_store::Role;
+use http::{Method, StatusCode, Uri};
+use utoipa::openapi::path::PathItem;
+use utoipa::openapi::{RefOr, Schema};
+use utoipa_axum::router::UtoipaMethodRouter;
+use utoipa_axum::routes;
+
+/// Who may use a route.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Everyone, without a token.
+    Open,
+    /// Tokens of these roles; a machine's only for the machine named in the path.
+    Roles(&'static [Role]),
+}
+
+/// Reads everything but secrets.
+pub const READ: Access = Access::Roles(&[Role::Viewer, Role::Engineer, Role::Approver, Role::Admin]);
+/// Reads, and a machine its own.
+pub const READ_OR_OWN: Access = Access::Roles(&Role::ALL);
+/// A machine writes its own.
+pub const OWN: Access = Access::Roles(&[Role::Machine]);
+/// Registers, resets, acknowledges, repairs.
+pub const ENGINEER: Access = Access::Roles(&[Role::Engineer, Role::Admin]);
+/// Manages identities.
+pub const ADMIN: Access = Access::Roles(&[Role::Admin]);
+
+/// How large a body a route takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum BodyLimit {
+    /// `limits.registration_bytes`.
+    Registration,
+    /// `limits.body_bytes`.
+    Cycles,
+}
+
+/// One route: method, path, who may use it, and what answers.
+pub struct Route {
+    method: Method,
+    path: String,
+    access: Access,
+    body: BodyLimit,
+    item: Option<PathItem>,
+    schemas: Vec<(String, RefOr<Schema>)>,
+    handler: MethodRouter<AppState>,
+}
+
+impl Route {
+    /// A route that describes itself: `routes!(handler)` with exactly one handler.
+    fn new((schemas, paths, handler): UtoipaMethodRouter<AppState>, access: Access) -> Self {
+        let (path, item) = paths.paths.into_iter().next().unwrap_or_default();
+        let method = match &item {
+            PathItem { put: Some(_), .. } => Method::PUT,
+            PathItem { post: Some(_), .. } => Method::POST,
+            PathItem { delete: Some(_), .. } => Method::DELETE,
+            _ => Method::GET,
+        };
+        Self { method, path, access, body: BodyLimit::Registration, item: Some(item), schemas, handler }
+    }
+
+    /// A page of the embedded viewer: not part of the described API.
+    fn page(path: &str, handler: MethodRouter<AppState>) -> Self {
+        Self {
+            method: Method::GET,
+            path: path.to_owned(),
+            access: Access::Open,
+            body: BodyLimit::Registration,
+            item: None,
+            schemas: Vec::new(),
+            handler,
+        }
+    }
+
+    /// Takes bodies up to `limits.body_bytes`.
+    #[must_use]
+    pub fn takes_cycles(self) -> Self {
+        Self { body: BodyLimit::Cycles, ..self }
+    }
+
+    /// The method.
+    pub const fn method(&self) -> &Method {
+        &self.method
+    }
+
+    /// The path with its parameters in braces.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
+    /// Who may use it.
+    pub const fn access(&self) -> Access {
+        self.access
+    }
+
+    /// What it adds to the description of the API.
+    pub(super) fn description(self) -> Option<(String, PathItem, Vec<(String, RefOr<Schema>)>, Access)> {
+        let item = self.item?;
+        Some((self.path, item, self.schemas, self.access))
+    }
+}
+
+/// Every route there is.
+pub fn table() -> Vec<Route> {
+    vec![
+        Route::new(routes!(health::healthz), Access::Open),
+        Route::new(routes!(health::readyz), Access::Open),
+        Route::new(routes!(health::metrics), READ),
+        Route::new(routes!(openapi::document), Access::Open),
+        Route::page("/docs", get(viewer::index)),
+        Route::page("/docs/", get(viewer::root)),
+        Route::page("/docs/{*file}", get(viewer::file)),
+    ]
+}
+
+/// The router over the table.
+pub fn router(state: AppState) -> Router {
+    let limits = state.config.limits;
+    let mut router = Router::new();
+    for Route { path, access, body, handler, .. } in table() {
+        let limit = match body {
+            BodyLimit::Registration => limits.registration_bytes,
+            BodyLimit::Cycles => limits.body_bytes,
+        };
+        let guard = from_fn_with_state((state.clone(), access), authorise);
+        // Layers run from the last to the first: nobody's body is read before their token.
+        let handler = handler.route_layer(DefaultBodyLimit::max(limit)).route_layer(guard);
+        router = router.route(&path, handler);
+    }
+    router
+        .fallback(unknown_path)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(from_fn_with_state(state.clone(), edge::answer))
+        .with_state(state)
+}
+
+/// The router of the metrics' own listener: it needs no token, and has nothing else.
+pub fn metrics_router(state: AppState) -> Router {
+    Router::new()
+        .route("/metrics", get(health::metrics))
+        .fallback(unknown_path)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(from_fn_with_state(state.clone(), edge::answer))
+        .with_state(state)
+}
+
+async fn unknown_path(uri: Uri) -> Response {
+    Problem::new(StatusCode::NOT_FOUND, "unknown_path", format!("there is nothing at {}", uri.path()))
+        .into_response()
+}
+
+async fn wrong_method(method: Method) -> Response {
+    let detail = format!("{method} is not possible here");
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", detail).into_response()
+}

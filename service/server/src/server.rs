@@ -1,0 +1,164 @@
+//! The server as a value: started, reached at its address, and shut down in a fixed order.
+//!
+//! Shutdown, in this order and nowhere else: intake (listeners close, no new requests), queue (what was taken in is
+//! written), writer (it ends), sockets (answered requests leave, the rest is cut), pool (the store closes).
+
+mod accept;
+mod body;
+
+pub use body::BodyTooSlow;
+
+use crate::auth::Issued;
+use crate::clock::Clock;
+use crate::config::Config;
+use crate::http;
+use crate::lifecycle::Lifecycle;
+use crate::metrics::Metrics;
+use crate::state::{AppState, Intake};
+use accept::Acceptor;
+use feedwright_store::{Actor, Page, Role, Store, StoreError};
+use secrecy::SecretString;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use tokio::net::TcpListener;
+
+/// Why a server does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The address is taken or not ours.
+    #[error("cannot listen on {address}")]
+    Listen {
+        /// Which address.
+        address: SocketAddr,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The store fails.
+    #[error("the database does not work")]
+    Store(#[from] StoreError),
+    /// A metric is registered twice.
+    #[error("the metrics cannot be registered")]
+    Metrics(#[from] prometheus::Error),
+    /// The system has no randomness for the first token.
+    #[error("the system has no randomness")]
+    Randomness(#[from] getrandom::Error),
+}
+
+/// Why a shutdown was not clean.
+#[derive(Debug, thiserror::Error)]
+pub enum ShutdownError {
+    /// It took longer than configured; what was not acknowledged may not be committed.
+    #[error("the shutdown took longer than configured")]
+    TooLate,
+    /// A part of it panicked.
+    #[error("the shutdown failed")]
+    Failed(#[from] tokio::task::JoinError),
+}
+
+/// Starts servers.
+#[derive(Debug)]
+pub struct Server;
+
+impl Server {
+    /// Listens and serves. On a store without any token it makes an admin's, which is found in the result, once.
+    pub async fn start(
+        config: Config,
+        store: Arc<dyn Store>,
+        clock: Clock,
+        intake: impl FnOnce(&Lifecycle, &Arc<Metrics>) -> Option<Arc<dyn Intake>>,
+    ) -> Result<RunningServer, StartError> {
+        let listener = listen(config.server.listen).await?;
+        let metrics_listener = match config.metrics.listen {
+            Some(address) => Some(listen(address).await?),
+            None => None,
+        };
+        let first_admin_token = first_admin_token(&store, &clock).await?;
+        let metrics = Arc::new(Metrics::new(config.limits.metric_machines)?);
+        let lifecycle = Lifecycle::default();
+        let intake = intake(&lifecycle, &metrics);
+        let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
+        let local_addr = address(&listener, state.config.server.listen)?;
+        let metrics_addr = match (&metrics_listener, state.config.metrics.listen) {
+            (Some(listener), Some(asked)) => Some(address(listener, asked)?),
+            _ => None,
+        };
+        let acceptor = Acceptor::new(state.clone());
+        acceptor.accept(listener, http::router(state.clone()));
+        if let Some(listener) = metrics_listener {
+            acceptor.accept(listener, http::metrics_router(state.clone()));
+        }
+        Ok(RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor })
+    }
+}
+
+async fn listen(address: SocketAddr) -> Result<TcpListener, StartError> {
+    TcpListener::bind(address).await.map_err(|source| StartError::Listen { address, source })
+}
+
+fn address(listener: &TcpListener, asked: SocketAddr) -> Result<SocketAddr, StartError> {
+    listener.local_addr().map_err(|source| StartError::Listen { address: asked, source })
+}
+
+/// Makes an admin's token where there is none at all: otherwise nobody could ever make one.
+async fn first_admin_token(
+    store: &Arc<dyn Store>,
+    clock: &Clock,
+) -> Result<Option<SecretString>, StartError> {
+    if !store.tokens(Page { after: None, limit: 1 }).await?.is_empty() {
+        return Ok(None);
+    }
+    let issued = Issued::new("first start", Role::Admin, None, clock)?;
+    let actor = Actor { token: "cli".to_owned(), role: Role::Admin };
+    store.create_token(issued.record, &actor).await?;
+    Ok(Some(issued.text))
+}
+
+/// A server that serves.
+pub struct RunningServer {
+    /// Where the API is reached.
+    pub local_addr: SocketAddr,
+    /// Where metrics are reached without a token, where that is configured.
+    pub metrics_addr: Option<SocketAddr>,
+    /// The admin's token that was made at the first start. It is nowhere else.
+    pub first_admin_token: Option<SecretString>,
+    state: AppState,
+    acceptor: Acceptor,
+}
+
+impl RunningServer {
+    /// What its handlers reach.
+    pub const fn state(&self) -> &AppState {
+        &self.state
+    }
+
+    /// Ends when the server cannot do its work any more, with the reason; the caller shuts it down then.
+    pub async fn failed(&self) -> String {
+        self.state.lifecycle.failed().await
+    }
+
+    /// Shuts down in the order that this module's doc gives, within the configured time.
+    pub async fn shutdown(self) -> Result<(), ShutdownError> {
+        let limit = self.state.config.server.shutdown_timeout();
+        // A task of its own: the time limit gives up waiting, it cancels no database future.
+        let steps = tokio::spawn(self.shut_down_in_order());
+        match tokio::time::timeout(limit, steps).await {
+            Ok(ended) => Ok(ended?),
+            Err(_) => Err(ShutdownError::TooLate),
+        }
+    }
+
+    async fn shut_down_in_order(self) {
+        let Self { state, acceptor, .. } = self;
+        tracing::info!("shutting down");
+        state.lifecycle.stop();
+        acceptor.listeners_closed().await;
+        if let Some(intake) = &state.intake {
+            intake.drain().await;
+        }
+        // Half of the time belongs to clients that still read their answers; the other half to the store.
+        acceptor.close(state.config.server.shutdown_timeout() / 2).await;
+        state.lifecycle.tasks_ended().await;
+        state.store.close().await;
+        tracing::info!("shut down");
+    }
+}

@@ -1,0 +1,130 @@
+//! The accept loop: a bound on connections, and on the time a silent one is kept.
+
+use super::body::TimedBody;
+use crate::auth::Peer;
+use crate::state::AppState;
+use axum::Router;
+use axum::body::Body;
+use http::Request;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use std::net::SocketAddr;
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+use tower::ServiceExt;
+
+/// Largest head of a request, and how much of a body is buffered by the connection.
+const BUFFER: usize = 64 * 1024;
+/// Waits so long after a failed accept: out of file descriptors is not cured by asking again at once.
+const AFTER_FAILED_ACCEPT: Duration = Duration::from_millis(100);
+
+/// Accepts connections and serves them.
+#[derive(Clone)]
+pub(super) struct Acceptor {
+    state: AppState,
+    permits: Arc<Semaphore>,
+    listeners: TaskTracker,
+    connections: TaskTracker,
+    cut: CancellationToken,
+}
+
+impl Acceptor {
+    pub(super) fn new(state: AppState) -> Self {
+        let permits = Arc::new(Semaphore::new(state.config.server.max_connections));
+        Self {
+            state,
+            permits,
+            listeners: TaskTracker::new(),
+            connections: TaskTracker::new(),
+            cut: CancellationToken::new(),
+        }
+    }
+
+    /// Serves what connects to `listener` until the shutdown begins.
+    pub(super) fn accept(&self, listener: TcpListener, router: Router) {
+        let (this, stopping) = (self.clone(), self.state.clone());
+        self.listeners.spawn(async move {
+            tokio::select! {
+                () = this.accept_forever(&listener, &router) => {}
+                () = stopping.lifecycle.stopping() => {}
+            }
+        });
+    }
+
+    async fn accept_forever(&self, listener: &TcpListener, router: &Router) {
+        loop {
+            // The permit comes first: beyond the bound, connections wait in the kernel's backlog, which is bounded.
+            let Ok(permit) = self.permits.clone().acquire_owned().await else { return };
+            match listener.accept().await {
+                Ok((stream, peer)) => {
+                    let (this, router) = (self.clone(), router.clone());
+                    self.connections.spawn(async move {
+                        let open = this.state.metrics.connections();
+                        open.inc();
+                        tokio::select! {
+                            () = this.serve(stream, peer, router) => {}
+                            () = this.cut.cancelled() => tracing::warn!(%peer, "connection cut at shutdown"),
+                        }
+                        open.dec();
+                        drop(permit);
+                    });
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "cannot accept");
+                    tokio::time::sleep(AFTER_FAILED_ACCEPT).await;
+                }
+            }
+        }
+    }
+
+    async fn serve(&self, stream: TcpStream, peer: SocketAddr, router: Router) {
+        let config = &self.state.config.server;
+        // Answers are small and wanted at once.
+        let _ = stream.set_nodelay(true);
+        let (stall, total) = (config.body_stall_timeout(), config.body_read_timeout());
+        let service = service_fn(move |request: Request<Incoming>| {
+            let mut request = request.map(|body| Body::new(TimedBody::new(body, stall, total)));
+            request.extensions_mut().insert(Peer(peer));
+            router.clone().oneshot(request)
+        });
+        let connection = http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(config.header_read_timeout())
+            .max_buf_size(BUFFER)
+            .serve_connection(TokioIo::new(stream), service)
+            .with_upgrades();
+        let mut connection = pin!(connection);
+        let ended = tokio::select! {
+            ended = connection.as_mut() => ended,
+            () = self.state.lifecycle.stopping() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+        };
+        if let Err(error) = ended {
+            tracing::debug!(%peer, %error, "connection ended");
+        }
+    }
+
+    /// Ends when nothing new is accepted.
+    pub(super) async fn listeners_closed(&self) {
+        self.listeners.close();
+        self.listeners.wait().await;
+    }
+
+    /// Waits for the connections; cuts those that are left after `patience`.
+    pub(super) async fn close(&self, patience: Duration) {
+        self.connections.close();
+        if tokio::time::timeout(patience, self.connections.wait()).await.is_err() {
+            self.cut.cancel();
+            self.connections.wait().await;
+        }
+    }
+}

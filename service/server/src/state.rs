@@ -1,0 +1,103 @@
+//! What every handler reaches: the store, the clock, the configuration, the metrics and the life of the process.
+
+use crate::auth::FailedAuthentications;
+use crate::clock::Clock;
+use crate::config::Config;
+use crate::http::problem::Problem;
+use crate::lifecycle::Lifecycle;
+use crate::metrics::Metrics;
+use crate::readiness::Readiness;
+use async_trait::async_trait;
+use bytes::Bytes;
+use feedwright_core::ids::MachineId;
+use feedwright_store::{Store, StoreError, StoreResult};
+use std::future::Future;
+use std::ops::Deref;
+use std::sync::Arc;
+
+/// The intake of cycles as the edge sees it.
+#[async_trait]
+pub trait Intake: Send + Sync + 'static {
+    /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have
+    /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again.
+    async fn reingest(
+        &self,
+        machine: &MachineId,
+        content_type: &str,
+        body: Bytes,
+    ) -> Result<serde_json::Value, Problem>;
+
+    /// Refuses new cycles; ends when every cycle that was taken in is committed and answered, and the writer is gone.
+    async fn drain(&self);
+}
+
+/// What every handler reaches; cheap to clone.
+#[derive(Clone)]
+pub struct AppState(Arc<Shared>);
+
+/// The parts of an [`AppState`].
+pub struct Shared {
+    /// The configuration in force.
+    pub config: Config,
+    /// The store. Changes go through [`AppState::commit`].
+    pub store: Arc<dyn Store>,
+    /// The clock.
+    pub clock: Clock,
+    /// The metrics.
+    pub metrics: Arc<Metrics>,
+    /// Where cycles are taken in; `None` in a server that only serves what is stored.
+    pub intake: Option<Arc<dyn Intake>>,
+    /// Tasks that outlive their request, and the state of the process.
+    pub lifecycle: Lifecycle,
+    /// Who failed to authenticate, how often.
+    pub(crate) failed_authentications: FailedAuthentications,
+    /// Whether the database takes writes.
+    pub(crate) readiness: Readiness,
+}
+
+impl Deref for AppState {
+    type Target = Shared;
+    fn deref(&self) -> &Shared {
+        &self.0
+    }
+}
+
+impl AppState {
+    /// Puts the parts together.
+    pub fn new(
+        config: Config,
+        store: Arc<dyn Store>,
+        clock: Clock,
+        metrics: Arc<Metrics>,
+        intake: Option<Arc<dyn Intake>>,
+        lifecycle: Lifecycle,
+    ) -> Self {
+        let failed_authentications = FailedAuthentications::new(config.server.failed_auth_per_minute);
+        let readiness = Readiness::default();
+        Self(Arc::new(Shared {
+            config,
+            store,
+            clock,
+            metrics,
+            intake,
+            lifecycle,
+            failed_authentications,
+            readiness,
+        }))
+    }
+
+    /// Runs a change of the database in a task of its own and waits for it: a client that hangs up drops its
+    /// handler, and a transaction that is dropped half-way leaves its connection in an unknown state.
+    pub async fn commit<T, F>(&self, change: impl FnOnce(Arc<dyn Store>) -> F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: Future<Output = StoreResult<T>> + Send + 'static,
+    {
+        let outcome = self.lifecycle.spawn(change(self.store.clone())).await;
+        let result = outcome.unwrap_or_else(|error| Err(StoreError::OutcomeUnknown(Box::new(error))));
+        if let Err(StoreError::NotWritable(source)) = &result {
+            self.lifecycle.fail(&format!("the database does not take writes: {source}"));
+        }
+        result
+    }
+}
