@@ -5,10 +5,20 @@
 //! A new noun is a record in `record.rs`, its methods in [`Store`], its table in both migration folders (same
 //! number and name), its statements in `engine/`, and its story in the suite that runs on both engines.
 
+pub mod codec;
 mod error;
+mod fault;
+mod gate;
+mod history;
+mod locks;
+mod precondition;
 mod record;
+mod rows;
+mod sqlite;
 mod store;
+mod work;
 
 pub use error::{StoreError, StoreResult};
 pub use record::*;
+pub use sqlite::{SqliteOptions, SqliteStore};
 pub use store::Store;

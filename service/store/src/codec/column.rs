@@ -1,0 +1,140 @@
+//! The canonical form of a column.
+
+use feedwright_core::cycle::{Channel, Samples, TimeBase};
+
+/// Largest scale: 10^9 and every integer below 2^53 are exact as `f64`.
+pub(super) const MAX_SCALE: u8 = 9;
+
+const POWERS: [f64; 10] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9];
+const EXACT_LIMIT: f64 = 9_007_199_254_740_992.0;
+
+/// A column in its canonical form.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Column {
+    /// Integers `m` of `m / 10^scale`.
+    Decimal {
+        /// The scale, 0..=9.
+        scale: u8,
+        /// The integers.
+        values: Vec<i64>,
+    },
+    /// Bits of the values.
+    Exact(Vec<u64>),
+}
+
+impl Column {
+    pub(super) fn of(values: &[f64]) -> Self {
+        let mut scale = 0;
+        // Each scale passed over was refused by a value, so the one found is the smallest.
+        'scale: while scale <= MAX_SCALE {
+            let mut integers = Vec::with_capacity(values.len());
+            for &value in values {
+                match integer(value, scale) {
+                    Some(integer) => integers.push(integer),
+                    None => {
+                        scale = next_scale(value, scale + 1);
+                        continue 'scale;
+                    }
+                }
+            }
+            return Self::Decimal { scale, values: integers };
+        }
+        Self::Exact(values.iter().map(|value| value.to_bits()).collect())
+    }
+
+    pub(super) fn into_values(self) -> Vec<f64> {
+        match self {
+            Self::Decimal { scale, values } => {
+                values.into_iter().map(|integer| decimal(integer, scale)).collect()
+            }
+            Self::Exact(bits) => bits.into_iter().map(f64::from_bits).collect(),
+        }
+    }
+}
+
+/// The first scale from `scale` on that `value` fits; beyond [`MAX_SCALE`] where none does.
+fn next_scale(value: f64, scale: u8) -> u8 {
+    (scale..=MAX_SCALE).find(|&scale| integer(value, scale).is_some()).unwrap_or(MAX_SCALE + 1)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "integers of the canonical form are below 2^53")]
+pub(super) fn decimal(integer: i64, scale: u8) -> f64 {
+    integer as f64 / POWERS[usize::from(scale)]
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "integral and below 2^53")]
+fn integer(value: f64, scale: u8) -> Option<i64> {
+    let rounded = (value * POWERS[usize::from(scale)]).round();
+    if rounded.abs() >= EXACT_LIMIT || rounded.is_nan() {
+        return None;
+    }
+    let integer = rounded as i64;
+    (decimal(integer, scale).to_bits() == value.to_bits()).then_some(integer)
+}
+
+/// All columns of a cycle, made once for hash and blocks.
+pub(super) struct Columns {
+    pub(super) len: usize,
+    pub(super) time: Time,
+    pub(super) channels: Vec<(Channel, Column)>,
+}
+
+/// The time base in canonical form.
+pub(super) enum Time {
+    /// Bits of the period in ms.
+    Period(u64),
+    /// Times in ms.
+    Stamps(Column),
+}
+
+impl Columns {
+    pub(super) fn of(samples: &Samples) -> Self {
+        let time = match samples.time() {
+            TimeBase::Period { period_ms } => Time::Period(period_ms.to_bits()),
+            TimeBase::Stamps { time_ms } => Time::Stamps(Column::of(time_ms)),
+        };
+        let channels = samples.columns().map(|(channel, values)| (channel, Column::of(values))).collect();
+        Self { len: samples.len(), time, channels }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_smallest_scale_is_taken() {
+        let scale = |values: &[f64]| match Column::of(values) {
+            Column::Decimal { scale, .. } => Some(scale),
+            Column::Exact(_) => None,
+        };
+        assert_eq!(scale(&[0.0, 1.0, -7.0]), Some(0));
+        assert_eq!(scale(&[0.0, 0.1, 12.25]), Some(2));
+        assert_eq!(scale(&[1e-9]), Some(9));
+        assert_eq!(scale(&[1e-10]), None);
+        assert_eq!(scale(&[1.0 / 3.0]), None);
+        assert_eq!(scale(&[-0.0]), None, "the sign of zero is content");
+        assert_eq!(scale(&[9_007_199_254_740_992.0]), None);
+        assert_eq!(scale(&[9_007_199_254_740_991.0]), Some(0));
+        // Large and fine at once: no common scale holds both.
+        assert_eq!(scale(&[9_007_199_254_740_991.0, 0.001]), None);
+    }
+
+    proptest! {
+        #[test]
+        fn every_column_comes_back_to_the_bit(values in prop::collection::vec(any::<f64>(), 1..50)) {
+            let back = Column::of(&values).into_values();
+            prop_assert!(values.iter().zip(&back).all(|(a, b)| a.to_bits() == b.to_bits()));
+        }
+
+        #[test]
+        fn decimals_are_found(integers in prop::collection::vec(-10_000_000_i64..10_000_000, 1..50), scale in 0_u8..=9) {
+            let values: Vec<f64> = integers.iter().map(|&integer| decimal(integer, scale)).collect();
+            match Column::of(&values) {
+                Column::Decimal { scale: found, .. } => prop_assert!(found <= scale),
+                Column::Exact(_) => prop_assert!(false, "decimals must be found"),
+            }
+        }
+    }
+}

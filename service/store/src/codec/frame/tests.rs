@@ -1,0 +1,160 @@
+use super::*;
+use feedwright_core::cycle::{Cycle, CycleDraft, Outcome, ProfileVersion, Reported};
+use feedwright_core::units::{Process, Strategy as FeedStrategy, Timestamp};
+use proptest::prelude::*;
+
+/// A cycle that uses every kind of field.
+pub(in crate::codec) fn cycle() -> Cycle {
+    let columns = vec![
+        (Channel::DepthMm, vec![-0.5, 0.0, 0.125, 1.75, 3.0]),
+        (Channel::SpindleLoadPercent, vec![2.1, 2.1, 34.5, 33.9, 4.0]),
+        (Channel::SpindlePowerWatts, vec![0.1 + 0.2, 1.0 / 3.0, 1e-12, 812.25, 0.0]),
+    ];
+    Cycle::new(CycleDraft {
+        machine: "M1".try_into().unwrap(),
+        id: "boot7:000123".try_into().unwrap(),
+        tool: "T-4711".try_into().unwrap(),
+        operation: "flange.hole-3".try_into().unwrap(),
+        started_at: Timestamp::from_micros(1_700_000_000_123_456),
+        seq: Some(123),
+        process: Some(Process::Friction),
+        strategy: Some(FeedStrategy::FAc),
+        law_version: Some("law-1".to_owned()),
+        profile: Some(ProfileVersion { profile: "P1".try_into().unwrap(), version: 3 }),
+        recommendation: Some("0192f0c1-7e1d-7cc3-98c4-dc0c0c07398f".try_into().unwrap()),
+        spindle_speed_rpm: Some(2400.0),
+        outcome: Outcome::Completed,
+        samples: Some(Samples::new(TimeBase::Period { period_ms: 10.0 }, columns, 100).unwrap()),
+        reported: Reported { duration_ms: Some(50.0), ..Reported::default() },
+    })
+    .unwrap()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Gives mutated bytes a checksum that holds, so that the parser behind it is reached.
+fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
+    let end = bytes.len().saturating_sub(CHECKSUM);
+    bytes.truncate(end);
+    let sum = checksum(&bytes);
+    bytes.extend_from_slice(&sum);
+    bytes
+}
+
+#[test]
+fn the_bytes_are_fixed_for_ever() {
+    let samples = cycle().samples.clone().unwrap();
+    let bytes = encode_samples(&samples);
+    assert_eq!(
+        hex(&bytes),
+        "464201050300000000000000244001030ae707e807fa01b219c4130701072a0088050bd5040b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d400029d939a0319268f8"
+    );
+    assert_eq!(decode_samples(&bytes, 5).unwrap(), samples);
+}
+
+#[test]
+fn damage_and_foreign_versions_are_refused() {
+    let bytes = encode_samples(&cycle().samples.clone().unwrap());
+    let what = |bytes: &[u8]| match decode_samples(bytes, 5) {
+        Err(StoreError::Damaged { what }) => what,
+        other => panic!("{other:?}"),
+    };
+    for at in 0..bytes.len() {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x10;
+        assert_eq!(what(&damaged), "sample block: checksum differs", "byte {at}");
+    }
+    assert_eq!(what(&[]), "sample block: too short");
+    let mut newer = bytes.clone();
+    newer[2] = 2;
+    assert_eq!(what(&sealed(newer)), "sample block: not block format v1");
+    assert!(decode_samples(&bytes, 4).is_err(), "more samples than the reader takes");
+}
+
+#[test]
+fn a_bomb_is_not_unpacked() {
+    // Claims 5 samples; its one block unpacks to 64 MiB of zeros.
+    let packed = zstd::bulk::compress(&vec![0; 64 << 20], 1).unwrap();
+    let mut bytes = MAGIC.to_vec();
+    bytes.extend_from_slice(&[5, 1, 0]);
+    bytes.extend_from_slice(&10.0_f64.to_le_bytes());
+    bytes.extend_from_slice(&[1, COMPRESSED, 5]);
+    put_varint(&mut bytes, packed.len() as u64);
+    bytes.extend_from_slice(&packed);
+    bytes.extend_from_slice(&[0; CHECKSUM]);
+    let error = decode_samples(&sealed(bytes), 1000).unwrap_err();
+    assert!(
+        matches!(&error, StoreError::Damaged { what } if what.ends_with("not decompressible")),
+        "{error:?}"
+    );
+}
+
+fn value() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        4 => (-100_000_i64..100_000, 0_u8..4).prop_map(|(m, s)| super::super::column::decimal(m, s) + 0.0),
+        1 => (-100_000.0_f64..100_000.0).prop_map(|v| v + 0.0),
+    ]
+}
+
+prop_compose! {
+    fn any_samples()(len in 1_usize..120)(
+        stamps in any::<bool>(),
+        steps in prop::collection::vec(0_u32..30_000, len),
+        depth in prop::collection::vec(value(), len),
+        torque in prop::collection::vec(value(), len),
+        power in prop::collection::vec(value(), len),
+    ) -> Samples {
+        let time = if stamps {
+            let mut now = 0.0;
+            TimeBase::Stamps { time_ms: steps.iter().map(|&step| { now += f64::from(step) / 1000.0; now }).collect() }
+        } else {
+            TimeBase::Period { period_ms: 1.0 + f64::from(steps[0]) / 7.0 }
+        };
+        let columns = vec![
+            (Channel::DepthMm, depth),
+            (Channel::TorqueNewtonMetres, torque),
+            (Channel::SpindlePowerWatts, power),
+        ];
+        Samples::new(time, columns, 1000).unwrap()
+    }
+}
+
+proptest! {
+    #[test]
+    fn samples_come_back_to_the_bit(samples in any_samples()) {
+        let back = decode_samples(&encode_samples(&samples), samples.len()).unwrap();
+        prop_assert_eq!(back.time(), samples.time());
+        for (channel, values) in samples.columns() {
+            let same = back.column(channel).unwrap().iter().zip(values).all(|(a, b)| a.to_bits() == b.to_bits());
+            prop_assert!(same, "{:?}", channel);
+        }
+        prop_assert_eq!(back.columns().count(), samples.columns().count());
+    }
+
+    #[test]
+    fn random_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        prop_assert!(decode_samples(&bytes, 1000).is_err());
+    }
+
+    #[test]
+    fn mutated_blocks_are_refused_or_valid(
+        samples in any_samples(),
+        mutations in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        cut in prop::option::of(any::<prop::sample::Index>()),
+    ) {
+        let mut bytes = encode_samples(&samples);
+        for (at, byte) in &mutations {
+            let at = at.index(bytes.len());
+            bytes[at] = *byte;
+        }
+        if let Some(cut) = cut {
+            bytes.truncate(cut.index(bytes.len()) + 1);
+        }
+        // Whatever comes out went through the checks of `Samples`; what matters is that nothing panics.
+        if let Ok(samples) = decode_samples(&sealed(bytes), 1000) {
+            prop_assert!(samples.len() <= 1000);
+        }
+    }
+}

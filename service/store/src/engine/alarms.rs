@@ -1,0 +1,177 @@
+//! Alarms: raised and cleared in the transaction of what they tell of.
+//!
+//! Worn, broken suspected and conditions changed follow the verdict on the tool: raised with it, cleared with it.
+//! An overload stays open until someone acknowledges it, whatever runs later: a crash is looked at, not outrun.
+//! A machine's quarantine alarm is open as long as an entry of it is unsettled.
+
+use super::{Conn, Db, audit};
+use crate::error::StoreResult;
+use crate::record::{Actor, Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
+use crate::rows::AlarmRow;
+use feedwright_core::ids::{MachineId, ToolId};
+use feedwright_core::units::Timestamp;
+use feedwright_core::wear::{ToolState, Verdict};
+use serde_json::json;
+
+macro_rules! select {
+    ($tail:literal) => {
+        concat!(
+            "SELECT alarm_id, kind, machine_id, tool_id, message, raised_at_us, cleared_at_us, acknowledged_by,
+                    acknowledged_at_us
+             FROM alarms ",
+            $tail
+        )
+    };
+}
+
+const fn kind_of(state: ToolState) -> Option<AlarmKind> {
+    match state {
+        ToolState::Worn => Some(AlarmKind::Worn),
+        ToolState::BrokenSuspected => Some(AlarmKind::BrokenSuspected),
+        ToolState::Changed => Some(AlarmKind::ConditionsChanged),
+        ToolState::Unknown | ToolState::Learning | ToolState::Good | ToolState::Warning => None,
+    }
+}
+
+/// Raises what the verdict calls for and clears what it no longer does.
+pub(super) async fn follow_verdict(
+    conn: &mut Conn,
+    tool: &ToolId,
+    verdict: &Verdict,
+    now: Timestamp,
+) -> StoreResult<()> {
+    let wanted = kind_of(verdict.state);
+    let open: Vec<AlarmRow> = sqlx::query_as::<Db, _>(select!(
+        "WHERE tool_id = $1 AND cleared_at_us IS NULL
+           AND kind IN ('worn', 'broken_suspected', 'conditions_changed')
+         ORDER BY alarm_id"
+    ))
+    .bind(tool.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    let mut stands = false;
+    for row in open {
+        if Some(row.kind.as_str()) == wanted.map(AlarmKind::as_str) {
+            stands = true;
+        } else {
+            clear(conn, row.alarm_id, now).await?;
+        }
+    }
+    if let Some(kind) = wanted
+        && !stands
+    {
+        let message = match verdict.reasons.first() {
+            Some((_, why)) => format!("tool {tool}: {why}"),
+            None => format!("tool {tool}: {}", kind.as_str()),
+        };
+        let machine = verdict.last.as_ref().map(|last| &last.machine);
+        raise(conn, kind, machine, Some(tool), &message, now).await?;
+    }
+    Ok(())
+}
+
+/// Raises an alarm unless one of its kind is open for the same subject.
+pub(super) async fn raise(
+    conn: &mut Conn,
+    kind: AlarmKind,
+    machine: Option<&MachineId>,
+    tool: Option<&ToolId>,
+    message: &str,
+    now: Timestamp,
+) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us) VALUES ($1, $2, $3, $4, $5)
+         ON CONFLICT (kind, COALESCE(tool_id, ''), COALESCE(machine_id, '')) WHERE cleared_at_us IS NULL DO NOTHING",
+    )
+    .bind(kind.as_str())
+    .bind(machine.map(MachineId::as_str))
+    .bind(tool.map(ToolId::as_str))
+    .bind(message)
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+async fn clear(conn: &mut Conn, id: RowNumber, now: Timestamp) -> StoreResult<()> {
+    sqlx::query::<Db>("UPDATE alarms SET cleared_at_us = $2 WHERE alarm_id = $1")
+        .bind(id)
+        .bind(now.micros())
+        .execute(&mut *conn)
+        .await?;
+    Ok(())
+}
+
+/// Clears a machine's open alarm of a kind that concerns no tool.
+pub(super) async fn clear_of_machine(
+    conn: &mut Conn,
+    kind: AlarmKind,
+    machine: &MachineId,
+    now: Timestamp,
+) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "UPDATE alarms SET cleared_at_us = $3
+         WHERE kind = $1 AND machine_id = $2 AND tool_id IS NULL AND cleared_at_us IS NULL",
+    )
+    .bind(kind.as_str())
+    .bind(machine.as_str())
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+async fn get(conn: &mut Conn, id: RowNumber) -> StoreResult<Option<Alarm>> {
+    let row: Option<AlarmRow> =
+        sqlx::query_as::<Db, _>(select!("WHERE alarm_id = $1")).bind(id).fetch_optional(&mut *conn).await?;
+    row.map(|row| row.alarm()).transpose()
+}
+
+/// Acknowledges an alarm once: a second time leaves the first name. An overload is cleared with it.
+pub(super) async fn acknowledge(
+    conn: &mut Conn,
+    id: RowNumber,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<Option<Alarm>> {
+    let done = sqlx::query::<Db>(
+        "UPDATE alarms SET acknowledged_by = $2, acknowledged_at_us = $3,
+             cleared_at_us = CASE WHEN kind = 'overload' THEN COALESCE(cleared_at_us, $3) ELSE cleared_at_us END
+         WHERE alarm_id = $1 AND acknowledged_by IS NULL",
+    )
+    .bind(id)
+    .bind(&actor.token)
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    let alarm = get(conn, id).await?;
+    if let Some(alarm) = &alarm
+        && done.rows_affected() == 1
+    {
+        let detail = json!({ "kind": alarm.kind.as_str() });
+        audit::add(conn, actor, now, "alarm.acknowledge", format!("alarm/{id}"), &detail).await?;
+    }
+    Ok(alarm)
+}
+
+pub(super) async fn list(
+    conn: &mut Conn,
+    filter: &AlarmFilter,
+    page: &Page<RowNumber>,
+) -> StoreResult<Vec<Alarm>> {
+    let rows: Vec<AlarmRow> = sqlx::query_as::<Db, _>(select!(
+        "WHERE alarm_id > $1
+           AND (CAST($2 AS BIGINT) IS NULL OR $2 = CASE WHEN cleared_at_us IS NULL THEN 1 ELSE 0 END)
+           AND (CAST($3 AS TEXT) IS NULL OR machine_id = $3)
+           AND (CAST($4 AS TEXT) IS NULL OR tool_id = $4)
+         ORDER BY alarm_id LIMIT $5"
+    ))
+    .bind(page.after.unwrap_or(i64::MIN))
+    .bind(filter.open.map(i64::from))
+    .bind(filter.machine.as_ref().map(MachineId::as_str))
+    .bind(filter.tool.as_ref().map(ToolId::as_str))
+    .bind(i64::from(page.limit))
+    .fetch_all(&mut *conn)
+    .await?;
+    rows.iter().map(AlarmRow::alarm).collect()
+}

@@ -1,0 +1,134 @@
+//! The check of the cached folds against folds from scratch, one tool at a time.
+
+use super::wear::{self, ToolWear};
+use super::{Conn, Db, alarms, dialect};
+use crate::error::StoreResult;
+use crate::history::Walk;
+use crate::locks::Locks;
+use crate::rows::{count, id};
+use feedwright_core::ids::{MachineId, ToolId};
+use feedwright_core::units::Timestamp;
+use feedwright_core::wear::FOLD_VERSION;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The next registered tool, or one that has a cache, after `after`.
+pub(super) async fn next_tool(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
+    let next: Option<String> = sqlx::query_scalar::<Db, _>(
+        "SELECT MIN(tool_id) FROM (
+             SELECT MIN(tool_id) AS tool_id FROM tools WHERE tool_id > $1
+             UNION ALL SELECT MIN(tool_id) AS tool_id FROM tool_wear WHERE tool_id > $1) AS next",
+    )
+    .bind(after.map_or("", ToolId::as_str))
+    .fetch_one(&mut *conn)
+    .await?;
+    next.as_deref().map(|tool| id("tool_id", tool)).transpose()
+}
+
+#[derive(sqlx::FromRow)]
+struct StateRow {
+    machine_id: String,
+    folded: i64,
+    fold_version: i64,
+    state: Vec<u8>,
+}
+
+type State = (i64, Vec<u8>);
+
+/// What is cached of a tool: the state of each machine and its checkpoints.
+async fn cached(
+    conn: &mut Conn,
+    tool: &ToolId,
+) -> StoreResult<(BTreeMap<MachineId, (i64, State)>, BTreeMap<(MachineId, i64), State>)> {
+    let states: Vec<StateRow> = sqlx::query_as::<Db, _>(
+        "SELECT machine_id, folded, fold_version, state FROM tool_wear WHERE tool_id = $1",
+    )
+    .bind(tool.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    let checkpoints: Vec<StateRow> = sqlx::query_as::<Db, _>(
+        "SELECT machine_id, folded, fold_version, state FROM tool_wear_checkpoints WHERE tool_id = $1",
+    )
+    .bind(tool.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    let mut by_machine = BTreeMap::new();
+    for row in states {
+        by_machine.insert(id("machine_id", &row.machine_id)?, (row.folded, (row.fold_version, row.state)));
+    }
+    let mut by_count = BTreeMap::new();
+    for row in checkpoints {
+        by_count.insert((id("machine_id", &row.machine_id)?, row.folded), (row.fold_version, row.state));
+    }
+    Ok((by_machine, by_count))
+}
+
+/// Compares one tool's caches with its fold, checkpoints included. Returns the rows compared and those that differ.
+pub(super) async fn tool(conn: &mut Conn, tool: &ToolId, repair: bool) -> StoreResult<(u64, Vec<MachineId>)> {
+    if repair {
+        dialect::lock(conn, &Locks::tool(tool)).await?;
+    }
+    let (states, mut checkpoints) = cached(conn, tool).await?;
+    let events = ToolWear::load(conn, tool).await?.events;
+    let mut machines: BTreeSet<MachineId> = states.keys().cloned().collect();
+    if wear::is_registered(conn, tool).await? {
+        machines.extend(wear::machines_of(conn, tool).await?);
+    }
+    let version = i64::from(FOLD_VERSION);
+    let mut different = Vec::new();
+    for machine in &machines {
+        let mut walk = Walk::new(&events);
+        let mut same = true;
+        loop {
+            let page = wear::facts_after(conn, tool, Some(machine), walk.fold().last()).await?;
+            if page.is_empty() {
+                break;
+            }
+            for row in &page {
+                walk.step(row)?;
+                if walk.at_checkpoint() {
+                    let found = checkpoints.remove(&(machine.clone(), count("folded", walk.folded())?));
+                    same &= found == Some((version, walk.fold().to_bytes()));
+                }
+            }
+        }
+        let folded = count("folded", walk.folded())?;
+        same &= states.get(machine) == Some(&(folded, (version, walk.fold().to_bytes())));
+        // Checkpoints beyond the history are left over from nothing.
+        same &= !checkpoints.keys().any(|(of, _)| of == machine);
+        if !same {
+            different.push(machine.clone());
+        }
+    }
+    if repair && !different.is_empty() {
+        mend(conn, tool, &different).await?;
+    }
+    Ok((machines.len() as u64, different))
+}
+
+/// Folds the named caches anew. The check is given no clock: the newest receipt of a cycle
+/// stands for now.
+async fn mend(conn: &mut Conn, tool: &ToolId, machines: &[MachineId]) -> StoreResult<()> {
+    let newest: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT MAX(received_at_us) FROM cycles WHERE tool_id = $1")
+            .bind(tool.as_str())
+            .fetch_one(&mut *conn)
+            .await?;
+    let now = Timestamp::from_micros(newest.unwrap_or(0));
+    for machine in machines {
+        sqlx::query::<Db>("DELETE FROM tool_wear_checkpoints WHERE machine_id = $1 AND tool_id = $2")
+            .bind(machine.as_str())
+            .bind(tool.as_str())
+            .execute(&mut *conn)
+            .await?;
+        sqlx::query::<Db>("DELETE FROM tool_wear WHERE machine_id = $1 AND tool_id = $2")
+            .bind(machine.as_str())
+            .bind(tool.as_str())
+            .execute(&mut *conn)
+            .await?;
+    }
+    if wear::is_registered(conn, tool).await? {
+        let verdict = wear::count_all(conn, tool, now).await?;
+        alarms::follow_verdict(conn, tool, &verdict, now).await?;
+    }
+    Ok(())
+}

@@ -1,0 +1,160 @@
+//! Cycles and their samples: rows in and out.
+
+use super::{Conn, Db};
+use crate::error::StoreResult;
+use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
+use crate::rows::{CycleRow, CycleWithSamples, cycle_columns};
+use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
+
+macro_rules! insert_sql {
+    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+        concat!(
+            "INSERT INTO cycles (", insert_sql!(@list $(stringify!($column),)*), ") VALUES (",
+            insert_sql!(@list $($placeholder,)*),
+            ") ON CONFLICT (machine_id, cycle_id) DO NOTHING"
+        )
+    };
+    (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
+}
+
+const INSERT: &str = cycle_columns!(insert_sql);
+
+/// Inserts a cycle; `false` where one of its key is stored already.
+pub(super) async fn insert(conn: &mut Conn, row: &CycleRow) -> StoreResult<bool> {
+    let query = sqlx::query::<Db>(INSERT);
+    macro_rules! bind {
+        ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(&row.$column))* };
+    }
+    let done = cycle_columns!(bind).execute(&mut *conn).await?;
+    Ok(done.rows_affected() == 1)
+}
+
+pub(super) async fn insert_samples(conn: &mut Conn, row: &CycleRow, block: &[u8]) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ($1, $2, $3, $4)",
+    )
+    .bind(&row.machine_id)
+    .bind(row.received_at_us)
+    .bind(&row.cycle_id)
+    .bind(block)
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+macro_rules! select_sql {
+    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+        concat!(
+            "SELECT ", $("c.", stringify!($column), ", ",)*
+            "EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = c.machine_id
+                         AND s.received_at_us = c.received_at_us AND s.cycle_id = c.cycle_id) AS has_samples
+             FROM cycles c "
+        )
+    };
+}
+
+macro_rules! select {
+    ($($tail:literal),+) => { concat!(cycle_columns!(select_sql), $($tail),+) };
+}
+
+pub(super) async fn get(
+    conn: &mut Conn,
+    machine: &MachineId,
+    id: &CycleId,
+) -> StoreResult<Option<StoredCycle>> {
+    let row: Option<CycleWithSamples> =
+        sqlx::query_as::<Db, _>(select!("WHERE c.machine_id = $1 AND c.cycle_id = $2"))
+            .bind(machine.as_str())
+            .bind(id.as_str())
+            .fetch_optional(&mut *conn)
+            .await?;
+    row.map(|row| row.stored()).transpose()
+}
+
+pub(super) async fn samples(
+    conn: &mut Conn,
+    machine: &MachineId,
+    id: &CycleId,
+) -> StoreResult<Option<Vec<u8>>> {
+    // Two lookups by whole keys: a join would not let the planner skip partitions before it runs.
+    let received: Option<i64> = sqlx::query_scalar::<Db, _>(
+        "SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2",
+    )
+    .bind(machine.as_str())
+    .bind(id.as_str())
+    .fetch_optional(&mut *conn)
+    .await?;
+    let Some(received) = received else {
+        return Ok(None);
+    };
+    Ok(sqlx::query_scalar::<Db, _>(
+        "SELECT block FROM cycle_samples WHERE machine_id = $1 AND received_at_us = $2 AND cycle_id = $3",
+    )
+    .bind(machine.as_str())
+    .bind(received)
+    .bind(id.as_str())
+    .fetch_optional(&mut *conn)
+    .await?)
+}
+
+// The first condition drives an index; the others are checked on the way. `started_at_us` stands twice so that an
+// engine that cannot use a row comparison for a range still begins at the right place.
+macro_rules! page {
+    ($driver:literal) => {
+        select!(
+            "WHERE ",
+            $driver,
+            " AND c.started_at_us >= $4 AND c.started_at_us < $5
+              AND (c.started_at_us, c.machine_id, c.cycle_id) > ($6, $7, $8)
+              ORDER BY c.started_at_us, c.machine_id, c.cycle_id LIMIT $9"
+        )
+    };
+}
+
+const OF_TOOL: &str = page!(
+    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+const OF_MACHINE: &str = page!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+const OF_OPERATION: &str = page!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND c.operation_id = $3"
+);
+const OF_ALL: &str = page!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+
+pub(super) async fn list(
+    conn: &mut Conn,
+    filter: &CycleFilter,
+    page: &Page<CycleKey>,
+) -> StoreResult<Vec<StoredCycle>> {
+    let sql = match filter {
+        CycleFilter { tool: Some(_), .. } => OF_TOOL,
+        CycleFilter { machine: Some(_), .. } => OF_MACHINE,
+        CycleFilter { operation: Some(_), .. } => OF_OPERATION,
+        _ => OF_ALL,
+    };
+    let (after_at, after_machine, after_cycle) = match &page.after {
+        Some((at, machine, cycle)) => (at.micros(), machine.as_str(), cycle.as_str()),
+        None => (i64::MIN, "", ""),
+    };
+    let from = filter.from.map_or(i64::MIN, |from| from.micros()).max(after_at);
+    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(sql)
+        .bind(filter.tool.as_ref().map(ToolId::as_str))
+        .bind(filter.machine.as_ref().map(MachineId::as_str))
+        .bind(filter.operation.as_ref().map(OperationId::as_str))
+        .bind(from)
+        .bind(filter.to.map_or(i64::MAX, |to| to.micros()))
+        .bind(after_at)
+        .bind(after_machine)
+        .bind(after_cycle)
+        .bind(i64::from(page.limit))
+        .fetch_all(&mut *conn)
+        .await?;
+    rows.iter().map(CycleWithSamples::stored).collect()
+}

@@ -1,0 +1,335 @@
+//! The trait, on top of the statements beside it: which of them run in one transaction.
+
+use super::{
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, operations, quarantine,
+    recommendations, tokens, tools, wear,
+};
+use crate::codec;
+use crate::error::{StoreError, StoreResult};
+use crate::record::{
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, NewCycle,
+    Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber, StoredCycle,
+    StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+};
+use crate::store::Store;
+use async_trait::async_trait;
+use feedwright_core::cycle::Samples;
+use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::machine::{Calibration, Machine};
+use feedwright_core::operation::Operation;
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::tool::{Tool, ToolEvent};
+use feedwright_core::units::Timestamp;
+use feedwright_core::wear::Verdict;
+use std::sync::Arc;
+
+/// One change in one transaction, in a task that nobody can cancel.
+macro_rules! write {
+    ($engine:ident, |$conn:ident| $body:expr) => {
+        $engine.write(move |$conn| Box::pin(async move { $body })).await
+    };
+}
+
+/// Reads that belong together, in one snapshot.
+macro_rules! snapshot {
+    ($engine:ident, |$conn:ident| $body:expr) => {
+        $engine.snapshot(move |$conn| Box::pin(async move { $body })).await
+    };
+}
+
+impl Engine {
+    /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
+    /// all is found by its key and answered as known.
+    async fn commit_group(
+        &self,
+        group: &Arc<[NewCycle]>,
+        now: Timestamp,
+        settings: RecommendSettings,
+    ) -> StoreResult<Vec<Committed>> {
+        let mut attempt = 1;
+        loop {
+            let cycles = Arc::clone(group);
+            let outcome = write!(self, |conn| commit::group(conn, &cycles, now, settings).await);
+            match outcome {
+                Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))
+                    if attempt < dialect::COMMIT_ATTEMPTS =>
+                {
+                    attempt += 1;
+                }
+                outcome => return outcome,
+            }
+        }
+    }
+}
+
+#[async_trait]
+impl Store for Engine {
+    async fn commit_cycles(
+        &self,
+        group: Vec<NewCycle>,
+        now: Timestamp,
+        settings: RecommendSettings,
+    ) -> Vec<StoreResult<Committed>> {
+        let group: Arc<[NewCycle]> = group.into();
+        let error = match self.commit_group(&group, now, settings).await {
+            Ok(outcomes) => return outcomes.into_iter().map(Ok).collect(),
+            Err(error) => error,
+        };
+        let of_a_row = matches!(
+            error,
+            StoreError::Refused { .. } | StoreError::Damaged { .. } | StoreError::Database(_)
+        );
+        if !of_a_row || group.len() < 2 {
+            return group.iter().map(|_| Err(error.again())).collect();
+        }
+        let mut outcomes = Vec::with_capacity(group.len());
+        for cycle in group.iter() {
+            let one: Arc<[NewCycle]> = [cycle.clone()].into();
+            outcomes.push(self.commit_group(&one, now, settings).await.and_then(|mut outcomes| {
+                outcomes.pop().ok_or_else(|| StoreError::Damaged { what: "no answer".to_owned() })
+            }));
+        }
+        outcomes
+    }
+
+    async fn probe_write(&self, now: Timestamp) -> StoreResult<()> {
+        write!(self, |conn| {
+            sqlx::query::<Db>(
+                "INSERT INTO write_probe (probe_id, probed_at_us) VALUES (1, $1)
+                 ON CONFLICT (probe_id) DO UPDATE SET probed_at_us = excluded.probed_at_us",
+            )
+            .bind(now.micros())
+            .execute(&mut *conn)
+            .await?;
+            Ok(())
+        })
+    }
+
+    async fn close(&self) {
+        self.shut().await;
+    }
+
+    async fn put_machine(
+        &self,
+        machine: Machine,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome> {
+        let actor = actor.clone();
+        write!(self, |conn| machines::put(conn, &machine, expects, &actor, now).await)
+    }
+
+    async fn machine(&self, id: &MachineId) -> StoreResult<Option<Versioned<Machine>>> {
+        machines::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn machines(&self, page: Page<MachineId>) -> StoreResult<Vec<Versioned<Machine>>> {
+        machines::list(&mut *self.reader().await?, &page).await
+    }
+
+    async fn put_tool(
+        &self,
+        tool: Tool,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome> {
+        let actor = actor.clone();
+        write!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
+    }
+
+    async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
+        tools::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn tools(&self, page: Page<ToolId>) -> StoreResult<Vec<Versioned<Tool>>> {
+        tools::list(&mut *self.reader().await?, &page).await
+    }
+
+    async fn add_tool_event(
+        &self,
+        tool: &ToolId,
+        event: ToolEvent,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<StoredToolEvent>> {
+        let (tool, actor) = (tool.clone(), actor.clone());
+        write!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
+    }
+
+    async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
+        tools::events(&mut *self.reader().await?, tool, &page).await
+    }
+
+    async fn put_operation(
+        &self,
+        operation: Operation,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome> {
+        let actor = actor.clone();
+        write!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
+    }
+
+    async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {
+        operations::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn operations(&self, page: Page<OperationId>) -> StoreResult<Vec<Versioned<Operation>>> {
+        operations::list(&mut *self.reader().await?, &page).await
+    }
+
+    async fn add_calibration(
+        &self,
+        machine: &MachineId,
+        calibration: Calibration,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<Calibration>> {
+        let (machine, actor) = (machine.clone(), actor.clone());
+        write!(self, |conn| machines::calibrate(conn, &machine, calibration, &actor, now).await)
+    }
+
+    async fn calibrations(
+        &self,
+        machine: &MachineId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<(Calibration, Timestamp)>> {
+        machines::calibrations(&mut *self.reader().await?, machine, &page).await
+    }
+
+    async fn surroundings(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Option<Surroundings>> {
+        let (machine, operation, tool) = (machine.clone(), operation.clone(), tool.clone());
+        snapshot!(self, |conn| machines::surroundings(conn, &machine, &operation, &tool).await)
+    }
+
+    async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
+        cycles::get(&mut *self.reader().await?, machine, id).await
+    }
+
+    async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>> {
+        let block = cycles::samples(&mut *self.reader().await?, machine, id).await?;
+        block.map(|block| codec::decode_samples(&block, self.max_samples())).transpose()
+    }
+
+    async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {
+        cycles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| wear::verdict(conn, &tool).await)
+    }
+
+    async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck> {
+        let mut checked = WearCheck { rows: 0, different: Vec::new() };
+        let mut after = None;
+        loop {
+            let last = after.clone();
+            let next = snapshot!(self, |conn| check::next_tool(conn, last.as_ref()).await)?;
+            let Some(next) = next else {
+                return Ok(checked);
+            };
+            let tool = next.clone();
+            let (rows, different) = if repair {
+                write!(self, |conn| check::tool(conn, &tool, true).await)?
+            } else {
+                snapshot!(self, |conn| check::tool(conn, &tool, false).await)?
+            };
+            checked.rows += rows;
+            checked.different.extend(different.into_iter().map(|machine| (machine, next.clone())));
+            after = Some(next);
+        }
+    }
+
+    async fn issue_recommendation(&self, issued: &IssuedRecommendation) -> StoreResult<()> {
+        let issued = issued.clone();
+        write!(self, |conn| recommendations::issue(conn, &issued).await)
+    }
+
+    async fn recommendation(&self, id: &RecommendationId) -> StoreResult<Option<IssuedRecommendation>> {
+        recommendations::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn alarms(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {
+        alarms::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn acknowledge_alarm(
+        &self,
+        id: RowNumber,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<Alarm>> {
+        let actor = actor.clone();
+        write!(self, |conn| alarms::acknowledge(conn, id, &actor, now).await)
+    }
+
+    async fn quarantine(
+        &self,
+        entry: QuarantineEntry,
+        body: Vec<u8>,
+        bounds: QuarantineBounds,
+    ) -> StoreResult<String> {
+        let packed = quarantine::Packed::of(&body)?;
+        write!(self, |conn| quarantine::add(conn, &entry, &packed, bounds).await)
+    }
+
+    async fn quarantined(
+        &self,
+        machine: Option<&MachineId>,
+        open: bool,
+        page: Page<String>,
+    ) -> StoreResult<Vec<QuarantineEntry>> {
+        quarantine::list(&mut *self.reader().await?, machine, open, &page).await
+    }
+
+    async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Vec<u8>)>> {
+        quarantine::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn settle_quarantine(
+        &self,
+        id: &str,
+        how: &str,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<bool> {
+        let (id, how, actor) = (id.to_owned(), how.to_owned(), actor.clone());
+        write!(self, |conn| quarantine::settle(conn, &id, &how, &actor, now).await)
+    }
+
+    async fn audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {
+        audit::list(&mut *self.reader().await?, &page).await
+    }
+
+    async fn create_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<()> {
+        let actor = actor.clone();
+        write!(self, |conn| tokens::create(conn, &token, &actor).await)
+    }
+
+    async fn token_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
+        tokens::by_hash(&mut *self.reader().await?, hash).await
+    }
+
+    async fn tokens(&self, page: Page<String>) -> StoreResult<Vec<TokenRecord>> {
+        tokens::list(&mut *self.reader().await?, &page).await
+    }
+
+    async fn revoke_token(
+        &self,
+        id: &str,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<TokenRecord>> {
+        let (id, actor) = (id.to_owned(), actor.clone());
+        write!(self, |conn| tokens::revoke(conn, &id, &actor, now).await)
+    }
+}

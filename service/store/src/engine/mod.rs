@@ -1,0 +1,21 @@
+//! SQL that both engines understand, written once and compiled for each.
+//!
+//! Every engine includes this folder as a module of its own, with its `Db`, its `Engine` and its `dialect`. Functions
+//! take the connection of a transaction that the caller began; none begins, commits or locks anything by itself but
+//! through `dialect`. What only one engine says belongs into that engine's folder.
+
+mod alarms;
+mod audit;
+mod check;
+mod commit;
+mod cycles;
+mod implement;
+mod machines;
+mod operations;
+mod quarantine;
+mod recommendations;
+mod tokens;
+mod tools;
+mod wear;
+
+use super::{Conn, Db, Engine, dialect};

@@ -1,0 +1,111 @@
+//! Operations.
+
+use super::{Conn, Db, alarms, audit, dialect, wear};
+use crate::error::StoreResult;
+use crate::locks::Locks;
+use crate::precondition;
+use crate::record::{Actor, Page, Precondition, PutOutcome, Versioned};
+use crate::rows::{OperationRow, count, operation_json, optional_float};
+use feedwright_core::ids::OperationId;
+use feedwright_core::operation::Operation;
+use feedwright_core::units::Timestamp;
+
+macro_rules! select {
+    ($tail:literal) => {
+        concat!(
+            "SELECT operation_id, name, process, program, feature, work_material, thickness_mm, depth_mm,
+                    spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
+                    feed_drive_load_set_percent, baseline_cycles, window_cycles, version, updated_at_us
+             FROM operations ",
+            $tail
+        )
+    };
+}
+
+pub(super) async fn get(conn: &mut Conn, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {
+    let row: Option<OperationRow> = sqlx::query_as::<Db, _>(select!("WHERE operation_id = $1"))
+        .bind(id.as_str())
+        .fetch_optional(&mut *conn)
+        .await?;
+    row.map(|row| row.versioned()).transpose()
+}
+
+pub(super) async fn list(
+    conn: &mut Conn,
+    page: &Page<OperationId>,
+) -> StoreResult<Vec<Versioned<Operation>>> {
+    let rows: Vec<OperationRow> =
+        sqlx::query_as::<Db, _>(select!("WHERE operation_id > $1 ORDER BY operation_id LIMIT $2"))
+            .bind(page.after.as_ref().map_or("", OperationId::as_str))
+            .bind(i64::from(page.limit))
+            .fetch_all(&mut *conn)
+            .await?;
+    rows.iter().map(OperationRow::versioned).collect()
+}
+
+/// Whether the fold judges cycles of the two alike: what a `FoldSettings` takes out of an operation.
+fn judged_alike(before: Option<&Operation>, after: &Operation) -> bool {
+    before.is_some_and(|before| {
+        before.wear == after.wear
+            && before.depth_mm == after.depth_mm
+            && before.spindle_speed_rpm == after.spindle_speed_rpm
+    })
+}
+
+pub(super) async fn put(
+    conn: &mut Conn,
+    operation: &Operation,
+    expects: Precondition,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<PutOutcome> {
+    dialect::lock(conn, &Locks::operation(&operation.id)).await?;
+    let existing = get(conn, &operation.id).await?;
+    let known = existing.as_ref().map(|existing| (existing.version, existing.value == *operation));
+    let outcome = precondition::decide(known, expects)?;
+    if let PutOutcome::Unchanged(_) = outcome {
+        return Ok(outcome);
+    }
+    sqlx::query::<Db>(
+        "INSERT INTO operations (operation_id, name, process, program, feature, work_material, thickness_mm,
+             depth_mm, spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
+             feed_drive_load_set_percent, baseline_cycles, window_cycles, version, updated_at_us)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16)
+         ON CONFLICT (operation_id) DO UPDATE SET name = excluded.name, process = excluded.process,
+             program = excluded.program, feature = excluded.feature, work_material = excluded.work_material,
+             thickness_mm = excluded.thickness_mm, depth_mm = excluded.depth_mm,
+             spindle_speed_rpm = excluded.spindle_speed_rpm,
+             programmed_feed_mm_min = excluded.programmed_feed_mm_min,
+             spindle_load_set_percent = excluded.spindle_load_set_percent,
+             feed_drive_load_set_percent = excluded.feed_drive_load_set_percent,
+             baseline_cycles = excluded.baseline_cycles, window_cycles = excluded.window_cycles,
+             version = excluded.version, updated_at_us = excluded.updated_at_us",
+    )
+    .bind(operation.id.as_str())
+    .bind(&operation.name)
+    .bind(operation.process.as_str())
+    .bind(&operation.program)
+    .bind(&operation.feature)
+    .bind(&operation.work_material)
+    .bind(optional_float("thickness_mm", operation.thickness_mm)?)
+    .bind(optional_float("depth_mm", operation.depth_mm)?)
+    .bind(optional_float("spindle_speed_rpm", operation.spindle_speed_rpm)?)
+    .bind(optional_float("programmed_feed_mm_min", operation.programmed_feed_mm_min)?)
+    .bind(optional_float("spindle_load_set_percent", operation.spindle_load_set_percent)?)
+    .bind(optional_float("feed_drive_load_set_percent", operation.feed_drive_load_set_percent)?)
+    .bind(i64::from(operation.wear.baseline_cycles))
+    .bind(i64::from(operation.wear.window_cycles))
+    .bind(count("version", outcome.version())?)
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    let before = existing.as_ref().map(|existing| operation_json(&existing.value));
+    let detail = audit::change(before.as_ref(), &operation_json(operation), outcome);
+    audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
+    if !judged_alike(existing.as_ref().map(|existing| &existing.value), operation) {
+        for (tool, verdict) in wear::count_operation(conn, &operation.id, now).await? {
+            alarms::follow_verdict(conn, &tool, &verdict, now).await?;
+        }
+    }
+    Ok(outcome)
+}

@@ -1,0 +1,169 @@
+//! The quarantine: bounded, bodies compressed as they came, the same body once.
+
+use super::{Conn, Db, alarms, audit, dialect};
+use crate::error::{StoreError, StoreResult};
+use crate::locks::Locks;
+use crate::record::{Actor, AlarmKind, Page, QuarantineBounds, QuarantineEntry};
+use crate::rows::{QuarantineRow, count, number};
+use feedwright_core::ids::MachineId;
+use feedwright_core::units::Timestamp;
+use serde_json::json;
+
+/// Bodies are written once and read by people.
+const LEVEL: i32 = 3;
+
+macro_rules! select {
+    ($more:literal, $tail:literal) => {
+        concat!(
+            "SELECT quarantine_id, machine_id, cycle_id, received_at_us, code, problem, content_type, size,
+                    settled_at_us, settled_how",
+            $more,
+            " FROM quarantine ",
+            $tail
+        )
+    };
+}
+
+/// A body ready to be kept.
+pub(super) struct Packed {
+    body: Vec<u8>,
+    hash: [u8; 32],
+    size: u64,
+}
+
+impl Packed {
+    /// Compresses a body; done before the writer is taken.
+    pub(super) fn of(body: &[u8]) -> StoreResult<Self> {
+        let packed =
+            zstd::bulk::compress(body, LEVEL).map_err(|error| StoreError::Unavailable(Box::new(error)))?;
+        Ok(Self { body: packed, hash: *blake3::hash(body).as_bytes(), size: body.len() as u64 })
+    }
+}
+
+pub(super) async fn add(
+    conn: &mut Conn,
+    entry: &QuarantineEntry,
+    packed: &Packed,
+    bounds: QuarantineBounds,
+) -> StoreResult<String> {
+    dialect::lock(conn, &Locks::subject("quarantine", "")).await?;
+    let standing: Option<String> = sqlx::query_scalar::<Db, _>(
+        "SELECT quarantine_id FROM quarantine
+         WHERE machine_id = $1 AND COALESCE(cycle_id, '') = $2 AND body_hash = $3",
+    )
+    .bind(entry.machine.as_str())
+    .bind(entry.cycle.as_deref().unwrap_or(""))
+    .bind(packed.hash.as_slice())
+    .fetch_optional(&mut *conn)
+    .await?;
+    if let Some(standing) = standing {
+        return Ok(standing);
+    }
+    let (entries, bytes): (i64, i64) = sqlx::query_as::<Db, _>(
+        "SELECT COUNT(*), CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine
+         WHERE settled_at_us IS NULL",
+    )
+    .fetch_one(&mut *conn)
+    .await?;
+    let entries: u64 = number("entries", entries)?;
+    let bytes: u64 = number("bytes", bytes)?;
+    if entries >= bounds.entries || bytes.saturating_add(packed.body.len() as u64) > bounds.bytes {
+        return Err(StoreError::Full { what: "the quarantine" });
+    }
+    sqlx::query::<Db>(
+        "INSERT INTO quarantine (quarantine_id, machine_id, cycle_id, received_at_us, code, problem, content_type,
+             size, stored_bytes, body, body_hash)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)",
+    )
+    .bind(&entry.id)
+    .bind(entry.machine.as_str())
+    .bind(&entry.cycle)
+    .bind(entry.received_at.micros())
+    .bind(&entry.code)
+    .bind(&entry.problem)
+    .bind(&entry.content_type)
+    .bind(count("size", packed.size)?)
+    .bind(count("stored_bytes", packed.body.len() as u64)?)
+    .bind(&packed.body)
+    .bind(packed.hash.as_slice())
+    .execute(&mut *conn)
+    .await?;
+    let message = format!("machine {}: data that could not be accepted waits in quarantine", entry.machine);
+    alarms::raise(conn, AlarmKind::Quarantine, Some(&entry.machine), None, &message, entry.received_at)
+        .await?;
+    Ok(entry.id.clone())
+}
+
+pub(super) async fn list(
+    conn: &mut Conn,
+    machine: Option<&MachineId>,
+    open: bool,
+    page: &Page<String>,
+) -> StoreResult<Vec<QuarantineEntry>> {
+    let rows: Vec<QuarantineRow> = sqlx::query_as::<Db, _>(select!(
+        "",
+        "WHERE quarantine_id > $1 AND (CAST($2 AS TEXT) IS NULL OR machine_id = $2)
+           AND ($3 = 0 OR settled_at_us IS NULL)
+         ORDER BY quarantine_id LIMIT $4"
+    ))
+    .bind(page.after.as_deref().unwrap_or(""))
+    .bind(machine.map(MachineId::as_str))
+    .bind(i64::from(open))
+    .bind(i64::from(page.limit))
+    .fetch_all(&mut *conn)
+    .await?;
+    rows.iter().map(QuarantineRow::entry).collect()
+}
+
+#[derive(sqlx::FromRow)]
+struct WithBody {
+    #[sqlx(flatten)]
+    entry: QuarantineRow,
+    body: Vec<u8>,
+}
+
+pub(super) async fn get(conn: &mut Conn, id: &str) -> StoreResult<Option<(QuarantineEntry, Vec<u8>)>> {
+    let row: Option<WithBody> = sqlx::query_as::<Db, _>(select!(", body", "WHERE quarantine_id = $1"))
+        .bind(id)
+        .fetch_optional(&mut *conn)
+        .await?;
+    let Some(row) = row else {
+        return Ok(None);
+    };
+    let entry = row.entry.entry()?;
+    // The size was written beside the body: it bounds what is unpacked.
+    let body = usize::try_from(entry.size)
+        .ok()
+        .and_then(|size| zstd::bulk::decompress(&row.body, size).ok())
+        .ok_or_else(|| StoreError::Damaged { what: format!("body of quarantine entry {id}") })?;
+    Ok(Some((entry, body)))
+}
+
+pub(super) async fn settle(
+    conn: &mut Conn,
+    id: &str,
+    how: &str,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<bool> {
+    dialect::lock(conn, &Locks::subject("quarantine", "")).await?;
+    let machine: Option<String> = sqlx::query_scalar::<Db, _>(
+        "UPDATE quarantine SET settled_at_us = $2, settled_how = $3
+         WHERE quarantine_id = $1 AND settled_at_us IS NULL RETURNING machine_id",
+    )
+    .bind(id)
+    .bind(now.micros())
+    .bind(how)
+    .fetch_optional(&mut *conn)
+    .await?;
+    let Some(machine) = machine else {
+        return Ok(false);
+    };
+    let machine: MachineId = crate::rows::id("machine_id", &machine)?;
+    audit::add(conn, actor, now, "quarantine.settle", format!("quarantine/{id}"), &json!({ "how": how }))
+        .await?;
+    if list(conn, Some(&machine), true, &Page { after: None, limit: 1 }).await?.is_empty() {
+        alarms::clear_of_machine(conn, AlarmKind::Quarantine, &machine, now).await?;
+    }
+    Ok(true)
+}

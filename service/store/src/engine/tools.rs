@@ -1,0 +1,160 @@
+//! Tools and their events.
+
+use super::{Conn, Db, alarms, audit, dialect, wear};
+use crate::error::StoreResult;
+use crate::locks::Locks;
+use crate::precondition;
+use crate::record::{Actor, Page, Precondition, PutOutcome, RowNumber, StoredToolEvent, Versioned};
+use crate::rows::{EventRow, PlacedEvent, ToolRow, count, optional_float, tool_json};
+use feedwright_core::ids::{CycleId, MachineId, ToolId};
+use feedwright_core::tool::{Tool, ToolEvent};
+use feedwright_core::units::Timestamp;
+use serde_json::json;
+
+macro_rules! select {
+    ($tail:literal) => {
+        concat!(
+            "SELECT tool_id, name, serial, tool_type, diameter_mm, version, updated_at_us FROM tools ",
+            $tail
+        )
+    };
+}
+
+pub(super) async fn get(conn: &mut Conn, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
+    let row: Option<ToolRow> = sqlx::query_as::<Db, _>(select!("WHERE tool_id = $1"))
+        .bind(id.as_str())
+        .fetch_optional(&mut *conn)
+        .await?;
+    row.map(|row| row.versioned()).transpose()
+}
+
+pub(super) async fn list(conn: &mut Conn, page: &Page<ToolId>) -> StoreResult<Vec<Versioned<Tool>>> {
+    let rows: Vec<ToolRow> = sqlx::query_as::<Db, _>(select!("WHERE tool_id > $1 ORDER BY tool_id LIMIT $2"))
+        .bind(page.after.as_ref().map_or("", ToolId::as_str))
+        .bind(i64::from(page.limit))
+        .fetch_all(&mut *conn)
+        .await?;
+    rows.iter().map(ToolRow::versioned).collect()
+}
+
+pub(super) async fn put(
+    conn: &mut Conn,
+    tool: &Tool,
+    expects: Precondition,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<PutOutcome> {
+    dialect::lock(conn, &Locks::tool(&tool.id)).await?;
+    let existing = get(conn, &tool.id).await?;
+    let known = existing.as_ref().map(|existing| (existing.version, existing.value == *tool));
+    let outcome = precondition::decide(known, expects)?;
+    if let PutOutcome::Unchanged(_) = outcome {
+        return Ok(outcome);
+    }
+    sqlx::query::<Db>(
+        "INSERT INTO tools (tool_id, name, serial, tool_type, diameter_mm, version, updated_at_us)
+         VALUES ($1, $2, $3, $4, $5, $6, $7)
+         ON CONFLICT (tool_id) DO UPDATE SET name = excluded.name, serial = excluded.serial,
+             tool_type = excluded.tool_type, diameter_mm = excluded.diameter_mm, version = excluded.version,
+             updated_at_us = excluded.updated_at_us",
+    )
+    .bind(tool.id.as_str())
+    .bind(&tool.name)
+    .bind(&tool.serial)
+    .bind(&tool.tool_type)
+    .bind(optional_float("diameter_mm", tool.diameter_mm)?)
+    .bind(count("version", outcome.version())?)
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    let before = existing.map(|existing| tool_json(&existing.value));
+    let detail = audit::change(before.as_ref(), &tool_json(tool), outcome);
+    audit::add(conn, actor, now, "tool.put", format!("tool/{}", tool.id), &detail).await?;
+    if outcome == PutOutcome::Created {
+        // Cycles that came before count from now on.
+        let verdict = wear::count_all(conn, &tool.id, now).await?;
+        alarms::follow_verdict(conn, &tool.id, &verdict, now).await?;
+    }
+    Ok(outcome)
+}
+
+// The named cycle counts only where the same tool ran it: under another tool it is not one that the event covers.
+macro_rules! select_events {
+    ($tail:literal) => {
+        concat!(
+            "SELECT e.event_id, e.kind, e.at_us, e.first_machine_id, e.first_cycle_id, e.reason, e.actor,
+                    e.recorded_at_us, c.started_at_us AS first_started_at_us, c.seq AS first_seq
+             FROM tool_events e
+             LEFT JOIN cycles c ON c.machine_id = e.first_machine_id AND c.cycle_id = e.first_cycle_id
+                 AND c.tool_id = e.tool_id ",
+            $tail
+        )
+    };
+}
+
+/// All events of a tool where they take effect, in that order.
+pub(super) async fn placed_events(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<PlacedEvent>> {
+    let rows: Vec<EventRow> = sqlx::query_as::<Db, _>(select_events!("WHERE e.tool_id = $1"))
+        .bind(tool.as_str())
+        .fetch_all(&mut *conn)
+        .await?;
+    let mut events = rows.iter().map(EventRow::placed).collect::<StoreResult<Vec<_>>>()?;
+    events.sort_by(|a, b| (&a.place, a.at, a.id).cmp(&(&b.place, b.at, b.id)));
+    Ok(events)
+}
+
+pub(super) async fn events(
+    conn: &mut Conn,
+    tool: &ToolId,
+    page: &Page<RowNumber>,
+) -> StoreResult<Vec<StoredToolEvent>> {
+    let rows: Vec<EventRow> = sqlx::query_as::<Db, _>(select_events!(
+        "WHERE e.tool_id = $1 AND e.event_id > $2 ORDER BY e.event_id LIMIT $3"
+    ))
+    .bind(tool.as_str())
+    .bind(page.after.unwrap_or(i64::MIN))
+    .bind(i64::from(page.limit))
+    .fetch_all(&mut *conn)
+    .await?;
+    rows.iter().map(EventRow::stored).collect()
+}
+
+pub(super) async fn add_event(
+    conn: &mut Conn,
+    tool: &ToolId,
+    event: ToolEvent,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<Option<StoredToolEvent>> {
+    dialect::lock(conn, &Locks::tool(tool)).await?;
+    if get(conn, tool).await?.is_none() {
+        return Ok(None);
+    }
+    let first = event.first_cycle.as_ref();
+    let id: i64 = sqlx::query_scalar::<Db, _>(
+        "INSERT INTO tool_events (tool_id, kind, at_us, first_machine_id, first_cycle_id, reason, actor,
+             recorded_at_us)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8) RETURNING event_id",
+    )
+    .bind(tool.as_str())
+    .bind(event.kind.as_str())
+    .bind(event.at.micros())
+    .bind(first.map(|(machine, _): &(MachineId, CycleId)| machine.as_str()))
+    .bind(first.map(|(_, cycle)| cycle.as_str()))
+    .bind(&event.reason)
+    .bind(&actor.token)
+    .bind(now.micros())
+    .fetch_one(&mut *conn)
+    .await?;
+    let detail = json!({
+        "event": id,
+        "kind": event.kind.as_str(),
+        "at_us": event.at.micros(),
+        "first_cycle": first.map(|(machine, cycle)| json!([machine.as_str(), cycle.as_str()])),
+        "reason": event.reason,
+    });
+    audit::add(conn, actor, now, "tool.event", format!("tool/{tool}"), &detail).await?;
+    let verdict = wear::count_event(conn, tool, id, now).await?;
+    alarms::follow_verdict(conn, tool, &verdict, now).await?;
+    Ok(Some(StoredToolEvent { id, event, actor: actor.token.clone(), recorded_at: now }))
+}

@@ -1,0 +1,415 @@
+//! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
+
+use super::{Conn, Db, dialect, tools};
+use crate::error::StoreResult;
+use crate::history::Walk;
+use crate::locks::Locks;
+use crate::rows::{FactsRow, Place, PlacedEvent, count, id, number};
+use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use feedwright_core::units::Timestamp;
+use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
+use std::collections::BTreeMap;
+
+/// Cycles read at once when refolding; bounds memory, not the work.
+const FACTS_PAGE: i64 = 1000;
+
+/// Before every cycle.
+pub(super) const BEGINNING: Place = Place::at(Timestamp::from_micros(i64::MIN));
+
+/// The verdict on a tool that is not registered.
+pub(super) fn not_registered() -> Verdict {
+    Verdict::unknown("not_counted", "no cycle of the tool is counted: it is not registered")
+}
+
+struct Cached {
+    /// `None` where the stored state is of another version or damaged.
+    fold: Option<ToolFold>,
+    folded: u64,
+}
+
+/// One tool's events and the cached folds of its machines.
+pub(super) struct ToolWear {
+    tool: ToolId,
+    pub(super) events: Vec<PlacedEvent>,
+    machines: BTreeMap<MachineId, Cached>,
+}
+
+#[derive(sqlx::FromRow)]
+struct WearRow {
+    machine_id: String,
+    folded: i64,
+    fold_version: i64,
+    state: Vec<u8>,
+}
+
+/// The state of those bytes, where this version of the fold wrote them.
+fn readable(version: i64, state: &[u8]) -> Option<ToolFold> {
+    (version == i64::from(FOLD_VERSION)).then(|| ToolFold::from_bytes(state)).flatten()
+}
+
+macro_rules! select_facts {
+    ($tail:literal) => {
+        concat!(
+            "SELECT c.machine_id, c.cycle_id, c.operation_id, c.started_at_us, c.seq, c.strategy, c.law_version,
+                    c.profile_id, c.profile_version, c.spindle_speed_rpm, c.median_spindle_speed_rpm,
+                    c.dynamometer_joules, c.calibrated_joules, c.measured_power_joules,
+                    c.measured_power_idle_watts, c.rated_power_joules, c.reported_energy_joules, c.duration_ms,
+                    c.max_depth_mm, c.spindle_load_fall_depth_mm, c.operator_override_percent, c.coverage, c.flags,
+                    o.baseline_cycles, o.window_cycles, o.depth_mm AS operation_depth_mm,
+                    o.spindle_speed_rpm AS operation_speed_rpm
+             FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
+             WHERE c.tool_id = $1 AND c.started_at_us >= $2
+               AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($2, $3, $4, $5) ",
+            $tail,
+            " ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $6"
+        )
+    };
+}
+
+/// The place after which to read on, as columns.
+fn after(order: Option<&OrderKey>) -> StoreResult<(i64, String, i64, String)> {
+    Ok(match order {
+        None => (i64::MIN, String::new(), i64::MIN, String::new()),
+        Some(order) => (
+            order.started_at.micros(),
+            order.machine.as_str().to_owned(),
+            order.seq.map_or(Ok(-1), |seq| count("seq", seq))?,
+            order.cycle.as_str().to_owned(),
+        ),
+    })
+}
+
+/// The next cycles of a tool, of one machine or of all, in the order of the fold.
+pub(super) async fn facts_after(
+    conn: &mut Conn,
+    tool: &ToolId,
+    machine: Option<&MachineId>,
+    last: Option<&OrderKey>,
+) -> StoreResult<Vec<FactsRow>> {
+    let (at, after_machine, seq, cycle) = after(last)?;
+    let sql = if machine.is_some() { select_facts!("AND c.machine_id = $7") } else { select_facts!("") };
+    let query = sqlx::query_as::<Db, FactsRow>(sql)
+        .bind(tool.as_str())
+        .bind(at)
+        .bind(after_machine)
+        .bind(seq)
+        .bind(cycle)
+        .bind(FACTS_PAGE);
+    let query = match machine {
+        Some(machine) => query.bind(machine.as_str()),
+        None => query,
+    };
+    Ok(query.fetch_all(&mut *conn).await?)
+}
+
+impl ToolWear {
+    /// Loads a tool's events and caches; locks the caches where the engine locks rows.
+    pub(super) async fn load_locked(conn: &mut Conn, tool: &ToolId) -> StoreResult<Self> {
+        Self::load_by(conn, tool, dialect::WEAR_OF_TOOL_LOCKED).await
+    }
+
+    /// Loads a tool's events and caches for reading.
+    pub(super) async fn load(conn: &mut Conn, tool: &ToolId) -> StoreResult<Self> {
+        Self::load_by(
+            conn,
+            tool,
+            "SELECT machine_id, folded, fold_version, state FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id",
+        )
+        .await
+    }
+
+    async fn load_by(conn: &mut Conn, tool: &ToolId, sql: &'static str) -> StoreResult<Self> {
+        let rows: Vec<WearRow> =
+            sqlx::query_as::<Db, _>(sql).bind(tool.as_str()).fetch_all(&mut *conn).await?;
+        let mut machines = BTreeMap::new();
+        for row in rows {
+            let fold = readable(row.fold_version, &row.state);
+            let cached = Cached { fold, folded: number("folded", row.folded)? };
+            machines.insert(id("machine_id", &row.machine_id)?, cached);
+        }
+        let events = tools::placed_events(conn, tool).await?;
+        Ok(Self { tool: tool.clone(), events, machines })
+    }
+
+    /// Machines that have a cache.
+    pub(super) fn machines(&self) -> Vec<MachineId> {
+        self.machines.keys().cloned().collect()
+    }
+
+    /// Counts cycles of one machine that were just stored, in the order of the fold: steps on where they are the
+    /// newest, refolds otherwise.
+    pub(super) async fn count_new(
+        &mut self,
+        conn: &mut Conn,
+        machine: &MachineId,
+        new: &[FactsRow],
+        now: Timestamp,
+    ) -> StoreResult<()> {
+        let Some(first) = new.first() else {
+            return Ok(());
+        };
+        let first = Place::of(&first.order()?);
+        let cached = self
+            .machines
+            .entry(machine.clone())
+            .or_insert_with(|| Cached { fold: Some(ToolFold::default()), folded: 0 });
+        let newest = |fold: &ToolFold| fold.last().is_none_or(|last| Place::of(last) < first);
+        let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
+            return self.refold(conn, machine, &first, now).await;
+        };
+        let mut walk = Walk::resume(fold, cached.folded, &self.events);
+        for row in new {
+            walk.step(row)?;
+            if walk.at_checkpoint() {
+                save_checkpoint(conn, &self.tool, machine, &walk).await?;
+            }
+        }
+        save(conn, &self.tool, machine, &walk, now).await?;
+        let (folded, fold) = (walk.folded(), walk.into_fold());
+        self.machines.insert(machine.clone(), Cached { fold: Some(fold), folded });
+        Ok(())
+    }
+
+    /// Folds one machine's cycles again from `from` on: from the last checkpoint before it.
+    pub(super) async fn refold(
+        &mut self,
+        conn: &mut Conn,
+        machine: &MachineId,
+        from: &Place,
+        now: Timestamp,
+    ) -> StoreResult<()> {
+        let untouched = |fold: &ToolFold| fold.last().is_some_and(|last| Place::of(last) < *from);
+        if self.machines.get(machine).and_then(|cached| cached.fold.as_ref()).is_some_and(untouched) {
+            return Ok(());
+        }
+        let (fold, folded) = checkpoint_before(conn, &self.tool, machine, from).await?;
+        sqlx::query::<Db>(
+            "DELETE FROM tool_wear_checkpoints WHERE machine_id = $1 AND tool_id = $2 AND folded > $3",
+        )
+        .bind(machine.as_str())
+        .bind(self.tool.as_str())
+        .bind(count("folded", folded)?)
+        .execute(&mut *conn)
+        .await?;
+        let mut walk = Walk::resume(fold, folded, &self.events);
+        loop {
+            let page = facts_after(conn, &self.tool, Some(machine), walk.fold().last()).await?;
+            if page.is_empty() {
+                break;
+            }
+            for row in &page {
+                walk.step(row)?;
+                if walk.at_checkpoint() {
+                    save_checkpoint(conn, &self.tool, machine, &walk).await?;
+                }
+            }
+        }
+        save(conn, &self.tool, machine, &walk, now).await?;
+        let (folded, fold) = (walk.folded(), walk.into_fold());
+        self.machines.insert(machine.clone(), Cached { fold: Some(fold), folded });
+        Ok(())
+    }
+
+    /// The verdict over all machines. Of one machine it is that one's fold; a tool that moved between machines is
+    /// folded over all its cycles, which is exact by construction.
+    pub(super) async fn verdict(&self, conn: &mut Conn) -> StoreResult<Verdict> {
+        let mut caches = self.machines.values();
+        if let (Some(Cached { fold: Some(fold), folded }), None) = (caches.next(), caches.next()) {
+            return Ok(Walk::resume(fold.clone(), *folded, &self.events).verdict());
+        }
+        let mut walk = Walk::new(&self.events);
+        if !self.machines.is_empty() {
+            loop {
+                let page = facts_after(conn, &self.tool, None, walk.fold().last()).await?;
+                if page.is_empty() {
+                    break;
+                }
+                page.iter().try_for_each(|row| walk.step(row))?;
+            }
+        }
+        Ok(walk.verdict())
+    }
+}
+
+async fn save(
+    conn: &mut Conn,
+    tool: &ToolId,
+    machine: &MachineId,
+    walk: &Walk<'_>,
+    now: Timestamp,
+) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
+         VALUES ($1, $2, $3, $4, $5, 1, $6)
+         ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
+             fold_version = excluded.fold_version, state = excluded.state, version = tool_wear.version + 1,
+             updated_at_us = excluded.updated_at_us",
+    )
+    .bind(machine.as_str())
+    .bind(tool.as_str())
+    .bind(count("folded", walk.folded())?)
+    .bind(i64::from(FOLD_VERSION))
+    .bind(walk.fold().to_bytes())
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+async fn save_checkpoint(
+    conn: &mut Conn,
+    tool: &ToolId,
+    machine: &MachineId,
+    walk: &Walk<'_>,
+) -> StoreResult<()> {
+    let Some(last) = walk.fold().last() else {
+        return Ok(());
+    };
+    sqlx::query::<Db>(
+        "INSERT INTO tool_wear_checkpoints (machine_id, tool_id, folded, fold_version, last_started_at_us, last_seq,
+             last_cycle_id, state)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
+         ON CONFLICT (machine_id, tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
+             last_started_at_us = excluded.last_started_at_us, last_seq = excluded.last_seq,
+             last_cycle_id = excluded.last_cycle_id, state = excluded.state",
+    )
+    .bind(machine.as_str())
+    .bind(tool.as_str())
+    .bind(count("folded", walk.folded())?)
+    .bind(i64::from(FOLD_VERSION))
+    .bind(last.started_at.micros())
+    .bind(last.seq.map(|seq| count("last_seq", seq)).transpose()?)
+    .bind(last.cycle.as_str())
+    .bind(walk.fold().to_bytes())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+#[derive(sqlx::FromRow)]
+struct CheckpointRow {
+    folded: i64,
+    fold_version: i64,
+    state: Vec<u8>,
+}
+
+/// The last checkpoint whose cycles all come before `from`; the empty fold where there is none.
+async fn checkpoint_before(
+    conn: &mut Conn,
+    tool: &ToolId,
+    machine: &MachineId,
+    from: &Place,
+) -> StoreResult<(ToolFold, u64)> {
+    let (before_machine, seq, cycle) = match &from.cycle {
+        None => ("", i64::MIN, ""),
+        Some((machine, seq, cycle)) => {
+            (machine.as_str(), seq.map_or(Ok(-1), |seq| count("seq", seq))?, cycle.as_str())
+        }
+    };
+    let row: Option<CheckpointRow> = sqlx::query_as::<Db, _>(
+        "SELECT folded, fold_version, state FROM tool_wear_checkpoints
+         WHERE machine_id = $1 AND tool_id = $2
+           AND (last_started_at_us, machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($3, $4, $5, $6)
+         ORDER BY folded DESC LIMIT 1",
+    )
+    .bind(machine.as_str())
+    .bind(tool.as_str())
+    .bind(from.at.micros())
+    .bind(before_machine)
+    .bind(seq)
+    .bind(cycle)
+    .fetch_optional(&mut *conn)
+    .await?;
+    if let Some(row) = row
+        && let Some(fold) = readable(row.fold_version, &row.state)
+    {
+        return Ok((fold, number("folded", row.folded)?));
+    }
+    Ok((ToolFold::default(), 0))
+}
+
+/// Whether a tool is registered.
+pub(super) async fn is_registered(conn: &mut Conn, tool: &ToolId) -> StoreResult<bool> {
+    let found: Option<i64> = sqlx::query_scalar::<Db, _>("SELECT version FROM tools WHERE tool_id = $1")
+        .bind(tool.as_str())
+        .fetch_optional(&mut *conn)
+        .await?;
+    Ok(found.is_some())
+}
+
+/// Folds everything that is stored of a tool that was just registered.
+pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Verdict> {
+    let mut wear = ToolWear::load_locked(conn, tool).await?;
+    for machine in machines_of(conn, tool).await? {
+        wear.refold(conn, &machine, &BEGINNING, now).await?;
+    }
+    wear.verdict(conn).await
+}
+
+/// Machines that stored a cycle of a tool.
+pub(super) async fn machines_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<MachineId>> {
+    let found: Vec<String> = sqlx::query_scalar::<Db, _>(
+        "SELECT DISTINCT machine_id FROM cycles WHERE tool_id = $1 ORDER BY machine_id",
+    )
+    .bind(tool.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    found.iter().map(|machine| id("machine_id", machine)).collect()
+}
+
+/// Refolds a tool from where an event that was just added takes effect.
+pub(super) async fn count_event(
+    conn: &mut Conn,
+    tool: &ToolId,
+    event: i64,
+    now: Timestamp,
+) -> StoreResult<Verdict> {
+    let mut wear = ToolWear::load_locked(conn, tool).await?;
+    let place = wear.events.iter().find(|placed| placed.id == event).map(|placed| placed.place.clone());
+    for machine in wear.machines() {
+        wear.refold(conn, &machine, place.as_ref().unwrap_or(&BEGINNING), now).await?;
+    }
+    wear.verdict(conn).await
+}
+
+/// Refolds the tools that ran an operation whose settings changed, each from its first cycle of it.
+pub(super) async fn count_operation(
+    conn: &mut Conn,
+    operation: &OperationId,
+    now: Timestamp,
+) -> StoreResult<Vec<(ToolId, Verdict)>> {
+    let rows: Vec<(String, String, i64)> = sqlx::query_as::<Db, _>(
+        "SELECT tool_id, machine_id, MIN(started_at_us) FROM cycles WHERE operation_id = $1
+         GROUP BY tool_id, machine_id ORDER BY tool_id, machine_id",
+    )
+    .bind(operation.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    let mut ran: BTreeMap<ToolId, Vec<(MachineId, Place)>> = BTreeMap::new();
+    for (tool, machine, first) in &rows {
+        let place = Place::at(Timestamp::from_micros(*first));
+        ran.entry(id("tool_id", tool)?).or_default().push((id("machine_id", machine)?, place));
+    }
+    dialect::lock(conn, &Locks::group([], ran.keys())).await?;
+    let mut verdicts = Vec::new();
+    for (tool, machines) in ran {
+        if !is_registered(conn, &tool).await? {
+            continue;
+        }
+        let mut wear = ToolWear::load_locked(conn, &tool).await?;
+        for (machine, first) in machines {
+            wear.refold(conn, &machine, &first, now).await?;
+        }
+        let verdict = wear.verdict(conn).await?;
+        verdicts.push((tool, verdict));
+    }
+    Ok(verdicts)
+}
+
+/// The verdict on a tool, read only.
+pub(super) async fn verdict(conn: &mut Conn, tool: &ToolId) -> StoreResult<Verdict> {
+    if !is_registered(conn, tool).await? {
+        return Ok(not_registered());
+    }
+    ToolWear::load(conn, tool).await?.verdict(conn).await
+}

@@ -1,0 +1,111 @@
+//! From the errors of sqlx to those of the store: what a caller may conclude, not what was said.
+
+use crate::error::StoreError;
+use sqlx::error::{DatabaseError, ErrorKind};
+
+impl From<sqlx::Error> for StoreError {
+    fn from(error: sqlx::Error) -> Self {
+        match &error {
+            sqlx::Error::Database(database) => match Fault::of(database.as_ref()) {
+                Fault::Refused => Self::Refused { constraint: constraint(database.as_ref()) },
+                Fault::NotWritable => Self::NotWritable(Box::new(error)),
+                Fault::Unavailable => Self::Unavailable(Box::new(error)),
+                Fault::Other => Self::Database(Box::new(error)),
+            },
+            sqlx::Error::Io(_)
+            | sqlx::Error::Tls(_)
+            | sqlx::Error::PoolTimedOut
+            | sqlx::Error::PoolClosed
+            | sqlx::Error::WorkerCrashed => Self::Unavailable(Box::new(error)),
+            sqlx::Error::ColumnDecode { index, .. } => {
+                Self::Damaged { what: format!("column {index} does not decode") }
+            }
+            _ => Self::Database(Box::new(error)),
+        }
+    }
+}
+
+enum Fault {
+    Refused,
+    NotWritable,
+    Unavailable,
+    Other,
+}
+
+impl Fault {
+    fn of(error: &dyn DatabaseError) -> Self {
+        match error.kind() {
+            ErrorKind::UniqueViolation
+            | ErrorKind::ForeignKeyViolation
+            | ErrorKind::NotNullViolation
+            | ErrorKind::CheckViolation => return Self::Refused,
+            _ => {}
+        }
+        let Some(code) = error.code() else {
+            return Self::Other;
+        };
+        // SQLite gives its extended result code in decimal, PostgreSQL an SQLSTATE of five characters.
+        if code.len() < 5
+            && let Ok(code) = code.parse::<u32>()
+        {
+            return Self::of_sqlite(code);
+        }
+        Self::of_sqlstate(&code)
+    }
+
+    /// <https://www.sqlite.org/rescode.html>: the low byte is the primary code.
+    const fn of_sqlite(code: u32) -> Self {
+        match code & 0xff {
+            // BUSY, LOCKED, INTERRUPT
+            5 | 6 | 9 => Self::Unavailable,
+            // READONLY, IOERR, CORRUPT, FULL, CANTOPEN, NOTADB
+            8 | 10 | 11 | 13 | 14 | 26 => Self::NotWritable,
+            // TOOBIG, CONSTRAINT, MISMATCH
+            18..=20 => Self::Refused,
+            _ => Self::Other,
+        }
+    }
+
+    /// Appendix A of PostgreSQL's manual.
+    fn of_sqlstate(code: &str) -> Self {
+        match code {
+            // read-only transaction, disk full, I/O error, data or index corrupted
+            "25006" | "53100" | "58030" | "XX001" | "XX002" => Self::NotWritable,
+            // serialisation, deadlock, lock not available, statement or session timed out
+            "40001" | "40P01" | "55P03" | "57014" | "25P03" => Self::Unavailable,
+            _ if code.starts_with("22") || code.starts_with("23") => Self::Refused,
+            // connection, resources, operator intervention (shutdown, restart)
+            _ if ["08", "53", "57"].iter().any(|class| code.starts_with(class)) => Self::Unavailable,
+            _ => Self::Other,
+        }
+    }
+}
+
+fn constraint(error: &dyn DatabaseError) -> String {
+    // SQLite names it in the message only: "CHECK constraint failed: cycles_coverage_range".
+    error
+        .constraint()
+        .or_else(|| error.message().rsplit(": ").next())
+        .unwrap_or_else(|| error.message())
+        .to_owned()
+}
+
+impl StoreError {
+    /// The same verdict for another row of a group that failed as a whole.
+    pub(crate) fn again(&self) -> Self {
+        let text = || -> Box<dyn std::error::Error + Send + Sync> {
+            std::error::Error::source(self).map_or_else(|| self.to_string(), ToString::to_string).into()
+        };
+        match self {
+            Self::Unavailable(_) => Self::Unavailable(text()),
+            Self::OutcomeUnknown(_) => Self::OutcomeUnknown(text()),
+            Self::NotWritable(_) => Self::NotWritable(text()),
+            Self::Refused { constraint } => Self::Refused { constraint: constraint.clone() },
+            Self::Damaged { what } => Self::Damaged { what: what.clone() },
+            Self::VersionMismatch { current } => Self::VersionMismatch { current: *current },
+            Self::VersionRequired { current } => Self::VersionRequired { current: *current },
+            Self::Full { what } => Self::Full { what },
+            Self::Database(_) => Self::Database(text()),
+        }
+    }
+}

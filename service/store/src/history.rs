@@ -1,0 +1,70 @@
+//! A walk through a tool's history: cycles in their order, each event before the first cycle that it covers.
+
+use crate::error::StoreResult;
+use crate::rows::{FactsRow, Place, PlacedEvent};
+use feedwright_core::wear::{ToolFold, Verdict};
+
+/// Cycles between two checkpoints: a late cycle refolds at most so many, and what came after it.
+pub(crate) const CHECKPOINT_CYCLES: u64 = 256;
+
+/// A fold on its way through a history.
+pub(crate) struct Walk<'a> {
+    fold: ToolFold,
+    folded: u64,
+    events: &'a [PlacedEvent],
+    next: usize,
+}
+
+impl<'a> Walk<'a> {
+    /// From the beginning; `events` in the order of their places.
+    pub(crate) fn new(events: &'a [PlacedEvent]) -> Self {
+        Self::resume(ToolFold::default(), 0, events)
+    }
+
+    /// From a state with `folded` cycles: events up to the place of its last cycle are in it.
+    pub(crate) fn resume(fold: ToolFold, folded: u64, events: &'a [PlacedEvent]) -> Self {
+        let next = fold.last().map(Place::of).map_or(0, |last| events.partition_point(|e| e.place <= last));
+        Self { fold, folded, events, next }
+    }
+
+    /// Folds the next cycle in.
+    pub(crate) fn step(&mut self, row: &FactsRow) -> StoreResult<()> {
+        let (facts, settings) = row.facts()?;
+        let place = Place::of(&facts.order);
+        while let Some(event) = self.events.get(self.next).filter(|event| event.place <= place) {
+            self.fold.event(event.kind);
+            self.next += 1;
+        }
+        self.fold.cycle(&facts, settings.as_ref());
+        self.folded += 1;
+        Ok(())
+    }
+
+    /// Whether a checkpoint belongs here.
+    pub(crate) const fn at_checkpoint(&self) -> bool {
+        self.folded % CHECKPOINT_CYCLES == 0
+    }
+
+    /// Cycles folded so far.
+    pub(crate) const fn folded(&self) -> u64 {
+        self.folded
+    }
+
+    /// The state after the last cycle, without events that come after it: they may yet be overtaken by a cycle.
+    pub(crate) const fn fold(&self) -> &ToolFold {
+        &self.fold
+    }
+
+    /// The state after the last cycle.
+    pub(crate) fn into_fold(self) -> ToolFold {
+        self.fold
+    }
+
+    /// The verdict after the last cycle and every event that followed it.
+    pub(crate) fn verdict(mut self) -> Verdict {
+        for event in &self.events[self.next..] {
+            self.fold.event(event.kind);
+        }
+        self.fold.verdict()
+    }
+}

@@ -1,0 +1,55 @@
+//! Rows as the engines read and write them, and the way from there to records. No SQL and no engine's type here.
+
+mod cycle;
+mod facts;
+mod registry;
+mod service;
+
+pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
+pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
+pub(crate) use registry::{
+    CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
+    tool_json,
+};
+pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
+
+use crate::error::{StoreError, StoreResult};
+use feedwright_core::invalid::Violation;
+
+fn damaged(column: &str) -> StoreError {
+    StoreError::Damaged { what: format!("column {column} holds what it must not") }
+}
+
+/// An identifier out of its column.
+pub(crate) fn id<'a, T: TryFrom<&'a str, Error = Violation>>(column: &str, text: &'a str) -> StoreResult<T> {
+    T::try_from(text).map_err(|_| damaged(column))
+}
+
+/// A word out of its column.
+pub(crate) fn word<T>(column: &str, text: &str, parse: impl FnOnce(&str) -> Option<T>) -> StoreResult<T> {
+    parse(text).ok_or_else(|| damaged(column))
+}
+
+/// A whole number out of its column.
+pub(crate) fn number<T: TryFrom<i64>>(column: &str, value: i64) -> StoreResult<T> {
+    T::try_from(value).map_err(|_| damaged(column))
+}
+
+/// A whole number on its way into a column.
+pub(crate) fn count(column: &str, value: u64) -> StoreResult<i64> {
+    i64::try_from(value).map_err(|_| StoreError::Refused { constraint: format!("{column} is too large") })
+}
+
+/// A float on its way into a column: finite, and never −0.0, which the engines do not keep alike.
+pub(crate) fn float(column: &str, value: f64) -> StoreResult<f64> {
+    if value.is_finite() {
+        Ok(value + 0.0)
+    } else {
+        Err(StoreError::Refused { constraint: format!("{column} is not finite") })
+    }
+}
+
+/// As [`float`], where there may be none.
+pub(crate) fn optional_float(column: &str, value: Option<f64>) -> StoreResult<Option<f64>> {
+    value.map(|value| float(column, value)).transpose()
+}

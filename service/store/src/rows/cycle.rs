@@ -1,0 +1,396 @@
+//! The row of a cycle: its columns, and the way from a cycle to its row and back.
+
+use super::{count, float, id, number, word};
+use crate::error::{StoreError, StoreResult};
+use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
+use feedwright_core::cycle::{Flags, Outcome, ProfileVersion};
+use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis, IdlePower, Peak};
+use feedwright_core::units::{Process, Strategy, Timestamp};
+
+/// Hands every column of `cycles`, with its type and placeholder, to a macro: the list stands once.
+macro_rules! cycle_columns {
+    ($callback:ident) => {
+        $callback! {
+                machine_id: String = "$1",
+                cycle_id: String = "$2",
+                tool_id: String = "$3",
+                operation_id: String = "$4",
+                started_at_us: i64 = "$5",
+                received_at_us: i64 = "$6",
+                seq: Option<i64> = "$7",
+                content_hash: Vec<u8> = "$8",
+                process: Option<String> = "$9",
+                strategy: Option<String> = "$10",
+                law_version: Option<String> = "$11",
+                profile_id: Option<String> = "$12",
+                profile_version: Option<i64> = "$13",
+                recommendation_id: Option<String> = "$14",
+                outcome: String = "$15",
+                summary_version: i64 = "$16",
+                sample_count: i64 = "$17",
+                coverage: f64 = "$18",
+                flags: i64 = "$19",
+                quantities: i64 = "$20",
+                spindle_speed_rpm: Option<f64> = "$21",
+                duration_ms: Option<f64> = "$22",
+                dynamometer_joules: Option<f64> = "$23",
+                dynamometer_spindle_joules: Option<f64> = "$24",
+                dynamometer_feed_drive_joules: Option<f64> = "$25",
+                calibrated_joules: Option<f64> = "$26",
+                calibrated_spindle_joules: Option<f64> = "$27",
+                calibrated_feed_drive_joules: Option<f64> = "$28",
+                measured_power_joules: Option<f64> = "$29",
+                measured_power_spindle_joules: Option<f64> = "$30",
+                measured_power_feed_drive_joules: Option<f64> = "$31",
+                measured_power_idle_watts: Option<f64> = "$32",
+                rated_power_joules: Option<f64> = "$33",
+                rated_power_spindle_joules: Option<f64> = "$34",
+                rated_power_feed_drive_joules: Option<f64> = "$35",
+                max_depth_mm: Option<f64> = "$36",
+                max_spindle_load_percent: Option<f64> = "$37",
+                max_spindle_load_depth_mm: Option<f64> = "$38",
+                max_spindle_load_time_ms: Option<f64> = "$39",
+                max_feed_drive_load_percent: Option<f64> = "$40",
+                max_feed_drive_load_depth_mm: Option<f64> = "$41",
+                max_feed_drive_load_time_ms: Option<f64> = "$42",
+                max_spindle_power_watts: Option<f64> = "$43",
+                max_spindle_power_depth_mm: Option<f64> = "$44",
+                max_spindle_power_time_ms: Option<f64> = "$45",
+                max_thrust_newtons: Option<f64> = "$46",
+                max_thrust_depth_mm: Option<f64> = "$47",
+                max_thrust_time_ms: Option<f64> = "$48",
+                max_torque_newton_metres: Option<f64> = "$49",
+                max_torque_depth_mm: Option<f64> = "$50",
+                max_torque_time_ms: Option<f64> = "$51",
+                mean_spindle_load_percent: Option<f64> = "$52",
+                mean_feed_drive_load_percent: Option<f64> = "$53",
+                mean_override_percent: Option<f64> = "$54",
+                operator_override_percent: Option<f64> = "$55",
+                median_spindle_speed_rpm: Option<f64> = "$56",
+                spindle_load_fall_depth_mm: Option<f64> = "$57",
+                reported_energy_joules: Option<f64> = "$58",
+                reported_duration_ms: Option<f64> = "$59",
+                reported_max_depth_mm: Option<f64> = "$60",
+                reported_max_spindle_load_percent: Option<f64> = "$61",
+                reported_max_feed_drive_load_percent: Option<f64> = "$62",
+                reported_mean_spindle_load_percent: Option<f64> = "$63",
+                reported_mean_feed_drive_load_percent: Option<f64> = "$64",
+                reported_operator_override_percent: Option<f64> = "$65",
+        }
+    };
+}
+pub(crate) use cycle_columns;
+
+macro_rules! define_row {
+    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+        /// A row of `cycles`.
+        #[derive(Debug, Clone, PartialEq, sqlx::FromRow)]
+        pub(crate) struct CycleRow {
+            $(pub(crate) $column: $type,)*
+        }
+    };
+}
+cycle_columns!(define_row);
+
+/// What a column is to the count of quantities: only nullable floats are counted.
+trait Column {
+    fn quantity(&mut self) -> Option<&mut f64> {
+        None
+    }
+}
+
+impl Column for String {}
+impl Column for i64 {}
+impl Column for f64 {}
+impl Column for Vec<u8> {}
+impl Column for Option<String> {}
+impl Column for Option<i64> {}
+impl Column for Option<f64> {
+    fn quantity(&mut self) -> Option<&mut f64> {
+        self.as_mut()
+    }
+}
+
+macro_rules! define_quantities {
+    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+        impl CycleRow {
+            /// The nullable floats that are there, by name.
+            fn quantities_mut(&mut self) -> impl Iterator<Item = (&'static str, &mut f64)> {
+                [$((stringify!($column), Column::quantity(&mut self.$column)),)*]
+                    .into_iter()
+                    .filter_map(|(name, quantity)| Some((name, quantity?)))
+            }
+        }
+    };
+}
+cycle_columns!(define_quantities);
+
+/// A row of `cycles` with whether samples are kept for it.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct CycleWithSamples {
+    #[sqlx(flatten)]
+    pub(crate) cycle: CycleRow,
+    pub(crate) has_samples: bool,
+}
+
+fn peak_columns(peak: Option<Peak>) -> [Option<f64>; 3] {
+    [peak.map(|peak| peak.value), peak.and_then(|peak| peak.depth_mm), peak.and_then(|peak| peak.time_ms)]
+}
+
+fn peak(value: Option<f64>, depth_mm: Option<f64>, time_ms: Option<f64>) -> Option<Peak> {
+    value.map(|value| Peak { value, depth_mm, time_ms })
+}
+
+impl CycleRow {
+    /// The row of a cycle. Refuses what is not finite: SQLite would keep a NaN as NULL.
+    pub(crate) fn of(new: &NewCycle, flags: Flags) -> StoreResult<Self> {
+        let (cycle, summary) = (&new.cycle, &new.summary);
+        let reported = &cycle.reported;
+        let energy = |basis| summary.energy.iter().find(|energy| energy.basis == basis);
+        let parts = |basis| {
+            let energy: Option<&Energy> = energy(basis);
+            [
+                energy.map(|energy| energy.total_joules),
+                energy.and_then(|energy| energy.spindle_joules),
+                energy.and_then(|energy| energy.feed_drive_joules),
+            ]
+        };
+        let [dynamometer, dynamometer_spindle, dynamometer_feed] = parts(EnergyBasis::Dynamometer);
+        let [calibrated, calibrated_spindle, calibrated_feed] = parts(EnergyBasis::Calibrated);
+        let [measured, measured_spindle, measured_feed] = parts(EnergyBasis::MeasuredPower);
+        let [rated, rated_spindle, rated_feed] = parts(EnergyBasis::RatedPower);
+        let idle = match energy(EnergyBasis::MeasuredPower).map(|energy| energy.idle) {
+            Some(IdlePower::Subtracted { watts }) => Some(watts),
+            _ => None,
+        };
+        let [spindle_load, spindle_load_depth, spindle_load_time] =
+            peak_columns(summary.max_spindle_load_percent);
+        let [feed_load, feed_load_depth, feed_load_time] = peak_columns(summary.max_feed_drive_load_percent);
+        let [power, power_depth, power_time] = peak_columns(summary.max_spindle_power_watts);
+        let [thrust, thrust_depth, thrust_time] = peak_columns(summary.max_thrust_newtons);
+        let [torque, torque_depth, torque_time] = peak_columns(summary.max_torque_newton_metres);
+        let mut row = Self {
+            machine_id: cycle.machine.as_str().to_owned(),
+            cycle_id: cycle.id.as_str().to_owned(),
+            tool_id: cycle.tool.as_str().to_owned(),
+            operation_id: cycle.operation.as_str().to_owned(),
+            started_at_us: cycle.started_at.micros(),
+            received_at_us: new.received_at.micros(),
+            seq: cycle.seq.map(|seq| count("seq", seq)).transpose()?,
+            content_hash: new.encoded.hash.to_vec(),
+            process: cycle.process.map(|process| process.as_str().to_owned()),
+            strategy: cycle.strategy.map(|strategy| strategy.as_str().to_owned()),
+            law_version: cycle.law_version.clone(),
+            profile_id: cycle.profile.as_ref().map(|profile| profile.profile.as_str().to_owned()),
+            profile_version: cycle.profile.as_ref().map(|profile| i64::from(profile.version)),
+            recommendation_id: cycle.recommendation.as_ref().map(|id| id.as_str().to_owned()),
+            outcome: cycle.outcome.as_str().to_owned(),
+            summary_version: i64::from(summary.version),
+            sample_count: i64::from(summary.sample_count),
+            coverage: float("coverage", summary.coverage)?,
+            flags: i64::from(flags.bits()),
+            quantities: 0,
+            spindle_speed_rpm: cycle.spindle_speed_rpm,
+            duration_ms: summary.duration_ms,
+            dynamometer_joules: dynamometer,
+            dynamometer_spindle_joules: dynamometer_spindle,
+            dynamometer_feed_drive_joules: dynamometer_feed,
+            calibrated_joules: calibrated,
+            calibrated_spindle_joules: calibrated_spindle,
+            calibrated_feed_drive_joules: calibrated_feed,
+            measured_power_joules: measured,
+            measured_power_spindle_joules: measured_spindle,
+            measured_power_feed_drive_joules: measured_feed,
+            measured_power_idle_watts: idle,
+            rated_power_joules: rated,
+            rated_power_spindle_joules: rated_spindle,
+            rated_power_feed_drive_joules: rated_feed,
+            max_depth_mm: summary.max_depth_mm,
+            max_spindle_load_percent: spindle_load,
+            max_spindle_load_depth_mm: spindle_load_depth,
+            max_spindle_load_time_ms: spindle_load_time,
+            max_feed_drive_load_percent: feed_load,
+            max_feed_drive_load_depth_mm: feed_load_depth,
+            max_feed_drive_load_time_ms: feed_load_time,
+            max_spindle_power_watts: power,
+            max_spindle_power_depth_mm: power_depth,
+            max_spindle_power_time_ms: power_time,
+            max_thrust_newtons: thrust,
+            max_thrust_depth_mm: thrust_depth,
+            max_thrust_time_ms: thrust_time,
+            max_torque_newton_metres: torque,
+            max_torque_depth_mm: torque_depth,
+            max_torque_time_ms: torque_time,
+            mean_spindle_load_percent: summary.mean_spindle_load_percent,
+            mean_feed_drive_load_percent: summary.mean_feed_drive_load_percent,
+            mean_override_percent: summary.mean_override_percent,
+            operator_override_percent: summary.operator_override_percent,
+            median_spindle_speed_rpm: summary.median_spindle_speed_rpm,
+            spindle_load_fall_depth_mm: summary.spindle_load_fall_depth_mm,
+            reported_energy_joules: reported.energy_joules,
+            reported_duration_ms: reported.duration_ms,
+            reported_max_depth_mm: reported.max_depth_mm,
+            reported_max_spindle_load_percent: reported.max_spindle_load_percent,
+            reported_max_feed_drive_load_percent: reported.max_feed_drive_load_percent,
+            reported_mean_spindle_load_percent: reported.mean_spindle_load_percent,
+            reported_mean_feed_drive_load_percent: reported.mean_feed_drive_load_percent,
+            reported_operator_override_percent: reported.operator_override_percent,
+        };
+        row.settle_quantities()?;
+        if row.energy() != summary.energy {
+            // Bases twice, out of order, or treated otherwise than the columns can say.
+            return Err(StoreError::Refused { constraint: "cycles_energy_shape".to_owned() });
+        }
+        Ok(row)
+    }
+
+    /// Normalises −0.0, refuses what is not finite, and counts what is there.
+    fn settle_quantities(&mut self) -> StoreResult<()> {
+        let mut present = 0;
+        for (name, value) in self.quantities_mut() {
+            *value = float(name, *value)?;
+            present += 1;
+        }
+        self.quantities = present;
+        Ok(())
+    }
+
+    fn energy(&self) -> Vec<Energy> {
+        let parts = |basis, total: Option<f64>, spindle_joules, feed_drive_joules, idle| {
+            total.map(|total_joules| Energy { basis, total_joules, spindle_joules, feed_drive_joules, idle })
+        };
+        let idle = match self.measured_power_idle_watts {
+            Some(watts) => IdlePower::Subtracted { watts },
+            None => IdlePower::Included,
+        };
+        [
+            parts(
+                EnergyBasis::Dynamometer,
+                self.dynamometer_joules,
+                self.dynamometer_spindle_joules,
+                self.dynamometer_feed_drive_joules,
+                IdlePower::NotApplicable,
+            ),
+            parts(
+                EnergyBasis::Calibrated,
+                self.calibrated_joules,
+                self.calibrated_spindle_joules,
+                self.calibrated_feed_drive_joules,
+                IdlePower::NotApplicable,
+            ),
+            parts(
+                EnergyBasis::MeasuredPower,
+                self.measured_power_joules,
+                self.measured_power_spindle_joules,
+                self.measured_power_feed_drive_joules,
+                idle,
+            ),
+            parts(
+                EnergyBasis::RatedPower,
+                self.rated_power_joules,
+                self.rated_power_spindle_joules,
+                self.rated_power_feed_drive_joules,
+                IdlePower::Included,
+            ),
+            parts(EnergyBasis::Reported, self.reported_energy_joules, None, None, IdlePower::Included),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
+    }
+
+    fn summary(&self) -> StoreResult<CycleSummary> {
+        Ok(CycleSummary {
+            version: number("summary_version", self.summary_version)?,
+            sample_count: number("sample_count", self.sample_count)?,
+            duration_ms: self.duration_ms,
+            energy: self.energy(),
+            max_depth_mm: self.max_depth_mm,
+            max_spindle_load_percent: peak(
+                self.max_spindle_load_percent,
+                self.max_spindle_load_depth_mm,
+                self.max_spindle_load_time_ms,
+            ),
+            max_feed_drive_load_percent: peak(
+                self.max_feed_drive_load_percent,
+                self.max_feed_drive_load_depth_mm,
+                self.max_feed_drive_load_time_ms,
+            ),
+            max_spindle_power_watts: peak(
+                self.max_spindle_power_watts,
+                self.max_spindle_power_depth_mm,
+                self.max_spindle_power_time_ms,
+            ),
+            max_thrust_newtons: peak(
+                self.max_thrust_newtons,
+                self.max_thrust_depth_mm,
+                self.max_thrust_time_ms,
+            ),
+            max_torque_newton_metres: peak(
+                self.max_torque_newton_metres,
+                self.max_torque_depth_mm,
+                self.max_torque_time_ms,
+            ),
+            mean_spindle_load_percent: self.mean_spindle_load_percent,
+            mean_feed_drive_load_percent: self.mean_feed_drive_load_percent,
+            mean_override_percent: self.mean_override_percent,
+            operator_override_percent: self.operator_override_percent,
+            median_spindle_speed_rpm: self.median_spindle_speed_rpm,
+            spindle_load_fall_depth_mm: self.spindle_load_fall_depth_mm,
+            coverage: self.coverage,
+            flags: Flags::from_bits(number("flags", self.flags)?),
+        })
+    }
+
+    fn meta(&self) -> StoreResult<CycleMeta> {
+        let profile = match (&self.profile_id, self.profile_version) {
+            (Some(profile), Some(version)) => Some(ProfileVersion {
+                profile: id("profile_id", profile)?,
+                version: number("profile_version", version)?,
+            }),
+            _ => None,
+        };
+        Ok(CycleMeta {
+            machine: id("machine_id", &self.machine_id)?,
+            id: id("cycle_id", &self.cycle_id)?,
+            tool: id("tool_id", &self.tool_id)?,
+            operation: id("operation_id", &self.operation_id)?,
+            started_at: Timestamp::from_micros(self.started_at_us),
+            seq: self.seq.map(|seq| number("seq", seq)).transpose()?,
+            process: self.process.as_deref().map(|text| word("process", text, Process::parse)).transpose()?,
+            strategy: self
+                .strategy
+                .as_deref()
+                .map(|text| word("strategy", text, Strategy::parse))
+                .transpose()?,
+            law_version: self.law_version.clone(),
+            profile,
+            recommendation: self
+                .recommendation_id
+                .as_deref()
+                .map(|text| id("recommendation_id", text))
+                .transpose()?,
+            spindle_speed_rpm: self.spindle_speed_rpm,
+            outcome: word("outcome", &self.outcome, Outcome::parse)?,
+        })
+    }
+
+    pub(crate) fn hash(&self) -> StoreResult<ContentHash> {
+        self.content_hash
+            .as_slice()
+            .try_into()
+            .map_err(|_| StoreError::Damaged { what: "content_hash has not 32 bytes".to_owned() })
+    }
+}
+
+impl CycleWithSamples {
+    pub(crate) fn stored(&self) -> StoreResult<StoredCycle> {
+        Ok(StoredCycle {
+            cycle: self.cycle.meta()?,
+            summary: self.cycle.summary()?,
+            received_at: Timestamp::from_micros(self.cycle.received_at_us),
+            hash: self.cycle.hash()?,
+            has_samples: self.has_samples,
+        })
+    }
+}

@@ -1,0 +1,229 @@
+//! What the fold reads: facts of cycles with the settings of their operation, and events with their place.
+
+use super::{CycleRow, id, number, word};
+use crate::error::StoreResult;
+use crate::record::StoredToolEvent;
+use feedwright_core::cycle::{Flags, ProfileVersion};
+use feedwright_core::ids::{CycleId, MachineId};
+use feedwright_core::operation::{Operation, WearSettings};
+use feedwright_core::summary::EnergyBasis;
+use feedwright_core::tool::{ToolEvent, ToolEventKind};
+use feedwright_core::units::{Strategy, Timestamp};
+use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey};
+
+/// What wear needs of one cycle.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct FactsRow {
+    pub(crate) machine_id: String,
+    pub(crate) cycle_id: String,
+    pub(crate) operation_id: String,
+    pub(crate) started_at_us: i64,
+    pub(crate) seq: Option<i64>,
+    pub(crate) strategy: Option<String>,
+    pub(crate) law_version: Option<String>,
+    pub(crate) profile_id: Option<String>,
+    pub(crate) profile_version: Option<i64>,
+    pub(crate) spindle_speed_rpm: Option<f64>,
+    pub(crate) median_spindle_speed_rpm: Option<f64>,
+    pub(crate) dynamometer_joules: Option<f64>,
+    pub(crate) calibrated_joules: Option<f64>,
+    pub(crate) measured_power_joules: Option<f64>,
+    pub(crate) measured_power_idle_watts: Option<f64>,
+    pub(crate) rated_power_joules: Option<f64>,
+    pub(crate) reported_energy_joules: Option<f64>,
+    pub(crate) duration_ms: Option<f64>,
+    pub(crate) max_depth_mm: Option<f64>,
+    pub(crate) spindle_load_fall_depth_mm: Option<f64>,
+    pub(crate) operator_override_percent: Option<f64>,
+    pub(crate) coverage: f64,
+    pub(crate) flags: i64,
+    pub(crate) baseline_cycles: Option<i64>,
+    pub(crate) window_cycles: Option<i64>,
+    pub(crate) operation_depth_mm: Option<f64>,
+    pub(crate) operation_speed_rpm: Option<f64>,
+}
+
+impl FactsRow {
+    /// The facts of a row that is being written: the same columns that a refold reads.
+    pub(crate) fn of(row: &CycleRow, operation: Option<&Operation>) -> Self {
+        Self {
+            machine_id: row.machine_id.clone(),
+            cycle_id: row.cycle_id.clone(),
+            operation_id: row.operation_id.clone(),
+            started_at_us: row.started_at_us,
+            seq: row.seq,
+            strategy: row.strategy.clone(),
+            law_version: row.law_version.clone(),
+            profile_id: row.profile_id.clone(),
+            profile_version: row.profile_version,
+            spindle_speed_rpm: row.spindle_speed_rpm,
+            median_spindle_speed_rpm: row.median_spindle_speed_rpm,
+            dynamometer_joules: row.dynamometer_joules,
+            calibrated_joules: row.calibrated_joules,
+            measured_power_joules: row.measured_power_joules,
+            measured_power_idle_watts: row.measured_power_idle_watts,
+            rated_power_joules: row.rated_power_joules,
+            reported_energy_joules: row.reported_energy_joules,
+            duration_ms: row.duration_ms,
+            max_depth_mm: row.max_depth_mm,
+            spindle_load_fall_depth_mm: row.spindle_load_fall_depth_mm,
+            operator_override_percent: row.operator_override_percent,
+            coverage: row.coverage,
+            flags: row.flags,
+            baseline_cycles: operation.map(|operation| i64::from(operation.wear.baseline_cycles)),
+            window_cycles: operation.map(|operation| i64::from(operation.wear.window_cycles)),
+            operation_depth_mm: operation.and_then(|operation| operation.depth_mm),
+            operation_speed_rpm: operation.and_then(|operation| operation.spindle_speed_rpm),
+        }
+    }
+
+    /// Place of the cycle in its tool's history.
+    pub(crate) fn order(&self) -> StoreResult<OrderKey> {
+        Ok(OrderKey {
+            started_at: Timestamp::from_micros(self.started_at_us),
+            machine: id("machine_id", &self.machine_id)?,
+            seq: self.seq.map(|seq| number("seq", seq)).transpose()?,
+            cycle: id("cycle_id", &self.cycle_id)?,
+        })
+    }
+
+    /// Basis, whether idle power is out of it, and joules: as [`CycleFacts::of`] takes them, best basis first.
+    fn best_energy(&self) -> Option<(EnergyBasis, bool, f64)> {
+        let net = self.measured_power_idle_watts.is_some();
+        [
+            (EnergyBasis::Dynamometer, false, self.dynamometer_joules),
+            (EnergyBasis::Calibrated, false, self.calibrated_joules),
+            (EnergyBasis::MeasuredPower, net, self.measured_power_joules),
+            (EnergyBasis::RatedPower, false, self.rated_power_joules),
+            (EnergyBasis::Reported, false, self.reported_energy_joules),
+        ]
+        .into_iter()
+        .find_map(|(basis, net, joules)| Some((basis, net, joules?)))
+    }
+
+    /// What the fold takes: the facts, and the operation's settings where it is registered.
+    pub(crate) fn facts(&self) -> StoreResult<(CycleFacts, Option<FoldSettings>)> {
+        let profile = match (&self.profile_id, self.profile_version) {
+            (Some(profile), Some(version)) => Some(ProfileVersion {
+                profile: id("profile_id", profile)?,
+                version: number("profile_version", version)?,
+            }),
+            _ => None,
+        };
+        let facts = CycleFacts {
+            order: self.order()?,
+            operation: id("operation_id", &self.operation_id)?,
+            spindle_speed_rpm: self.spindle_speed_rpm.or(self.median_spindle_speed_rpm),
+            strategy: self
+                .strategy
+                .as_deref()
+                .map(|text| word("strategy", text, Strategy::parse))
+                .transpose()?,
+            law_version: self.law_version.clone(),
+            profile,
+            energy: self.best_energy(),
+            duration_ms: self.duration_ms,
+            max_depth_mm: self.max_depth_mm,
+            fall_depth_mm: self.spindle_load_fall_depth_mm,
+            operator_override_percent: self.operator_override_percent,
+            coverage: self.coverage,
+            flags: Flags::from_bits(number("flags", self.flags)?),
+        };
+        let settings = match (self.baseline_cycles, self.window_cycles) {
+            (Some(baseline), Some(window)) => Some(FoldSettings {
+                wear: WearSettings {
+                    baseline_cycles: number("baseline_cycles", baseline)?,
+                    window_cycles: number("window_cycles", window)?,
+                },
+                depth_mm: self.operation_depth_mm,
+                spindle_speed_rpm: self.operation_speed_rpm,
+            }),
+            _ => None,
+        };
+        Ok((facts, settings))
+    }
+}
+
+/// A place in a tool's history. An event at a time stands before every cycle that began at that time; an event that
+/// names a cycle has that cycle's place and goes before it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Place {
+    pub(crate) at: Timestamp,
+    pub(crate) cycle: Option<(MachineId, Option<u64>, CycleId)>,
+}
+
+impl Place {
+    pub(crate) fn of(order: &OrderKey) -> Self {
+        Self { at: order.started_at, cycle: Some((order.machine.clone(), order.seq, order.cycle.clone())) }
+    }
+
+    pub(crate) const fn at(at: Timestamp) -> Self {
+        Self { at, cycle: None }
+    }
+}
+
+/// An event where it takes effect. Ordered by place; events of one place by their own time, then by arrival.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct PlacedEvent {
+    pub(crate) place: Place,
+    pub(crate) at: Timestamp,
+    pub(crate) id: i64,
+    pub(crate) kind: ToolEventKind,
+}
+
+/// A row of `tool_events` with the order key of the cycle it names, where that one is stored for the same tool.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct EventRow {
+    pub(crate) event_id: i64,
+    pub(crate) kind: String,
+    pub(crate) at_us: i64,
+    pub(crate) first_machine_id: Option<String>,
+    pub(crate) first_cycle_id: Option<String>,
+    pub(crate) reason: Option<String>,
+    pub(crate) actor: String,
+    pub(crate) recorded_at_us: i64,
+    pub(crate) first_started_at_us: Option<i64>,
+    pub(crate) first_seq: Option<i64>,
+}
+
+impl EventRow {
+    fn first_cycle(&self) -> StoreResult<Option<(MachineId, CycleId)>> {
+        match (&self.first_machine_id, &self.first_cycle_id) {
+            (Some(machine), Some(cycle)) => {
+                Ok(Some((id("first_machine_id", machine)?, id("first_cycle_id", cycle)?)))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    pub(crate) fn placed(&self) -> StoreResult<PlacedEvent> {
+        let at = Timestamp::from_micros(self.at_us);
+        let place = match (self.first_cycle()?, self.first_started_at_us) {
+            (Some((machine, cycle)), Some(started)) => Place {
+                at: Timestamp::from_micros(started),
+                cycle: Some((
+                    machine,
+                    self.first_seq.map(|seq| number("first_seq", seq)).transpose()?,
+                    cycle,
+                )),
+            },
+            _ => Place::at(at),
+        };
+        let kind = word("kind", &self.kind, ToolEventKind::parse)?;
+        Ok(PlacedEvent { place, at, id: self.event_id, kind })
+    }
+
+    pub(crate) fn stored(&self) -> StoreResult<StoredToolEvent> {
+        Ok(StoredToolEvent {
+            id: self.event_id,
+            event: ToolEvent {
+                kind: word("kind", &self.kind, ToolEventKind::parse)?,
+                at: Timestamp::from_micros(self.at_us),
+                first_cycle: self.first_cycle()?,
+                reason: self.reason.clone(),
+            },
+            actor: self.actor.clone(),
+            recorded_at: Timestamp::from_micros(self.recorded_at_us),
+        })
+    }
+}

@@ -1,0 +1,251 @@
+//! Rows of advice, alarms, quarantine, audit and tokens.
+
+use super::{id, number, word};
+use crate::error::{StoreError, StoreResult};
+use crate::record::{Alarm, AlarmKind, AuditEntry, IssuedRecommendation, QuarantineEntry, Role, TokenRecord};
+use feedwright_core::machine::FeedLimits;
+use feedwright_core::recommend::{Action, DataQuality, Recommendation};
+use feedwright_core::units::{Process, Timestamp};
+use feedwright_core::wear::{Level, Remaining, ToolState};
+use serde::{Deserialize, Serialize};
+
+/// What repeats from one recommendation to the next; kept once, under the hash of its JSON.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct AdviceBody {
+    machine: String,
+    operation: String,
+    tool: String,
+    process: Option<String>,
+    action: String,
+    feed_mm_min: Option<f64>,
+    override_percent: f64,
+    limits: [f64; 4],
+    spindle_load_set_percent: Option<f64>,
+    feed_drive_load_set_percent: Option<f64>,
+    tool_state: String,
+    quality: String,
+    reasons: Vec<(String, String)>,
+    law_version: String,
+}
+
+impl AdviceBody {
+    pub(crate) fn of(recommendation: &Recommendation) -> Self {
+        let limits = recommendation.limits;
+        Self {
+            machine: recommendation.machine.as_str().to_owned(),
+            operation: recommendation.operation.as_str().to_owned(),
+            tool: recommendation.tool.as_str().to_owned(),
+            process: recommendation.process.map(|process| process.as_str().to_owned()),
+            action: recommendation.action.as_str().to_owned(),
+            feed_mm_min: recommendation.feed_mm_min,
+            override_percent: recommendation.override_percent,
+            limits: [
+                limits.min_mm_min(),
+                limits.max_mm_min(),
+                limits.override_min_percent(),
+                limits.override_max_percent(),
+            ],
+            spindle_load_set_percent: recommendation.spindle_load_set_percent,
+            feed_drive_load_set_percent: recommendation.feed_drive_load_set_percent,
+            tool_state: recommendation.tool_state.as_str().to_owned(),
+            quality: recommendation.quality.as_str().to_owned(),
+            reasons: recommendation.reasons.clone(),
+            law_version: recommendation.law_version.clone(),
+        }
+    }
+}
+
+/// A row of `recommendations` with its advice.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct RecommendationRow {
+    recommendation_id: String,
+    issued_at_us: i64,
+    valid_until_us: i64,
+    level_as_run: Option<f64>,
+    level_lowest: Option<f64>,
+    level_highest: Option<f64>,
+    level_n: Option<i64>,
+    level_window: Option<i64>,
+    remaining_cycles: Option<i64>,
+    remaining_low: Option<i64>,
+    remaining_high: Option<i64>,
+    data_age_ms: Option<i64>,
+    body: String,
+}
+
+impl RecommendationRow {
+    pub(crate) fn issued(&self) -> StoreResult<IssuedRecommendation> {
+        let body: AdviceBody = serde_json::from_str(&self.body)
+            .map_err(|error| StoreError::Damaged { what: format!("advice: {error}") })?;
+        let [min, max, low, high] = body.limits;
+        let limits = FeedLimits::new(min, max, low, high).map_err(|_| super::damaged("advices.body"))?;
+        let level =
+            match (self.level_as_run, self.level_lowest, self.level_highest, self.level_n, self.level_window)
+            {
+                (Some(as_run), Some(lowest), Some(highest), Some(n), Some(window)) => Some(Level {
+                    as_run,
+                    lowest,
+                    highest,
+                    n: number("level_n", n)?,
+                    window: number("level_window", window)?,
+                }),
+                _ => None,
+            };
+        let remaining = match (self.remaining_cycles, self.remaining_low) {
+            (Some(cycles), Some(low)) => Some(Remaining {
+                cycles: number("remaining_cycles", cycles)?,
+                low: number("remaining_low", low)?,
+                high: self.remaining_high.map(|high| number("remaining_high", high)).transpose()?,
+            }),
+            _ => None,
+        };
+        Ok(IssuedRecommendation {
+            id: id("recommendation_id", &self.recommendation_id)?,
+            recommendation: Recommendation {
+                issued_at: Timestamp::from_micros(self.issued_at_us),
+                valid_until: Timestamp::from_micros(self.valid_until_us),
+                machine: id("machine", &body.machine)?,
+                operation: id("operation", &body.operation)?,
+                tool: id("tool", &body.tool)?,
+                process: body
+                    .process
+                    .as_deref()
+                    .map(|text| word("process", text, Process::parse))
+                    .transpose()?,
+                action: word("action", &body.action, Action::parse)?,
+                feed_mm_min: body.feed_mm_min,
+                override_percent: body.override_percent,
+                limits,
+                spindle_load_set_percent: body.spindle_load_set_percent,
+                feed_drive_load_set_percent: body.feed_drive_load_set_percent,
+                tool_state: word("tool_state", &body.tool_state, ToolState::parse)?,
+                level,
+                remaining,
+                quality: word("quality", &body.quality, DataQuality::parse)?,
+                data_age_ms: self.data_age_ms,
+                reasons: body.reasons,
+                law_version: body.law_version,
+            },
+        })
+    }
+}
+
+/// A row of `alarms`.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct AlarmRow {
+    pub(crate) alarm_id: i64,
+    pub(crate) kind: String,
+    machine_id: Option<String>,
+    tool_id: Option<String>,
+    message: String,
+    raised_at_us: i64,
+    cleared_at_us: Option<i64>,
+    acknowledged_by: Option<String>,
+    acknowledged_at_us: Option<i64>,
+}
+
+impl AlarmRow {
+    pub(crate) fn alarm(&self) -> StoreResult<Alarm> {
+        let acknowledged = match (&self.acknowledged_by, self.acknowledged_at_us) {
+            (Some(by), Some(at)) => Some((by.clone(), Timestamp::from_micros(at))),
+            _ => None,
+        };
+        Ok(Alarm {
+            id: self.alarm_id,
+            kind: word("kind", &self.kind, AlarmKind::parse)?,
+            machine: self.machine_id.as_deref().map(|text| id("machine_id", text)).transpose()?,
+            tool: self.tool_id.as_deref().map(|text| id("tool_id", text)).transpose()?,
+            message: self.message.clone(),
+            raised_at: Timestamp::from_micros(self.raised_at_us),
+            cleared_at: self.cleared_at_us.map(Timestamp::from_micros),
+            acknowledged,
+        })
+    }
+}
+
+/// A row of `quarantine` without its body.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct QuarantineRow {
+    quarantine_id: String,
+    machine_id: String,
+    cycle_id: Option<String>,
+    received_at_us: i64,
+    code: String,
+    problem: String,
+    content_type: String,
+    size: i64,
+    settled_at_us: Option<i64>,
+    settled_how: Option<String>,
+}
+
+impl QuarantineRow {
+    pub(crate) fn entry(&self) -> StoreResult<QuarantineEntry> {
+        let settled = match (self.settled_at_us, &self.settled_how) {
+            (Some(at), Some(how)) => Some((Timestamp::from_micros(at), how.clone())),
+            _ => None,
+        };
+        Ok(QuarantineEntry {
+            id: self.quarantine_id.clone(),
+            machine: id("machine_id", &self.machine_id)?,
+            cycle: self.cycle_id.clone(),
+            received_at: Timestamp::from_micros(self.received_at_us),
+            code: self.code.clone(),
+            problem: self.problem.clone(),
+            content_type: self.content_type.clone(),
+            settled,
+            size: number("size", self.size)?,
+        })
+    }
+}
+
+/// A row of `audit`.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct AuditRow {
+    audit_id: i64,
+    at_us: i64,
+    actor: String,
+    role: String,
+    action: String,
+    subject: String,
+    detail: String,
+}
+
+impl AuditRow {
+    pub(crate) fn entry(self) -> StoreResult<AuditEntry> {
+        Ok(AuditEntry {
+            id: self.audit_id,
+            at: Timestamp::from_micros(self.at_us),
+            actor: self.actor,
+            role: word("role", &self.role, Role::parse)?,
+            action: self.action,
+            subject: self.subject,
+            detail: self.detail,
+        })
+    }
+}
+
+/// A row of `tokens`.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct TokenRow {
+    token_id: String,
+    name: String,
+    secret_hash: Vec<u8>,
+    role: String,
+    machine_id: Option<String>,
+    created_at_us: i64,
+    revoked_at_us: Option<i64>,
+}
+
+impl TokenRow {
+    pub(crate) fn token(self) -> StoreResult<TokenRecord> {
+        Ok(TokenRecord {
+            id: self.token_id,
+            name: self.name,
+            hash: self.secret_hash.try_into().map_err(|_| super::damaged("secret_hash"))?,
+            role: word("role", &self.role, Role::parse)?,
+            machine: self.machine_id.as_deref().map(|text| id("machine_id", text)).transpose()?,
+            created_at: Timestamp::from_micros(self.created_at_us),
+            revoked_at: self.revoked_at_us.map(Timestamp::from_micros),
+        })
+    }
+}

@@ -1,0 +1,140 @@
+//! SQLite: one writer, many readers, a checkpoint of its own. For a cell, with nothing to install.
+//!
+//! WAL with `synchronous=FULL`: an acknowledged cycle survives a power cut. Every change goes through one connection
+//! with `BEGIN IMMEDIATE`, so that no change fails for want of a lock that it could have waited for.
+
+mod checkpoint;
+mod dialect;
+#[path = "engine/mod.rs"]
+#[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
+mod engine;
+mod open;
+
+pub use open::SqliteOptions;
+
+use crate::error::{StoreError, StoreResult};
+use crate::gate::{Gate, panicked};
+use crate::work::Work;
+use checkpoint::Checkpoints;
+use sqlx::pool::PoolConnection;
+use sqlx::{Connection, SqlitePool};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use tokio::sync::Mutex;
+
+type Db = sqlx::Sqlite;
+type Conn = sqlx::SqliteConnection;
+type Engine = SqliteStore;
+
+/// The store in one SQLite file. Clones share it.
+#[derive(Debug, Clone)]
+pub struct SqliteStore {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    /// `None` once closed.
+    writer: Mutex<Option<Conn>>,
+    readers: SqlitePool,
+    gate: Gate,
+    /// Set when the disk refused a write: an fsync is never retried, whatever comes later.
+    refused: AtomicBool,
+    checkpoints: Checkpoints,
+    max_samples: usize,
+}
+
+impl SqliteStore {
+    /// Pages of the write-ahead log at the last checkpoint: what a watchdog looks at.
+    pub fn wal_pages(&self) -> u64 {
+        self.inner.checkpoints.wal_pages()
+    }
+
+    fn max_samples(&self) -> usize {
+        self.inner.max_samples
+    }
+
+    async fn reader(&self) -> StoreResult<PoolConnection<Db>> {
+        Ok(self.inner.readers.acquire().await?)
+    }
+
+    /// Runs one change in one transaction, in a task that nobody can cancel.
+    async fn write<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        let pass = self.inner.gate.enter().await?;
+        let inner = Arc::clone(&self.inner);
+        let task = tokio::spawn(async move {
+            let outcome = inner.transaction(work).await;
+            drop(pass);
+            outcome
+        });
+        task.await.map_err(panicked)?
+    }
+
+    /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
+    async fn snapshot<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        let mut conn = self.reader().await?;
+        let task = tokio::spawn(async move {
+            let mut transaction = conn.begin().await?;
+            let outcome = work(&mut transaction).await;
+            transaction.rollback().await?;
+            outcome
+        });
+        task.await.map_err(panicked)?
+    }
+
+    async fn shut(&self) {
+        self.inner.gate.shut().await;
+        self.inner.checkpoints.stop().await;
+        self.inner.readers.close().await;
+        // Closing the last connection folds the log into the file.
+        if let Some(writer) = self.inner.writer.lock().await.take()
+            && let Err(error) = writer.close().await
+        {
+            tracing::warn!(%error, "sqlite did not close cleanly");
+        }
+    }
+}
+
+impl Inner {
+    async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        let mut writer = self.writer.lock().await;
+        if self.refused.load(Ordering::Acquire) {
+            return Err(StoreError::NotWritable("the disk refused a write before".into()));
+        }
+        let conn = writer.as_mut().ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
+        let outcome = Self::attempt(conn, work).await;
+        if let Err(StoreError::NotWritable(error)) = &outcome {
+            tracing::error!(%error, "sqlite refuses writes, nothing is acknowledged any more");
+            self.refused.store(true, Ordering::Release);
+        }
+        outcome
+    }
+
+    async fn attempt<T, F>(conn: &mut Conn, work: F) -> StoreResult<T>
+    where
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        let mut transaction = conn.begin_with("BEGIN IMMEDIATE").await?;
+        match work(&mut transaction).await {
+            Ok(value) => {
+                transaction.commit().await?;
+                Ok(value)
+            }
+            Err(error) => {
+                transaction.rollback().await?;
+                Err(error)
+            }
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! Moves the write-ahead log into the database file, beside the writer and never in its way.
+
+use super::Conn;
+use sqlx::Connection;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::sync::{Mutex, Notify};
+use tokio::task::JoinHandle;
+
+/// A log this long (64 MiB of 4 KiB pages) means that a reader holds an old snapshot, or that the disk is too slow.
+const LONG_WAL_PAGES: u64 = 16_384;
+
+#[derive(Debug)]
+pub(super) struct Checkpoints {
+    wal_pages: Arc<AtomicU64>,
+    stop: Arc<Notify>,
+    task: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Checkpoints {
+    pub(super) fn start(conn: Conn, every: Duration) -> Self {
+        let wal_pages = Arc::new(AtomicU64::new(0));
+        let stop = Arc::new(Notify::new());
+        let task = tokio::spawn(run(conn, every, Arc::clone(&wal_pages), Arc::clone(&stop)));
+        Self { wal_pages, stop, task: Mutex::new(Some(task)) }
+    }
+
+    pub(super) fn wal_pages(&self) -> u64 {
+        self.wal_pages.load(Ordering::Relaxed)
+    }
+
+    pub(super) async fn stop(&self) {
+        self.stop.notify_one();
+        if let Some(task) = self.task.lock().await.take()
+            && let Err(error) = task.await
+        {
+            tracing::error!(%error, "the checkpoint task failed");
+        }
+    }
+}
+
+impl Drop for Checkpoints {
+    fn drop(&mut self) {
+        self.stop.notify_one();
+    }
+}
+
+async fn run(mut conn: Conn, every: Duration, wal_pages: Arc<AtomicU64>, stop: Arc<Notify>) {
+    let mut ticks = tokio::time::interval(every);
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut long = false;
+    loop {
+        // Only the waiting is cancelled here, never a statement.
+        tokio::select! {
+            () = stop.notified() => break,
+            _ = ticks.tick() => {}
+        }
+        let statement =
+            if long { "PRAGMA wal_checkpoint(RESTART)" } else { "PRAGMA wal_checkpoint(PASSIVE)" };
+        match sqlx::query_as::<_, (i64, i64, i64)>(statement).fetch_one(&mut conn).await {
+            Ok((_, pages, moved)) => {
+                let pages = u64::try_from(pages).unwrap_or(0);
+                wal_pages.store(pages, Ordering::Relaxed);
+                if pages > LONG_WAL_PAGES && !long {
+                    tracing::warn!(pages, moved, "the write-ahead log is long");
+                }
+                long = pages > LONG_WAL_PAGES;
+            }
+            Err(error) => tracing::warn!(%error, "checkpoint failed"),
+        }
+    }
+    if let Err(error) = conn.close().await {
+        tracing::warn!(%error, "checkpoint connection did not close cleanly");
+    }
+}

@@ -1,0 +1,118 @@
+//! Opening: permission, settings that durability rests on, migrations.
+
+use super::checkpoint::Checkpoints;
+use super::{Conn, Inner, SqliteStore};
+use crate::error::{StoreError, StoreResult};
+use crate::gate::Gate;
+use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
+use sqlx::sqlite::{
+    SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{ConnectOptions, Connection};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+use tokio::sync::Mutex;
+
+static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/sqlite");
+
+/// A checkpoint that restarts the log holds up the writer while it waits for readers: no longer than this.
+const CHECKPOINT_PATIENCE: Duration = Duration::from_millis(100);
+
+/// How a SQLite store is run.
+#[derive(Debug, Clone)]
+pub struct SqliteOptions {
+    /// Connections that read.
+    pub readers: u32,
+    /// How long a connection waits for a lock, and a reader for a connection.
+    pub patience: Duration,
+    /// Samples that one cycle may hold when it is read.
+    pub max_samples: usize,
+    /// Time between two checkpoints.
+    pub checkpoint_every: Duration,
+}
+
+impl Default for SqliteOptions {
+    fn default() -> Self {
+        Self {
+            readers: 4,
+            patience: Duration::from_secs(5),
+            max_samples: DEFAULT_MAX_SAMPLES,
+            checkpoint_every: Duration::from_secs(1),
+        }
+    }
+}
+
+impl SqliteStore {
+    /// Opens the file at `path`, creating it for its owner only, and migrates it.
+    pub async fn open(path: impl AsRef<Path>, options: SqliteOptions) -> StoreResult<Self> {
+        let path = path.as_ref();
+        create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
+        let connect = settings(path, options.patience);
+        let mut writer = connect.connect().await?;
+        assert_durable(&mut writer).await?;
+        MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(options.readers.max(1))
+            .acquire_timeout(options.patience)
+            .connect_with(connect.clone().read_only(true).create_if_missing(false))
+            .await?;
+        let checkpointer = connect.busy_timeout(CHECKPOINT_PATIENCE).connect().await?;
+        let checkpoints = Checkpoints::start(checkpointer, options.checkpoint_every);
+        Ok(Self {
+            inner: Arc::new(Inner {
+                writer: Mutex::new(Some(writer)),
+                readers,
+                gate: Gate::default(),
+                refused: AtomicBool::new(false),
+                checkpoints,
+                max_samples: options.max_samples,
+            }),
+        })
+    }
+}
+
+/// Creates the file before SQLite does: its log and shared memory take over its permission.
+fn create_private(path: &Path) -> std::io::Result<()> {
+    let mut options = std::fs::OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    match options.open(path) {
+        Ok(_) => Ok(()),
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+fn settings(path: &Path, patience: Duration) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(path)
+        .create_if_missing(true)
+        .auto_vacuum(SqliteAutoVacuum::None)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .busy_timeout(patience)
+        .foreign_keys(true)
+        .statement_cache_capacity(200)
+        // The checkpoint has a connection of its own: inside the writer it is what the slowest commits wait for.
+        .pragma("wal_autocheckpoint", "0")
+        .pragma("temp_store", "MEMORY")
+        .pragma("cache_size", "-16384")
+        .pragma("trusted_schema", "OFF")
+        .pragma("cell_size_check", "ON")
+}
+
+/// Acknowledging rests on these two: WAL with `synchronous=NORMAL` loses acknowledged rows in a power cut.
+async fn assert_durable(conn: &mut Conn) -> StoreResult<()> {
+    let journal: String = sqlx::query_scalar("PRAGMA journal_mode").fetch_one(&mut *conn).await?;
+    let synchronous: i64 = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut *conn).await?;
+    conn.ping().await?;
+    if journal == "wal" && synchronous == 2 {
+        return Ok(());
+    }
+    Err(StoreError::NotWritable(
+        format!("needs journal_mode wal and synchronous 2 (full), has {journal} and {synchronous}").into(),
+    ))
+}

@@ -1,0 +1,204 @@
+//! Cycles come in once, are found again to the bit, and fail alone.
+
+use super::given::{Run, at, commit, machine, new_cycle, shop, stored, stories};
+use feedwright_core::cycle::{Cycle, Flag};
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_store::{Committed, CycleFilter, CycleKey, Page, Precondition, Store, StoreError};
+use std::sync::Arc;
+
+stories!(
+    a_cycle_is_found_again_to_the_bit,
+    a_cycle_is_new_then_known_then_a_conflict,
+    duplicates_inside_a_group_are_seen,
+    a_row_that_fails_fails_alone,
+    an_unknown_machine_stores_nothing,
+    pages_have_neither_gaps_nor_repeats,
+    a_number_that_is_none_is_refused,
+    after_closing_nothing_is_taken,
+);
+
+async fn a_cycle_is_found_again_to_the_bit(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let new = Run::nth(1).new_cycle();
+    let answer = stored(&*store, &Run::nth(1)).await;
+    assert_eq!(answer.summary, new.summary);
+    assert!(answer.registered);
+    let found = store.cycle(&new.cycle.machine, &new.cycle.id).await.unwrap().unwrap();
+    assert_eq!(found.summary, new.summary);
+    assert_eq!(found.hash, new.encoded.hash);
+    assert_eq!(found.received_at, new.received_at);
+    assert_eq!(found.cycle.seq, Some(1));
+    assert_eq!(found.cycle.started_at, new.cycle.started_at);
+    assert!(found.has_samples);
+    let samples = store.cycle_samples(&new.cycle.machine, &new.cycle.id).await.unwrap();
+    assert_eq!(samples, new.cycle.samples);
+    let advice = store.recommendation(&answer.recommendation.id).await.unwrap().unwrap();
+    assert_eq!(advice, answer.recommendation);
+
+    let only_reported = Run { sampled: false, ..Run::nth(2) };
+    stored(&*store, &only_reported).await;
+    let found = store.cycle(&new.cycle.machine, &"c00002".try_into().unwrap()).await.unwrap().unwrap();
+    assert_eq!(found.summary, only_reported.new_cycle().summary);
+    assert!(!found.has_samples);
+    assert_eq!(store.cycle_samples(&new.cycle.machine, &found.cycle.id).await.unwrap(), None);
+    assert_eq!(store.cycle(&new.cycle.machine, &"none".try_into().unwrap()).await.unwrap(), None);
+}
+
+async fn a_cycle_is_new_then_known_then_a_conflict(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let first = stored(&*store, &Run::nth(1)).await;
+    let again = commit(&*store, &[Run::nth(1)]).await;
+    let [Ok(Committed::Known(known))] = &again[..] else { panic!("{again:?}") };
+    assert_eq!(known.summary, first.summary);
+    assert_eq!(known.received_at, first.received_at);
+    assert_eq!(known.verdict, first.verdict);
+    assert_ne!(known.recommendation.id, first.recommendation.id, "each answer has advice of its own");
+
+    let other = commit(&*store, &[Run { load: 31.0, ..Run::nth(1) }]).await;
+    let hash = Run::nth(1).new_cycle().encoded.hash;
+    assert!(
+        matches!(&other[..], [Ok(Committed::Conflict { stored_hash })] if *stored_hash == hash),
+        "{other:?}"
+    );
+    let kept = store.cycle(&"M1".try_into().unwrap(), &"c00001".try_into().unwrap()).await.unwrap().unwrap();
+    assert_eq!(kept.summary, first.summary);
+}
+
+async fn duplicates_inside_a_group_are_seen(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let outcomes =
+        commit(&*store, &[Run::nth(2), Run::nth(1), Run::nth(2), Run { load: 9.0, ..Run::nth(1) }]).await;
+    assert!(matches!(
+        &outcomes[..],
+        [
+            Ok(Committed::Stored(_)),
+            Ok(Committed::Stored(_)),
+            Ok(Committed::Known(_)),
+            Ok(Committed::Conflict { .. })
+        ]
+    ));
+    let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!(verdict.last.unwrap().cycle.as_str(), "c00002");
+}
+
+async fn a_row_that_fails_fails_alone(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let mut group: Vec<_> = (1..=4).map(|n| Run::nth(n).new_cycle()).collect();
+    group[2].summary.coverage = 1.5;
+    let outcomes = store.commit_cycles(group, at(1000), RecommendSettings::default()).await;
+    for (index, outcome) in outcomes.iter().enumerate() {
+        match outcome {
+            Err(StoreError::Refused { constraint }) if index == 2 => {
+                assert_eq!(constraint, "cycles_coverage_range");
+            }
+            Ok(Committed::Stored(_)) if index != 2 => {}
+            other => panic!("{index}: {other:?}"),
+        }
+    }
+    let list = store.cycles(&CycleFilter::default(), Page { after: None, limit: 10 }).await.unwrap();
+    let ids: Vec<&str> = list.iter().map(|cycle| cycle.cycle.id.as_str()).collect();
+    assert_eq!(ids, ["c00001", "c00002", "c00004"]);
+    let check = store.check_wear(false).await.unwrap();
+    assert_eq!((check.rows, check.different), (1, vec![]));
+}
+
+async fn an_unknown_machine_stores_nothing(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let outcomes = commit(&*store, &[Run { machine: "M9", ..Run::nth(1) }, Run::nth(1)]).await;
+    assert!(
+        matches!(&outcomes[..], [Ok(Committed::UnknownMachine), Ok(Committed::Stored(_))]),
+        "{outcomes:?}"
+    );
+    assert_eq!(store.cycle(&"M9".try_into().unwrap(), &"c00001".try_into().unwrap()).await.unwrap(), None);
+}
+
+async fn pages_have_neither_gaps_nor_repeats(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    for id in ["M2", "m2"] {
+        store.put_machine(machine(id), Precondition::Absent, &super::given::engineer(), at(0)).await.unwrap();
+    }
+    // Equal times on three machines, so that pages end inside a group of equals; case decides the order of ids.
+    let mut runs = Vec::new();
+    for n in 0..30_u32 {
+        for machine in ["m2", "M2", "M1"] {
+            let tool = if n % 2 == 0 { "T1" } else { "T2" };
+            let operation = if n % 3 == 0 { "O1" } else { "O2" };
+            runs.push(Run { machine, tool, operation, seconds: i64::from(n / 5), ..Run::nth(n) });
+        }
+    }
+    for outcome in commit(&*store, &runs).await {
+        assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+    }
+    let key = |run: &Run| -> CycleKey {
+        (at(run.seconds), run.machine.try_into().unwrap(), run.id.as_str().try_into().unwrap())
+    };
+    type Keep = fn(&Run) -> bool;
+    let filters: [(CycleFilter, Keep); 6] = [
+        (CycleFilter::default(), |_| true),
+        (CycleFilter { tool: Some("T1".try_into().unwrap()), ..CycleFilter::default() }, |run| {
+            run.tool == "T1"
+        }),
+        (CycleFilter { machine: Some("m2".try_into().unwrap()), ..CycleFilter::default() }, |run| {
+            run.machine == "m2"
+        }),
+        (CycleFilter { operation: Some("O2".try_into().unwrap()), ..CycleFilter::default() }, |run| {
+            run.operation == "O2"
+        }),
+        (
+            CycleFilter {
+                tool: Some("T2".try_into().unwrap()),
+                machine: Some("M2".try_into().unwrap()),
+                operation: Some("O1".try_into().unwrap()),
+                ..CycleFilter::default()
+            },
+            |run| run.tool == "T2" && run.machine == "M2" && run.operation == "O1",
+        ),
+        (CycleFilter { from: Some(at(2)), to: Some(at(4)), ..CycleFilter::default() }, |run| {
+            (2..4).contains(&run.seconds)
+        }),
+    ];
+    for (filter, keep) in filters {
+        let mut wanted: Vec<CycleKey> = runs.iter().filter(|run| keep(run)).map(key).collect();
+        wanted.sort();
+        let mut found = Vec::new();
+        loop {
+            let page = Page { after: found.last().cloned(), limit: 7 };
+            let rows = store.cycles(&filter, page).await.unwrap();
+            assert!(rows.len() <= 7);
+            if rows.is_empty() {
+                break;
+            }
+            found.extend(rows.into_iter().map(|row| (row.cycle.started_at, row.cycle.machine, row.cycle.id)));
+        }
+        assert_eq!(found, wanted, "{filter:?}");
+        assert!(!found.is_empty());
+    }
+}
+
+async fn a_number_that_is_none_is_refused(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        for spoil in [0, 1, 2] {
+            let mut new = new_cycle(Cycle::new(Run::nth(1).draft()).unwrap());
+            match spoil {
+                0 => new.summary.coverage = number,
+                1 => new.summary.max_depth_mm = Some(number),
+                _ => new.summary.energy[0].total_joules = number,
+            }
+            let outcomes = store.commit_cycles(vec![new], at(1), RecommendSettings::default()).await;
+            assert!(matches!(&outcomes[..], [Err(StoreError::Refused { .. })]), "{number}: {outcomes:?}");
+        }
+    }
+    assert!(store.cycles(&CycleFilter::default(), Page { after: None, limit: 1 }).await.unwrap().is_empty());
+}
+
+async fn after_closing_nothing_is_taken(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let answer = stored(&*store, &Run::nth(1)).await;
+    assert!(!answer.summary.flags.contains(Flag::ToolUnregistered));
+    store.probe_write(at(1)).await.unwrap();
+    store.close().await;
+    assert!(matches!(store.probe_write(at(2)).await, Err(StoreError::Unavailable(_))));
+    let outcomes = commit(&*store, &[Run::nth(2)]).await;
+    assert!(matches!(&outcomes[..], [Err(StoreError::Unavailable(_))]), "{outcomes:?}");
+}

@@ -1,0 +1,238 @@
+//! What the stories start from: a fresh store of either engine, a fixed clock, and cycles with known figures.
+
+use feedwright_core::cycle::{Channel, Cycle, CycleDraft, Outcome, Reported, Samples, TimeBase};
+use feedwright_core::machine::{FeedLimits, LoadReference, Machine, SpindleRating};
+use feedwright_core::operation::{Operation, WearSettings};
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::summary::{Context, summarise};
+use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
+use feedwright_core::units::{Process, Timestamp};
+use feedwright_store::{
+    Actor, Committed, CycleAnswer, NewCycle, Precondition, Role, SqliteOptions, SqliteStore, Store,
+    StoreResult, codec,
+};
+use std::sync::Arc;
+
+/// Tells a story to each engine: `stories!(name, name, …)` makes a test per engine of each function.
+macro_rules! stories {
+    ($($story:ident),* $(,)?) => {
+        mod sqlite {
+            $(
+                #[tokio::test]
+                async fn $story() {
+                    let given = $crate::store::given::Given::sqlite().await;
+                    super::$story(given.store()).await;
+                    given.done().await;
+                }
+            )*
+        }
+
+        mod postgres {
+            $(
+                #[tokio::test]
+                async fn $story() {
+                    let Some(given) = $crate::store::given::Given::postgres().await else {
+                        return;
+                    };
+                    super::$story(given.store()).await;
+                    given.done().await;
+                }
+            )*
+        }
+    };
+}
+pub(crate) use stories;
+
+/// A store of its own, removed at the end.
+pub(crate) struct Given {
+    store: Arc<dyn Store>,
+    place: Place,
+}
+
+enum Place {
+    File(tempfile::TempDir),
+}
+
+impl Given {
+    pub(crate) async fn sqlite() -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = SqliteStore::open(folder.path().join("cell.sqlite3"), SqliteOptions::default())
+            .await
+            .expect("a fresh store opens");
+        Self { store: Arc::new(store), place: Place::File(folder) }
+    }
+
+    pub(crate) async fn postgres() -> Option<Self> {
+        None
+    }
+
+    pub(crate) fn store(&self) -> Arc<dyn Store> {
+        Arc::clone(&self.store)
+    }
+
+    pub(crate) async fn done(self) {
+        self.store.close().await;
+        match self.place {
+            Place::File(folder) => folder.close().expect("the temporary folder is removed"),
+        }
+    }
+}
+
+/// The clock of the stories: 2026-01-05T08:00:00Z and so many seconds.
+pub(crate) const fn at(seconds: i64) -> Timestamp {
+    Timestamp::from_micros((1_767_600_000 + seconds) * 1_000_000)
+}
+
+pub(crate) fn engineer() -> Actor {
+    Actor { token: "tok-eve".to_owned(), role: Role::Engineer }
+}
+
+pub(crate) fn machine(id: &str) -> Machine {
+    Machine {
+        id: id.try_into().unwrap(),
+        name: format!("machine {id}"),
+        control: "sinumerik-840d".to_owned(),
+        ipo_period_ms: 10.0,
+        spindle: SpindleRating {
+            reference: LoadReference::RatedPower,
+            rated_power_watts: Some(10_000.0),
+            base_speed_rpm: Some(1500.0),
+        },
+        feed_drive: feedwright_core::machine::FeedDriveRating::default(),
+        limits: FeedLimits::new(1.0, 2000.0, 5.0, 200.0).unwrap(),
+    }
+}
+
+pub(crate) fn tool(id: &str) -> Tool {
+    Tool {
+        id: id.try_into().unwrap(),
+        name: format!("tool {id}"),
+        serial: None,
+        tool_type: "friction-6".to_owned(),
+        diameter_mm: Some(6.0),
+    }
+}
+
+pub(crate) fn operation(id: &str) -> Operation {
+    Operation {
+        id: id.try_into().unwrap(),
+        name: format!("operation {id}"),
+        process: Process::Friction,
+        program: Some("O1000".to_owned()),
+        feature: None,
+        work_material: Some("S235".to_owned()),
+        thickness_mm: Some(2.0),
+        depth_mm: None,
+        spindle_speed_rpm: Some(2400.0),
+        programmed_feed_mm_min: Some(120.0),
+        spindle_load_set_percent: Some(35.5),
+        feed_drive_load_set_percent: None,
+        wear: WearSettings::default(),
+    }
+}
+
+/// Machine M1, tool T1 and operation O1, registered.
+pub(crate) async fn shop(store: &dyn Store) {
+    let who = engineer();
+    store.put_machine(machine("M1"), Precondition::Unstated, &who, at(0)).await.unwrap();
+    store.put_operation(operation("O1"), Precondition::Unstated, &who, at(0)).await.unwrap();
+    store.put_tool(tool("T1"), Precondition::Unstated, &who, at(0)).await.unwrap();
+    mounted(store, "T1", -10).await;
+}
+
+/// Tells that a new tool was mounted.
+pub(crate) async fn mounted(store: &dyn Store, tool: &str, seconds: i64) {
+    let event = event(ToolEventKind::MountedNew, at(seconds));
+    store.add_tool_event(&tool.try_into().unwrap(), event, &engineer(), at(seconds)).await.unwrap().unwrap();
+}
+
+pub(crate) fn event(kind: ToolEventKind, at: Timestamp) -> ToolEvent {
+    ToolEvent { kind, at, first_cycle: None, reason: Some("as the story goes".to_owned()) }
+}
+
+/// How a story's cycle differs from the usual one.
+#[derive(Clone)]
+pub(crate) struct Run {
+    pub(crate) machine: &'static str,
+    pub(crate) id: String,
+    pub(crate) tool: &'static str,
+    pub(crate) operation: &'static str,
+    pub(crate) seconds: i64,
+    pub(crate) seq: Option<u64>,
+    /// Mean spindle load, %: energy is in proportion.
+    pub(crate) load: f64,
+    pub(crate) sampled: bool,
+}
+
+impl Run {
+    /// The `n`th cycle of tool T1 on machine M1, a minute after the one before.
+    pub(crate) fn nth(n: u32) -> Self {
+        Self {
+            machine: "M1",
+            id: format!("c{n:05}"),
+            tool: "T1",
+            operation: "O1",
+            seconds: i64::from(n) * 60,
+            seq: Some(u64::from(n)),
+            load: 30.0,
+            sampled: true,
+        }
+    }
+
+    pub(crate) fn draft(&self) -> CycleDraft {
+        let samples = self.sampled.then(|| {
+            let depth = (0..20).map(|k| f64::from(k) * 0.25).collect();
+            let load = (0..20).map(|k| self.load + f64::from(k % 3) - 1.0).collect();
+            let columns = vec![(Channel::DepthMm, depth), (Channel::SpindleLoadPercent, load)];
+            Samples::new(TimeBase::Period { period_ms: 100.0 }, columns, 100).unwrap()
+        });
+        CycleDraft {
+            machine: self.machine.try_into().unwrap(),
+            id: self.id.as_str().try_into().unwrap(),
+            tool: self.tool.try_into().unwrap(),
+            operation: self.operation.try_into().unwrap(),
+            started_at: at(self.seconds),
+            seq: self.seq,
+            process: None,
+            strategy: Some(feedwright_core::units::Strategy::FLin),
+            law_version: None,
+            profile: None,
+            recommendation: None,
+            spindle_speed_rpm: Some(2400.0),
+            outcome: Outcome::Completed,
+            reported: Reported {
+                energy_joules: (!self.sampled).then_some(self.load * 200.0),
+                duration_ms: (!self.sampled).then_some(2000.0),
+                ..Reported::default()
+            },
+            samples,
+        }
+    }
+
+    pub(crate) fn new_cycle(&self) -> NewCycle {
+        new_cycle(Cycle::new(self.draft()).unwrap())
+    }
+}
+
+/// A cycle as the server hands it over: summarised and encoded, received a second after it ended.
+pub(crate) fn new_cycle(cycle: Cycle) -> NewCycle {
+    let (machine, operation) = (machine(cycle.machine.as_str()), operation(cycle.operation.as_str()));
+    let context = Context { machine: &machine, calibration: None, operation: Some(&operation) };
+    let summary = summarise(&cycle, context);
+    let encoded = codec::encode(&cycle);
+    NewCycle { received_at: cycle.started_at.plus_millis(3000), cycle: Arc::new(cycle), encoded, summary }
+}
+
+/// Commits a group at the usual settings.
+pub(crate) async fn commit(store: &dyn Store, runs: &[Run]) -> Vec<StoreResult<Committed>> {
+    let group = runs.iter().map(Run::new_cycle).collect();
+    store.commit_cycles(group, at(100_000), RecommendSettings::default()).await
+}
+
+/// Commits one cycle that must be new.
+pub(crate) async fn stored(store: &dyn Store, run: &Run) -> CycleAnswer {
+    match commit(store, std::slice::from_ref(run)).await.pop() {
+        Some(Ok(Committed::Stored(answer))) => *answer,
+        other => panic!("{} should be stored: {other:?}", run.id),
+    }
+}
