@@ -6,13 +6,16 @@
 
 pub mod body;
 pub mod cursor;
+pub mod cycles;
 pub mod dto;
 pub mod edge;
 pub mod extract;
 pub mod openapi;
 pub mod precondition;
 pub mod problem;
+pub mod recommendations;
 pub mod routes;
+pub mod wear;
 
 mod health;
 mod viewer;

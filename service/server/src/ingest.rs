@@ -4,6 +4,7 @@
 
 pub mod body;
 pub mod content;
+pub mod intake;
 mod number;
 mod scan;
 pub mod time;

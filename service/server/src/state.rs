@@ -4,6 +4,7 @@ use crate::auth::FailedAuthentications;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::http::problem::Problem;
+use crate::ingest::intake::{Accepted, Pace, Refused};
 use crate::lifecycle::Lifecycle;
 use crate::metrics::Metrics;
 use crate::readiness::Readiness;
@@ -18,6 +19,15 @@ use std::sync::Arc;
 /// The intake of cycles as the edge sees it.
 #[async_trait]
 pub trait Intake: Send + Sync + 'static {
+    /// Takes one cycle's JSON body in. Returns after its durable commit.
+    async fn accept(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        pace: Pace,
+        refused: Refused,
+    ) -> Result<Accepted, Problem>;
+
     /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have
     /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again.
     async fn reingest(
@@ -84,6 +94,11 @@ impl AppState {
             failed_authentications,
             readiness,
         }))
+    }
+
+    /// Where cycles are taken in.
+    pub fn intake(&self) -> Result<Arc<dyn Intake>, Problem> {
+        self.intake.clone().ok_or_else(|| Problem::unavailable("no_intake", "this server takes no cycles in", 60))
     }
 
     /// Runs a change of the database in a task of its own and waits for it: a client that hangs up drops its

@@ -1,6 +1,6 @@
 //! The one table of routes and roles.
 
-use super::{edge, health, openapi, viewer};
+use super::{cycles, edge, health, openapi, recommendations, viewer, wear};
 use crate::auth::authorise;
 use crate::http::problem::Problem;
 use crate::state::AppState;
@@ -116,6 +116,15 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(health::readyz), Access::Open),
         Route::new(routes!(health::metrics), READ),
         Route::new(routes!(openapi::document), Access::Open),
+        Route::new(routes!(cycles::post_cycle), OWN).takes_cycles(),
+        Route::new(routes!(cycles::post_batch), OWN).takes_cycles(),
+        Route::new(routes!(cycles::get_cycle), READ_OR_OWN),
+        Route::new(routes!(cycles::get_samples), READ_OR_OWN),
+        Route::new(routes!(cycles::list_cycles), READ),
+        Route::new(routes!(wear::get_wear), READ),
+        Route::new(routes!(wear::get_history), READ),
+        Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
+        Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),

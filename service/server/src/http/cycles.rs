@@ -1,0 +1,283 @@
+//! Cycles: posted one by one or in batches, read, listed.
+
+use super::body::{media_type, read, unsupported};
+use super::cursor::{List, Paging};
+use super::extract::{PathId, Query};
+use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost, SamplesBody};
+use super::problem::{Problem, ProblemDocument};
+use crate::ingest::content::{ContentError, Encoding, decompress};
+use crate::ingest::intake::{Accepted, Pace, Refused};
+use crate::ingest::time;
+use crate::state::AppState;
+use axum::Json;
+use axum::extract::{Request, State};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
+use feedwright_store::CycleFilter;
+use futures_util::future::join_all;
+use http::{HeaderMap, StatusCode, header};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+/// Lines of a batch that are under way at once: one commit's worth.
+const BATCH_WINDOW: usize = crate::ingest::writer::MAX_GROUP;
+
+/// Posts one cycle. The answer comes after its durable commit.
+#[utoipa::path(
+    post, path = "/v1/machines/{machine}/cycles", tag = "cycles",
+    params(("machine" = String, Path, description = "The machine that ran it")),
+    request_body(content = CyclePost, content_type = "application/json",
+        description = "One cycle; `Content-Encoding: gzip` and `zstd` are accepted"),
+    responses(
+        (status = 201, description = "New, and durably stored", body = CycleAnswerBody),
+        (status = 200, description = "The same content was stored before", body = CycleAnswerBody),
+        (status = 400, description = "Malformed; nothing is kept", body = ProblemDocument<'static>),
+        (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
+        (status = 409, description = "Another content is stored under this id; kept in quarantine, see `quarantine_id`",
+            body = ProblemDocument<'static>),
+        (status = 413, description = "Too large, or a decompression bomb", body = ProblemDocument<'static>),
+        (status = 415, description = "Neither JSON nor a known encoding", body = ProblemDocument<'static>),
+        (status = 422, description = "Not a cycle that could have been run; kept in quarantine, see `quarantine_id`",
+            body = ProblemDocument<'static>),
+        (status = 503, description = "Not stored; try again after `Retry-After`", body = ProblemDocument<'static>),
+    )
+)]
+pub async fn post_cycle(
+    State(state): State<AppState>,
+    PathId(machine): PathId<MachineId>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let json = decoded_body(&state, request, "application/json").await?;
+    // The client may hang up; what was taken in goes on to its commit all the same.
+    let intake = state.intake()?;
+    let accepting = async move { intake.accept(&machine, json, Pace::Live, Refused::ToQuarantine).await };
+    let accepted = state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))??;
+    let status = if accepted.new { StatusCode::CREATED } else { StatusCode::OK };
+    Ok((status, Json(CycleAnswerBody::of(&accepted))).into_response())
+}
+
+/// Posts many cycles, one JSON document per line; an outcome per line is answered, in the same order.
+///
+/// A line that fails fails alone. A machine may forget its copy of every line whose outcome is `stored`, `known` or
+/// `quarantined`.
+#[utoipa::path(
+    post, path = "/v1/machines/{machine}/cycles/batch", tag = "cycles",
+    params(("machine" = String, Path, description = "The machine that ran them")),
+    request_body(content = String, content_type = "application/x-ndjson",
+        description = "One cycle per line, as for a single post; gzip and zstd are accepted"),
+    responses(
+        (status = 200, description = "An outcome per line, NDJSON", body = BatchOutcome,
+            content_type = "application/x-ndjson"),
+        (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
+        (status = 413, description = "Too large, or too many lines", body = ProblemDocument<'static>),
+        (status = 415, description = "Neither NDJSON nor a known encoding", body = ProblemDocument<'static>),
+    )
+)]
+pub async fn post_batch(
+    State(state): State<AppState>,
+    PathId(machine): PathId<MachineId>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let text = decoded_body(&state, request, "application/x-ndjson").await?;
+    if state.store.machine(&machine).await?.is_none() {
+        let detail = format!("there is no machine `{machine}`");
+        return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
+    }
+    let intake = state.intake()?;
+    let lines = lines_of(&text, state.config.limits.batch_lines)?;
+    let mut answer = Vec::with_capacity(128 * lines.len());
+    for window in lines.chunks(BATCH_WINDOW) {
+        let outcomes = window.iter().map(|(number, line)| {
+            let (intake, machine, line, number) = (intake.clone(), machine.clone(), line.clone(), *number);
+            let accepting = async move {
+                let result = intake.accept(&machine, line, Pace::Patient, Refused::ToQuarantine).await;
+                outcome(number, result)
+            };
+            state.lifecycle.spawn(accepting)
+        });
+        for outcome in join_all(outcomes).await {
+            let outcome = outcome.map_err(|error| Problem::internal(error.to_string()))?;
+            serde_json::to_writer(&mut answer, &outcome).map_err(|error| Problem::internal(error.to_string()))?;
+            answer.push(b'\n');
+        }
+    }
+    Ok(([(header::CONTENT_TYPE, "application/x-ndjson")], answer).into_response())
+}
+
+/// One stored cycle with its summary.
+#[utoipa::path(
+    get, path = "/v1/machines/{machine}/cycles/{cycle_id}", tag = "cycles",
+    params(("machine" = String, Path, description = "Its machine"), ("cycle_id" = String, Path, description = "Its id")),
+    responses(
+        (status = 200, description = "The cycle", body = CycleBody),
+        (status = 404, description = "There is none", body = ProblemDocument<'static>),
+    )
+)]
+pub async fn get_cycle(
+    State(state): State<AppState>,
+    PathId(machine): PathId<MachineId>,
+    PathId(id): PathId<CycleId>,
+) -> Result<Json<CycleBody>, Problem> {
+    let stored = state.store.cycle(&machine, &id).await?;
+    let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
+    Ok(Json((&stored).into()))
+}
+
+/// The samples of one cycle, as they were posted.
+#[utoipa::path(
+    get, path = "/v1/machines/{machine}/cycles/{cycle_id}/samples", tag = "cycles",
+    params(("machine" = String, Path, description = "Its machine"), ("cycle_id" = String, Path, description = "Its id")),
+    responses(
+        (status = 200, description = "The samples", body = SamplesBody),
+        (status = 404, description = "There is no such cycle, or no samples of it", body = ProblemDocument<'static>),
+    )
+)]
+pub async fn get_samples(
+    State(state): State<AppState>,
+    PathId(machine): PathId<MachineId>,
+    PathId(id): PathId<CycleId>,
+) -> Result<Json<SamplesBody>, Problem> {
+    let samples = state.store.cycle_samples(&machine, &id).await?;
+    let samples = samples.ok_or_else(|| Problem::not_found("cycle with samples", id.as_str()))?;
+    Ok(Json((&samples).into()))
+}
+
+/// Filters of a list of cycles.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct CyclesQuery {
+    /// Of this machine.
+    machine: Option<String>,
+    /// Of this tool.
+    tool: Option<String>,
+    /// Of this operation.
+    operation: Option<String>,
+    /// Begun at or after, RFC 3339.
+    from: Option<String>,
+    /// Begun before, RFC 3339.
+    to: Option<String>,
+    /// Most rows of this page.
+    limit: Option<u32>,
+    /// Where to go on: `next_cursor` of the page before, with the same filters.
+    cursor: Option<String>,
+}
+
+/// Cycles in the order in which they were run.
+#[utoipa::path(
+    get, path = "/v1/cycles", tag = "cycles", params(CyclesQuery),
+    responses(
+        (status = 200, description = "A page of cycles", body = List<CycleBody>),
+        (status = 400, description = "A cursor or a limit that is not accepted", body = ProblemDocument<'static>),
+        (status = 422, description = "A filter that is not accepted", body = ProblemDocument<'static>),
+    )
+)]
+pub async fn list_cycles(
+    State(state): State<AppState>,
+    Query(query): Query<CyclesQuery>,
+) -> Result<Json<List<CycleBody>>, Problem> {
+    let filter = query.filter()?;
+    let scope = format!(
+        "cycles {:?} {:?} {:?} {:?} {:?}",
+        query.machine, query.tool, query.operation, query.from, query.to
+    );
+    let paging = Paging::new(&state, scope, query.limit, query.cursor.as_deref())?;
+    let rows = state.store.cycles(&filter, paging.page()).await?;
+    let key = |row: &feedwright_store::StoredCycle| {
+        (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone())
+    };
+    Ok(Json(paging.list(rows, key, |row| (&row).into())))
+}
+
+impl CyclesQuery {
+    fn filter(&self) -> Result<CycleFilter, Problem> {
+        let text = Option::as_deref;
+        Ok(CycleFilter {
+            machine: text(&self.machine).map(|id| MachineId::parse("machine", id)).transpose()?,
+            tool: text(&self.tool).map(|id| ToolId::parse("tool", id)).transpose()?,
+            operation: text(&self.operation).map(|id| OperationId::parse("operation", id)).transpose()?,
+            from: text(&self.from).map(|at| time::parse("from", at)).transpose()?,
+            to: text(&self.to).map(|at| time::parse("to", at)).transpose()?,
+        })
+    }
+}
+
+/// Reads a body of that media type, decompressed within its bounds.
+async fn decoded_body(state: &AppState, request: Request, kind: &'static str) -> Result<Bytes, Problem> {
+    let limits = state.config.limits;
+    let encoding = encoding_of(request.headers(), kind)?;
+    let bytes = read(request, state).await?;
+    if encoding == Encoding::Identity {
+        return Ok(bytes);
+    }
+    let unpack = move || decompress(encoding, bytes.to_vec(), limits.decoded_bytes);
+    let unpacked = tokio::task::spawn_blocking(unpack).await.map_err(|error| Problem::internal(error.to_string()))?;
+    unpacked.map(Bytes::from).map_err(|error| match error {
+        ContentError::TooLarge => Problem::new(
+            StatusCode::PAYLOAD_TOO_LARGE,
+            "decoded_body_too_large",
+            format!("the body grows beyond {} bytes when it is decompressed", limits.decoded_bytes),
+        ),
+        ContentError::Malformed(why) => {
+            Problem::bad_request("malformed_encoding", format!("the body cannot be decompressed: {why}"))
+        }
+    })
+}
+
+fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<Encoding, Problem> {
+    match (media_type(headers).as_deref(), kind) {
+        (Some(given), wanted) if given == wanted => {}
+        (Some("application/jsonl" | "application/jsonlines" | "application/ndjson"), "application/x-ndjson") => {}
+        (_, "application/json") => return Err(unsupported("send a cycle as application/json")),
+        _ => return Err(unsupported("send a batch as application/x-ndjson")),
+    }
+    let header = headers.get(header::CONTENT_ENCODING).map(|value| value.to_str().unwrap_or("?"));
+    Encoding::parse(header).ok_or_else(|| unsupported("the content encoding must be gzip or zstd, or none"))
+}
+
+/// The lines with their numbers, empty ones left out.
+fn lines_of(text: &Bytes, most: usize) -> Result<Vec<(usize, Bytes)>, Problem> {
+    let mut lines = Vec::new();
+    for (index, line) in text.split(|byte| *byte == b'\n').enumerate() {
+        if line.iter().all(u8::is_ascii_whitespace) {
+            continue;
+        }
+        if lines.len() == most {
+            return Err(Problem::new(
+                StatusCode::PAYLOAD_TOO_LARGE,
+                "too_many_lines",
+                format!("a batch may hold at most {most} cycles; nothing of it was taken"),
+            ));
+        }
+        lines.push((index + 1, text.slice_ref(line)));
+    }
+    Ok(lines)
+}
+
+fn outcome(line: usize, result: Result<Accepted, Problem>) -> BatchOutcome {
+    match result {
+        Ok(accepted) => BatchOutcome {
+            line,
+            status: if accepted.new { 201 } else { 200 },
+            outcome: if accepted.new { "stored" } else { "known" },
+            cycle_id: Some(accepted.cycle.id.to_string()),
+            tool_state: Some(accepted.answer.verdict.state.as_str()),
+            quarantine_id: None,
+            problem: None,
+        },
+        Err(problem) => {
+            let quarantine_id =
+                problem.members.get("quarantine_id").and_then(|id| id.as_str()).map(str::to_owned);
+            BatchOutcome {
+                line,
+                status: problem.status.as_u16(),
+                outcome: if quarantine_id.is_some() { "quarantined" } else { "refused" },
+                cycle_id: None,
+                tool_state: None,
+                quarantine_id,
+                problem: serde_json::from_str(&problem.document(None)).ok(),
+            }
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! A recommendation as JSON.
+
+use super::wear::{LevelBody, ReasonBody, RemainingBody};
+use crate::ingest::time;
+use feedwright_store::IssuedRecommendation;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// What to run next, and why. It advises; the control's own limits and the emergency stop stay the safety layer.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct RecommendationBody {
+    /// Its id: a cycle that follows it names it.
+    pub id: String,
+    /// When it was made.
+    pub issued_at: String,
+    /// It must not be used after this.
+    pub valid_until: String,
+    /// For which machine.
+    pub machine: String,
+    /// For which operation.
+    pub operation: String,
+    /// For which tool.
+    pub tool: String,
+    /// Tag of what the recommendation is about: `friction`, `drilling`, `plunge`, `turning`, `vibratory`, `milling`,
+    /// or `unknown` where the operation is not registered.
+    #[schema(example = "friction")]
+    pub process: &'static str,
+    /// `run`, `change_tool`, `check_tool` or `confirm_conditions`.
+    #[schema(example = "run")]
+    pub action: &'static str,
+    /// The feed to run.
+    pub feed: FeedBody,
+    /// Override to run, %.
+    #[schema(example = 100.0)]
+    pub override_percent: f64,
+    /// Limits that hold whatever the control does.
+    pub limits: AdviceLimitsBody,
+    /// Set loads.
+    pub load_limits: LoadLimitsBody,
+    /// The tool it was made for.
+    pub tool_state: ToolStateBody,
+    /// The data it rests on.
+    pub data: DataBody,
+    /// Why; never empty.
+    pub reasons: Vec<ReasonBody>,
+    /// Version of the rules that made it.
+    pub law_version: String,
+}
+
+/// The feed to run: the operation's programmed feed until a profile is active.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct FeedBody {
+    /// `programmed`: the feed that the operation declares; `program`: whatever the NC program says.
+    pub source: &'static str,
+    /// The feed, mm/min, where it is declared.
+    pub feed_mm_min: Option<f64>,
+}
+
+/// Limits of the machine.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct AdviceLimitsBody {
+    /// Slowest feed, mm/min.
+    pub feed_min_mm_min: f64,
+    /// Fastest feed, mm/min.
+    pub feed_max_mm_min: f64,
+    /// Lowest override, %.
+    pub override_min_percent: f64,
+    /// Highest override, %.
+    pub override_max_percent: f64,
+}
+
+/// Set loads of the operation, percent of the machine's declared ratings.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct LoadLimitsBody {
+    /// Of the spindle drive, %.
+    pub spindle_load_set_percent: Option<f64>,
+    /// Of the feed drive, %.
+    pub feed_drive_load_set_percent: Option<f64>,
+}
+
+/// The tool's state when the recommendation was made.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ToolStateBody {
+    /// The state.
+    #[schema(example = "good")]
+    pub state: &'static str,
+    /// The level.
+    pub level: Option<LevelBody>,
+    /// Cycles that remain.
+    pub remaining: Option<RemainingBody>,
+}
+
+/// Quality and age of the data.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct DataBody {
+    /// `good`, `limited`, `stale` or `missing`.
+    #[schema(example = "good")]
+    pub quality: &'static str,
+    /// Age of the tool's newest cycle when the recommendation was made, ms.
+    pub age_ms: Option<i64>,
+}
+
+impl From<&IssuedRecommendation> for RecommendationBody {
+    fn from(issued: &IssuedRecommendation) -> Self {
+        let advice = &issued.recommendation;
+        Self {
+            id: issued.id.to_string(),
+            issued_at: time::format(advice.issued_at),
+            valid_until: time::format(advice.valid_until),
+            machine: advice.machine.to_string(),
+            operation: advice.operation.to_string(),
+            tool: advice.tool.to_string(),
+            process: advice.process.map_or("unknown", feedwright_core::units::Process::as_str),
+            action: advice.action.as_str(),
+            feed: FeedBody {
+                source: if advice.feed_mm_min.is_some() { "programmed" } else { "program" },
+                feed_mm_min: advice.feed_mm_min,
+            },
+            override_percent: advice.override_percent,
+            limits: AdviceLimitsBody {
+                feed_min_mm_min: advice.limits.min_mm_min(),
+                feed_max_mm_min: advice.limits.max_mm_min(),
+                override_min_percent: advice.limits.override_min_percent(),
+                override_max_percent: advice.limits.override_max_percent(),
+            },
+            load_limits: LoadLimitsBody {
+                spindle_load_set_percent: advice.spindle_load_set_percent,
+                feed_drive_load_set_percent: advice.feed_drive_load_set_percent,
+            },
+            tool_state: ToolStateBody {
+                state: advice.tool_state.as_str(),
+                level: advice.level.map(Into::into),
+                remaining: advice.remaining.map(Into::into),
+            },
+            data: DataBody { quality: advice.quality.as_str(), age_ms: advice.data_age_ms },
+            reasons: advice
+                .reasons
+                .iter()
+                .map(|(code, message)| ReasonBody { code: code.clone(), message: message.clone() })
+                .collect(),
+            law_version: advice.law_version.clone(),
+        }
+    }
+}

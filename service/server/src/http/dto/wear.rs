@@ -1,0 +1,250 @@
+//! The verdict on a tool as JSON.
+
+use crate::ingest::time;
+use feedwright_core::summary::EnergyBasis;
+use feedwright_core::wear::{BaselineEvidence, Exclusion, Level, Remaining, Trend, Verdict};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// A stable code and a sentence for a person.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct ReasonBody {
+    /// Stable code.
+    #[schema(example = "good")]
+    pub code: String,
+    /// A sentence for a person.
+    pub message: String,
+}
+
+/// How worn a tool is, with the evidence.
+///
+/// The level is relative: 1.07 is a warning, 1.10 is worn, and means energy per cycle over the same tool when new.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct WearBody {
+    /// One of `unknown`, `learning`, `good`, `warning`, `worn`, `changed`, `broken_suspected`.
+    #[schema(example = "good")]
+    pub state: &'static str,
+    /// Why it is that state.
+    pub reasons: Vec<ReasonBody>,
+    /// The level, once there is a counted cycle and a new-tool baseline.
+    pub level: Option<LevelBody>,
+    /// The trend, once there is evidence.
+    pub trend: Option<TrendBody>,
+    /// Cycles that remain until 1.10, once the trend surely rises.
+    pub remaining: Option<RemainingBody>,
+    /// Indicators beside energy.
+    pub indicators: IndicatorsBody,
+    /// Which life of the tool this is, counted from 1.
+    pub life: u32,
+    /// Whether the life began with an unworn tool.
+    pub started_unworn: bool,
+    /// Baselines of this life, the one that ran last first.
+    pub baselines: Vec<BaselineBody>,
+    /// Cycles of this life.
+    pub cycles: u64,
+    /// Cycles of this life that were counted.
+    pub counted: u64,
+    /// Cycles of this life that were not counted, by reason.
+    #[schema(example = json!({"air_cut": 2}))]
+    pub excluded: BTreeMap<&'static str, u64>,
+    /// The last cycles that were not counted, oldest first.
+    pub last_excluded: Vec<ExcludedBody>,
+    /// Cycles since the last counted one.
+    pub age_cycles: u64,
+    /// When the last counted cycle began.
+    pub last_counted_at: Option<String>,
+    /// When the last cycle began.
+    pub last_cycle_at: Option<String>,
+}
+
+/// The level of wear.
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct LevelBody {
+    /// Median of the last counted ratios, energy as run over the baseline; 1 is the new tool.
+    #[schema(example = 1.034)]
+    pub as_run: f64,
+    /// Smallest of those ratios.
+    pub lowest: f64,
+    /// Largest of those ratios.
+    pub highest: f64,
+    /// How many ratios it is the median of.
+    pub n: u32,
+    /// How many it may hold.
+    pub window: u32,
+    /// Level of a warning.
+    pub warning_at: f64,
+    /// Level of a worn tool.
+    pub worn_at: f64,
+}
+
+impl From<Level> for LevelBody {
+    fn from(level: Level) -> Self {
+        Self {
+            as_run: level.as_run,
+            lowest: level.lowest,
+            highest: level.highest,
+            n: level.n,
+            window: level.window,
+            warning_at: feedwright_core::wear::WARNING_LEVEL,
+            worn_at: feedwright_core::wear::WORN_LEVEL,
+        }
+    }
+}
+
+/// The trend of the level (Theil–Sen, 90 % interval).
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct TrendBody {
+    /// Rise of the ratio per counted cycle.
+    pub slope_per_cycle: f64,
+    /// Lower end of the interval.
+    pub slope_low: f64,
+    /// Upper end of the interval.
+    pub slope_high: f64,
+    /// Counted cycles that it rests on.
+    pub cycles: u64,
+}
+
+impl From<Trend> for TrendBody {
+    fn from(trend: Trend) -> Self {
+        Self {
+            slope_per_cycle: trend.slope_per_cycle,
+            slope_low: trend.slope_low,
+            slope_high: trend.slope_high,
+            cycles: trend.cycles,
+        }
+    }
+}
+
+/// Cycles that remain until the tool is worn.
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct RemainingBody {
+    /// Expected.
+    pub cycles: u64,
+    /// At the steep end of the interval.
+    pub low: u64,
+    /// At the flat end of the interval.
+    pub high: u64,
+}
+
+impl From<Remaining> for RemainingBody {
+    fn from(remaining: Remaining) -> Self {
+        Self { cycles: remaining.cycles, low: remaining.low, high: remaining.high }
+    }
+}
+
+/// Indicators beside energy.
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct IndicatorsBody {
+    /// Shift in depth of the spindle load's falling edge against the baseline, mm.
+    pub spindle_load_fall_shift_mm: Option<f64>,
+    /// Cycle time over the baseline's.
+    pub cycle_time_ratio: Option<f64>,
+    /// Whether a law that slows the feed ran, so that energy hides wear.
+    pub masked_by_control: bool,
+}
+
+/// One baseline, and what it compares.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct BaselineBody {
+    /// The machine.
+    pub machine: String,
+    /// The operation.
+    pub operation: String,
+    /// Commanded spindle speed, rpm; others within ±2 % share the baseline.
+    pub spindle_speed_rpm: Option<f64>,
+    /// How its energies were told.
+    pub basis: &'static str,
+    /// Whether idle power was subtracted.
+    pub idle_subtracted: bool,
+    /// Strategy of the feed.
+    pub strategy: Option<&'static str>,
+    /// Version of the law.
+    pub law_version: Option<String>,
+    /// Feed profile and its version.
+    pub profile: Option<String>,
+    /// Cycles it was, or is being, learnt from.
+    pub learnt_from: u32,
+    /// Cycles it needs.
+    pub needed: u32,
+    /// The baseline, J, once it is complete.
+    pub baseline_joules: Option<f64>,
+    /// The level that the tool had when it was first met.
+    pub level_at_entry: f64,
+    /// Operator's override of its cycles, median, %.
+    pub operator_override_percent: Option<f64>,
+}
+
+impl From<&BaselineEvidence> for BaselineBody {
+    fn from(evidence: &BaselineEvidence) -> Self {
+        let key = &evidence.key;
+        Self {
+            machine: key.machine.to_string(),
+            operation: key.operation.to_string(),
+            spindle_speed_rpm: key.spindle_speed_rpm,
+            basis: EnergyBasis::as_str(key.basis),
+            idle_subtracted: key.idle_subtracted,
+            strategy: key.strategy.map(feedwright_core::units::Strategy::as_str),
+            law_version: key.law_version.clone(),
+            profile: key.profile.as_ref().map(|profile| format!("{}@{}", profile.profile, profile.version)),
+            learnt_from: evidence.learnt_from,
+            needed: evidence.needed,
+            baseline_joules: evidence.baseline_joules,
+            level_at_entry: evidence.level_at_entry,
+            operator_override_percent: evidence.operator_override_percent,
+        }
+    }
+}
+
+/// A cycle that was not counted.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ExcludedBody {
+    /// Its machine.
+    pub machine: String,
+    /// Its id.
+    pub cycle_id: String,
+    /// Why.
+    #[schema(example = "air_cut")]
+    pub reason: &'static str,
+}
+
+impl From<&Verdict> for WearBody {
+    fn from(verdict: &Verdict) -> Self {
+        let excluded = Exclusion::ALL
+            .into_iter()
+            .map(|why| (why.as_str(), verdict.excluded[why as usize]))
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        let last_excluded = verdict.last_excluded.iter().map(|(machine, cycle, why)| ExcludedBody {
+            machine: machine.to_string(),
+            cycle_id: cycle.to_string(),
+            reason: why.as_str(),
+        });
+        Self {
+            state: verdict.state.as_str(),
+            reasons: verdict
+                .reasons
+                .iter()
+                .map(|(code, message)| ReasonBody { code: (*code).to_owned(), message: message.clone() })
+                .collect(),
+            level: verdict.level.map(Into::into),
+            trend: verdict.trend.map(Into::into),
+            remaining: verdict.remaining.map(Into::into),
+            indicators: IndicatorsBody {
+                spindle_load_fall_shift_mm: verdict.indicators.fall_depth.map(|shift| shift.shift_mm()),
+                cycle_time_ratio: verdict.indicators.cycle_time_ratio,
+                masked_by_control: verdict.indicators.masked_by_control,
+            },
+            life: verdict.life,
+            started_unworn: verdict.started_unworn,
+            baselines: verdict.baselines.iter().map(Into::into).collect(),
+            cycles: verdict.cycles,
+            counted: verdict.counted,
+            excluded,
+            last_excluded: last_excluded.collect(),
+            age_cycles: verdict.age_cycles,
+            last_counted_at: verdict.last_counted_at.map(time::format),
+            last_cycle_at: verdict.last.as_ref().map(|last| time::format(last.started_at)),
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! The intake: one way for every cycle, whether posted, in a batch or out of quarantine.
+
+use super::body::{self, BodyError};
+use super::writer::{WriteError, WriterHandle};
+use crate::clock::Clock;
+use crate::http::problem::Problem;
+use crate::metrics::{CycleOutcome, Metrics};
+use crate::state::Intake;
+use bytes::Bytes;
+use feedwright_core::cycle::{Cycle, Flag};
+use feedwright_core::ids::MachineId;
+use feedwright_core::summary::{Context, summarise};
+use feedwright_core::units::Timestamp;
+use feedwright_store::{
+    Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, codec,
+};
+use http::StatusCode;
+use std::sync::{Arc, RwLock};
+use tokio::sync::Mutex;
+use tokio::task::JoinHandle;
+
+/// Bodies larger than this are parsed off the threads that serve connections.
+const PARSED_ASIDE_BYTES: usize = 256 * 1024;
+
+/// A cycle that is durably stored, with what its machine is told.
+#[derive(Debug)]
+pub struct Accepted {
+    /// The cycle.
+    pub cycle: Arc<Cycle>,
+    /// Whether it was new; else it was known.
+    pub new: bool,
+    /// What its machine is told.
+    pub answer: Box<CycleAnswer>,
+}
+
+/// How a cycle is queued.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pace {
+    /// A live post: refused at once where the queue is full.
+    Live,
+    /// A line of a batch: waits for room.
+    Patient,
+}
+
+/// What becomes of a body that is refused for its content.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refused {
+    /// It is kept in quarantine, and the problem names it.
+    ToQuarantine,
+    /// It is there already.
+    StaysInQuarantine,
+}
+
+/// The intake of cycles.
+pub struct CycleIntake {
+    store: Arc<dyn Store>,
+    clock: Clock,
+    metrics: Arc<Metrics>,
+    max_samples: usize,
+    bounds: QuarantineBounds,
+    writer: RwLock<Option<WriterHandle>>,
+    writing: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl CycleIntake {
+    /// Puts the parts together; `writing` is the writer's task, which ends after its last handle.
+    pub fn new(
+        store: Arc<dyn Store>,
+        clock: Clock,
+        metrics: Arc<Metrics>,
+        max_samples: usize,
+        bounds: QuarantineBounds,
+        (writer, writing): (WriterHandle, JoinHandle<()>),
+    ) -> Self {
+        Self {
+            store,
+            clock,
+            metrics,
+            max_samples,
+            bounds,
+            writer: RwLock::new(Some(writer)),
+            writing: Mutex::new(Some(writing)),
+        }
+    }
+
+    async fn accept_at(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        pace: Pace,
+        refused: Refused,
+        now: Timestamp,
+    ) -> Result<Accepted, Problem> {
+        let cycle = match self.decode(machine, json.clone(), now).await? {
+            Ok(cycle) => Arc::new(cycle),
+            Err(BodyError::Malformed(why)) => {
+                return Err(Problem::bad_request("malformed_json", format!("the body is no JSON: {why}")));
+            }
+            Err(BodyError::Invalid(violations)) => {
+                if self.store.machine(machine).await?.is_none() {
+                    return Err(unknown_machine(machine));
+                }
+                return Err(self.refuse(machine, json, Problem::invalid(violations), refused, now).await);
+            }
+        };
+        let Some(around) = self.store.surroundings(machine, &cycle.operation, &cycle.tool).await? else {
+            return Err(unknown_machine(machine));
+        };
+        let context = Context {
+            machine: &around.machine,
+            calibration: around.calibration.as_ref(),
+            operation: around.operation.as_ref(),
+        };
+        let mut summary = summarise(&cycle, context);
+        summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
+        let encoded = codec::encode(&cycle);
+        let new = NewCycle { cycle: cycle.clone(), received_at: now, encoded, summary };
+        match self.commit(new, pace).await? {
+            Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
+            Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),
+            Committed::UnknownMachine => Err(unknown_machine(machine)),
+            Committed::Conflict { .. } => {
+                let problem = Problem::new(
+                    StatusCode::CONFLICT,
+                    "cycle_conflict",
+                    format!(
+                        "another content is stored under the cycle id `{}` of this machine; a counter that \
+                         restarts is the commonest cause: use a UUIDv7 or boot id + counter",
+                        cycle.id
+                    ),
+                );
+                Err(self.refuse(machine, json, problem, refused, now).await)
+            }
+        }
+    }
+
+    async fn decode(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        now: Timestamp,
+    ) -> Result<Result<Cycle, BodyError>, Problem> {
+        let max_samples = self.max_samples;
+        if json.len() <= PARSED_ASIDE_BYTES {
+            return Ok(body::decode(machine, &json, max_samples, now));
+        }
+        let machine = machine.clone();
+        tokio::task::spawn_blocking(move || body::decode(&machine, &json, max_samples, now))
+            .await
+            .map_err(|error| Problem::internal(format!("parsing a cycle failed: {error}")))
+    }
+
+    async fn commit(&self, cycle: NewCycle, pace: Pace) -> Result<Committed, Problem> {
+        let writer = self.writer.read().map_err(|_| closing())?.clone().ok_or_else(closing)?;
+        let outcome = match pace {
+            Pace::Live => writer.commit(cycle).await,
+            Pace::Patient => writer.commit_patiently(cycle).await,
+        };
+        self.metrics.ingest_queue_depth.set(i64::try_from(writer.depth()).unwrap_or(i64::MAX));
+        outcome.map_err(|error| match error {
+            WriteError::Busy => Problem::unavailable("queue_full", "too many cycles are waiting to be written", 1),
+            WriteError::Closing => closing(),
+            WriteError::Store(error) => error.into(),
+        })
+    }
+
+    fn observe(&self, accepted: &Accepted) {
+        let Accepted { cycle, new, answer } = accepted;
+        self.metrics.recommendation(answer.recommendation.recommendation.action);
+        if !new {
+            self.metrics.cycle(CycleOutcome::Duplicate);
+            return;
+        }
+        self.metrics.cycle(CycleOutcome::Accepted);
+        if let Some(energy) = answer.summary.best_energy() {
+            let process = cycle.process.or(answer.recommendation.recommendation.process);
+            self.metrics.cycle_energy(process, energy.total_joules);
+        }
+        if let Some(level) = answer.verdict.level {
+            self.metrics.tool_wear_level(&cycle.machine, level.as_run);
+        }
+    }
+
+    /// Keeps a refused body in quarantine, so that its machine may forget it, and names it in the problem.
+    async fn refuse(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        problem: Problem,
+        refused: Refused,
+        now: Timestamp,
+    ) -> Problem {
+        if refused == Refused::StaysInQuarantine {
+            return problem;
+        }
+        let entry = QuarantineEntry {
+            id: uuid::Uuid::now_v7().to_string(),
+            machine: machine.clone(),
+            cycle: body::cycle_id_of(&json).map(|id| id.chars().take(128).collect()),
+            received_at: now,
+            code: problem.errors.first().map_or(problem.code, |error| error.code).to_owned(),
+            problem: problem.document(None),
+            content_type: "application/json".to_owned(),
+            settled: None,
+            size: json.len() as u64,
+        };
+        match self.store.quarantine(entry, json.to_vec(), self.bounds).await {
+            Ok(id) => problem.member("quarantine_id", id),
+            // Without a place to keep it the machine must keep its copy: neither 409 nor 422 may be answered.
+            Err(StoreError::Full { .. }) => Problem::unavailable(
+                "quarantine_full",
+                format!("the cycle is refused ({}) and the quarantine is full: settle entries first", problem.code),
+                60,
+            ),
+            Err(error) => error.into(),
+        }
+    }
+}
+
+#[async_trait::async_trait]
+impl Intake for CycleIntake {
+    async fn accept(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        pace: Pace,
+        refused: Refused,
+    ) -> Result<Accepted, Problem> {
+        let result = self.accept_at(machine, json, pace, refused, self.clock.now()).await;
+        match &result {
+            Ok(accepted) => self.observe(accepted),
+            Err(problem) if problem.members.contains_key("quarantine_id") => {
+                self.metrics.cycle(CycleOutcome::Quarantined);
+            }
+            Err(problem) => self.metrics.cycle_rejected(problem.code),
+        }
+        result
+    }
+
+    async fn reingest(
+        &self,
+        machine: &MachineId,
+        _content_type: &str,
+        body: Bytes,
+    ) -> Result<serde_json::Value, Problem> {
+        let accepted = self.accept(machine, body, Pace::Live, Refused::StaysInQuarantine).await?;
+        let answer = crate::http::dto::cycle::CycleAnswerBody::of(&accepted);
+        serde_json::to_value(answer).map_err(|error| Problem::internal(error.to_string()))
+    }
+
+    async fn drain(&self) {
+        if let Ok(mut writer) = self.writer.write() {
+            writer.take();
+        }
+        if let Some(writing) = self.writing.lock().await.take()
+            && let Err(error) = writing.await
+        {
+            tracing::error!(%error, "the writer ended abnormally");
+        }
+    }
+}
+
+fn unknown_machine(machine: &MachineId) -> Problem {
+    Problem::new(StatusCode::NOT_FOUND, "unknown_machine", format!("there is no machine `{machine}`"))
+}
+
+fn closing() -> Problem {
+    Problem::unavailable("shutting_down", "the service is shutting down", 5)
+}
