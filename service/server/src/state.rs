@@ -98,7 +98,9 @@ impl AppState {
 
     /// Where cycles are taken in.
     pub fn intake(&self) -> Result<Arc<dyn Intake>, Problem> {
-        self.intake.clone().ok_or_else(|| Problem::unavailable("no_intake", "this server takes no cycles in", 60))
+        self.intake
+            .clone()
+            .ok_or_else(|| Problem::unavailable("no_intake", "this server takes no cycles in", 60))
     }
 
     /// Runs a change of the database in a task of its own and waits for it: a client that hangs up drops its

@@ -4,7 +4,7 @@ use crate::replay::client::Client;
 use crate::replay::fleet::MachineTokens;
 use crate::replay::progress::Progress;
 use crate::replay::recordings::{embedded, read_embedded, read_folder};
-use crate::replay::run::{Options, run};
+use crate::replay::run::{Options, run as post};
 use crate::replay::{Plan, Start, report, shift};
 use anyhow::Context;
 use clap::Args;
@@ -17,7 +17,7 @@ use std::time::Duration;
 /// Started again after an interruption it posts everything again; the service knows what it has, so that nothing
 /// is lost and nothing doubled.
 #[derive(Debug, Args)]
-pub struct ReplayArgs {
+pub struct Arguments {
     /// A folder with CSV files and mapping.toml, or the name of a recording inside the binary.
     recording: String,
     /// Another mapping file than the recording's own.
@@ -68,7 +68,7 @@ fn parse_speed(text: &str) -> Result<Speed, String> {
 }
 
 /// Runs the command.
-pub async fn replay(args: ReplayArgs) -> anyhow::Result<()> {
+pub async fn run(args: Arguments) -> anyhow::Result<()> {
     let plan = read(&args)?;
     let client = Client::new(&args.url, args.token, Duration::from_secs(args.patience_seconds))?;
     let state = args.state.unwrap_or_else(|| format!("feedwright-replay-{}.json", plan.name).into());
@@ -81,7 +81,7 @@ pub async fn replay(args: ReplayArgs) -> anyhow::Result<()> {
     let tokens = args.machine_token.map_or(MachineTokens::Make, MachineTokens::Given);
     let mut progress = Progress::for_cycles(plan.cycles.len());
     let options = Options { shift_us, speed, batch: usize::from(args.batch) };
-    let outcome = run(&plan, &client, tokens, options, &mut progress).await?;
+    let outcome = post(&plan, &client, tokens, options, &mut progress).await?;
     print!("{}", report::summary(&plan, &outcome));
     print!("{}", report::tools(&plan, &client).await?);
     if args.report {
@@ -91,7 +91,7 @@ pub async fn replay(args: ReplayArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn read(args: &ReplayArgs) -> anyhow::Result<Plan> {
+fn read(args: &Arguments) -> anyhow::Result<Plan> {
     let folder = PathBuf::from(&args.recording);
     if folder.is_dir() {
         return Ok(read_folder(&folder, args.mapping.as_deref())?);

@@ -2,8 +2,8 @@
 
 use super::body::{media_type, read, unsupported};
 use super::cursor::{List, Paging};
-use super::extract::{PathId, Query};
 use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost, SamplesBody};
+use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::ingest::content::{ContentError, Encoding, decompress};
 use crate::ingest::intake::{Accepted, Pace, Refused};
@@ -52,7 +52,8 @@ pub async fn post_cycle(
     // The client may hang up; what was taken in goes on to its commit all the same.
     let intake = state.intake()?;
     let accepting = async move { intake.accept(&machine, json, Pace::Live, Refused::ToQuarantine).await };
-    let accepted = state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))??;
+    let accepted =
+        state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))??;
     let status = if accepted.new { StatusCode::CREATED } else { StatusCode::OK };
     Ok((status, Json(CycleAnswerBody::of(&accepted))).into_response())
 }
@@ -98,7 +99,8 @@ pub async fn post_batch(
         });
         for outcome in join_all(outcomes).await {
             let outcome = outcome.map_err(|error| Problem::internal(error.to_string()))?;
-            serde_json::to_writer(&mut answer, &outcome).map_err(|error| Problem::internal(error.to_string()))?;
+            serde_json::to_writer(&mut answer, &outcome)
+                .map_err(|error| Problem::internal(error.to_string()))?;
             answer.push(b'\n');
         }
     }
@@ -212,7 +214,8 @@ async fn decoded_body(state: &AppState, request: Request, kind: &'static str) ->
         return Ok(bytes);
     }
     let unpack = move || decompress(encoding, bytes.to_vec(), limits.decoded_bytes);
-    let unpacked = tokio::task::spawn_blocking(unpack).await.map_err(|error| Problem::internal(error.to_string()))?;
+    let unpacked =
+        tokio::task::spawn_blocking(unpack).await.map_err(|error| Problem::internal(error.to_string()))?;
     unpacked.map(Bytes::from).map_err(|error| match error {
         ContentError::TooLarge => Problem::new(
             StatusCode::PAYLOAD_TOO_LARGE,
@@ -228,7 +231,10 @@ async fn decoded_body(state: &AppState, request: Request, kind: &'static str) ->
 fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<Encoding, Problem> {
     match (media_type(headers).as_deref(), kind) {
         (Some(given), wanted) if given == wanted => {}
-        (Some("application/jsonl" | "application/jsonlines" | "application/ndjson"), "application/x-ndjson") => {}
+        (
+            Some("application/jsonl" | "application/jsonlines" | "application/ndjson"),
+            "application/x-ndjson",
+        ) => {}
         (_, "application/json") => return Err(unsupported("send a cycle as application/json")),
         _ => return Err(unsupported("send a batch as application/x-ndjson")),
     }

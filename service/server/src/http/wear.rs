@@ -27,7 +27,10 @@ const HISTORY_PAGE: u32 = 500;
         (status = 404, description = "The tool is not registered", body = ProblemDocument<'static>),
     )
 )]
-pub async fn get_wear(State(state): State<AppState>, PathId(id): PathId<ToolId>) -> Result<Json<WearBody>, Problem> {
+pub async fn get_wear(
+    State(state): State<AppState>,
+    PathId(id): PathId<ToolId>,
+) -> Result<Json<WearBody>, Problem> {
     registered(&state, &id).await?;
     let verdict = state.store.verdict(&id).await?;
     Ok(Json((&verdict).into()))
@@ -42,7 +45,10 @@ pub async fn get_wear(State(state): State<AppState>, PathId(id): PathId<ToolId>)
         (status = 404, description = "The tool is not registered", body = ProblemDocument<'static>),
     )
 )]
-pub async fn get_history(State(state): State<AppState>, PathId(id): PathId<ToolId>) -> Result<Response, Problem> {
+pub async fn get_history(
+    State(state): State<AppState>,
+    PathId(id): PathId<ToolId>,
+) -> Result<Response, Problem> {
     registered(&state, &id).await?;
     let filter = CycleFilter { tool: Some(id.clone()), ..CycleFilter::default() };
     let pages = stream::try_unfold((Some(None), true), move |(after, first)| {

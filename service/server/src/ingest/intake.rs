@@ -158,7 +158,9 @@ impl CycleIntake {
         };
         self.metrics.ingest_queue_depth.set(i64::try_from(writer.depth()).unwrap_or(i64::MAX));
         outcome.map_err(|error| match error {
-            WriteError::Busy => Problem::unavailable("queue_full", "too many cycles are waiting to be written", 1),
+            WriteError::Busy => {
+                Problem::unavailable("queue_full", "too many cycles are waiting to be written", 1)
+            }
             WriteError::Closing => closing(),
             WriteError::Store(error) => error.into(),
         })
@@ -209,7 +211,10 @@ impl CycleIntake {
             // Without a place to keep it the machine must keep its copy: neither 409 nor 422 may be answered.
             Err(StoreError::Full { .. }) => Problem::unavailable(
                 "quarantine_full",
-                format!("the cycle is refused ({}) and the quarantine is full: settle entries first", problem.code),
+                format!(
+                    "the cycle is refused ({}) and the quarantine is full: settle entries first",
+                    problem.code
+                ),
                 60,
             ),
             Err(error) => error.into(),

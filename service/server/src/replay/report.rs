@@ -99,7 +99,7 @@ pub fn advice_in_words(advice: &Value) -> String {
         Some("confirm_conditions") => "have an engineer confirm what changed".to_owned(),
         other => other.unwrap_or("no advice").to_owned(),
     };
-    match advice["feed_mm_min"].as_f64() {
+    match advice["feed"]["feed_mm_min"].as_f64() {
         Some(feed) => {
             let _ = write!(said, " at {feed} mm/min");
         }
@@ -258,7 +258,8 @@ mod tests {
             wear_in_words(&wear),
             "broken suspected, needs +8.1 % energy against its baseline, about 7 cycles left (3 to any number); m"
         );
-        let advice = json!({ "action": "change_tool", "feed_mm_min": null, "override_percent": 100.0 });
+        let advice =
+            json!({ "action": "change_tool", "feed": { "feed_mm_min": null }, "override_percent": 100.0 });
         assert_eq!(advice_in_words(&advice), "change the tool at the program's feed, override 100 %");
     }
 }

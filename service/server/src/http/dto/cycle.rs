@@ -371,7 +371,8 @@ impl From<&Samples> for SamplesBody {
             TimeBase::Period { period_ms } => (Some(*period_ms), None),
             TimeBase::Stamps { time_ms } => (None, Some(time_ms.clone())),
         };
-        let columns = samples.columns().map(|(channel, values)| (channel.as_str(), values.to_vec())).collect();
+        let columns =
+            samples.columns().map(|(channel, values)| (channel.as_str(), values.to_vec())).collect();
         Self { period_ms, time_ms, columns }
     }
 }
