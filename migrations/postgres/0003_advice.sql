@@ -29,7 +29,8 @@ CREATE TABLE recommendations (
     data_age_ms BIGINT CONSTRAINT recommendations_data_age_ms_range CHECK (data_age_ms >= 0),
     CONSTRAINT recommendations_level_whole CHECK (
         num_nonnulls(level_as_run, level_lowest, level_highest, level_n, level_window) IN (0, 5)),
-    CONSTRAINT recommendations_remaining_whole CHECK ((remaining_cycles IS NULL) = (remaining_low IS NULL))
+    CONSTRAINT recommendations_remaining_whole CHECK (
+        num_nonnulls(remaining_cycles, remaining_low, remaining_high) IN (0, 3))
 );
 
 CREATE TABLE alarms (

@@ -29,7 +29,8 @@ CREATE TABLE recommendations (
     data_age_ms INTEGER CONSTRAINT recommendations_data_age_ms_range CHECK (data_age_ms >= 0),
     CONSTRAINT recommendations_level_whole CHECK (
         (level_as_run IS NOT NULL) + (level_lowest IS NOT NULL) + (level_highest IS NOT NULL) + (level_n IS NOT NULL) + (level_window IS NOT NULL) IN (0, 5)),
-    CONSTRAINT recommendations_remaining_whole CHECK ((remaining_cycles IS NULL) = (remaining_low IS NULL))
+    CONSTRAINT recommendations_remaining_whole CHECK (
+        (remaining_cycles IS NOT NULL) + (remaining_low IS NOT NULL) + (remaining_high IS NOT NULL) IN (0, 3))
 ) WITHOUT ROWID, STRICT;
 
 CREATE TABLE alarms (

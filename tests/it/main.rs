@@ -1,4 +1,5 @@
 //! One binary with every story; a module per subject.
 
 mod recordings;
+mod shop;
 mod store;

@@ -83,6 +83,11 @@ impl ToolEventKind {
         !matches!(self, Self::ConditionsConfirmed)
     }
 
+    /// Whether it puts a tool to work that was not there before; a change, a regrind or a reset follows a life.
+    pub const fn mounts(self) -> bool {
+        matches!(self, Self::MountedNew | Self::MountedUsed)
+    }
+
     /// Whether the first cycles of the life it begins show a tool without wear.
     pub const fn starts_unworn(self) -> bool {
         !matches!(self, Self::MountedUsed)

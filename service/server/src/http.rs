@@ -17,7 +17,16 @@ pub mod recommendations;
 pub mod routes;
 pub mod wear;
 
+mod alarms;
+mod audit;
+mod calibrations;
 mod health;
+mod machines;
+mod operations;
+mod quarantine;
+mod tokens;
+mod tool_events;
+mod tools;
 mod viewer;
 
 pub use routes::{metrics_router, router};

@@ -7,5 +7,4 @@ pub mod content;
 pub mod intake;
 mod number;
 mod scan;
-pub mod time;
 pub mod writer;

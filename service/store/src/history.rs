@@ -7,6 +7,14 @@ use feedwright_core::wear::{ToolFold, Verdict};
 /// Cycles between two checkpoints: a late cycle refolds at most so many, and what came after it.
 pub(crate) const CHECKPOINT_CYCLES: u64 = 256;
 
+/// The fold before any cycle. It depends on whether some event begins a life: the first of them changes all.
+pub(crate) fn beginning(events: &[PlacedEvent]) -> ToolFold {
+    match events.iter().find(|event| event.kind.begins_life()) {
+        Some(first) if first.kind.mounts() => ToolFold::awaiting_mount(),
+        _ => ToolFold::default(),
+    }
+}
+
 /// A fold on its way through a history.
 pub(crate) struct Walk<'a> {
     fold: ToolFold,
@@ -18,7 +26,7 @@ pub(crate) struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// From the beginning; `events` in the order of their places.
     pub(crate) fn new(events: &'a [PlacedEvent]) -> Self {
-        Self::resume(ToolFold::default(), 0, events)
+        Self::resume(beginning(events), 0, events)
     }
 
     /// From a state with `folded` cycles: events up to the place of its last cycle are in it.

@@ -104,9 +104,8 @@ impl Default for ToolFold {
 }
 
 impl ToolFold {
-    /// The fold of a tool that has an event which begins a life: what comes before the first such event has a
-    /// wrong clock and is not counted. A tool without one has its life begin with its first cycle
-    /// ([`ToolFold::default`]).
+    /// The fold of a tool whose first life begins with its mounting: what comes before has a wrong clock and is not
+    /// counted. A tool that nobody mounted has its life begin with its first cycle ([`ToolFold::default`]).
     pub fn awaiting_mount() -> Self {
         Self { awaiting_mount: true, ..Self::default() }
     }

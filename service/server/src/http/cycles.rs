@@ -5,9 +5,9 @@ use super::cursor::{List, Paging};
 use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost, SamplesBody};
 use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
+use crate::http::dto::time;
 use crate::ingest::content::{ContentError, Encoding, decompress};
 use crate::ingest::intake::{Accepted, Pace, Refused};
-use crate::ingest::time;
 use crate::state::AppState;
 use axum::Json;
 use axum::extract::{Request, State};
@@ -20,8 +20,8 @@ use http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-/// Lines of a batch that are under way at once: one commit's worth.
-const BATCH_WINDOW: usize = crate::ingest::writer::MAX_GROUP;
+/// Lines of a batch that are under way at once: about one commit's worth, so that live posts find room in between.
+const BATCH_WINDOW: usize = 64;
 
 /// Posts one cycle. The answer comes after its durable commit.
 #[utoipa::path(
@@ -199,8 +199,8 @@ impl CyclesQuery {
             machine: text(&self.machine).map(|id| MachineId::parse("machine", id)).transpose()?,
             tool: text(&self.tool).map(|id| ToolId::parse("tool", id)).transpose()?,
             operation: text(&self.operation).map(|id| OperationId::parse("operation", id)).transpose()?,
-            from: text(&self.from).map(|at| time::parse("from", at)).transpose()?,
-            to: text(&self.to).map(|at| time::parse("to", at)).transpose()?,
+            from: text(&self.from).map(|at| time::read("from", at)).transpose()?,
+            to: text(&self.to).map(|at| time::read("to", at)).transpose()?,
         })
     }
 }

@@ -3,9 +3,62 @@
 //! A body that is read denies unknown fields and turns into a core value with every violation named by its path.
 //! Names carry their unit. Nothing here decides anything.
 
+pub mod alarm;
+pub mod audit;
+pub mod calibration;
 pub mod cycle;
+pub mod machine;
+pub mod operation;
+pub mod quarantine;
 pub mod recommendation;
 pub mod text;
 pub mod time;
+pub mod token;
+pub mod tool;
 pub mod wear;
 pub mod word;
+
+use feedwright_core::invalid::Violation;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+/// Which page of a list.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct PageQuery {
+    /// Most rows wanted.
+    pub limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    pub cursor: Option<String>,
+}
+
+/// Something with its version, as it is answered.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Registered<T> {
+    /// Its id.
+    pub id: String,
+    /// Its version; the ETag holds it too.
+    pub version: u64,
+    /// When this version came into force, RFC 3339.
+    pub updated_at: String,
+    /// What was registered.
+    #[serde(flatten)]
+    pub body: T,
+}
+
+/// Joins what a body found wrong with what the core finds wrong with its value.
+fn checked<T>(
+    value: T,
+    mut wrong: Vec<Violation>,
+    check: impl FnOnce(T) -> Result<T, Vec<Violation>>,
+) -> Result<T, Vec<Violation>> {
+    match check(value) {
+        Ok(value) if wrong.is_empty() => Ok(value),
+        Ok(_) => Err(wrong),
+        Err(more) => {
+            wrong.extend(more);
+            Err(wrong)
+        }
+    }
+}

@@ -1,6 +1,9 @@
 //! The one table of routes and roles.
 
-use super::{cycles, edge, health, openapi, recommendations, viewer, wear};
+use super::{
+    alarms, audit, calibrations, cycles, edge, health, machines, openapi, operations, quarantine,
+    recommendations, tokens, tool_events, tools, viewer, wear,
+};
 use crate::auth::authorise;
 use crate::http::problem::Problem;
 use crate::state::AppState;
@@ -28,8 +31,8 @@ pub enum Access {
 pub const READ: Access = Access::Roles(&[Role::Viewer, Role::Engineer, Role::Approver, Role::Admin]);
 /// Reads, and a machine its own.
 pub const READ_OR_OWN: Access = Access::Roles(&Role::ALL);
-/// A machine writes its own.
-pub const OWN: Access = Access::Roles(&[Role::Machine]);
+/// A machine writes its own; an admin, who could make its token, replays and repairs.
+pub const OWN: Access = Access::Roles(&[Role::Machine, Role::Admin]);
 /// Registers, resets, acknowledges, repairs.
 pub const ENGINEER: Access = Access::Roles(&[Role::Engineer, Role::Admin]);
 /// Manages identities.
@@ -112,6 +115,29 @@ impl Route {
 /// Every route there is.
 pub fn table() -> Vec<Route> {
     vec![
+        Route::new(routes!(machines::put), ENGINEER),
+        Route::new(routes!(machines::get), READ_OR_OWN),
+        Route::new(routes!(machines::list), READ),
+        Route::new(routes!(calibrations::add), ENGINEER),
+        Route::new(routes!(calibrations::list), READ),
+        Route::new(routes!(tools::put), ENGINEER),
+        Route::new(routes!(tools::get), READ),
+        Route::new(routes!(tools::list), READ),
+        Route::new(routes!(tool_events::add), ENGINEER),
+        Route::new(routes!(tool_events::list), READ),
+        Route::new(routes!(operations::put), ENGINEER),
+        Route::new(routes!(operations::get), READ),
+        Route::new(routes!(operations::list), READ),
+        Route::new(routes!(alarms::list), READ),
+        Route::new(routes!(alarms::acknowledge), ENGINEER),
+        Route::new(routes!(alarms::acknowledge_machine), ENGINEER),
+        Route::new(routes!(quarantine::list), READ),
+        Route::new(routes!(quarantine::get), READ),
+        Route::new(routes!(quarantine::settle), ENGINEER).takes_cycles(),
+        Route::new(routes!(audit::list), READ),
+        Route::new(routes!(tokens::create), ADMIN),
+        Route::new(routes!(tokens::list), ADMIN),
+        Route::new(routes!(tokens::revoke), ADMIN),
         Route::new(routes!(health::healthz), Access::Open),
         Route::new(routes!(health::readyz), Access::Open),
         Route::new(routes!(health::metrics), READ),

@@ -3,7 +3,7 @@
 use super::dto::wear::WearBody;
 use super::extract::PathId;
 use super::problem::{Problem, ProblemDocument};
-use crate::ingest::time;
+use crate::http::dto::time;
 use crate::state::AppState;
 use axum::Json;
 use axum::body::Body;
@@ -126,8 +126,8 @@ fn record(row: &StoredCycle) -> [String; HEADER.len()] {
     });
     let flags: Vec<&str> = summary.flags.iter().map(feedwright_core::cycle::Flag::as_str).collect();
     [
-        time::format(cycle.started_at),
-        time::format(row.received_at),
+        time::show(cycle.started_at),
+        time::show(row.received_at),
         cycle.machine.to_string(),
         cycle.id.to_string(),
         cycle.seq.map(|seq| seq.to_string()).unwrap_or_default(),

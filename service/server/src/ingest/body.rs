@@ -5,6 +5,7 @@
 
 use super::number::{Number, Numbers};
 use super::scan;
+use crate::http::dto::time;
 use feedwright_core::cycle::{
     Channel, Cycle, CycleDraft, Outcome, ProfileVersion, Reported, Samples, TimeBase,
 };
@@ -297,7 +298,7 @@ fn word<T>(
 }
 
 fn started_at(text: &str, now: Timestamp) -> Result<Timestamp, Violation> {
-    let at = super::time::parse("started_at", text)?;
+    let at = time::read("started_at", text)?;
     if at.millis_since(now) > CLOCK_AHEAD_MS {
         return Err(Violation::new(
             "started_at",

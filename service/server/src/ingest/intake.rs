@@ -1,9 +1,11 @@
 //! The intake: one way for every cycle, whether posted, in a batch or out of quarantine.
 
 use super::body::{self, BodyError};
-use super::writer::{WriteError, WriterHandle};
+use super::writer::{self, Bounds, WriteError, WriterHandle, WriterObserver};
 use crate::clock::Clock;
+use crate::config::Config;
 use crate::http::problem::Problem;
+use crate::lifecycle::Lifecycle;
 use crate::metrics::{CycleOutcome, Metrics};
 use crate::state::Intake;
 use bytes::Bytes;
@@ -62,22 +64,45 @@ pub struct CycleIntake {
     writing: Mutex<Option<JoinHandle<()>>>,
 }
 
+/// What the writer tells metrics and the life of the process.
+struct Watch {
+    metrics: Arc<Metrics>,
+    lifecycle: Lifecycle,
+}
+
+impl WriterObserver for Watch {
+    fn committed(&self, cycles: usize, seconds: f64) {
+        self.metrics.commit_seconds.observe(seconds);
+        #[expect(clippy::cast_precision_loss, reason = "a group is small")]
+        self.metrics.commit_group_size.observe(cycles as f64);
+    }
+
+    fn not_writable(&self, error: &StoreError) {
+        self.lifecycle.fail(&format!("the database does not take writes: {error}"));
+    }
+}
+
 impl CycleIntake {
-    /// Puts the parts together; `writing` is the writer's task, which ends after its last handle.
-    pub fn new(
-        store: Arc<dyn Store>,
-        clock: Clock,
-        metrics: Arc<Metrics>,
-        max_samples: usize,
-        bounds: QuarantineBounds,
-        (writer, writing): (WriterHandle, JoinHandle<()>),
+    /// Starts the writer and opens the intake.
+    pub fn start(
+        config: &Config,
+        store: &Arc<dyn Store>,
+        clock: &Clock,
+        lifecycle: &Lifecycle,
+        metrics: &Arc<Metrics>,
     ) -> Self {
+        let watch = Watch { metrics: metrics.clone(), lifecycle: lifecycle.clone() };
+        let bounds = Bounds { queue: config.limits.queue_length, group: config.limits.group_size };
+        let settings = config.recommendation.settings();
+        let (writer, writing) =
+            writer::start(store.clone(), bounds, settings, clock.clone(), Arc::new(watch));
+        metrics.ingest_queue_capacity.set(i64::try_from(config.limits.queue_length).unwrap_or(i64::MAX));
         Self {
-            store,
-            clock,
-            metrics,
-            max_samples,
-            bounds,
+            store: store.clone(),
+            clock: clock.clone(),
+            metrics: metrics.clone(),
+            max_samples: config.limits.samples_per_cycle,
+            bounds: config.quarantine.bounds(),
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
         }

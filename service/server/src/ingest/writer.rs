@@ -1,14 +1,20 @@
 //! The one writer: a bounded queue in front, groups behind, an answer to each after its commit.
 
+use crate::clock::Clock;
 use feedwright_core::recommend::RecommendSettings;
-use feedwright_core::units::Timestamp;
 use feedwright_store::{Committed, NewCycle, Store, StoreError, StoreResult};
 use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
-/// Most cycles in one commit: beyond, a commit takes longer and is hardly cheaper per cycle.
-pub const MAX_GROUP: usize = 64;
+/// Bounds of the writer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bounds {
+    /// Cycles that may wait.
+    pub queue: usize,
+    /// Cycles in one commit.
+    pub group: usize,
+}
 
 struct Queued {
     cycle: NewCycle,
@@ -72,30 +78,31 @@ impl WriterHandle {
 /// Starts the writer. It ends, with everything that was queued committed, when all handles are dropped.
 pub fn start(
     store: Arc<dyn Store>,
-    queue_length: usize,
+    bounds: Bounds,
     settings: RecommendSettings,
-    clock: Arc<dyn Fn() -> Timestamp + Send + Sync>,
+    clock: Clock,
     observer: Arc<dyn WriterObserver>,
 ) -> (WriterHandle, JoinHandle<()>) {
-    let (queue, waiting) = mpsc::channel(queue_length.max(1));
-    let task = tokio::spawn(run(store, waiting, settings, clock, observer));
+    let (queue, waiting) = mpsc::channel(bounds.queue.max(1));
+    let task = tokio::spawn(run(store, waiting, bounds.group.max(1), settings, clock, observer));
     (WriterHandle { queue }, task)
 }
 
 async fn run(
     store: Arc<dyn Store>,
     mut waiting: mpsc::Receiver<Queued>,
+    most: usize,
     settings: RecommendSettings,
-    clock: Arc<dyn Fn() -> Timestamp + Send + Sync>,
+    clock: Clock,
     observer: Arc<dyn WriterObserver>,
 ) {
-    let mut group = Vec::with_capacity(MAX_GROUP);
-    while waiting.recv_many(&mut group, MAX_GROUP).await > 0 {
+    let mut group = Vec::with_capacity(most);
+    while waiting.recv_many(&mut group, most).await > 0 {
         let (cycles, answers): (Vec<_>, Vec<_>) =
             group.drain(..).map(|queued| (queued.cycle, queued.answer)).unzip();
         let begun = std::time::Instant::now();
         let count = cycles.len();
-        let outcomes = store.commit_cycles(cycles, clock(), settings).await;
+        let outcomes = store.commit_cycles(cycles, clock.now(), settings).await;
         observer.committed(count, begun.elapsed().as_secs_f64());
         for (answer, outcome) in answers.into_iter().zip(outcomes) {
             if let Err(error @ StoreError::NotWritable(_)) = &outcome {

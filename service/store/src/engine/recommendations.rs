@@ -45,7 +45,7 @@ pub(super) async fn issue(conn: &mut Conn, issued: &IssuedRecommendation) -> Sto
     .bind(level.map(|level| i64::from(level.window)))
     .bind(remaining_count("remaining_cycles", |remaining| remaining.cycles)?)
     .bind(remaining_count("remaining_low", |remaining| remaining.low)?)
-    .bind(remaining.and_then(|remaining| remaining.high).map(|high| count("remaining_high", high)).transpose()?)
+    .bind(remaining_count("remaining_high", |remaining| remaining.high)?)
     .bind(recommendation.data_age_ms)
     .execute(&mut *conn)
     .await?;

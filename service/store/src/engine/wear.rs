@@ -2,7 +2,7 @@
 
 use super::{Conn, Db, dialect, tools};
 use crate::error::StoreResult;
-use crate::history::Walk;
+use crate::history::{Walk, beginning};
 use crate::locks::Locks;
 use crate::rows::{FactsRow, Place, PlacedEvent, count, id, number};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
@@ -152,7 +152,7 @@ impl ToolWear {
         let cached = self
             .machines
             .entry(machine.clone())
-            .or_insert_with(|| Cached { fold: Some(ToolFold::default()), folded: 0 });
+            .or_insert_with(|| Cached { fold: Some(beginning(&self.events)), folded: 0 });
         let newest = |fold: &ToolFold| fold.last().is_none_or(|last| Place::of(last) < first);
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
             return self.refold(conn, machine, &first, now).await;
@@ -182,7 +182,9 @@ impl ToolWear {
         if self.machines.get(machine).and_then(|cached| cached.fold.as_ref()).is_some_and(untouched) {
             return Ok(());
         }
-        let (fold, folded) = checkpoint_before(conn, &self.tool, machine, from).await?;
+        let (fold, folded) = checkpoint_before(conn, &self.tool, machine, from)
+            .await?
+            .unwrap_or_else(|| (beginning(&self.events), 0));
         sqlx::query::<Db>(
             "DELETE FROM tool_wear_checkpoints WHERE machine_id = $1 AND tool_id = $2 AND folded > $3",
         )
@@ -293,13 +295,13 @@ struct CheckpointRow {
     state: Vec<u8>,
 }
 
-/// The last checkpoint whose cycles all come before `from`; the empty fold where there is none.
+/// The last checkpoint whose cycles all come before `from`.
 async fn checkpoint_before(
     conn: &mut Conn,
     tool: &ToolId,
     machine: &MachineId,
     from: &Place,
-) -> StoreResult<(ToolFold, u64)> {
+) -> StoreResult<Option<(ToolFold, u64)>> {
     let (before_machine, seq, cycle) = match &from.cycle {
         None => ("", i64::MIN, ""),
         Some((machine, seq, cycle)) => {
@@ -323,9 +325,9 @@ async fn checkpoint_before(
     if let Some(row) = row
         && let Some(fold) = readable(row.fold_version, &row.state)
     {
-        return Ok((fold, number("folded", row.folded)?));
+        return Ok(Some((fold, number("folded", row.folded)?)));
     }
-    Ok((ToolFold::default(), 0))
+    Ok(None)
 }
 
 /// Whether a tool is registered.
@@ -365,9 +367,15 @@ pub(super) async fn count_event(
     now: Timestamp,
 ) -> StoreResult<Verdict> {
     let mut wear = ToolWear::load_locked(conn, tool).await?;
-    let place = wear.events.iter().find(|placed| placed.id == event).map(|placed| placed.place.clone());
+    // The first event that begins a life speaks of everything before it too.
+    let lives = wear.events.iter().filter(|placed| placed.kind.begins_life()).count();
+    let place = wear
+        .events
+        .iter()
+        .find(|placed| placed.id == event && !(lives == 1 && placed.kind.begins_life()))
+        .map_or(BEGINNING, |placed| placed.place.clone());
     for machine in wear.machines() {
-        wear.refold(conn, &machine, place.as_ref().unwrap_or(&BEGINNING), now).await?;
+        wear.refold(conn, &machine, &place, now).await?;
     }
     wear.verdict(conn).await
 }

@@ -91,11 +91,11 @@ impl RecommendationRow {
                 }),
                 _ => None,
             };
-        let remaining = match (self.remaining_cycles, self.remaining_low) {
-            (Some(cycles), Some(low)) => Some(Remaining {
+        let remaining = match (self.remaining_cycles, self.remaining_low, self.remaining_high) {
+            (Some(cycles), Some(low), Some(high)) => Some(Remaining {
                 cycles: number("remaining_cycles", cycles)?,
                 low: number("remaining_low", low)?,
-                high: self.remaining_high.map(|high| number("remaining_high", high)).transpose()?,
+                high: number("remaining_high", high)?,
             }),
             _ => None,
         };

@@ -2,8 +2,8 @@
 
 use super::recommendation::RecommendationBody;
 use super::wear::WearBody;
+use crate::http::dto::time;
 use crate::ingest::intake::Accepted;
-use crate::ingest::time;
 use feedwright_core::cycle::{Samples, TimeBase};
 use feedwright_core::summary::{CycleSummary, Energy, IdlePower, Peak};
 use feedwright_store::StoredCycle;
@@ -155,7 +155,7 @@ impl CycleAnswerBody {
             status: if accepted.new { "stored" } else { "known" },
             machine: accepted.cycle.machine.to_string(),
             cycle_id: accepted.cycle.id.to_string(),
-            received_at: time::format(answer.received_at),
+            received_at: time::show(answer.received_at),
             registered: answer.registered,
             summary: (&answer.summary).into(),
             wear: (&answer.verdict).into(),
@@ -333,8 +333,8 @@ impl From<&StoredCycle> for CycleBody {
             cycle_id: cycle.id.to_string(),
             tool: cycle.tool.to_string(),
             operation: cycle.operation.to_string(),
-            started_at: time::format(cycle.started_at),
-            received_at: time::format(stored.received_at),
+            started_at: time::show(cycle.started_at),
+            received_at: time::show(stored.received_at),
             seq: cycle.seq,
             process: cycle.process.map(feedwright_core::units::Process::as_str),
             strategy: cycle.strategy.map(feedwright_core::units::Strategy::as_str),

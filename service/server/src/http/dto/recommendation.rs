@@ -1,7 +1,7 @@
 //! A recommendation as JSON.
 
 use super::wear::{LevelBody, ReasonBody, RemainingBody};
-use crate::ingest::time;
+use crate::http::dto::time;
 use feedwright_store::IssuedRecommendation;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -105,8 +105,8 @@ impl From<&IssuedRecommendation> for RecommendationBody {
         let advice = &issued.recommendation;
         Self {
             id: issued.id.to_string(),
-            issued_at: time::format(advice.issued_at),
-            valid_until: time::format(advice.valid_until),
+            issued_at: time::show(advice.issued_at),
+            valid_until: time::show(advice.valid_until),
             machine: advice.machine.to_string(),
             operation: advice.operation.to_string(),
             tool: advice.tool.to_string(),

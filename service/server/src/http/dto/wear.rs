@@ -1,6 +1,6 @@
 //! The verdict on a tool as JSON.
 
-use crate::ingest::time;
+use crate::http::dto::time;
 use feedwright_core::summary::EnergyBasis;
 use feedwright_core::wear::{BaselineEvidence, Exclusion, Level, Remaining, Trend, Verdict};
 use serde::Serialize;
@@ -243,8 +243,8 @@ impl From<&Verdict> for WearBody {
             excluded,
             last_excluded: last_excluded.collect(),
             age_cycles: verdict.age_cycles,
-            last_counted_at: verdict.last_counted_at.map(time::format),
-            last_cycle_at: verdict.last.as_ref().map(|last| time::format(last.started_at)),
+            last_counted_at: verdict.last_counted_at.map(time::show),
+            last_cycle_at: verdict.last.as_ref().map(|last| time::show(last.started_at)),
         }
     }
 }

@@ -10,70 +10,68 @@ use std::borrow::Cow;
 use utoipa::openapi::{ObjectBuilder, RefOr, Schema, Type};
 use utoipa::{PartialSchema, ToSchema};
 
-/// An enum that has a word for each of its values.
-pub trait Words: Copy + Sized + 'static {
-    /// Its name in the API's description.
-    const NAME: &'static str;
-    /// Every value.
-    const VALUES: &'static [Self];
-
-    /// The word of a value.
-    fn word(self) -> &'static str;
-}
-
 macro_rules! words {
-    ($($type:ident: $values:expr;)*) => {$(
-        impl Words for $type {
-            const NAME: &'static str = stringify!($type);
-            const VALUES: &'static [Self] = $values;
+    ($($(#[$doc:meta])* $word:ident, $type:ident: $values:expr;)*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub struct $word(pub $type);
 
-            fn word(self) -> &'static str {
-                self.as_str()
+        impl $word {
+            const VALUES: &'static [$type] = &$values;
+        }
+
+        impl Serialize for $word {
+            fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+                to.serialize_str(self.0.as_str())
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $word {
+            fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+                let text = Cow::<str>::deserialize(from)?;
+                let known = Self::VALUES.iter().copied().find(|value| value.as_str() == text);
+                known.map(Self).ok_or_else(|| {
+                    let all: Vec<_> = Self::VALUES.iter().map(|value| value.as_str()).collect();
+                    let all = all.join(", ");
+                    serde::de::Error::custom(format!("unknown word `{text}`, must be one of {all}"))
+                })
+            }
+        }
+
+        impl PartialSchema for $word {
+            fn schema() -> RefOr<Schema> {
+                let words = Self::VALUES.iter().map(|value| value.as_str());
+                ObjectBuilder::new().schema_type(Type::String).enum_values(Some(words)).into()
+            }
+        }
+
+        impl ToSchema for $word {
+            fn name() -> Cow<'static, str> {
+                Cow::Borrowed(stringify!($type))
             }
         }
     )*};
 }
 
 words! {
-    LoadReference: &LoadReference::ALL;
-    Process: &Process::ALL;
-    Strategy: &Strategy::ALL;
-    ToolEventKind: &ToolEventKind::ALL;
-    AlarmKind: &AlarmKind::ALL;
-    Role: &Role::ALL;
-    Outcome: &[Outcome::Completed, Outcome::Aborted];
+    /// What a load in percent refers to.
+    LoadReferenceWord, LoadReference: LoadReference::ALL;
+    /// A process.
+    ProcessWord, Process: Process::ALL;
+    /// How a feed was chosen.
+    StrategyWord, Strategy: Strategy::ALL;
+    /// What happened to a tool.
+    ToolEventKindWord, ToolEventKind: ToolEventKind::ALL;
+    /// A kind of alarm.
+    AlarmKindWord, AlarmKind: AlarmKind::ALL;
+    /// A role.
+    RoleWord, Role: Role::ALL;
+    /// How a cycle ended.
+    OutcomeWord, Outcome: [Outcome::Completed, Outcome::Aborted];
 }
 
-/// A value of such an enum in JSON.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Word<T>(pub T);
-
-impl<T: Words> Serialize for Word<T> {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(self.0.word())
-    }
-}
-
-impl<'de, T: Words> Deserialize<'de> for Word<T> {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        let text = Cow::<str>::deserialize(from)?;
-        let known = T::VALUES.iter().copied().find(|value| value.word() == text);
-        known.map(Self).ok_or_else(|| {
-            let all: Vec<_> = T::VALUES.iter().map(|value| value.word()).collect();
-            serde::de::Error::custom(format!("unknown word `{text}`, must be one of {}", all.join(", ")))
-        })
-    }
-}
-
-impl<T: Words> PartialSchema for Word<T> {
-    fn schema() -> RefOr<Schema> {
-        let words = T::VALUES.iter().map(|value| value.word());
-        ObjectBuilder::new().schema_type(Type::String).enum_values(Some(words)).into()
-    }
-}
-
-impl<T: Words> ToSchema for Word<T> {
-    fn name() -> Cow<'static, str> {
-        Cow::Borrowed(T::NAME)
+impl Default for LoadReferenceWord {
+    fn default() -> Self {
+        Self(LoadReference::default())
     }
 }

@@ -1,0 +1,80 @@
+//! Alarms: listed, and acknowledged one by one or, for overloads, by machine.
+
+use super::cursor::{List, Paging};
+use super::dto::alarm::{Acknowledged, AlarmQuery, AlarmView};
+use super::extract::{PathId, Query, query_id};
+use super::problem::Problem;
+use crate::auth::Caller;
+use crate::state::AppState;
+use axum::Json;
+use axum::extract::State;
+use feedwright_core::ids::MachineId;
+use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
+
+/// Open alarms read at a time when a machine's overloads are acknowledged.
+const OPEN_ALARMS_PAGE: u32 = 1000;
+
+/// Lists alarms in the order they were raised.
+#[utoipa::path(get, path = "/v1/alarms", tag = "alarms", params(AlarmQuery),
+    responses((status = 200, body = List<AlarmView>)))]
+pub(super) async fn list(
+    State(state): State<AppState>,
+    Query(query): Query<AlarmQuery>,
+) -> Result<Json<List<AlarmView>>, Problem> {
+    let filter = AlarmFilter {
+        open: query.open,
+        machine: query_id(query.machine.as_deref())?,
+        tool: query_id(query.tool.as_deref())?,
+    };
+    let paging = Paging::new(&state, format!("alarms {filter:?}"), query.limit, query.cursor.as_deref())?;
+    let rows = state.store.alarms(&filter, paging.page()).await?;
+    Ok(Json(paging.list(rows, |row| row.id, AlarmView::from)))
+}
+
+/// Acknowledges one alarm.
+#[utoipa::path(post, path = "/v1/alarms/{id}/acknowledge", tag = "alarms", params(("id" = i64, Path)),
+    responses((status = 200, body = AlarmView)))]
+pub(super) async fn acknowledge(
+    State(state): State<AppState>,
+    caller: Caller,
+    PathId(id): PathId<RowNumber>,
+) -> Result<Json<AlarmView>, Problem> {
+    Ok(Json(acknowledge_one(&state, &caller, id).await?.into()))
+}
+
+/// Acknowledges the overloads of a machine that are open and not acknowledged.
+#[utoipa::path(post, path = "/v1/machines/{machine}/acknowledge", tag = "alarms",
+    params(("machine" = String, Path)), responses((status = 200, body = Acknowledged)))]
+pub(super) async fn acknowledge_machine(
+    State(state): State<AppState>,
+    caller: Caller,
+    PathId(machine): PathId<MachineId>,
+) -> Result<Json<Acknowledged>, Problem> {
+    if state.store.machine(&machine).await?.is_none() {
+        return Err(Problem::not_found("machine", machine.as_str()));
+    }
+    let mut acknowledged = Vec::new();
+    for alarm in open_overloads(&state, machine).await? {
+        acknowledged.push(acknowledge_one(&state, &caller, alarm).await?.into());
+    }
+    Ok(Json(Acknowledged { acknowledged }))
+}
+
+async fn open_overloads(state: &AppState, machine: MachineId) -> Result<Vec<RowNumber>, Problem> {
+    let filter = AlarmFilter { open: Some(true), machine: Some(machine), tool: None };
+    let mut found = Vec::new();
+    let mut after = None;
+    loop {
+        let page = state.store.alarms(&filter, Page { after, limit: OPEN_ALARMS_PAGE }).await?;
+        let Some(last) = page.last() else { return Ok(found) };
+        after = Some(last.id);
+        let waiting = |alarm: &&Alarm| alarm.kind == AlarmKind::Overload && alarm.acknowledged.is_none();
+        found.extend(page.iter().filter(waiting).map(|alarm| alarm.id));
+    }
+}
+
+async fn acknowledge_one(state: &AppState, caller: &Caller, id: RowNumber) -> Result<Alarm, Problem> {
+    let (actor, now) = (caller.actor(), state.clock.now());
+    let alarm = state.commit(|store| async move { store.acknowledge_alarm(id, &actor, now).await }).await?;
+    alarm.ok_or_else(|| Problem::not_found("alarm", &id.to_string()))
+}

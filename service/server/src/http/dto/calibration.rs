@@ -1,0 +1,122 @@
+//! Fitted lines of a machine in JSON.
+
+use super::time;
+use feedwright_core::invalid::{Range, Violation};
+use feedwright_core::machine::{Calibration, FittedLine};
+use feedwright_core::units::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Slopes, intercepts and residuals of lines that a machine tool could have.
+const LINE_RANGE: Range = Range::new(-1e9, 1e9, "(N or N·m)");
+/// Residuals are not negative.
+const SPREAD_RANGE: Range = Range::new(0.0, 1e9, "(N or N·m)");
+/// Loads that a line may be fitted over.
+const LOAD_RANGE: Range = Range::new(-400.0, 400.0, "%");
+/// Coefficients of determination.
+const R_SQUARED_RANGE: Range = Range::new(0.0, 1.0, "");
+
+/// Fitted lines: at least one of them.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationBody {
+    /// Thrust (N) over feed-drive load (%).
+    #[serde(default)]
+    pub thrust: Option<LineBody>,
+    /// Torque (N·m) over spindle load (%).
+    #[serde(default)]
+    pub torque: Option<LineBody>,
+}
+
+/// A robust line `y = slope·load + intercept` with the range it was fitted in.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LineBody {
+    /// Rise per percent of load, N/% or N·m/%.
+    pub slope: f64,
+    /// Value at no load, N or N·m.
+    pub intercept: f64,
+    /// Lowest load seen when fitting, %.
+    pub min_percent: f64,
+    /// Highest load seen when fitting, %.
+    pub max_percent: f64,
+    /// Coefficient of determination, 0 to 1.
+    pub r_squared: f64,
+    /// Robust standard deviation of the residuals, N or N·m.
+    pub residual_spread: f64,
+}
+
+impl LineBody {
+    fn check(self, name: &str, wrong: &mut Vec<Violation>) -> FittedLine {
+        for (field, range, value) in [
+            ("slope", LINE_RANGE, self.slope),
+            ("intercept", LINE_RANGE, self.intercept),
+            ("min_percent", LOAD_RANGE, self.min_percent),
+            ("max_percent", LOAD_RANGE, self.max_percent),
+            ("r_squared", R_SQUARED_RANGE, self.r_squared),
+            ("residual_spread", SPREAD_RANGE, self.residual_spread),
+        ] {
+            range.collect(&format!("{name}.{field}"), value, wrong);
+        }
+        if self.min_percent >= self.max_percent {
+            let path = format!("{name}.max_percent");
+            wrong.push(Violation::new(path, "empty_range", "must be above min_percent"));
+        }
+        if self.slope <= 0.0 {
+            let path = format!("{name}.slope");
+            wrong.push(Violation::new(
+                path,
+                "not_rising",
+                "must be above 0: a drive pushes harder under load",
+            ));
+        }
+        let Self { slope, intercept, min_percent, max_percent, r_squared, residual_spread } = self;
+        FittedLine { slope, intercept, min_percent, max_percent, r_squared, residual_spread }
+    }
+}
+
+impl From<FittedLine> for LineBody {
+    fn from(line: FittedLine) -> Self {
+        let FittedLine { slope, intercept, min_percent, max_percent, r_squared, residual_spread } = line;
+        Self { slope, intercept, min_percent, max_percent, r_squared, residual_spread }
+    }
+}
+
+impl TryFrom<CalibrationBody> for Calibration {
+    type Error = Vec<Violation>;
+
+    fn try_from(body: CalibrationBody) -> Result<Self, Vec<Violation>> {
+        let mut wrong = Vec::new();
+        if body.thrust.is_none() && body.torque.is_none() {
+            wrong.push(Violation::new("thrust", "nothing_fitted", "a calibration needs at least one line"));
+        }
+        let thrust = body.thrust.map(|line| line.check("thrust", &mut wrong));
+        let torque = body.torque.map(|line| line.check("torque", &mut wrong));
+        // The store assigns the version.
+        if wrong.is_empty() { Ok(Self { version: 0, thrust, torque }) } else { Err(wrong) }
+    }
+}
+
+/// One version of a machine's fitted lines.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct CalibrationView {
+    /// Its version, counted from 1.
+    pub version: u32,
+    /// When it came into force, RFC 3339.
+    pub created_at: String,
+    /// Thrust (N) over feed-drive load (%).
+    pub thrust: Option<LineBody>,
+    /// Torque (N·m) over spindle load (%).
+    pub torque: Option<LineBody>,
+}
+
+impl From<(Calibration, Timestamp)> for CalibrationView {
+    fn from((calibration, at): (Calibration, Timestamp)) -> Self {
+        Self {
+            version: calibration.version,
+            created_at: time::show(at),
+            thrust: calibration.thrust.map(LineBody::from),
+            torque: calibration.torque.map(LineBody::from),
+        }
+    }
+}

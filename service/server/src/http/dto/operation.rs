@@ -1,0 +1,116 @@
+//! Operations in JSON.
+
+use super::text::{MAX_NAME, optional, required};
+use super::word::ProcessWord;
+use super::{Registered, checked, time};
+use feedwright_core::ids::OperationId;
+use feedwright_core::invalid::Violation;
+use feedwright_core::operation::{Operation, WearSettings};
+use feedwright_store::Versioned;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// An operation as it is registered: what is machined.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OperationBody {
+    /// What people call it.
+    #[schema(example = "Bushing M8, front")]
+    pub name: String,
+    /// Which process it is.
+    pub process: ProcessWord,
+    /// NC program.
+    #[serde(default)]
+    pub program: Option<String>,
+    /// Feature within the program.
+    #[serde(default)]
+    pub feature: Option<String>,
+    /// Work material.
+    #[serde(default)]
+    pub work_material: Option<String>,
+    /// Thickness of the work at the hole, mm.
+    #[serde(default)]
+    pub thickness_mm: Option<f64>,
+    /// Depth that a complete cycle reaches, mm.
+    #[serde(default)]
+    pub depth_mm: Option<f64>,
+    /// Commanded spindle speed, rpm.
+    #[serde(default)]
+    pub spindle_speed_rpm: Option<f64>,
+    /// Programmed feed rate, mm/min.
+    #[serde(default)]
+    pub programmed_feed_mm_min: Option<f64>,
+    /// Set load of the spindle drive, %.
+    #[serde(default)]
+    pub spindle_load_set_percent: Option<f64>,
+    /// Set load of the feed drive, %.
+    #[serde(default)]
+    pub feed_drive_load_set_percent: Option<f64>,
+    /// How wear is judged.
+    #[serde(default)]
+    pub wear: WearSettingsBody,
+}
+
+/// How wear is judged.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct WearSettingsBody {
+    /// Counted cycles whose median is a baseline.
+    pub baseline_cycles: u32,
+    /// Last counted ratios whose median is the level.
+    pub window_cycles: u32,
+}
+
+impl Default for WearSettingsBody {
+    fn default() -> Self {
+        let WearSettings { baseline_cycles, window_cycles } = WearSettings::default();
+        Self { baseline_cycles, window_cycles }
+    }
+}
+
+impl OperationBody {
+    /// The operation of that id.
+    pub fn into_operation(self, id: OperationId) -> Result<Operation, Vec<Violation>> {
+        let mut wrong = Vec::new();
+        let WearSettingsBody { baseline_cycles, window_cycles } = self.wear;
+        let operation = Operation {
+            id,
+            name: required("name", &self.name, MAX_NAME, &mut wrong),
+            process: self.process.0,
+            program: optional("program", self.program.as_deref(), MAX_NAME, &mut wrong),
+            feature: optional("feature", self.feature.as_deref(), MAX_NAME, &mut wrong),
+            work_material: optional("work_material", self.work_material.as_deref(), MAX_NAME, &mut wrong),
+            thickness_mm: self.thickness_mm,
+            depth_mm: self.depth_mm,
+            spindle_speed_rpm: self.spindle_speed_rpm,
+            programmed_feed_mm_min: self.programmed_feed_mm_min,
+            spindle_load_set_percent: self.spindle_load_set_percent,
+            feed_drive_load_set_percent: self.feed_drive_load_set_percent,
+            wear: WearSettings { baseline_cycles, window_cycles },
+        };
+        checked(operation, wrong, Operation::validated)
+    }
+}
+
+impl From<Versioned<Operation>> for Registered<OperationBody> {
+    fn from(stored: Versioned<Operation>) -> Self {
+        let operation = stored.value;
+        let WearSettings { baseline_cycles, window_cycles } = operation.wear;
+        let body = OperationBody {
+            name: operation.name,
+            process: ProcessWord(operation.process),
+            program: operation.program,
+            feature: operation.feature,
+            work_material: operation.work_material,
+            thickness_mm: operation.thickness_mm,
+            depth_mm: operation.depth_mm,
+            spindle_speed_rpm: operation.spindle_speed_rpm,
+            programmed_feed_mm_min: operation.programmed_feed_mm_min,
+            spindle_load_set_percent: operation.spindle_load_set_percent,
+            feed_drive_load_set_percent: operation.feed_drive_load_set_percent,
+            wear: WearSettingsBody { baseline_cycles, window_cycles },
+        };
+        let id = operation.id.as_str().to_owned();
+        Self { id, version: stored.version, updated_at: time::show(stored.updated_at), body }
+    }
+}

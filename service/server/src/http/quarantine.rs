@@ -1,0 +1,96 @@
+//! The quarantine: listed, looked into, and settled by discarding or by taking in again.
+
+use super::body::Json;
+use super::cursor::{List, Paging};
+use super::dto::quarantine::{
+    QuarantineAction, QuarantineDetail, QuarantineQuery, QuarantineView, SettleBody, Settled,
+};
+use super::extract::{PathId, Query, query_id};
+use super::problem::Problem;
+use crate::auth::Caller;
+use crate::state::AppState;
+use axum::extract::State;
+use bytes::Bytes;
+use feedwright_core::ids::MachineId;
+use feedwright_store::QuarantineEntry;
+use http::StatusCode;
+
+/// Lists what could not be accepted, oldest first; what is settled only where it is asked for.
+#[utoipa::path(get, path = "/v1/quarantine", tag = "quarantine", params(QuarantineQuery),
+    responses((status = 200, body = List<QuarantineView>)))]
+pub(super) async fn list(
+    State(state): State<AppState>,
+    Query(query): Query<QuarantineQuery>,
+) -> Result<axum::Json<List<QuarantineView>>, Problem> {
+    let machine: Option<MachineId> = query_id(query.machine.as_deref())?;
+    let open = query.open.unwrap_or(true);
+    let scope = format!("quarantine {machine:?} {open}");
+    let paging = Paging::new(&state, scope, query.limit, query.cursor.as_deref())?;
+    let rows = state.store.quarantined(machine.as_ref(), open, paging.page()).await?;
+    Ok(axum::Json(paging.list(rows, |row| row.id.clone(), QuarantineView::from)))
+}
+
+/// Tells one entry, with its body as it came.
+#[utoipa::path(get, path = "/v1/quarantine/{id}", tag = "quarantine", params(("id" = String, Path)),
+    responses((status = 200, body = QuarantineDetail)))]
+pub(super) async fn get(
+    State(state): State<AppState>,
+    PathId(id): PathId<String>,
+) -> Result<axum::Json<QuarantineDetail>, Problem> {
+    let found = state.store.quarantine_entry(&id).await?;
+    let found = found.ok_or_else(|| Problem::not_found("quarantine entry", &id))?;
+    Ok(axum::Json(found.into()))
+}
+
+/// Settles an entry: discards it, or takes its body (repaired, where one is sent) in again.
+///
+/// An entry whose body is refused again stays, and the answer is the problem that its machine would get.
+#[utoipa::path(post, path = "/v1/quarantine/{id}", tag = "quarantine", params(("id" = String, Path)),
+    request_body = SettleBody, responses((status = 200, body = Settled)))]
+pub(super) async fn settle(
+    State(state): State<AppState>,
+    caller: Caller,
+    PathId(id): PathId<String>,
+    Json(body): Json<SettleBody>,
+) -> Result<axum::Json<Settled>, Problem> {
+    body.check()?;
+    let found = state.store.quarantine_entry(&id).await?;
+    let (entry, kept) = found.ok_or_else(|| Problem::not_found("quarantine entry", &id))?;
+    if entry.settled.is_some() {
+        return Err(already_settled());
+    }
+    let (how, answer) = match body.action {
+        QuarantineAction::Discard => (format!("discarded: {}", body.reason), None),
+        QuarantineAction::Reingest => {
+            let repaired = if body.body.is_some() { "repaired and re-ingested" } else { "re-ingested" };
+            let answer = reingest(&state, entry, body.body, kept).await?;
+            (format!("{repaired}: {}", body.reason), Some(answer))
+        }
+    };
+    // A crash before this line leaves an entry open whose cycle is stored: settling it again finds it known.
+    let (actor, now) = (caller.actor(), state.clock.now());
+    let (settled, told) = (id.clone(), how.clone());
+    let settle = state
+        .commit(|store| async move { store.settle_quarantine(&settled, &told, &actor, now).await })
+        .await?;
+    if settle { Ok(axum::Json(Settled { id, how, answer })) } else { Err(already_settled()) }
+}
+
+async fn reingest(
+    state: &AppState,
+    entry: QuarantineEntry,
+    repaired: Option<String>,
+    kept: Vec<u8>,
+) -> Result<serde_json::Value, Problem> {
+    let Some(intake) = state.intake.clone() else {
+        return Err(Problem::unavailable("intake_closed", "this server takes no cycles in", 60));
+    };
+    let body = repaired.map_or_else(|| Bytes::from(kept), Bytes::from);
+    // In a task of its own: a client that hangs up must not stop a commit half-way.
+    let task = async move { intake.reingest(&entry.machine, &entry.content_type, body).await };
+    state.lifecycle.spawn(task).await.map_err(|error| Problem::internal(error.to_string()))?
+}
+
+fn already_settled() -> Problem {
+    Problem::new(StatusCode::CONFLICT, "already_settled", "the entry is settled")
+}

@@ -1,0 +1,48 @@
+//! What happened to a tool: mounted, changed, reground, reset.
+
+use super::body::Json;
+use super::cursor::{List, Paging};
+use super::dto::PageQuery;
+use super::dto::tool::{ToolEventBody, ToolEventView};
+use super::extract::{PathId, Query};
+use super::problem::Problem;
+use crate::auth::Caller;
+use crate::state::AppState;
+use axum::extract::State;
+use feedwright_core::ids::ToolId;
+use http::StatusCode;
+
+/// Tells what happened to a tool. Its wear is judged anew from its cycles before this is answered.
+#[utoipa::path(post, path = "/v1/tools/{tool}/events", tag = "tools", params(("tool" = String, Path)),
+    request_body = ToolEventBody, responses((status = 201, body = ToolEventView)))]
+pub(super) async fn add(
+    State(state): State<AppState>,
+    caller: Caller,
+    PathId(tool): PathId<ToolId>,
+    Json(body): Json<ToolEventBody>,
+) -> Result<(StatusCode, axum::Json<ToolEventView>), Problem> {
+    let (actor, now) = (caller.actor(), state.clock.now());
+    let event = body.into_event(now)?;
+    let id = tool.clone();
+    let stored =
+        state.commit(|store| async move { store.add_tool_event(&id, event, &actor, now).await }).await?;
+    let stored = stored.ok_or_else(|| Problem::not_found("tool", tool.as_str()))?;
+    Ok((StatusCode::CREATED, axum::Json(stored.into())))
+}
+
+/// Lists what happened to a tool, in the order it was told.
+#[utoipa::path(get, path = "/v1/tools/{tool}/events", tag = "tools", params(("tool" = String, Path), PageQuery),
+    responses((status = 200, body = List<ToolEventView>)))]
+pub(super) async fn list(
+    State(state): State<AppState>,
+    PathId(tool): PathId<ToolId>,
+    Query(query): Query<PageQuery>,
+) -> Result<axum::Json<List<ToolEventView>>, Problem> {
+    let scope = format!("tool events of {tool}");
+    let paging = Paging::new(&state, scope, query.limit, query.cursor.as_deref())?;
+    if state.store.tool(&tool).await?.is_none() {
+        return Err(Problem::not_found("tool", tool.as_str()));
+    }
+    let rows = state.store.tool_events(&tool, paging.page()).await?;
+    Ok(axum::Json(paging.list(rows, |row| row.id, ToolEventView::from)))
+}
