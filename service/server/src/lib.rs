@@ -8,6 +8,8 @@ pub mod auth;
 pub mod cli;
 pub mod clock;
 pub mod config;
+pub mod data_dir;
+pub mod database;
 pub mod http;
 pub mod ingest;
 pub mod lifecycle;
