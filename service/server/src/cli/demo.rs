@@ -92,7 +92,11 @@ fn configuration(dir: &std::path::Path, port: u16) -> anyhow::Result<Config> {
 }
 
 /// Starts on the port that was asked for, else on a free one.
-async fn start(config: Config, arguments: &Arguments, store: Arc<dyn Store>) -> anyhow::Result<RunningServer> {
+async fn start(
+    config: Config,
+    arguments: &Arguments,
+    store: Arc<dyn Store>,
+) -> anyhow::Result<RunningServer> {
     match start_on(config, store.clone()).await {
         Err(StartError::Listen { source, .. }) if source.kind() == ErrorKind::AddrInUse => {
             Ok(start_on(configuration(&arguments.dir, 0)?, store).await?)
