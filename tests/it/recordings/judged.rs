@@ -72,9 +72,9 @@ fn checked(cycle: &RecordedCycle) -> Cycle {
 }
 
 /// What is said after every cycle, and each tool's last verdict.
-struct Judged {
-    plan: Plan,
-    seen: Vec<Seen>,
+pub(super) struct Judged {
+    pub(super) plan: Plan,
+    pub(super) seen: Vec<Seen>,
     last: BTreeMap<String, Verdict>,
 }
 
@@ -89,7 +89,7 @@ impl Judged {
     }
 }
 
-fn judge(name: &str) -> Judged {
+pub(super) fn judge(name: &str) -> Judged {
     let plan = read_embedded(name, None).unwrap();
     let mut folds: BTreeMap<String, ToolFold> = BTreeMap::new();
     for mount in &plan.registrations.mounts {

@@ -5,7 +5,6 @@ use crate::auth::Issued;
 use crate::clock::Clock;
 use crate::config::{Config, Sources};
 use crate::database::{self, Database};
-use crate::ingest::intake::CycleIntake;
 use crate::replay::client::Client;
 use crate::replay::fleet::MachineTokens;
 use crate::replay::progress::Progress;
@@ -13,7 +12,6 @@ use crate::replay::recordings::{embedded, read_embedded};
 use crate::replay::run::{Options, run as post};
 use crate::replay::{Start, report, shift};
 use crate::server::{RunningServer, Server, StartError};
-use crate::state::Intake;
 use anyhow::{Context, bail};
 use clap::Args;
 use feedwright_store::{Actor, Page, Role, Store};
@@ -97,22 +95,12 @@ async fn start(
     arguments: &Arguments,
     store: Arc<dyn Store>,
 ) -> anyhow::Result<RunningServer> {
-    match start_on(config, store.clone()).await {
+    match Server::start(config, store.clone(), Clock::system()).await {
         Err(StartError::Listen { source, .. }) if source.kind() == ErrorKind::AddrInUse => {
-            Ok(start_on(configuration(&arguments.dir, 0)?, store).await?)
+            Ok(Server::start(configuration(&arguments.dir, 0)?, store, Clock::system()).await?)
         }
         other => Ok(other?),
     }
-}
-
-async fn start_on(config: Config, store: Arc<dyn Store>) -> Result<RunningServer, StartError> {
-    let clock = Clock::system();
-    let (settings, kept, now) = (config.clone(), store.clone(), clock.clone());
-    Server::start(config, store, clock, move |lifecycle, metrics| {
-        let intake = CycleIntake::start(&settings, &kept, &now, lifecycle, metrics);
-        Some(Arc::new(intake) as Arc<dyn Intake>)
-    })
-    .await
 }
 
 /// A token that works until the next run: the one of an earlier run was shown, and may have been kept.

@@ -33,7 +33,7 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
     let Database { store, mut lock } = database::open(&config).await?;
-    let server = Server::start(config, store, Clock::system(), |_, _| None).await?;
+    let server = Server::start(config, store, Clock::system()).await?;
     if let Some(lock) = &mut lock {
         lock.publish(&server.local_addr.to_string()).context("cannot write the lock file")?;
     }

@@ -50,7 +50,7 @@ pub async fn post_cycle(
 ) -> Result<Response, Problem> {
     let json = decoded_body(&state, request, "application/json").await?;
     // The client may hang up; what was taken in goes on to its commit all the same.
-    let intake = state.intake()?;
+    let intake = state.intake.clone();
     let accepting = async move { intake.accept(&machine, json, Pace::Live, Refused::ToQuarantine).await };
     let accepted =
         state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))??;
@@ -85,7 +85,7 @@ pub async fn post_batch(
         let detail = format!("there is no machine `{machine}`");
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
     }
-    let intake = state.intake()?;
+    let intake = &state.intake;
     let lines = lines_of(&text, state.config.limits.batch_lines)?;
     let mut answer = Vec::with_capacity(128 * lines.len());
     for window in lines.chunks(BATCH_WINDOW) {

@@ -7,7 +7,6 @@ use crate::config::Config;
 use crate::http::problem::Problem;
 use crate::lifecycle::Lifecycle;
 use crate::metrics::{CycleOutcome, Metrics};
-use crate::state::Intake;
 use bytes::Bytes;
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::MachineId;
@@ -247,9 +246,9 @@ impl CycleIntake {
     }
 }
 
-#[async_trait::async_trait]
-impl Intake for CycleIntake {
-    async fn accept(
+impl CycleIntake {
+    /// Takes one cycle's JSON body in. Returns after its durable commit.
+    pub async fn accept(
         &self,
         machine: &MachineId,
         json: Bytes,
@@ -267,18 +266,16 @@ impl Intake for CycleIntake {
         result
     }
 
-    async fn reingest(
-        &self,
-        machine: &MachineId,
-        _content_type: &str,
-        body: Bytes,
-    ) -> Result<serde_json::Value, Problem> {
+    /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have
+    /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again.
+    pub async fn reingest(&self, machine: &MachineId, body: Bytes) -> Result<serde_json::Value, Problem> {
         let accepted = self.accept(machine, body, Pace::Live, Refused::StaysInQuarantine).await?;
         let answer = crate::http::dto::cycle::CycleAnswerBody::of(&accepted);
         serde_json::to_value(answer).map_err(|error| Problem::internal(error.to_string()))
     }
 
-    async fn drain(&self) {
+    /// Refuses new cycles; ends when every cycle that was taken in is committed and answered, and the writer is gone.
+    pub async fn drain(&self) {
         if let Ok(mut writer) = self.writer.write() {
             writer.take();
         }

@@ -5,7 +5,6 @@ use super::run::{Outcome, Seen};
 use super::{Plan, ReplayError};
 use reqwest::StatusCode;
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// How posting went.
@@ -37,12 +36,17 @@ pub fn summary(plan: &Plan, outcome: &Outcome) -> String {
 
 /// Wear and recommendation of every tool, as the service tells them now.
 pub async fn tools(plan: &Plan, client: &Client) -> Result<String, ReplayError> {
-    let mut last = BTreeMap::new();
+    // In the order in which the tools were first used, each with what it did last.
+    let mut last: Vec<(&str, &str, &str)> = Vec::new();
     for cycle in &plan.cycles {
-        last.insert(cycle.tool.as_str(), (cycle.machine.as_str(), cycle.operation.as_str()));
+        let now = (cycle.tool.as_str(), cycle.machine.as_str(), cycle.operation.as_str());
+        match last.iter_mut().find(|(tool, _, _)| *tool == now.0) {
+            Some(known) => *known = now,
+            None => last.push(now),
+        }
     }
     let mut text = String::new();
-    for (tool, (machine, operation)) in last {
+    for (tool, machine, operation) in last {
         let path = format!("/v1/tools/{tool}/wear");
         let wear = client.get(&path).await?;
         if wear.status == StatusCode::NOT_FOUND {
@@ -71,26 +75,20 @@ fn refuse_unless_ok(path: &str, status: StatusCode, said: impl Fn() -> String) -
     })
 }
 
-/// State, level and remaining cycles with the first reason.
+/// State and reasons, with the remaining cycles where they can be told.
 pub fn wear_in_words(wear: &Value) -> String {
-    let state = wear["state"].as_str().unwrap_or("unknown").replace('_', " ");
-    let mut said = state;
-    if let Some(level) = wear["level"]["as_run"].as_f64() {
-        let _ = write!(said, ", needs {:+.1} % energy against its baseline", (level - 1.0) * 100.0);
-    }
-    if let Some(cycles) = wear["remaining"]["cycles"].as_u64() {
-        let low = wear["remaining"]["low"].as_u64().unwrap_or(cycles);
-        let high =
-            wear["remaining"]["high"].as_u64().map_or("any number".to_owned(), |high| high.to_string());
-        let _ = write!(said, ", about {cycles} cycles left ({low} to {high})");
-    }
+    let mut said = wear["state"].as_str().unwrap_or("unknown").replace('_', " ");
     for reason in wear["reasons"].as_array().into_iter().flatten() {
         let _ = write!(said, "; {}", reason["message"].as_str().unwrap_or_default());
+    }
+    if let Some(cycles) = wear["remaining"]["cycles"].as_u64() {
+        let end = |key: &str| wear["remaining"][key].as_u64().unwrap_or(cycles);
+        let _ = write!(said, "; about {cycles} cycles left ({} to {})", end("low"), end("high"));
     }
     said
 }
 
-/// Action, feed and override with the reasons.
+/// Action, feed and override.
 pub fn advice_in_words(advice: &Value) -> String {
     let mut said = match advice["action"].as_str() {
         Some("run") => "run on".to_owned(),
@@ -101,15 +99,12 @@ pub fn advice_in_words(advice: &Value) -> String {
     };
     match advice["feed"]["feed_mm_min"].as_f64() {
         Some(feed) => {
-            let _ = write!(said, " at {feed} mm/min");
+            let _ = write!(said, "; feed as programmed, {feed} mm/min");
         }
-        None => said.push_str(" at the program's feed"),
+        None => said.push_str("; feed as programmed"),
     }
     if let Some(percent) = advice["override_percent"].as_f64() {
         let _ = write!(said, ", override {percent} %");
-    }
-    if let Some(reason) = advice["reasons"].as_array().and_then(|reasons| reasons.first()) {
-        let _ = write!(said, " ({})", reason["message"].as_str().unwrap_or_default());
     }
     said
 }
@@ -252,14 +247,11 @@ mod tests {
 
     #[test]
     fn words_for_wear_and_advice() {
-        let wear = json!({ "state": "broken_suspected", "level": { "as_run": 1.081 }, "reasons": [{ "message": "m" }],
-            "remaining": { "cycles": 7, "low": 3, "high": null } });
-        assert_eq!(
-            wear_in_words(&wear),
-            "broken suspected, needs +8.1 % energy against its baseline, about 7 cycles left (3 to any number); m"
-        );
+        let wear = json!({ "state": "broken_suspected", "reasons": [{ "message": "why" }],
+            "remaining": { "cycles": 7, "low": 3, "high": 20 } });
+        assert_eq!(wear_in_words(&wear), "broken suspected; why; about 7 cycles left (3 to 20)");
         let advice =
             json!({ "action": "change_tool", "feed": { "feed_mm_min": null }, "override_percent": 100.0 });
-        assert_eq!(advice_in_words(&advice), "change the tool at the program's feed, override 100 %");
+        assert_eq!(advice_in_words(&advice), "change the tool; feed as programmed, override 100 %");
     }
 }

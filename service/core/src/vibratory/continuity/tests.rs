@@ -1,0 +1,198 @@
+use std::num::NonZeroUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn process(p: f64, kc: f64, control: bool) -> Process {
+    let control = control.then_some(ContinuityControl::GOUSKOV_2015);
+    Process::new(ProcessInput::gouskov_2015(p, kc, control)).unwrap()
+}
+
+#[track_caller]
+fn near(got: f64, want: f64, tolerance: f64) {
+    assert!((got - want).abs() <= tolerance, "{got} is not {want} ± {tolerance}");
+}
+
+#[test]
+fn the_papers_points_without_control() {
+    for (p, kc, psi, amplitude, force) in
+        [(1.5, 0.1, 0.702, 1.748, 0.2017), (1.5, 0.6, 0.416, 6.391, 1.387), (1.7, 0.1, 0.497, 4.373, 0.2816)]
+    {
+        let steady = simulate(&process(p, kc, false));
+        near(steady.continuity, psi, 0.01);
+        near(steady.amplitude, amplitude, 0.01 * amplitude);
+        near(steady.peak_force, force, 0.01 * force);
+        assert!(steady.segmented());
+    }
+    for (p, kc, force) in [(1.5, 0.02, 0.02), (1.2, 0.1, 0.10)] {
+        let steady = simulate(&process(p, kc, false));
+        near(steady.continuity, 1.0, 1e-12);
+        near(steady.amplitude, 0.0, 1e-6);
+        near(steady.peak_force, force, 0.01 * force);
+        assert!(!steady.segmented());
+    }
+}
+
+#[test]
+fn the_papers_points_with_control() {
+    for (p, kc, psi, psi_tolerance, amplitude, force, sd) in [
+        (1.5, 0.1, 0.898, 0.015, 1.265, 0.181, 0.07),
+        (1.5, 0.6, 0.464, 0.015, 4.81, 1.715, 0.04),
+        (1.7, 0.1, 0.889, 0.02, 2.03, 0.191, 0.10),
+    ] {
+        let steady = simulate(&process(p, kc, true));
+        near(steady.continuity, psi, psi_tolerance);
+        near(steady.amplitude, amplitude, 0.03 * amplitude);
+        near(steady.peak_force, force, 0.02 * force);
+        near(steady.window_sd, sd, 0.005);
+        assert!(!steady.bursting());
+    }
+    for (p, kc, sd) in [(1.5, 0.02, 0.18), (1.2, 0.1, 0.21)] {
+        let steady = simulate(&process(p, kc, true));
+        assert!(steady.largest_amplitude > 5.0, "{steady:?}");
+        near(steady.window_sd, sd, 0.01);
+        assert!(steady.bursting());
+    }
+}
+
+#[test]
+fn the_border_of_stability_has_the_known_values() {
+    for (p, kc) in [(1.2, 0.3947), (1.5, 0.0661), (1.7, 0.0275)] {
+        near(border_at(p, 0.01, 0.75).unwrap().cutting_coefficient, kc, 5e-5);
+    }
+    let minimum = border_minimum(0.01, 0.75).unwrap();
+    near(minimum, 0.0269, 5e-5);
+    let lowest = (0..2000)
+        .map(|i| border_at(1.0 + f64::from(i) / 1000.0, 0.01, 0.75).unwrap().cutting_coefficient)
+        .fold(f64::INFINITY, f64::min);
+    near(lowest, minimum, 1e-5);
+    // The border satisfies both of its equations.
+    let at = border_at(1.5, 0.01, 0.75).unwrap();
+    let (kr, g) = (0.75 * at.cutting_coefficient, at.chatter_ratio);
+    let w = std::f64::consts::TAU * 1.5 * g;
+    near(1.0 - g * g + kr * (1.0 - w.cos()), 0.0, 1e-9);
+    near(2.0 * 0.01 * g + kr * w.sin(), 0.0, 1e-9);
+}
+
+#[test]
+fn segmentation_sets_in_at_the_border_given_time_to_grow() {
+    for p in [1.4, 1.5, 1.7] {
+        let border = border_at(p, 0.01, 0.75).unwrap().cutting_coefficient;
+        let segmented = |factor: f64| {
+            let input =
+                ProcessInput { periods: 4000, ..ProcessInput::gouskov_2015(p, border * factor, None) };
+            simulate(&Process::new(input).unwrap()).segmented()
+        };
+        assert!(!segmented(0.985), "{p}: segments below the border");
+        assert!(segmented(1.015), "{p}: does not segment above the border");
+    }
+}
+
+#[test]
+fn many_at_once_give_the_same_bits_as_one_by_one() {
+    let processes: Vec<Process> = [1.2, 1.35, 1.5, 1.61, 1.7, 1.9].map(|p| process(p, 0.1, true)).to_vec();
+    let together = simulate_many(&processes);
+    for (process, steady) in processes.iter().zip(together) {
+        assert_eq!(simulate(process), steady);
+    }
+}
+
+#[test]
+fn a_trace_shows_the_run_that_the_steady_values_sum_up() {
+    let (steady, points) = trace(&process(1.5, 0.1, true), 10).unwrap();
+    assert_eq!(points.len(), 5000);
+    assert_eq!(steady, simulate(&process(1.5, 0.1, true)));
+    let late = points.iter().filter(|point| point.time > 400.0);
+    let (low, high) = late.clone().fold((9.0_f64, -9.0_f64), |(low, high), point| {
+        (low.min(point.displacement), high.max(point.displacement))
+    });
+    near(high - low, steady.amplitude, 0.02);
+    let peak = late.map(|point| point.force).fold(0.0, f64::max);
+    near(peak, steady.peak_force, 0.01);
+    assert!(points.iter().all(|point| point.actuator.abs() <= 0.1));
+    assert_eq!(trace(&process(1.5, 0.1, true), 0).unwrap_err().code(), "out_of_range");
+}
+
+fn small_map() -> MapQuestion {
+    MapQuestion::new(MapInput {
+        frequency_ratio: MapAxis { min: 1.3, max: 1.9, count: 5 },
+        cutting_coefficient: MapAxis { min: 0.02, max: 0.3, count: 3 },
+        process: ProcessInput { periods: 200, ..ProcessInput::gouskov_2015(1.0, 0.1, None) },
+    })
+    .unwrap()
+}
+
+#[test]
+fn a_map_does_not_depend_on_the_number_of_workers_and_reports_progress() {
+    let question = small_map();
+    let most = AtomicUsize::new(0);
+    let progress = |done: usize, total: usize| {
+        assert!(done <= total && total == 15);
+        most.fetch_max(done, Ordering::Relaxed);
+    };
+    let never = AtomicBool::new(false);
+    let one = run_map(&question, NonZeroUsize::MIN, &progress, &never).unwrap();
+    let three = run_map(&question, NonZeroUsize::new(3).unwrap(), &progress, &never).unwrap();
+    assert_eq!(one, three);
+    assert_eq!(most.into_inner(), 15);
+    let corner = Process::new(ProcessInput {
+        periods: 200,
+        ..ProcessInput::gouskov_2015(one.ratios[4], one.coefficients[2], None)
+    });
+    assert_eq!(one.at(2, 4), Some(&simulate(&corner.unwrap())));
+    assert_eq!(one.at(0, 5), None);
+}
+
+#[test]
+fn a_cancelled_map_stops() {
+    let cancel = AtomicBool::new(false);
+    let progress = |_, _| cancel.store(true, Ordering::Relaxed);
+    assert_eq!(run_map(&small_map(), NonZeroUsize::MIN, &progress, &cancel), Err(Cancelled));
+}
+
+#[test]
+fn the_least_segmenting_amplitude_is_half_a_wave_out_of_step() {
+    near(segmentation_amplitude(0.02, 1.5).unwrap().unwrap(), 0.02, 1e-12);
+    near(segmentation_amplitude(0.02, 1.25).unwrap().unwrap(), 0.02 * 2.0_f64.sqrt(), 1e-12);
+    assert_eq!(segmentation_amplitude(0.02, 2.0).unwrap(), None);
+}
+
+#[test]
+fn bad_processes_are_refused_by_name() {
+    let base = ProcessInput::gouskov_2015(1.5, 0.1, None);
+    let refused = |input| {
+        let error = Process::new(input).unwrap_err();
+        (error.field(), error.code())
+    };
+    assert_eq!(
+        refused(ProcessInput { cutting_coefficient: f64::NAN, ..base }),
+        ("cutting_coefficient", "not_finite")
+    );
+    assert_eq!(refused(ProcessInput { frequency_ratio: -1.0, ..base }), ("frequency_ratio", "out_of_range"));
+    assert_eq!(refused(ProcessInput { frequency_ratio: 50.0, ..base }), ("steps_per_period", "inconsistent"));
+    let endless = ProcessInput { periods: 1_000_000, steps_per_period: 10_000, ..base };
+    assert_eq!(refused(endless), ("periods", "too_many"));
+    let wide = MapAxis { min: 1.0, max: 2.0, count: 100_000 };
+    let map = MapInput { frequency_ratio: wide, cutting_coefficient: wide, process: base };
+    assert_eq!(MapQuestion::new(map).unwrap_err().code(), "too_many");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn any_process_stays_finite(
+        p in 0.3..4.0_f64, kc in 0.0..3.0_f64, damping in 0.0..0.2_f64, r in 0.3..1.2_f64, control in any::<bool>()
+    ) {
+        let control = control.then_some(ContinuityControl::GOUSKOV_2015);
+        let input = ProcessInput {
+            damping, exponent: r, periods: 60, steady_periods: 20, ..ProcessInput::gouskov_2015(p, kc, control)
+        };
+        let steady = simulate(&Process::new(input).unwrap());
+        prop_assert!((0.0..=1.0).contains(&steady.continuity));
+        prop_assert!(steady.amplitude.is_finite() && steady.amplitude >= 0.0);
+        prop_assert!(steady.peak_force.is_finite() && steady.amplitude <= steady.largest_amplitude);
+    }
+}
