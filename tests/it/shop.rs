@@ -122,7 +122,7 @@ impl Shop {
 }
 
 async fn serve(dir: PathBuf) -> (RunningServer, String) {
-    let config = Config::for_tests(dir.clone()).unwrap();
+    let config = Config::for_tests(&dir).unwrap();
     let store = SqliteStore::open(dir.join("feedwright.sqlite3"), SqliteOptions::default()).await.unwrap();
     let store: Arc<dyn Store> = Arc::new(store);
     let clock = Clock::fixed(Timestamp::from_micros(MORNING_US + 1_800_000_000));

@@ -89,7 +89,7 @@ mod tests {
         lock.publish("127.0.0.1:7878").unwrap();
         match DataDirLock::acquire(&path) {
             Err(DataDirError::InUse { address, .. }) => {
-                assert_eq!(address.as_deref(), Some("127.0.0.1:7878"))
+                assert_eq!(address.as_deref(), Some("127.0.0.1:7878"));
             }
             other => panic!("{other:?}"),
         }

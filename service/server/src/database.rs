@@ -2,7 +2,8 @@
 
 use crate::config::{Config, Engine};
 use crate::data_dir::{DataDirError, DataDirLock};
-use feedwright_store::{SqliteOptions, SqliteStore, Store, StoreError};
+use feedwright_store::{PostgresOptions, PostgresStore, SqliteOptions, SqliteStore, Store, StoreError};
+use secrecy::ExposeSecret;
 use std::sync::Arc;
 
 /// A store that is open, with what has to be held as long as it is.
@@ -20,11 +21,8 @@ pub enum OpenError {
     #[error(transparent)]
     DataDir(#[from] DataDirError),
     /// The database does not open.
-    #[error("cannot open the database: {0}")]
+    #[error("cannot open the database")]
     Store(#[from] StoreError),
-    /// The configuration names an engine that this build lacks.
-    #[error("this build has no {0}")]
-    NoEngine(&'static str),
 }
 
 /// Opens the database, making and migrating it where that is needed.
@@ -37,6 +35,17 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
             let store = Arc::new(SqliteStore::open(path, options).await?);
             Ok(Database { store, lock: Some(lock) })
         }
-        Engine::Postgres(_) => Err(OpenError::NoEngine("PostgreSQL")),
+        Engine::Postgres(url) => {
+            let direct = config.database.direct_url.expose_secret();
+            let options = PostgresOptions {
+                connections: config.database.connections,
+                max_samples: config.limits.samples_per_cycle,
+                pooled: config.database.pooled,
+                direct: (!direct.is_empty()).then(|| direct.to_owned()),
+                ..PostgresOptions::default()
+            };
+            let store = Arc::new(PostgresStore::open(url.expose_secret(), options).await?);
+            Ok(Database { store, lock: None })
+        }
     }
 }

@@ -10,6 +10,7 @@ use crate::http::dto::token::{NewToken, TokenBody, TokenRequest, TokenView};
 use crate::http::dto::word::RoleWord;
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
+use feedwright_core::invalid::Violation;
 use feedwright_store::{Actor, Page, Role, Store};
 use reqwest::{Method, RequestBuilder, Response};
 use secrecy::{ExposeSecret, SecretString};
@@ -192,7 +193,8 @@ async fn in_database(store: &Arc<dyn Store>, command: TokenCommand) -> anyhow::R
     match command {
         TokenCommand::Create { name, role, machine } => {
             let body = TokenBody { name, role: RoleWord(role), machine };
-            let TokenRequest { name, role, machine } = body.try_into().map_err(violations)?;
+            let TokenRequest { name, role, machine } =
+                body.try_into().map_err(|wrong: Vec<_>| refused(&wrong))?;
             if let Some(machine) = &machine
                 && store.machine(machine).await?.is_none()
             {
@@ -218,7 +220,7 @@ async fn in_database(store: &Arc<dyn Store>, command: TokenCommand) -> anyhow::R
     }
 }
 
-fn violations(violations: Vec<feedwright_core::invalid::Violation>) -> anyhow::Error {
+fn refused(violations: &[Violation]) -> anyhow::Error {
     let lines: Vec<_> = violations.iter().map(ToString::to_string).collect();
     anyhow::anyhow!(lines.join("; "))
 }
