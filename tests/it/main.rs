@@ -4,5 +4,6 @@
 #![expect(clippy::unwrap_used, reason = "helpers of stories are part of the stories")]
 
 mod http;
+mod recordings;
 mod shop;
 mod store;

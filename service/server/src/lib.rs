@@ -15,5 +15,6 @@ pub mod ingest;
 pub mod lifecycle;
 pub mod metrics;
 mod readiness;
+pub mod replay;
 pub mod server;
 pub mod state;
