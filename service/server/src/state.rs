@@ -5,6 +5,7 @@ use crate::clock::Clock;
 use crate::config::Config;
 use crate::http::problem::Problem;
 use crate::ingest::intake::{Accepted, Pace, Refused};
+use crate::jobs::Jobs;
 use crate::lifecycle::Lifecycle;
 use crate::metrics::Metrics;
 use crate::readiness::Readiness;
@@ -59,6 +60,8 @@ pub struct Shared {
     pub intake: Option<Arc<dyn Intake>>,
     /// Tasks that outlive their request, and the state of the process.
     pub lifecycle: Lifecycle,
+    /// Long computations.
+    pub jobs: Jobs,
     /// Who failed to authenticate, how often.
     pub(crate) failed_authentications: FailedAuthentications,
     /// Whether the database takes writes.
@@ -91,6 +94,7 @@ impl AppState {
             metrics,
             intake,
             lifecycle,
+            jobs: Jobs::default(),
             failed_authentications,
             readiness,
         }))
