@@ -8,7 +8,6 @@ mod restart;
 use feedwright_core::units::Timestamp;
 use feedwright_server::clock::Clock;
 use feedwright_server::config::Config;
-use feedwright_server::ingest::intake::CycleIntake;
 use feedwright_server::server::{RunningServer, Server};
 use feedwright_store::{SqliteOptions, SqliteStore, Store};
 use secrecy::ExposeSecret;
@@ -17,27 +16,27 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 /// 2026-05-04T06:00:00Z, when the shift begins.
-pub const MORNING_US: i64 = 1_777_874_400_000_000;
+pub(crate) const MORNING_US: i64 = 1_777_874_400_000_000;
 
 /// A running server with what a shop registers first.
-pub struct Shop {
+pub(crate) struct Shop {
     server: Option<RunningServer>,
     dir: Option<tempfile::TempDir>,
-    pub client: reqwest::Client,
-    pub address: String,
-    pub admin: String,
+    pub(crate) client: reqwest::Client,
+    pub(crate) address: String,
+    pub(crate) admin: String,
 }
 
-pub struct Answer {
-    pub status: u16,
-    pub body: Value,
-    pub text: String,
-    pub headers: reqwest::header::HeaderMap,
+pub(crate) struct Answer {
+    pub(crate) status: u16,
+    pub(crate) body: Value,
+    pub(crate) text: String,
+    pub(crate) headers: reqwest::header::HeaderMap,
 }
 
 impl Shop {
     /// Opens a shop on SQLite, at half past six.
-    pub async fn open() -> Self {
+    pub(crate) async fn open() -> Self {
         let dir = tempfile::tempdir().unwrap();
         let mut shop = Self::start(dir, "").await;
         shop.register().await;
@@ -57,7 +56,7 @@ impl Shop {
     }
 
     /// Shuts the server down and starts another one on the same data.
-    pub async fn restart(mut self) -> Self {
+    pub(crate) async fn restart(mut self) -> Self {
         self.server.take().unwrap().shutdown().await.unwrap();
         Self::start(self.dir.take().unwrap(), &self.admin).await
     }
@@ -74,36 +73,36 @@ impl Shop {
         }
     }
 
-    pub async fn put(&self, path: &str, body: &Value) -> Answer {
+    pub(crate) async fn put(&self, path: &str, body: &Value) -> Answer {
         self.send(self.client.put(self.url(path)).json(body)).await
     }
 
-    pub async fn get(&self, path: &str) -> Answer {
+    pub(crate) async fn get(&self, path: &str) -> Answer {
         self.send(self.client.get(self.url(path))).await
     }
 
-    pub async fn post(&self, path: &str, body: &Value) -> Answer {
+    pub(crate) async fn post(&self, path: &str, body: &Value) -> Answer {
         self.send(self.client.post(self.url(path)).json(body)).await
     }
 
     /// Posts a body as it stands.
-    pub async fn post_raw(&self, path: &str, kind: &str, body: impl Into<reqwest::Body>) -> Answer {
+    pub(crate) async fn post_raw(&self, path: &str, kind: &str, body: impl Into<reqwest::Body>) -> Answer {
         self.send(self.client.post(self.url(path)).header("content-type", kind).body(body)).await
     }
 
-    pub async fn cycle(&self, machine: &str, body: &Value) -> Answer {
+    pub(crate) async fn cycle(&self, machine: &str, body: &Value) -> Answer {
         self.post(&format!("/v1/machines/{machine}/cycles"), body).await
     }
 
-    pub fn url(&self, path: &str) -> String {
+    pub(crate) fn url(&self, path: &str) -> String {
         format!("{}{path}", self.address)
     }
 
-    pub async fn send(&self, request: reqwest::RequestBuilder) -> Answer {
+    pub(crate) async fn send(&self, request: reqwest::RequestBuilder) -> Answer {
         self.send_as(request, &self.admin).await
     }
 
-    pub async fn send_as(&self, request: reqwest::RequestBuilder, token: &str) -> Answer {
+    pub(crate) async fn send_as(&self, request: reqwest::RequestBuilder, token: &str) -> Answer {
         let response = request.bearer_auth(token).send().await.unwrap();
         let (status, headers) = (response.status().as_u16(), response.headers().clone());
         let text = response.text().await.unwrap();
@@ -111,7 +110,7 @@ impl Shop {
     }
 
     /// A token of that role.
-    pub async fn token(&self, role: &str, machine: Option<&str>) -> String {
+    pub(crate) async fn token(&self, role: &str, machine: Option<&str>) -> String {
         let mut body = json!({"name": format!("{role} of the test"), "role": role});
         if let Some(machine) = machine {
             body["machine"] = machine.into();
@@ -123,23 +122,16 @@ impl Shop {
 }
 
 async fn serve(dir: PathBuf) -> (RunningServer, String) {
-    let config = Config::for_tests(dir.clone()).unwrap();
+    let config = Config::for_tests(&dir).unwrap();
     let store = SqliteStore::open(dir.join("feedwright.sqlite3"), SqliteOptions::default()).await.unwrap();
     let store: Arc<dyn Store> = Arc::new(store);
     let clock = Clock::fixed(Timestamp::from_micros(MORNING_US + 1_800_000_000));
-    let intake = {
-        let (config, store, clock) = (config.clone(), store.clone(), clock.clone());
-        move |lifecycle: &_, metrics: &_| {
-            let intake = CycleIntake::start(&config, &store, &clock, lifecycle, metrics);
-            Some(Arc::new(intake) as Arc<dyn feedwright_server::state::Intake>)
-        }
-    };
-    let server = Server::start(config, store, clock, intake).await.unwrap();
+    let server = Server::start(config, store, clock).await.unwrap();
     let address = format!("http://{}", server.local_addr);
     (server, address)
 }
 
-pub fn machine() -> Value {
+pub(crate) fn machine() -> Value {
     json!({
         "name": "Mill 1", "control": "sinumerik-840d", "ipo_period_ms": 10,
         "spindle": {"reference": "rated_power", "rated_power_watts": 7000},
@@ -149,7 +141,7 @@ pub fn machine() -> Value {
     })
 }
 
-pub fn operation() -> Value {
+pub(crate) fn operation() -> Value {
     json!({
         "name": "Bush M8", "process": "friction", "program": "O0815", "spindle_speed_rpm": 2500,
         "programmed_feed_mm_min": 140, "spindle_load_set_percent": 40, "feed_drive_load_set_percent": 30,
@@ -157,7 +149,7 @@ pub fn operation() -> Value {
 }
 
 /// The cycle of that number with that energy, ten seconds after the one before.
-pub fn reported(number: i64, joules: f64) -> Value {
+pub(crate) fn reported(number: i64, joules: f64) -> Value {
     json!({
         "cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1", "started_at": at(number),
         "reported": {"energy_joules": joules, "duration_ms": 4280},
@@ -165,7 +157,7 @@ pub fn reported(number: i64, joules: f64) -> Value {
 }
 
 /// When the cycle of that number begins.
-pub fn at(number: i64) -> String {
+pub(crate) fn at(number: i64) -> String {
     let seconds = number * 10;
     format!("2026-05-04T06:{:02}:{:02}Z", seconds / 60, seconds % 60)
 }

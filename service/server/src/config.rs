@@ -14,7 +14,7 @@ use secrecy::{ExposeSecret, SecretString};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// The configuration in force; running never changes it.
@@ -54,7 +54,7 @@ pub struct ServerConfig {
     pub max_connections: usize,
     /// Time for a request's head, ms.
     pub header_read_timeout_ms: u64,
-    /// Time that a body may stand still, ms.
+    /// Time that a body or an answer may stand still, ms.
     pub body_stall_timeout_ms: u64,
     /// Time for a whole body, ms.
     pub body_read_timeout_ms: u64,
@@ -70,7 +70,7 @@ impl ServerConfig {
         Duration::from_millis(self.header_read_timeout_ms)
     }
 
-    /// Time that a body may stand still.
+    /// Time that a body or an answer may stand still.
     pub const fn body_stall_timeout(&self) -> Duration {
         Duration::from_millis(self.body_stall_timeout_ms)
     }
@@ -93,6 +93,13 @@ pub struct DatabaseConfig {
     /// Where it is; empty for SQLite in the data directory. Holds a password, so it prints hidden.
     #[serde(deserialize_with = "secret")]
     pub url: SecretString,
+    /// Connections to PostgreSQL.
+    pub connections: u32,
+    /// Whether the address is a pooler's in transaction mode.
+    pub pooled: bool,
+    /// Address of the server itself, for migrations; empty for the same.
+    #[serde(deserialize_with = "secret")]
+    pub direct_url: SecretString,
 }
 
 /// Which database engine is used.
@@ -214,7 +221,7 @@ impl Config {
     }
 
     /// The defaults, with a data directory and any free port of the loopback: for tests and the demo.
-    pub fn for_tests(data_dir: PathBuf) -> Result<Self, ConfigError> {
+    pub fn for_tests(data_dir: &Path) -> Result<Self, ConfigError> {
         let flags = vec![
             ("data_dir".to_owned(), data_dir.to_string_lossy().into_owned()),
             ("server.listen".to_owned(), "127.0.0.1:0".to_owned()),
@@ -257,9 +264,14 @@ impl Config {
                  ended by something in front",
             );
         }
-        let url = self.database.url.expose_secret();
-        let postgres = url.starts_with("postgres://") || url.starts_with("postgresql://");
-        must(url.is_empty() || postgres, "database.url", "must be empty or begin with postgres://");
+        for (path, url) in
+            [("database.url", &self.database.url), ("database.direct_url", &self.database.direct_url)]
+        {
+            let url = url.expose_secret();
+            let postgres = url.starts_with("postgres://") || url.starts_with("postgresql://");
+            must(url.is_empty() || postgres, path, "must be empty or begin with postgres://");
+        }
+        must((1..=1000).contains(&self.database.connections), "database.connections", "1 to 1000");
         must(!self.data_dir.as_os_str().is_empty(), "data_dir", "must not be empty");
         must((1..=65_536).contains(&self.server.max_connections), "server.max_connections", "1 to 65536");
         for (path, value, most) in [

@@ -5,13 +5,17 @@
 //! a command in [`cli`]. SQL belongs to the store, and whatever decides about tools and feeds to the core.
 
 pub mod auth;
+pub mod cli;
 pub mod clock;
 pub mod config;
+pub mod data_dir;
+pub mod database;
 pub mod http;
 pub mod ingest;
 pub mod jobs;
 pub mod lifecycle;
 pub mod metrics;
 mod readiness;
+pub mod replay;
 pub mod server;
 pub mod state;

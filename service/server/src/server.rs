@@ -5,6 +5,7 @@
 
 mod accept;
 mod body;
+mod stream;
 
 pub use body::BodyTooSlow;
 
@@ -12,9 +13,10 @@ use crate::auth::Issued;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::http;
+use crate::ingest::intake::CycleIntake;
 use crate::lifecycle::Lifecycle;
 use crate::metrics::Metrics;
-use crate::state::{AppState, Intake};
+use crate::state::AppState;
 use accept::Acceptor;
 use feedwright_store::{Actor, Page, Role, Store, StoreError};
 use secrecy::SecretString;
@@ -65,7 +67,6 @@ impl Server {
         config: Config,
         store: Arc<dyn Store>,
         clock: Clock,
-        intake: impl FnOnce(&Lifecycle, &Arc<Metrics>) -> Option<Arc<dyn Intake>>,
     ) -> Result<RunningServer, StartError> {
         let listener = listen(config.server.listen).await?;
         let metrics_listener = match config.metrics.listen {
@@ -75,7 +76,7 @@ impl Server {
         let first_admin_token = first_admin_token(&store, &clock).await?;
         let metrics = Arc::new(Metrics::new(config.limits.metric_machines)?);
         let lifecycle = Lifecycle::default();
-        let intake = intake(&lifecycle, &metrics);
+        let intake = Arc::new(CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics));
         let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
         let local_addr = address(&listener, state.config.server.listen)?;
         let metrics_addr = match (&metrics_listener, state.config.metrics.listen) {
@@ -152,9 +153,7 @@ impl RunningServer {
         tracing::info!("shutting down");
         state.lifecycle.stop();
         acceptor.listeners_closed().await;
-        if let Some(intake) = &state.intake {
-            intake.drain().await;
-        }
+        state.intake.drain().await;
         // Half of the time belongs to clients that still read their answers; the other half to the store.
         acceptor.close(state.config.server.shutdown_timeout() / 2).await;
         state.lifecycle.tasks_ended().await;

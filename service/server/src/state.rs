@@ -3,44 +3,15 @@
 use crate::auth::FailedAuthentications;
 use crate::clock::Clock;
 use crate::config::Config;
-use crate::http::problem::Problem;
-use crate::ingest::intake::{Accepted, Pace, Refused};
+use crate::ingest::intake::CycleIntake;
 use crate::jobs::Jobs;
 use crate::lifecycle::Lifecycle;
 use crate::metrics::Metrics;
 use crate::readiness::Readiness;
-use async_trait::async_trait;
-use bytes::Bytes;
-use feedwright_core::ids::MachineId;
 use feedwright_store::{Store, StoreError, StoreResult};
 use std::future::Future;
 use std::ops::Deref;
 use std::sync::Arc;
-
-/// The intake of cycles as the edge sees it.
-#[async_trait]
-pub trait Intake: Send + Sync + 'static {
-    /// Takes one cycle's JSON body in. Returns after its durable commit.
-    async fn accept(
-        &self,
-        machine: &MachineId,
-        json: Bytes,
-        pace: Pace,
-        refused: Refused,
-    ) -> Result<Accepted, Problem>;
-
-    /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have
-    /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again.
-    async fn reingest(
-        &self,
-        machine: &MachineId,
-        content_type: &str,
-        body: Bytes,
-    ) -> Result<serde_json::Value, Problem>;
-
-    /// Refuses new cycles; ends when every cycle that was taken in is committed and answered, and the writer is gone.
-    async fn drain(&self);
-}
 
 /// What every handler reaches; cheap to clone.
 #[derive(Clone)]
@@ -56,8 +27,8 @@ pub struct Shared {
     pub clock: Clock,
     /// The metrics.
     pub metrics: Arc<Metrics>,
-    /// Where cycles are taken in; `None` in a server that only serves what is stored.
-    pub intake: Option<Arc<dyn Intake>>,
+    /// Where cycles are taken in.
+    pub intake: Arc<CycleIntake>,
     /// Tasks that outlive their request, and the state of the process.
     pub lifecycle: Lifecycle,
     /// Long computations.
@@ -82,7 +53,7 @@ impl AppState {
         store: Arc<dyn Store>,
         clock: Clock,
         metrics: Arc<Metrics>,
-        intake: Option<Arc<dyn Intake>>,
+        intake: Arc<CycleIntake>,
         lifecycle: Lifecycle,
     ) -> Self {
         let failed_authentications = FailedAuthentications::new(config.server.failed_auth_per_minute);
@@ -98,13 +69,6 @@ impl AppState {
             failed_authentications,
             readiness,
         }))
-    }
-
-    /// Where cycles are taken in.
-    pub fn intake(&self) -> Result<Arc<dyn Intake>, Problem> {
-        self.intake
-            .clone()
-            .ok_or_else(|| Problem::unavailable("no_intake", "this server takes no cycles in", 60))
     }
 
     /// Runs a change of the database in a task of its own and waits for it: a client that hangs up drops its

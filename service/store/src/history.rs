@@ -50,7 +50,7 @@ impl<'a> Walk<'a> {
 
     /// Whether a checkpoint belongs here.
     pub(crate) const fn at_checkpoint(&self) -> bool {
-        self.folded % CHECKPOINT_CYCLES == 0
+        self.folded.is_multiple_of(CHECKPOINT_CYCLES)
     }
 
     /// Cycles folded so far.

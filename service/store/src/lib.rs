@@ -11,6 +11,7 @@ mod fault;
 mod gate;
 mod history;
 mod locks;
+mod postgres;
 mod precondition;
 mod record;
 mod rows;
@@ -19,6 +20,7 @@ mod store;
 mod work;
 
 pub use error::{StoreError, StoreResult};
+pub use postgres::{PostgresOptions, PostgresStore};
 pub use record::*;
 pub use sqlite::{SqliteOptions, SqliteStore};
 pub use store::Store;

@@ -1,1 +1,66 @@
-//! To be told.
+//! Alarms are raised and cleared with what they tell of.
+
+use super::given::{Run, at, engineer, event, shop, stored, stories};
+use feedwright_core::cycle::Flag;
+use feedwright_core::tool::ToolEventKind;
+use feedwright_core::wear::ToolState;
+use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, Store};
+use std::sync::Arc;
+
+stories!(a_worn_tool_alarms_until_it_is_changed, an_overload_waits_for_a_person);
+
+async fn alarms(store: &dyn Store, open: bool) -> Vec<Alarm> {
+    let filter = AlarmFilter { open: Some(open), ..AlarmFilter::default() };
+    store.alarms(&filter, Page { after: None, limit: 100 }).await.unwrap()
+}
+
+async fn a_worn_tool_alarms_until_it_is_changed(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let mut last = None;
+    for n in 1..=60 {
+        let load = 30.0 + 30.0 * 0.003 * f64::from(n);
+        last = Some(stored(&*store, &Run { load, ..Run::nth(n) }).await);
+    }
+    assert_eq!(last.unwrap().verdict.state, ToolState::Worn);
+    let open = alarms(&*store, true).await;
+    let [alarm] = &open[..] else { panic!("one alarm for one worn tool: {open:?}") };
+    assert_eq!(alarm.kind, AlarmKind::Worn);
+    assert_eq!(alarm.tool.as_ref().unwrap().as_str(), "T1");
+    assert!(alarm.message.starts_with("tool T1: "), "{}", alarm.message);
+
+    let seen = store.acknowledge_alarm(alarm.id, &engineer(), at(5000)).await.unwrap().unwrap();
+    assert_eq!(seen.acknowledged, Some(("tok-eve".to_owned(), at(5000))));
+    assert_eq!(seen.cleared_at, None, "seen is not mended");
+    let again = store.acknowledge_alarm(alarm.id, &engineer(), at(6000)).await.unwrap().unwrap();
+    assert_eq!(again, seen);
+    assert_eq!(store.acknowledge_alarm(alarm.id + 1000, &engineer(), at(0)).await.unwrap(), None);
+
+    let changed = event(ToolEventKind::Changed, at(7000));
+    store.add_tool_event(&"T1".try_into().unwrap(), changed, &engineer(), at(7000)).await.unwrap();
+    assert_eq!(alarms(&*store, true).await, []);
+    let cleared = alarms(&*store, false).await;
+    assert_eq!(cleared.last().unwrap(), &Alarm { cleared_at: Some(at(7000)), ..seen });
+}
+
+async fn an_overload_waits_for_a_person(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let answer = stored(&*store, &Run { load: 450.0, ..Run::nth(1) }).await;
+    assert!(answer.summary.flags.contains(Flag::LoadOver400));
+    stored(&*store, &Run { load: 460.0, ..Run::nth(2) }).await;
+    stored(&*store, &Run::nth(3)).await;
+    let overloads = |alarms: Vec<Alarm>| -> Vec<Alarm> {
+        alarms.into_iter().filter(|alarm| alarm.kind == AlarmKind::Overload).collect()
+    };
+    let open = overloads(alarms(&*store, true).await);
+    assert_eq!(open.len(), 1, "{open:?}");
+    store.acknowledge_alarm(open[0].id, &engineer(), at(500)).await.unwrap();
+    assert_eq!(overloads(alarms(&*store, true).await), []);
+    stored(&*store, &Run { load: 450.0, ..Run::nth(4) }).await;
+    assert_eq!(overloads(alarms(&*store, true).await).len(), 1, "a new one is a new alarm");
+    let of_tool = AlarmFilter { tool: Some("T1".try_into().unwrap()), ..AlarmFilter::default() };
+    let all = store.alarms(&of_tool, Page { after: None, limit: 100 }).await.unwrap();
+    let rest = store.alarms(&of_tool, Page { after: Some(all[0].id), limit: 100 }).await.unwrap();
+    assert_eq!(rest, all[1..]);
+    let elsewhere = AlarmFilter { machine: Some("M2".try_into().unwrap()), ..AlarmFilter::default() };
+    assert_eq!(store.alarms(&elsewhere, Page { after: None, limit: 100 }).await.unwrap(), []);
+}

@@ -123,7 +123,13 @@ async fn pages_have_neither_gaps_nor_repeats(store: Arc<dyn Store>) {
         for machine in ["m2", "M2", "M1"] {
             let tool = if n % 2 == 0 { "T1" } else { "T2" };
             let operation = if n % 3 == 0 { "O1" } else { "O2" };
-            runs.push(Run { machine, tool, operation, seconds: i64::from(n / 5), ..Run::nth(n) });
+            runs.push(Run {
+                machine,
+                tool: tool.to_owned(),
+                operation,
+                seconds: i64::from(n / 5),
+                ..Run::nth(n)
+            });
         }
     }
     for outcome in commit(&*store, &runs).await {

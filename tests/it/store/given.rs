@@ -8,21 +8,30 @@ use feedwright_core::summary::{Context, summarise};
 use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_store::{
-    Actor, Committed, CycleAnswer, NewCycle, Precondition, Role, SqliteOptions, SqliteStore, Store,
-    StoreResult, codec,
+    Actor, Committed, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition, Role,
+    SqliteOptions, SqliteStore, Store, StoreResult, codec,
 };
+use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Tells a story to each engine: `stories!(name, name, …)` makes a test per engine of each function.
 macro_rules! stories {
     ($($story:ident),* $(,)?) => {
+        $crate::store::given::stories!(@told given => { given.store() }, $($story),*);
+    };
+    // Stories that also look at the tables themselves.
+    (with tables: $($story:ident),* $(,)?) => {
+        $crate::store::given::stories!(@told given => { &given }, $($story),*);
+    };
+    (@told $given:ident => $argument:block, $($story:ident),*) => {
         mod sqlite {
             $(
                 #[tokio::test]
                 async fn $story() {
-                    let given = $crate::store::given::Given::sqlite().await;
-                    super::$story(given.store()).await;
-                    given.done().await;
+                    let $given = $crate::store::given::Given::sqlite().await;
+                    super::$story($argument).await;
+                    $given.done().await;
                 }
             )*
         }
@@ -31,11 +40,11 @@ macro_rules! stories {
             $(
                 #[tokio::test]
                 async fn $story() {
-                    let Some(given) = $crate::store::given::Given::postgres().await else {
+                    let Some($given) = $crate::store::given::Given::postgres().await else {
                         return;
                     };
-                    super::$story(given.store()).await;
-                    given.done().await;
+                    super::$story($argument).await;
+                    $given.done().await;
                 }
             )*
         }
@@ -51,6 +60,7 @@ pub(crate) struct Given {
 
 enum Place {
     File(tempfile::TempDir),
+    Database { server: String, name: String },
 }
 
 impl Given {
@@ -62,18 +72,96 @@ impl Given {
         Self { store: Arc::new(store), place: Place::File(folder) }
     }
 
+    /// A database of its own on the server that `tests/postgres` started. Without one the story fails, so that nobody
+    /// believes it was told; `None` only where a person asked to leave it out.
     pub(crate) async fn postgres() -> Option<Self> {
-        None
+        let Ok(server) = std::env::var("FEEDWRIGHT_TEST_POSTGRES") else {
+            let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+            assert!(
+                set("FEEDWRIGHT_TEST_SKIP_POSTGRES") && !set("CI"),
+                "no PostgreSQL: run `tests/run`, or this command behind `tests/postgres`, or set \
+                 FEEDWRIGHT_TEST_SKIP_POSTGRES=1 to leave its stories out"
+            );
+            return None;
+        };
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("story_{}_{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+        let mut admin = PgConnection::connect(&server).await.expect("the server of tests/postgres answers");
+        let mut create = sqlx::QueryBuilder::<sqlx::Postgres>::new("CREATE DATABASE ");
+        create.push(&name);
+        create.build().persistent(false).execute(&mut admin).await.expect("a fresh database");
+        let (base, _) = server.rsplit_once('/').expect("an address ends in a database");
+        let store = PostgresStore::open(&format!("{base}/{name}"), PostgresOptions::default())
+            .await
+            .expect("a fresh store opens");
+        Some(Self { store: Arc::new(store), place: Place::Database { server, name } })
     }
 
     pub(crate) fn store(&self) -> Arc<dyn Store> {
         Arc::clone(&self.store)
     }
 
+    /// Runs a statement on the tables themselves, as any other client of the database might.
+    pub(crate) async fn raw(&self, sql: &'static str) -> Result<u64, sqlx::Error> {
+        match &self.place {
+            Place::File(_) => {
+                Ok(sqlx::query(sql).execute(&mut self.sqlite_tables().await).await?.rows_affected())
+            }
+            Place::Database { .. } => {
+                let mut conn = PgConnection::connect(&self.address()).await?;
+                Ok(sqlx::query(sql).execute(&mut conn).await?.rows_affected())
+            }
+        }
+    }
+
+    /// The cached folds as they are stored: machine, tool, cycles folded, state.
+    pub(crate) async fn wear_states(&self) -> Vec<(String, String, i64, Vec<u8>)> {
+        const SQL: &str =
+            "SELECT machine_id, tool_id, folded, state FROM tool_wear ORDER BY machine_id, tool_id";
+        match &self.place {
+            Place::File(_) => sqlx::query_as(SQL).fetch_all(&mut self.sqlite_tables().await).await.unwrap(),
+            Place::Database { .. } => {
+                let mut conn = PgConnection::connect(&self.address()).await.unwrap();
+                sqlx::query_as(SQL).fetch_all(&mut conn).await.unwrap()
+            }
+        }
+    }
+
+    async fn sqlite_tables(&self) -> SqliteConnection {
+        let Place::File(folder) = &self.place else { unreachable!("only a file has these") };
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("cell.sqlite3"));
+        options.connect().await.expect("the file opens beside the store")
+    }
+
+    pub(crate) const fn is_postgres(&self) -> bool {
+        matches!(self.place, Place::Database { .. })
+    }
+
+    /// Address of the database, where it is PostgreSQL's.
+    pub(crate) fn address(&self) -> String {
+        match &self.place {
+            Place::File(_) => unreachable!("only a server has an address"),
+            Place::Database { server, name } => {
+                let (base, _) = server.rsplit_once('/').expect("an address ends in a database");
+                format!("{base}/{name}")
+            }
+        }
+    }
+
     pub(crate) async fn done(self) {
         self.store.close().await;
         match self.place {
             Place::File(folder) => folder.close().expect("the temporary folder is removed"),
+            Place::Database { server, name } => {
+                let mut admin = PgConnection::connect(&server).await.expect("the server answers");
+                let mut drop = sqlx::QueryBuilder::<sqlx::Postgres>::new("DROP DATABASE ");
+                drop.push(&name);
+                drop.build()
+                    .persistent(false)
+                    .execute(&mut admin)
+                    .await
+                    .expect("nobody is connected any more");
+            }
         }
     }
 }
@@ -155,7 +243,7 @@ pub(crate) fn event(kind: ToolEventKind, at: Timestamp) -> ToolEvent {
 pub(crate) struct Run {
     pub(crate) machine: &'static str,
     pub(crate) id: String,
-    pub(crate) tool: &'static str,
+    pub(crate) tool: String,
     pub(crate) operation: &'static str,
     pub(crate) seconds: i64,
     pub(crate) seq: Option<u64>,
@@ -170,7 +258,7 @@ impl Run {
         Self {
             machine: "M1",
             id: format!("c{n:05}"),
-            tool: "T1",
+            tool: "T1".to_owned(),
             operation: "O1",
             seconds: i64::from(n) * 60,
             seq: Some(u64::from(n)),
@@ -189,7 +277,7 @@ impl Run {
         CycleDraft {
             machine: self.machine.try_into().unwrap(),
             id: self.id.as_str().try_into().unwrap(),
-            tool: self.tool.try_into().unwrap(),
+            tool: self.tool.as_str().try_into().unwrap(),
             operation: self.operation.try_into().unwrap(),
             started_at: at(self.seconds),
             seq: self.seq,

@@ -3,7 +3,9 @@
 mod given;
 
 mod alarms;
+mod alike;
 mod cycles;
 mod registry;
+mod replicas;
 mod service;
 mod wear;

@@ -1,1 +1,154 @@
-//! To be told.
+//! Quarantine, tokens and the audit: bounded, hashed, append-only; and what the tables themselves refuse.
+
+use super::given::{Given, Run, at, engineer, shop, stored, stories};
+use feedwright_store::{
+    AlarmFilter, Page, QuarantineBounds, QuarantineEntry, Role, Store, StoreError, TokenRecord,
+};
+use std::sync::Arc;
+
+stories!(the_quarantine_is_bounded_and_keeps_a_body_once, a_token_is_known_by_its_hash_until_revoked);
+
+mod tables {
+    super::stories!(with tables: the_audit_only_grows, the_tables_refuse_what_is_no_number);
+    use super::{the_audit_only_grows, the_tables_refuse_what_is_no_number};
+}
+
+fn entry(id: &str, cycle: Option<&str>) -> QuarantineEntry {
+    QuarantineEntry {
+        id: id.to_owned(),
+        machine: "M1".try_into().unwrap(),
+        cycle: cycle.map(str::to_owned),
+        received_at: at(5),
+        code: "out_of_range".to_owned(),
+        problem: r#"{"status":422}"#.to_owned(),
+        content_type: "application/json".to_owned(),
+        settled: None,
+        size: 0,
+    }
+}
+
+async fn the_quarantine_is_bounded_and_keeps_a_body_once(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let bounds = QuarantineBounds { entries: 3, bytes: 10_000 };
+    let keep =
+        async |id: &str, cycle, body: &[u8]| store.quarantine(entry(id, cycle), body.to_vec(), bounds).await;
+    let body = vec![b'x'; 5000];
+    assert_eq!(keep("q1", Some("c1"), &body).await.unwrap(), "q1");
+    assert_eq!(keep("q2", Some("c1"), &body).await.unwrap(), "q1", "the same once more");
+    assert_eq!(keep("q3", Some("c2"), &body).await.unwrap(), "q3");
+    assert_eq!(keep("q4", None, b"").await.unwrap(), "q4");
+    let full = keep("q5", None, b"other").await;
+    assert!(matches!(full, Err(StoreError::Full { .. })), "{full:?}");
+    assert_eq!(keep("q6", Some("c2"), &body).await.unwrap(), "q3", "known ones are answered all the same");
+
+    let (found, found_body) = store.quarantine_entry("q1").await.unwrap().unwrap();
+    assert_eq!(found, QuarantineEntry { size: 5000, ..entry("q1", Some("c1")) });
+    assert_eq!(found_body, body, "as it came");
+    assert_eq!(store.quarantine_entry("q4").await.unwrap().unwrap().1, b"");
+    assert_eq!(store.quarantine_entry("q2").await.unwrap(), None);
+    let open_alarms = AlarmFilter { open: Some(true), ..AlarmFilter::default() };
+    assert_eq!(store.alarms(&open_alarms, Page { after: None, limit: 9 }).await.unwrap().len(), 1);
+
+    let ids = async |open, after: Option<&str>| -> Vec<String> {
+        let page = Page { after: after.map(str::to_owned), limit: 10 };
+        let machine = "M1".try_into().unwrap();
+        let found = store.quarantined(Some(&machine), open, page).await.unwrap();
+        found.into_iter().map(|entry| entry.id).collect()
+    };
+    assert!(store.settle_quarantine("q1", "re-ingested", &engineer(), at(9)).await.unwrap());
+    assert!(!store.settle_quarantine("q1", "again", &engineer(), at(10)).await.unwrap());
+    assert!(!store.settle_quarantine("q9", "never there", &engineer(), at(10)).await.unwrap());
+    assert_eq!(ids(true, None).await, ["q3", "q4"]);
+    assert_eq!(ids(false, Some("q1")).await, ["q3", "q4"]);
+    assert_eq!(ids(false, None).await, ["q1", "q3", "q4"]);
+    let settled = store.quarantine_entry("q1").await.unwrap().unwrap().0.settled;
+    assert_eq!(settled, Some((at(9), "re-ingested".to_owned())));
+    assert_eq!(keep("q7", None, b"other").await.unwrap(), "q7", "there is room again");
+    for id in ["q3", "q4", "q7"] {
+        assert!(store.settle_quarantine(id, "discarded", &engineer(), at(11)).await.unwrap());
+    }
+    assert_eq!(store.alarms(&open_alarms, Page { after: None, limit: 9 }).await.unwrap(), []);
+
+    let bytes = QuarantineBounds { entries: 100, bytes: 4 };
+    let full = store.quarantine(entry("q8", None), vec![7; 100], bytes).await;
+    assert!(matches!(full, Err(StoreError::Full { .. })), "{full:?}");
+}
+
+async fn a_token_is_known_by_its_hash_until_revoked(store: Arc<dyn Store>) {
+    let token = |id: &str, hash: u8, role, machine: Option<&str>| TokenRecord {
+        id: id.to_owned(),
+        name: format!("token {id}"),
+        hash: [hash; 32],
+        role,
+        machine: machine.map(|machine| machine.try_into().unwrap()),
+        created_at: at(1),
+        revoked_at: None,
+    };
+    let (first, second) = (token("a", 1, Role::Machine, Some("M1")), token("b", 2, Role::Viewer, None));
+    store.create_token(first.clone(), &engineer()).await.unwrap();
+    store.create_token(second.clone(), &engineer()).await.unwrap();
+    for refused in [
+        token("a", 3, Role::Viewer, None),
+        token("c", 1, Role::Viewer, None),
+        token("d", 4, Role::Machine, None),
+        token("e", 5, Role::Admin, Some("M1")),
+    ] {
+        let outcome = store.create_token(refused, &engineer()).await;
+        assert!(matches!(outcome, Err(StoreError::Refused { .. })), "{outcome:?}");
+    }
+    assert_eq!(store.token_by_hash(&[1; 32]).await.unwrap(), Some(first.clone()));
+    assert_eq!(store.token_by_hash(&[9; 32]).await.unwrap(), None);
+    let revoked = TokenRecord { revoked_at: Some(at(7)), ..first };
+    assert_eq!(store.revoke_token("a", &engineer(), at(7)).await.unwrap(), Some(revoked.clone()));
+    assert_eq!(store.revoke_token("a", &engineer(), at(8)).await.unwrap(), Some(revoked.clone()));
+    assert_eq!(store.revoke_token("z", &engineer(), at(8)).await.unwrap(), None);
+    assert_eq!(store.token_by_hash(&[1; 32]).await.unwrap(), Some(revoked.clone()));
+    assert_eq!(store.tokens(Page { after: None, limit: 9 }).await.unwrap(), [revoked, second.clone()]);
+    assert_eq!(store.tokens(Page { after: Some("a".to_owned()), limit: 9 }).await.unwrap(), [second]);
+    let audit = store.audit(Page { after: None, limit: 9 }).await.unwrap();
+    let actions: Vec<&str> = audit.iter().map(|line| line.action.as_str()).collect();
+    assert_eq!(actions, ["token.create", "token.create", "token.revoke"]);
+    assert!(audit.iter().all(|line| !line.detail.contains("0101")), "no hash in the audit");
+}
+
+async fn the_audit_only_grows(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let before = store.audit(Page { after: None, limit: 100 }).await.unwrap();
+    let attempts: [&'static str; 2] = ["UPDATE audit SET actor = 'nobody'", "DELETE FROM audit"];
+    for attempt in attempts {
+        let refused = given.raw(attempt).await.unwrap_err();
+        assert!(refused.to_string().contains("audit is append-only"), "{refused}");
+    }
+    assert_eq!(store.audit(Page { after: None, limit: 100 }).await.unwrap(), before);
+}
+
+async fn the_tables_refuse_what_is_no_number(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    stored(&*store, &Run::nth(1)).await;
+    // 9e999 is infinity in SQLite and out of range in PostgreSQL; what SQLite makes of NaN is NULL.
+    let attempts: [&'static str; 6] = [
+        "UPDATE cycles SET coverage = 9e999",
+        "UPDATE cycles SET coverage = NULL",
+        "UPDATE cycles SET max_depth_mm = 9e999",
+        "UPDATE cycles SET max_depth_mm = NULL",
+        "UPDATE cycles SET rated_power_joules = -9e999",
+        "UPDATE machines SET feed_max_mm_min = 9e999",
+    ];
+    for attempt in attempts {
+        let refused = given.raw(attempt).await;
+        assert!(matches!(refused, Err(sqlx::Error::Database(_))), "{attempt}: {refused:?}");
+    }
+    if given.is_postgres() {
+        let nan: [&'static str; 3] = [
+            "UPDATE cycles SET coverage = 'NaN'",
+            "UPDATE cycles SET max_depth_mm = 'NaN'",
+            "UPDATE cycles SET rated_power_joules = 'Infinity'",
+        ];
+        for attempt in nan {
+            let refused = given.raw(attempt).await;
+            assert!(matches!(refused, Err(sqlx::Error::Database(_))), "{attempt}: {refused:?}");
+        }
+    }
+}

@@ -1,1 +1,273 @@
-//! To be told.
+//! Wear is the fold over the unique cycles in their order, however and whenever they arrive.
+
+use super::given::{
+    Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, stored, stories, tool,
+};
+use feedwright_core::cycle::Flag;
+use feedwright_core::operation::WearSettings;
+use feedwright_core::tool::ToolEventKind;
+use feedwright_core::wear::{CycleFacts, FoldSettings, ToolFold, ToolState, Verdict};
+use feedwright_store::{Committed, Precondition, Store};
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+use std::sync::Arc;
+
+stories!(
+    cycles_of_an_unregistered_tool_count_once_it_is_registered,
+    any_order_of_arrival_ends_in_the_same_state,
+    a_long_history_is_refolded_from_checkpoints,
+    a_tool_that_moves_is_folded_over_all_machines,
+    an_event_takes_effect_with_the_cycle_it_names,
+    an_event_after_the_last_cycle_acts_at_once,
+    changed_settings_are_judged_again,
+    a_beginning_that_is_told_late_is_the_beginning,
+);
+
+mod tables {
+    super::stories!(with tables: a_damaged_cache_is_found_and_repaired);
+    use super::a_damaged_cache_is_found_and_repaired;
+}
+
+/// The fold as the book has it: every cycle once, in order, nothing cached.
+fn naive(runs: &[Run], mounted_first: bool, settings: WearSettings) -> Verdict {
+    let settings = FoldSettings { wear: settings, depth_mm: None, spindle_speed_rpm: Some(2400.0) };
+    let mut facts: Vec<CycleFacts> = runs
+        .iter()
+        .map(|run| {
+            let new = run.new_cycle();
+            CycleFacts::of(&new.cycle, &new.summary)
+        })
+        .collect();
+    facts.sort_by(|a, b| a.order.cmp(&b.order));
+    facts.dedup_by(|a, b| a.order == b.order);
+    let mut fold = ToolFold::default();
+    if mounted_first {
+        fold = ToolFold::awaiting_mount();
+        fold.event(ToolEventKind::MountedNew);
+    }
+    for facts in &facts {
+        fold.cycle(facts, Some(&settings));
+    }
+    fold.verdict()
+}
+
+async fn assert_clean(store: &dyn Store) {
+    let check = store.check_wear(false).await.unwrap();
+    assert_eq!(check.different, vec![], "of {} rows", check.rows);
+    assert!(check.rows > 0);
+}
+
+async fn cycles_of_an_unregistered_tool_count_once_it_is_registered(store: Arc<dyn Store>) {
+    let who = engineer();
+    store.put_machine(machine("M1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    store.put_operation(operation("O1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    let runs: Vec<Run> = (1..=8).map(Run::nth).collect();
+    for run in &runs {
+        let answer = stored(&*store, run).await;
+        assert!(!answer.registered);
+        assert!(answer.summary.flags.contains(Flag::ToolUnregistered));
+        assert_eq!(answer.verdict.state, ToolState::Unknown);
+        let advised = answer.recommendation.recommendation.override_percent;
+        assert_eq!(advised.to_bits(), 100.0_f64.to_bits(), "neutral is exactly 100 %");
+    }
+    let id = "T1".try_into().unwrap();
+    assert_eq!(store.verdict(&id).await.unwrap().state, ToolState::Unknown);
+    assert!(
+        store.add_tool_event(&id, event(ToolEventKind::Changed, at(0)), &who, at(0)).await.unwrap().is_none()
+    );
+    store.put_tool(tool("T1"), Precondition::Absent, &who, at(1000)).await.unwrap();
+    let verdict = store.verdict(&id).await.unwrap();
+    assert_eq!(verdict, naive(&runs, false, WearSettings::default()));
+    assert_eq!((verdict.state, verdict.cycles), (ToolState::Good, 8));
+    assert!(stored(&*store, &Run::nth(9)).await.registered);
+    assert_clean(&*store).await;
+}
+
+async fn any_order_of_arrival_ends_in_the_same_state(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let mut runner = TestRunner::deterministic();
+    for case in 0..10 {
+        let id = format!("T-case-{case}");
+        store.put_tool(tool(&id), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+        mounted(&*store, &id, -10).await;
+        let loads = prop::collection::vec(0_u32..60, 45).new_tree(&mut runner).unwrap().current();
+        let runs: Vec<Run> = loads
+            .iter()
+            .zip(0_u32..)
+            .map(|(&noise, n)| {
+                // Slow wear with noise; now and then hardly any load. Some share their second, some have no count.
+                let load = if noise == 7 { 0.5 } else { 28.0 + f64::from(n) * 0.1 + f64::from(noise) * 0.02 };
+                Run {
+                    tool: id.clone(),
+                    id: format!("{id}-{n}"),
+                    seconds: i64::from(n / 3 * 60),
+                    seq: (n % 4 != 0).then_some(u64::from(n)),
+                    load,
+                    ..Run::nth(n)
+                }
+            })
+            .collect();
+        let arrival = Just((0..runs.len()).collect::<Vec<_>>()).prop_shuffle().new_tree(&mut runner).unwrap();
+        let size = (1_usize..12).new_tree(&mut runner).unwrap().current();
+        for group in arrival.current().chunks(size) {
+            // Each group repeats its first cycle: an edge buffer replays what it is not sure of.
+            let group: Vec<Run> =
+                group.iter().chain(group.first()).map(|&index| runs[index].clone()).collect();
+            for outcome in commit(&*store, &group).await {
+                assert!(matches!(outcome, Ok(Committed::Stored(_) | Committed::Known(_))), "{outcome:?}");
+            }
+        }
+        let verdict = store.verdict(&id.as_str().try_into().unwrap()).await.unwrap();
+        assert_eq!(verdict, naive(&runs, true, WearSettings::default()), "{id} in groups of {size}");
+    }
+    assert_clean(&*store).await;
+}
+
+async fn a_long_history_is_refolded_from_checkpoints(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let runs: Vec<Run> = (1..=700)
+        .map(|n| Run { sampled: false, load: 30.0 + f64::from(n % 11) * 0.1, ..Run::nth(n) })
+        .collect();
+    let late = [3_usize, 255, 256, 257, 511, 600];
+    let live: Vec<Run> =
+        runs.iter().enumerate().filter(|(at, _)| !late.contains(at)).map(|(_, run)| run.clone()).collect();
+    for group in live.chunks(64) {
+        for outcome in commit(&*store, group).await {
+            assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+        }
+    }
+    assert_clean(&*store).await;
+    // Newest first, so that each one comes before what is folded and not every one goes back to the beginning.
+    for index in late.into_iter().rev() {
+        stored(&*store, &runs[index]).await;
+        assert_clean(&*store).await;
+    }
+    let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!(verdict, naive(&runs, true, WearSettings::default()));
+}
+
+async fn a_tool_that_moves_is_folded_over_all_machines(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    let runs: Vec<Run> =
+        (1..=24).map(|n| Run { machine: if n / 6 % 2 == 0 { "M1" } else { "M2" }, ..Run::nth(n) }).collect();
+    let backwards: Vec<Run> = runs.iter().rev().cloned().collect();
+    for group in backwards.chunks(5) {
+        commit(&*store, group).await;
+    }
+    let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!(verdict, naive(&runs, true, WearSettings::default()));
+    assert_eq!(verdict.cycles, 24);
+    let check = store.check_wear(false).await.unwrap();
+    assert_eq!((check.rows, check.different), (2, vec![]));
+}
+
+async fn an_event_takes_effect_with_the_cycle_it_names(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let id = "T1".try_into().unwrap();
+    for n in (1..=5).chain(7..=10) {
+        stored(&*store, &Run::nth(n)).await;
+    }
+    // Told before the named cycle arrived, with a time far off: until then the time is all there is.
+    let mut changed = event(ToolEventKind::Changed, at(9 * 60));
+    changed.first_cycle = Some(("M1".try_into().unwrap(), "c00006".try_into().unwrap()));
+    let told = store.add_tool_event(&id, changed.clone(), &engineer(), at(700)).await.unwrap().unwrap();
+    let verdict = store.verdict(&id).await.unwrap();
+    assert_eq!((verdict.life, verdict.cycles), (2, 2), "cycles 9 and 10");
+    assert_clean(&*store).await;
+
+    let answer = stored(&*store, &Run::nth(6)).await;
+    assert_eq!((answer.verdict.life, answer.verdict.cycles), (2, 5), "cycles 6 to 10");
+    assert_eq!(store.verdict(&id).await.unwrap(), answer.verdict);
+    assert_clean(&*store).await;
+
+    let page = feedwright_store::Page { after: None, limit: 10 };
+    let events = store.tool_events(&id, page).await.unwrap();
+    assert_eq!(events.len(), 2);
+    assert_eq!(events[1], told);
+    assert_eq!(events[1].event, changed);
+    let page = feedwright_store::Page { after: Some(events[0].id), limit: 10 };
+    assert_eq!(store.tool_events(&id, page).await.unwrap(), events[1..]);
+}
+
+async fn an_event_after_the_last_cycle_acts_at_once(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let id = "T1".try_into().unwrap();
+    for n in 1..=9 {
+        stored(&*store, &Run::nth(n)).await;
+    }
+    assert_eq!(store.verdict(&id).await.unwrap().state, ToolState::Good);
+    store.add_tool_event(&id, event(ToolEventKind::Changed, at(600)), &engineer(), at(600)).await.unwrap();
+    let verdict = store.verdict(&id).await.unwrap();
+    assert_eq!((verdict.life, verdict.cycles), (2, 0));
+    assert_ne!(verdict.state, ToolState::Good, "the old tool says nothing of the new one");
+    // A cycle that began before the change and comes only now still belongs to the old tool.
+    let late = stored(&*store, &Run { seconds: 570, id: "late".to_owned(), ..Run::nth(10) }).await;
+    assert_eq!((late.verdict.life, late.verdict.cycles), (2, 0));
+    let next = stored(&*store, &Run::nth(11)).await;
+    assert_eq!((next.verdict.life, next.verdict.cycles), (2, 1));
+    assert_clean(&*store).await;
+}
+
+async fn a_beginning_that_is_told_late_is_the_beginning(store: Arc<dyn Store>) {
+    let who = engineer();
+    store.put_machine(machine("M1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    store.put_operation(operation("O1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    store.put_tool(tool("T1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    let id = "T1".try_into().unwrap();
+    let runs: Vec<Run> =
+        (1..=260).filter(|n| *n != 3).map(|n| Run { sampled: false, ..Run::nth(n) }).collect();
+    commit(&*store, &runs).await;
+    let tell = async |kind, first: Option<&str>, when| {
+        let mut told = event(kind, when);
+        told.first_cycle = first.map(|cycle| ("M1".try_into().unwrap(), cycle.try_into().unwrap()));
+        store.add_tool_event(&id, told, &who, when).await.unwrap().unwrap();
+        assert_clean(&*store).await;
+    };
+    // Each of these moves what the first life begins with: last the cycle that the mounting names comes in.
+    tell(ToolEventKind::Changed, None, at(200 * 60)).await;
+    tell(ToolEventKind::MountedNew, None, at(100 * 60)).await;
+    tell(ToolEventKind::Reground, None, at(50 * 60)).await;
+    tell(ToolEventKind::MountedUsed, Some("c00003"), at(150 * 60)).await;
+    let answer = stored(&*store, &Run { sampled: false, ..Run::nth(3) }).await;
+    assert_eq!((answer.verdict.life, answer.verdict.cycles), (4, 61), "cycles 200 to 260");
+    assert_clean(&*store).await;
+}
+
+async fn changed_settings_are_judged_again(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let runs: Vec<Run> = (1..=12).map(|n| Run { load: 29.0 + f64::from(n) * 0.1, ..Run::nth(n) }).collect();
+    commit(&*store, &runs).await;
+    let id = "T1".try_into().unwrap();
+    let before = store.verdict(&id).await.unwrap();
+    assert_eq!(before, naive(&runs, true, WearSettings::default()));
+    let wear = WearSettings { baseline_cycles: 3, window_cycles: 4 };
+    let changed = feedwright_core::operation::Operation { wear, ..operation("O1") };
+    store.put_operation(changed, Precondition::Version(1), &engineer(), at(2000)).await.unwrap();
+    let after = store.verdict(&id).await.unwrap();
+    assert_eq!(after, naive(&runs, true, wear));
+    assert_ne!(after.level, before.level);
+    assert_clean(&*store).await;
+}
+
+async fn a_damaged_cache_is_found_and_repaired(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let runs: Vec<Run> = (1..=300).map(|n| Run { sampled: false, ..Run::nth(n) }).collect();
+    commit(&*store, &runs).await;
+    let good = given.wear_states().await;
+    let damages: [&'static str; 3] = [
+        "UPDATE tool_wear SET folded = folded - 1",
+        "UPDATE tool_wear_checkpoints SET last_cycle_id = 'c00001', state = (SELECT state FROM tool_wear)",
+        "DELETE FROM tool_wear",
+    ];
+    for damage in damages {
+        assert_eq!(given.raw(damage).await.unwrap(), 1, "{damage}");
+        let found = store.check_wear(false).await.unwrap();
+        assert_eq!(found.different, [("M1".try_into().unwrap(), "T1".try_into().unwrap())], "{damage}");
+        assert_eq!(store.check_wear(true).await.unwrap(), found, "{damage}");
+        assert_clean(&*store).await;
+        assert_eq!(given.wear_states().await, good, "{damage}");
+    }
+}

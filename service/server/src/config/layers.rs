@@ -10,7 +10,7 @@ const DEFAULTS: &str = include_str!("default.toml");
 /// Begins the name of every environment variable that is a setting.
 const PREFIX: &str = "FEEDWRIGHT__";
 /// The settings that hold secrets.
-const SECRET: &str = "database.url";
+const SECRETS: [&str; 2] = ["database.url", "database.direct_url"];
 
 /// Where settings come from beside the defaults.
 #[derive(Debug, Clone, Default)]
@@ -89,7 +89,11 @@ pub(super) fn merge(sources: &Sources) -> Result<Config, ConfigError> {
     let mut config: Config = serde_path_to_error::deserialize(Value::Table(tree)).map_err(|error| {
         let path = error.path().to_string();
         // The value itself is left out of the message where it is a secret.
-        let why = if path == SECRET { "not accepted".to_owned() } else { error.inner().message().to_owned() };
+        let why = if SECRETS.contains(&path.as_str()) {
+            "not accepted".to_owned()
+        } else {
+            error.inner().message().to_owned()
+        };
         let origin = origins.get(&path).unwrap_or(&Origin::Default);
         ConfigError::Invalid(vec![format!("{path}: {why} (from {origin})")])
     })?;
@@ -172,7 +176,9 @@ fn print(tree: &Table, origins: &BTreeMap<String, Origin>) -> BTreeMap<String, (
     let mut printed = BTreeMap::new();
     let mut leaf = |path: String, value: &Value| {
         let text = match value {
-            Value::String(url) if path == SECRET => Value::String(without_password(url)).to_string(),
+            Value::String(url) if SECRETS.contains(&path.as_str()) => {
+                Value::String(without_password(url)).to_string()
+            }
             other => other.to_string(),
         };
         let origin = origins.get(&path).cloned().unwrap_or(Origin::Default);

@@ -1,7 +1,7 @@
 //! The description of the API, made from the table of routes.
 
 use super::problem::ProblemDocument;
-use super::routes::{Access, table};
+use super::routes::{Access, Description, Route, table};
 use axum::response::{IntoResponse, Response};
 use http::header;
 use std::sync::LazyLock;
@@ -40,9 +40,11 @@ fn describe() -> OpenApi {
     ProblemDocument::schemas(&mut nested);
     components.schemas.insert(ProblemDocument::name().into_owned(), ProblemDocument::schema());
     components.schemas.extend(nested);
-    for (path, mut item, schemas, access) in table().into_iter().filter_map(super::routes::Route::description)
+    for Description { path, mut item, schemas, access } in table().into_iter().filter_map(Route::description)
     {
-        for operation in operations(&mut item) {
+        for (method, operation) in operations(&mut item) {
+            // Handlers of different nouns share their names; paths are unique.
+            operation.operation_id = Some(operation_id(method, &path));
             secure(operation, access);
         }
         components.schemas.extend(schemas);
@@ -60,8 +62,21 @@ fn describe() -> OpenApi {
     openapi
 }
 
-fn operations(item: &mut PathItem) -> impl Iterator<Item = &mut Operation> {
-    [&mut item.get, &mut item.put, &mut item.post, &mut item.delete].into_iter().flatten()
+fn operations(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mut Operation)> {
+    let all = [
+        ("get", &mut item.get),
+        ("put", &mut item.put),
+        ("post", &mut item.post),
+        ("delete", &mut item.delete),
+    ];
+    all.into_iter().filter_map(|(method, operation)| Some((method, operation.as_mut()?)))
+}
+
+/// As in `get_tools_tool_events`.
+fn operation_id(method: &str, path: &str) -> String {
+    let parts =
+        path.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty() && *part != "v1");
+    parts.fold(method.to_owned(), |id, part| id + "_" + part)
 }
 
 /// Says who may use it, and that every error is a problem document.

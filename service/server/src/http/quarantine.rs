@@ -82,12 +82,10 @@ async fn reingest(
     repaired: Option<String>,
     kept: Vec<u8>,
 ) -> Result<serde_json::Value, Problem> {
-    let Some(intake) = state.intake.clone() else {
-        return Err(Problem::unavailable("intake_closed", "this server takes no cycles in", 60));
-    };
+    let intake = state.intake.clone();
     let body = repaired.map_or_else(|| Bytes::from(kept), Bytes::from);
     // In a task of its own: a client that hangs up must not stop a commit half-way.
-    let task = async move { intake.reingest(&entry.machine, &entry.content_type, body).await };
+    let task = async move { intake.reingest(&entry.machine, body).await };
     state.lifecycle.spawn(task).await.map_err(|error| Problem::internal(error.to_string()))?
 }
 

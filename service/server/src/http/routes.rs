@@ -107,10 +107,18 @@ impl Route {
     }
 
     /// What it adds to the description of the API.
-    pub(super) fn description(self) -> Option<(String, PathItem, Vec<(String, RefOr<Schema>)>, Access)> {
-        let item = self.item?;
-        Some((self.path, item, self.schemas, self.access))
+    pub(super) fn description(self) -> Option<Description> {
+        let Self { path, item, schemas, access, .. } = self;
+        item.map(|item| Description { path, item, schemas, access })
     }
+}
+
+/// What a route adds to the description of the API.
+pub(super) struct Description {
+    pub(super) path: String,
+    pub(super) item: PathItem,
+    pub(super) schemas: Vec<(String, RefOr<Schema>)>,
+    pub(super) access: Access,
 }
 
 /// Every route there is.

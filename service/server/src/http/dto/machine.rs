@@ -1,8 +1,9 @@
 //! Machines in JSON.
 
 use super::text::{MAX_NAME, required};
+use super::time;
 use super::word::LoadReferenceWord;
-use super::{Registered, checked, time};
+use super::{Registered, checked};
 use feedwright_core::ids::MachineId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::machine::{FeedDriveRating, FeedLimits, Machine, SpindleRating};

@@ -2,9 +2,10 @@
 
 use super::plunge::PlungeSetupBody;
 use super::text::{MAX_NAME, optional, required};
+use super::time;
 use super::turning::TurningSetupBody;
 use super::word::ProcessWord;
-use super::{Registered, checked, time};
+use super::{Registered, checked};
 use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::operation::{Operation, WearSettings};

@@ -1,8 +1,9 @@
 //! Tools and their events in JSON.
 
 use super::text::{MAX_NAME, MAX_REASON, optional, required};
+use super::time;
 use super::word::ToolEventKindWord;
-use super::{Registered, checked, time};
+use super::{Registered, checked};
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};

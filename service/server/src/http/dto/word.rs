@@ -11,9 +11,9 @@ use utoipa::openapi::{ObjectBuilder, RefOr, Schema, Type};
 use utoipa::{PartialSchema, ToSchema};
 
 macro_rules! words {
-    ($($(#[$doc:meta])* $word:ident, $type:ident: $values:expr;)*) => {$(
+    ($($(#[$doc:meta])* $word:ident $(+ $derive:ident)?, $type:ident: $values:expr;)*) => {$(
         $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        #[derive(Debug, Clone, Copy, PartialEq, Eq $(, $derive)?)]
         pub struct $word(pub $type);
 
         impl $word {
@@ -55,7 +55,7 @@ macro_rules! words {
 
 words! {
     /// What a load in percent refers to.
-    LoadReferenceWord, LoadReference: LoadReference::ALL;
+    LoadReferenceWord + Default, LoadReference: LoadReference::ALL;
     /// A process.
     ProcessWord, Process: Process::ALL;
     /// How a feed was chosen.
@@ -68,10 +68,4 @@ words! {
     RoleWord, Role: Role::ALL;
     /// How a cycle ended.
     OutcomeWord, Outcome: [Outcome::Completed, Outcome::Aborted];
-}
-
-impl Default for LoadReferenceWord {
-    fn default() -> Self {
-        Self(LoadReference::default())
-    }
 }

@@ -1,0 +1,232 @@
+//! State and step of the override law.
+
+use super::config::{Heating, IMPLAUSIBLE_LOAD_PERCENT, LawConfig, OverloadHold};
+use super::equations::{correction, next_override, relative_load};
+use super::reason::{Reason, Reasons};
+use crate::friction::feed_override::FeedOverride;
+use crate::friction::filter::LoadFilter;
+
+/// What the machine reports in one IPO cycle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LawSample {
+    /// Time since the start of the cycle (first contact) in ms.
+    pub time_ms: f64,
+    /// Tip depth in mm, if known; only needed where the heating ends at a depth.
+    pub depth_mm: Option<f64>,
+    /// Feed-drive load L_Z in percent of its rating, if there was a reading.
+    pub feed_drive_percent: Option<f64>,
+    /// Spindle load L_C in percent of its rating, if there was a reading.
+    pub spindle_percent: Option<f64>,
+}
+
+/// A drive whose load the law watches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Drive {
+    /// Feed drive, Z.
+    Feed,
+    /// Spindle drive, C.
+    Spindle,
+}
+
+/// The answer to one sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LawStep {
+    /// The override to apply from now on.
+    pub ovr: FeedOverride,
+    /// Why it is what it is.
+    pub reasons: Reasons,
+    /// The larger relative load L_R (Eq. 2) and its drive; `None` without good data.
+    pub relative_load: Option<(f64, Drive)>,
+    /// The correction C_F (Eq. 3); `None` where the law did not act.
+    pub correction: Option<f64>,
+}
+
+/// Memory of the law within one cycle. A new cycle starts with a new state, at 100 %.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LawState {
+    pub(super) ovr: FeedOverride,
+    feed: LoadFilter,
+    spindle: LoadFilter,
+    last_time_ms: Option<f64>,
+    heated: bool,
+    settling: u32,
+    overloaded: bool,
+}
+
+impl Default for LawState {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl LawState {
+    /// The state at the start of a cycle.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            ovr: FeedOverride::NEUTRAL,
+            feed: LoadFilter::new(),
+            spindle: LoadFilter::new(),
+            last_time_ms: None,
+            heated: false,
+            settling: 0,
+            overloaded: false,
+        }
+    }
+
+    /// The override in force.
+    #[must_use]
+    pub const fn ovr(&self) -> FeedOverride {
+        self.ovr
+    }
+
+    /// Whether an overload of this cycle still holds the override.
+    #[must_use]
+    pub const fn is_overloaded(&self) -> bool {
+        self.overloaded
+    }
+
+    /// Somebody has seen the overload: the law may act again, where the configuration lets it.
+    pub const fn acknowledge(&mut self, config: &LawConfig) {
+        if matches!(config.params().overload, OverloadHold::UntilAcknowledged { .. }) {
+            self.overloaded = false;
+        }
+    }
+
+    /// Takes one sample and returns the override for the next IPO, with its reasons.
+    ///
+    /// The override never rises on a sample that is missing, not finite, implausible or out of time; it then
+    /// is the lower of 100 % and the override in force, the filters start anew, and the law may not raise
+    /// before `settling_samples` good samples have come.
+    pub fn step(&mut self, config: &LawConfig, sample: &LawSample) -> LawStep {
+        let params = config.params();
+        let mut reasons = Reasons::default();
+
+        if self.time_is_bad(params.longest_gap_ms, sample.time_ms) {
+            reasons.add(Reason::Gap);
+        }
+        self.last_time_ms = Some(sample.time_ms).filter(|time| time.is_finite()).or(self.last_time_ms);
+        let feed = usable(params.set_feed_drive_percent, sample.feed_drive_percent, &mut reasons);
+        let spindle = usable(params.set_spindle_percent, sample.spindle_percent, &mut reasons);
+        if !reasons.is_empty() {
+            return self.neutral(params.settling_samples, reasons, config);
+        }
+
+        let weights = &params.weights;
+        let feed = feed.map(|(load, set)| (relative_load(self.feed.step(weights, load), set), Drive::Feed));
+        let spindle =
+            spindle.map(|(load, set)| (relative_load(self.spindle.step(weights, load), set), Drive::Spindle));
+        let larger = match (feed, spindle) {
+            (Some(f), Some(s)) => Some(if s.0 > f.0 { s } else { f }),
+            (one, other) => one.or(other),
+        };
+        let Some((load, drive)) = larger else {
+            // No drive has a preferred load; the constructor refuses that.
+            reasons.add(Reason::MissingLoad);
+            return self.neutral(params.settling_samples, reasons, config);
+        };
+
+        if let OverloadHold::UntilAcknowledged { relative_load }
+        | OverloadHold::UntilNextCycle { relative_load } = params.overload
+            && load >= relative_load
+        {
+            self.overloaded = true;
+            reasons.add(Reason::Overload);
+        }
+        if self.is_heating(params.heating, sample, &mut reasons) {
+            reasons.add(Reason::Heating);
+            self.settling = self.settling.saturating_sub(1);
+            self.ovr = config.params().bounds.clamp(self.ovr.neutral_from().percent()).0;
+            return LawStep { ovr: self.ovr, reasons, relative_load: Some((load, drive)), correction: None };
+        }
+
+        let c = correction(load, params.intensity);
+        let highest = params.bounds.profile().max_percent();
+        let in_force = self.ovr.percent();
+        let mut wish = next_override(in_force, load, c, highest);
+        reasons.add(if load > 1.0 {
+            Reason::LoadAboveSet
+        } else if wish > in_force {
+            Reason::LoadBelowSet
+        } else {
+            Reason::LoadAtSet
+        });
+        if self.overloaded {
+            wish = wish.min(self.ovr.neutral_from().percent());
+            reasons.add(Reason::OverloadHeld);
+        }
+        if wish > in_force {
+            if self.settling > 0 {
+                wish = in_force;
+                reasons.add(Reason::Settling);
+            } else if let Some(points) = params.rise_limit_points
+                && wish > in_force + points
+            {
+                wish = in_force + points;
+                reasons.add(Reason::RiseLimited);
+            }
+        }
+        self.settling = self.settling.saturating_sub(1);
+        self.ovr = clamped(config, wish, &mut reasons);
+        LawStep { ovr: self.ovr, reasons, relative_load: Some((load, drive)), correction: Some(c) }
+    }
+
+    /// Time has to advance by no more than the longest gap; the first sample of a cycle has no step.
+    fn time_is_bad(&self, longest_gap_ms: f64, time_ms: f64) -> bool {
+        if !time_ms.is_finite() {
+            return true;
+        }
+        self.last_time_ms.is_some_and(|last| {
+            let step = time_ms - last;
+            step <= 0.0 || step > longest_gap_ms
+        })
+    }
+
+    /// Once the heating is over it stays over, even when the tool is drawn back.
+    fn is_heating(&mut self, heating: Heating, sample: &LawSample, reasons: &mut Reasons) -> bool {
+        if self.heated {
+            return false;
+        }
+        self.heated = match heating {
+            Heating::None => true,
+            Heating::Time { ms } => sample.time_ms >= ms,
+            Heating::Depth { mm } => {
+                let depth = sample.depth_mm.filter(|depth| depth.is_finite());
+                if depth.is_none() {
+                    reasons.add(Reason::UnknownDepth);
+                }
+                depth.is_some_and(|depth| depth >= mm)
+            }
+        };
+        !self.heated
+    }
+
+    fn neutral(&mut self, settling: u32, mut reasons: Reasons, config: &LawConfig) -> LawStep {
+        self.feed.reset();
+        self.spindle.reset();
+        self.settling = settling;
+        self.ovr = clamped(config, self.ovr.neutral_from().percent(), &mut reasons);
+        LawStep { ovr: self.ovr, reasons, relative_load: None, correction: None }
+    }
+}
+
+fn clamped(config: &LawConfig, wish: f64, reasons: &mut Reasons) -> FeedOverride {
+    let (ovr, clamp) = config.params().bounds.clamp(wish);
+    if let Some(clamp) = clamp {
+        reasons.add(clamp.into());
+    }
+    ovr
+}
+
+/// The load and its preferred value, or the reason why there is none; a drive without a preferred load is not
+/// watched and may be missing.
+fn usable(set: Option<f64>, load: Option<f64>, reasons: &mut Reasons) -> Option<(f64, f64)> {
+    let set = set?;
+    match load {
+        None => reasons.add(Reason::MissingLoad),
+        Some(load) if !load.is_finite() => reasons.add(Reason::NotFiniteLoad),
+        Some(load) if load.abs() > IMPLAUSIBLE_LOAD_PERCENT => reasons.add(Reason::ImplausibleLoad),
+        Some(load) => return Some((load, set)),
+    }
+    None
+}

@@ -1,0 +1,328 @@
+//! The stage detector: state and step.
+
+use super::average::{Average, Row};
+use super::config::{StageConfig, StageParams};
+
+/// Weight of a new sample in the running idle load; about 50 samples of memory.
+const IDLE_WEIGHT: f64 = 0.02;
+
+/// A rise that may be contact stops the idle load from learning: this many of its deviations, and this part of
+/// the rise that means contact. Else a slow first rise would teach the detector that it is idling.
+const SUSPICIOUS: (f64, f64) = (2.5, 0.5);
+
+/// A speed below this part of the one at the maximum is the end of the path, not a stage.
+const STOPPING: f64 = 0.2;
+
+/// Way back that ends a hole, mm.
+const RETRACT_MM: f64 = 0.2;
+
+/// One sample of a hole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StageSample {
+    /// Tip depth in mm; its zero may be anywhere.
+    pub depth_mm: f64,
+    /// Feed-drive load in percent.
+    pub feed_drive_percent: f64,
+    /// Spindle load in percent.
+    pub spindle_percent: f64,
+}
+
+/// Where the tool is, as far as the loads have told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Before contact.
+    Air,
+    /// Contact to the largest thrust.
+    A,
+    /// To the largest torque.
+    B,
+    /// Idle travel.
+    C,
+    /// Forming of the flange.
+    D,
+    /// Drawn back.
+    Done,
+}
+
+/// A place in the stream.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mark {
+    /// Number of the sample, from 0.
+    pub index: usize,
+    /// Tip depth there in mm.
+    pub depth_mm: f64,
+}
+
+/// What was found so far; what the hole did not show is `None`.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Stages {
+    /// First contact: start of A.
+    pub contact: Option<Mark>,
+    /// Largest thrust: end of A.
+    pub thrust_maximum: Option<Mark>,
+    /// Where the thrust has fallen off: the sheet is open.
+    pub breakthrough: Option<Mark>,
+    /// Largest torque: end of B.
+    pub torque_maximum: Option<Mark>,
+    /// Where the torque has fallen to half: steadier than the maximum, and it moves with wear.
+    pub falling_edge: Option<Mark>,
+    /// Start of the flange: end of C, start of D.
+    pub flange: Option<Mark>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Extreme {
+    value: f64,
+    mark: Option<Mark>,
+    way_mm: f64,
+}
+
+impl Extreme {
+    /// Takes a value if it is higher, and says so.
+    fn raise(&mut self, value: f64, way_mm: f64, here: Mark) -> bool {
+        let is_higher = value > self.value;
+        if is_higher {
+            *self = Self { value, mark: Some(here), way_mm };
+        }
+        is_higher
+    }
+}
+
+/// Loads over idle: put on a common speed, and as they are.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Loads {
+    thrust: f64,
+    torque: f64,
+    raw_thrust: f64,
+    raw_torque: f64,
+}
+
+impl Loads {
+    fn zip(self, other: Self, pick: fn(f64, f64) -> f64) -> Self {
+        Self {
+            thrust: pick(self.thrust, other.thrust),
+            torque: pick(self.torque, other.torque),
+            raw_thrust: pick(self.raw_thrust, other.raw_thrust),
+            raw_torque: pick(self.raw_torque, other.raw_torque),
+        }
+    }
+}
+
+/// Memory of the detector within one hole.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageDetector {
+    stage: Stage,
+    found: Stages,
+    average: Average,
+    index: usize,
+    idle_seen: u32,
+    idle_mean: f64,
+    idle_deviation: f64,
+    above: u32,
+    first_above: Option<Mark>,
+    spindle_idle: Option<f64>,
+    deepest_mm: Option<f64>,
+    thrust: Extreme,
+    torque: Extreme,
+    high: Loads,
+    low: Loads,
+    low_mark: Option<Mark>,
+    pending: Option<Mark>,
+}
+
+impl Default for StageDetector {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl StageDetector {
+    /// A detector that has seen nothing.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            stage: Stage::Air,
+            found: Stages::default(),
+            average: Average::new(),
+            index: 0,
+            idle_seen: 0,
+            idle_mean: 0.0,
+            idle_deviation: 0.0,
+            above: 0,
+            first_above: None,
+            spindle_idle: None,
+            deepest_mm: None,
+            thrust: Extreme::default(),
+            torque: Extreme::default(),
+            high: Loads::default(),
+            low: Loads::default(),
+            low_mark: None,
+            pending: None,
+        }
+    }
+
+    /// The stage as known now.
+    #[must_use]
+    pub const fn stage(&self) -> Stage {
+        self.stage
+    }
+
+    /// What was found so far.
+    #[must_use]
+    pub const fn stages(&self) -> Stages {
+        self.found
+    }
+
+    /// Takes one sample and returns the stage as known now; a sample that is not finite is skipped.
+    pub fn step(&mut self, config: &StageConfig, sample: &StageSample) -> Stage {
+        let index = self.index;
+        self.index += 1;
+        let values = [sample.depth_mm, sample.feed_drive_percent, sample.spindle_percent];
+        if self.stage == Stage::Done || !values.iter().all(|value| value.is_finite()) {
+            return self.stage;
+        }
+        let deepest = *self.deepest_mm.get_or_insert(sample.depth_mm);
+        let way_mm = sample.depth_mm - deepest;
+        if self.stage != Stage::Air && way_mm < -RETRACT_MM {
+            self.stage = Stage::Done;
+            return self.stage;
+        }
+        let row = Row {
+            index,
+            depth_mm: sample.depth_mm,
+            way_mm,
+            feed_drive: sample.feed_drive_percent,
+            spindle: sample.spindle_percent,
+        };
+        if self.stage == Stage::Air {
+            self.deepest_mm = Some(sample.depth_mm);
+            self.seek_contact(config.params(), &row);
+            self.average.push(config.params().smoothing_samples, row);
+            return self.stage;
+        }
+        // A tool that stands still or pecks says nothing new about the wall.
+        if way_mm <= 0.0 {
+            return self.stage;
+        }
+        self.deepest_mm = Some(sample.depth_mm);
+        if let Some(mean) = self.average.push(config.params().smoothing_samples, row) {
+            self.advance(config.params(), &mean);
+        }
+        self.stage
+    }
+
+    fn seek_contact(&mut self, params: &StageParams, row: &Row) {
+        if self.idle_seen == 0 {
+            self.idle_mean = row.feed_drive;
+        }
+        let rise = row.feed_drive - self.idle_mean;
+        let needed = params.contact_rise_points.max(params.contact_rise_deviations * self.idle_deviation);
+        if self.idle_seen >= params.idle_samples && rise >= needed {
+            self.first_above.get_or_insert(Mark { index: row.index, depth_mm: row.depth_mm });
+            self.above += 1;
+            if self.above >= params.contact_samples {
+                self.stage = Stage::A;
+                self.found.contact = self.first_above;
+            }
+            return;
+        }
+        self.above = 0;
+        self.first_above = None;
+        self.idle_seen = self.idle_seen.saturating_add(1);
+        let suspicious = (SUSPICIOUS.0 * self.idle_deviation).max(SUSPICIOUS.1 * params.contact_rise_points);
+        if self.idle_seen > params.idle_samples && rise > suspicious {
+            return;
+        }
+        let weight = IDLE_WEIGHT.max(1.0 / f64::from(self.idle_seen));
+        self.idle_mean += weight * rise;
+        self.idle_deviation += weight * (rise.abs() - self.idle_deviation);
+    }
+
+    fn advance(&mut self, params: &StageParams, mean: &Row) {
+        // The tool leaves no torque behind it: the lowest load since contact is the idling spindle's.
+        let spindle_idle = self.spindle_idle.map_or(mean.spindle, |idle| idle.min(mean.spindle));
+        self.spindle_idle = Some(spindle_idle);
+        let way = mean.way_mm.max(1e-6);
+        let raw_thrust = (mean.feed_drive - self.idle_mean).max(0.0);
+        let raw_torque = (mean.spindle - spindle_idle).max(0.0);
+        let loads = Loads {
+            thrust: raw_thrust / way.powf(params.thrust_feed_exponent),
+            torque: raw_torque / way.powf(params.torque_feed_exponent),
+            raw_thrust,
+            raw_torque,
+        };
+        self.high = self.high.zip(loads, f64::max);
+        let here = Mark { index: mean.index, depth_mm: mean.depth_mm };
+        match self.stage {
+            Stage::A => self.in_a(params, &loads, mean.way_mm, here),
+            Stage::B => self.in_b(params, &loads, mean.way_mm, here),
+            Stage::C => self.in_c(params, &loads, here),
+            Stage::Air | Stage::D | Stage::Done => {}
+        }
+    }
+
+    fn in_c(&mut self, params: &StageParams, loads: &Loads, here: Mark) {
+        if self.has_risen(params, loads, here) {
+            self.found.flange = self.low_mark;
+            self.stage = Stage::D;
+        }
+    }
+
+    fn in_a(&mut self, params: &StageParams, loads: &Loads, way_mm: f64, here: Mark) {
+        self.torque.raise(loads.torque, way_mm, here);
+        if self.thrust.raise(loads.thrust, way_mm, here) {
+            self.pending = None;
+        }
+        let fallen = loads.thrust <= (1.0 - params.breakthrough_fall) * self.thrust.value;
+        if self.is_confirmed(params, fallen && way_mm > STOPPING * self.thrust.way_mm, here) {
+            self.found.thrust_maximum = self.thrust.mark;
+            self.found.breakthrough = self.pending.take();
+            self.low = *loads;
+            self.stage = Stage::B;
+        }
+    }
+
+    fn in_b(&mut self, params: &StageParams, loads: &Loads, way_mm: f64, here: Mark) {
+        if self.torque.raise(loads.torque, way_mm, here) {
+            self.pending = None;
+            self.low = *loads;
+            self.low_mark = Some(here);
+        }
+        let fallen = loads.torque <= (1.0 - params.idle_travel_fall) * self.torque.value;
+        let risen = self.has_risen(params, loads, here);
+        if self.is_confirmed(params, fallen && way_mm > STOPPING * self.torque.way_mm, here) {
+            self.found.torque_maximum = self.torque.mark;
+            self.found.falling_edge = self.pending.take();
+            self.stage = Stage::C;
+        } else if risen {
+            // A short tool: its collar arrives before the idle travel, and both loads rise again from B.
+            self.found.torque_maximum = self.torque.mark;
+            self.found.flange = self.low_mark;
+            self.stage = Stage::D;
+        }
+    }
+
+    /// Whether thrust and torque have both risen from their lowest. The loads as they are have to rise as well as
+    /// those on a common speed: a change of feed moves one kind or the other, the collar both.
+    fn has_risen(&mut self, params: &StageParams, loads: &Loads, here: Mark) -> bool {
+        if loads.torque < self.low.torque {
+            self.low_mark = Some(here);
+        }
+        self.low = self.low.zip(*loads, f64::min);
+        let needed = |low: f64, high: f64| low + params.flange_rise * high;
+        loads.thrust >= needed(self.low.thrust, self.high.thrust)
+            && loads.torque >= needed(self.low.torque, self.high.torque)
+            && loads.raw_thrust >= needed(self.low.raw_thrust, self.high.raw_thrust)
+            && loads.raw_torque >= needed(self.low.raw_torque, self.high.raw_torque)
+    }
+
+    /// Whether `shown` has lasted over the way that confirms it; `pending` is where it began.
+    fn is_confirmed(&mut self, params: &StageParams, shown: bool, here: Mark) -> bool {
+        if !shown {
+            self.pending = None;
+            return false;
+        }
+        let start = *self.pending.get_or_insert(here);
+        here.depth_mm - start.depth_mm >= params.confirm_mm
+    }
+}

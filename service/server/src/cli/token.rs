@@ -1,0 +1,236 @@
+//! `feedwright token`: through the server when one runs, else directly in its database.
+
+use super::{Settings, print};
+use crate::auth::Issued;
+use crate::clock::Clock;
+use crate::config::Config;
+use crate::data_dir::DataDirError;
+use crate::database::{self, Database, OpenError};
+use crate::http::dto::token::{NewToken, TokenBody, TokenRequest, TokenView};
+use crate::http::dto::word::RoleWord;
+use anyhow::{Context, bail};
+use clap::{Args, Subcommand};
+use feedwright_core::invalid::Violation;
+use feedwright_store::{Actor, Page, Role, Store};
+use reqwest::{Method, RequestBuilder, Response};
+use secrecy::{ExposeSecret, SecretString};
+use serde::Deserialize;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Longest wait for an answer of the server.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Tokens asked for at a time.
+const PAGE: u32 = 500;
+
+/// Arguments of the command.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The server to go through, where it is not found by its data directory.
+    #[arg(long, global = true, value_name = "URL")]
+    server: Option<String>,
+    /// An admin's token, for going through a server.
+    #[arg(long, global = true, env = "FEEDWRIGHT_TOKEN", hide_env_values = true, value_parser = secret)]
+    token: Option<SecretString>,
+    /// A file that holds an admin's token.
+    #[arg(long, global = true, env = "FEEDWRIGHT_TOKEN_FILE", value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    #[command(subcommand)]
+    command: TokenCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum TokenCommand {
+    /// Makes a token and prints it: the only time that it is shown.
+    Create {
+        /// What people call it.
+        #[arg(long)]
+        name: String,
+        /// machine, viewer, engineer, approver or admin.
+        #[arg(long, value_parser = role)]
+        role: Role,
+        /// The machine that it is bound to, for the role machine.
+        #[arg(long)]
+        machine: Option<String>,
+    },
+    /// Lists tokens, revoked ones too.
+    List,
+    /// Revokes a token: its next request is refused.
+    Revoke {
+        /// Its id: the part between the first two underscores.
+        id: String,
+    },
+}
+
+// Never fails; an infallible function is no parser for clap's derive.
+fn secret(text: &str) -> Result<SecretString, String> {
+    Ok(SecretString::from(text))
+}
+
+fn role(text: &str) -> Result<Role, String> {
+    Role::parse(text).ok_or_else(|| Role::ALL.map(Role::as_str).join(", "))
+}
+
+/// Where the tokens are reached.
+enum Way {
+    Server(Remote),
+    Database(Database),
+}
+
+/// Runs the command.
+pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()> {
+    let way = way(settings.load(Vec::new())?, &arguments).await?;
+    let result = match &way {
+        Way::Server(server) => through_server(server, arguments.command).await,
+        Way::Database(database) => in_database(&database.store, arguments.command).await,
+    };
+    if let Way::Database(database) = way {
+        database.store.close().await;
+    }
+    result
+}
+
+async fn way(config: Config, arguments: &Arguments) -> anyhow::Result<Way> {
+    if let Some(server) = &arguments.server {
+        return Ok(Way::Server(Remote::new(server, arguments)?));
+    }
+    // The data directory is locked as long as a server runs on it, and says where that server listens.
+    match database::open(&config).await {
+        Ok(database) => Ok(Way::Database(database)),
+        Err(OpenError::DataDir(DataDirError::InUse { address: Some(address), .. })) => {
+            let listen = address.parse().context("the lock file holds no address")?;
+            let url = format!("http://{}", super::healthcheck::reachable(listen));
+            Ok(Way::Server(Remote::new(&url, arguments)?))
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// A server, and the token to talk to it with.
+struct Remote {
+    client: reqwest::Client,
+    url: String,
+    token: SecretString,
+}
+
+impl Remote {
+    fn new(url: &str, arguments: &Arguments) -> anyhow::Result<Self> {
+        let token = match (&arguments.token, &arguments.token_file) {
+            (Some(token), _) => token.clone(),
+            (None, Some(file)) => {
+                let text = std::fs::read_to_string(file)
+                    .with_context(|| format!("cannot read {}", file.display()))?;
+                SecretString::from(text.trim())
+            }
+            (None, None) => {
+                bail!(
+                    "a server runs at {url}: give an admin's token with --token-file, or in FEEDWRIGHT_TOKEN"
+                )
+            }
+        };
+        let client = reqwest::Client::builder().timeout(PATIENCE).no_proxy().build()?;
+        Ok(Self { client, url: format!("{}/v1/tokens", url.trim_end_matches('/')), token })
+    }
+
+    fn request(&self, method: Method, rest: &str) -> RequestBuilder {
+        self.client.request(method, format!("{}{rest}", self.url)).bearer_auth(self.token.expose_secret())
+    }
+}
+
+/// What is read of a problem document.
+#[derive(Deserialize)]
+struct Refusal {
+    code: String,
+    detail: String,
+}
+
+async fn accepted(response: Response) -> anyhow::Result<Response> {
+    let status = response.status();
+    if status.is_success() {
+        return Ok(response);
+    }
+    match response.json::<Refusal>().await {
+        Ok(Refusal { code, detail }) => bail!("the server refuses: {detail} ({code})"),
+        Err(_) => bail!("the server answers {status}"),
+    }
+}
+
+#[derive(Deserialize)]
+struct TokenPage {
+    items: Vec<TokenView>,
+    next_cursor: Option<String>,
+}
+
+async fn through_server(server: &Remote, command: TokenCommand) -> anyhow::Result<()> {
+    match command {
+        TokenCommand::Create { name, role, machine } => {
+            let body = TokenBody { name, role: RoleWord(role), machine };
+            let response = server.request(Method::POST, "").json(&body).send().await?;
+            let made: NewToken = accepted(response).await?.json().await?;
+            print(&format!("{}\n", made.token))
+        }
+        TokenCommand::List => {
+            let mut rest = format!("?limit={PAGE}");
+            loop {
+                let response = server.request(Method::GET, &rest).send().await?;
+                let page: TokenPage = accepted(response).await?.json().await?;
+                print_rows(&page.items)?;
+                let Some(cursor) = page.next_cursor else { return Ok(()) };
+                rest = format!("?limit={PAGE}&cursor={cursor}");
+            }
+        }
+        TokenCommand::Revoke { id } => {
+            let response = server.request(Method::DELETE, &format!("/{id}")).send().await?;
+            accepted(response).await?;
+            print(&format!("revoked {id}\n"))
+        }
+    }
+}
+
+async fn in_database(store: &Arc<dyn Store>, command: TokenCommand) -> anyhow::Result<()> {
+    let (clock, actor) = (Clock::system(), Actor { token: "cli".to_owned(), role: Role::Admin });
+    match command {
+        TokenCommand::Create { name, role, machine } => {
+            let body = TokenBody { name, role: RoleWord(role), machine };
+            let TokenRequest { name, role, machine } =
+                body.try_into().map_err(|wrong: Vec<_>| refused(&wrong))?;
+            if let Some(machine) = &machine
+                && store.machine(machine).await?.is_none()
+            {
+                bail!("there is no machine `{machine}`: register it first");
+            }
+            let issued = Issued::new(&name, role, machine, &clock)?;
+            store.create_token(issued.record, &actor).await?;
+            print(&format!("{}\n", issued.text.expose_secret()))
+        }
+        TokenCommand::List => {
+            let mut after = None;
+            loop {
+                let page = store.tokens(Page { after, limit: PAGE }).await?;
+                let Some(last) = page.last() else { return Ok(()) };
+                after = Some(last.id.clone());
+                print_rows(&page.into_iter().map(TokenView::from).collect::<Vec<_>>())?;
+            }
+        }
+        TokenCommand::Revoke { id } => match store.revoke_token(&id, &actor, clock.now()).await? {
+            Some(_) => print(&format!("revoked {id}\n")),
+            None => bail!("there is no token `{id}`"),
+        },
+    }
+}
+
+fn refused(violations: &[Violation]) -> anyhow::Error {
+    let lines: Vec<_> = violations.iter().map(ToString::to_string).collect();
+    anyhow::anyhow!(lines.join("; "))
+}
+
+fn print_rows(tokens: &[TokenView]) -> anyhow::Result<()> {
+    let row = |token: &TokenView| {
+        let state = token.revoked_at.as_ref().map_or("valid".to_owned(), |at| format!("revoked {at}"));
+        let machine = token.machine.as_deref().unwrap_or("-");
+        let (role, id, made, name) = (token.role.0.as_str(), &token.id, &token.created_at, &token.name);
+        format!("{id}  {role:<8}  {machine}  {made}  {state}  {name}\n")
+    };
+    print(&tokens.iter().map(row).collect::<String>())
+}

@@ -1,0 +1,51 @@
+//! Opening the database that the configuration names.
+
+use crate::config::{Config, Engine};
+use crate::data_dir::{DataDirError, DataDirLock};
+use feedwright_store::{PostgresOptions, PostgresStore, SqliteOptions, SqliteStore, Store, StoreError};
+use secrecy::ExposeSecret;
+use std::sync::Arc;
+
+/// A store that is open, with what has to be held as long as it is.
+pub struct Database {
+    /// The store.
+    pub store: Arc<dyn Store>,
+    /// The lock on the data directory; PostgreSQL needs none, since several servers may share it.
+    pub lock: Option<DataDirLock>,
+}
+
+/// Why the database is not opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The data directory cannot be used.
+    #[error(transparent)]
+    DataDir(#[from] DataDirError),
+    /// The database does not open.
+    #[error("cannot open the database")]
+    Store(#[from] StoreError),
+}
+
+/// Opens the database, making and migrating it where that is needed.
+pub async fn open(config: &Config) -> Result<Database, OpenError> {
+    match config.engine() {
+        Engine::Sqlite(path) => {
+            let lock = DataDirLock::acquire(&config.data_dir)?;
+            let options =
+                SqliteOptions { max_samples: config.limits.samples_per_cycle, ..SqliteOptions::default() };
+            let store = Arc::new(SqliteStore::open(path, options).await?);
+            Ok(Database { store, lock: Some(lock) })
+        }
+        Engine::Postgres(url) => {
+            let direct = config.database.direct_url.expose_secret();
+            let options = PostgresOptions {
+                connections: config.database.connections,
+                max_samples: config.limits.samples_per_cycle,
+                pooled: config.database.pooled,
+                direct: (!direct.is_empty()).then(|| direct.to_owned()),
+                ..PostgresOptions::default()
+            };
+            let store = Arc::new(PostgresStore::open(url.expose_secret(), options).await?);
+            Ok(Database { store, lock: None })
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! PostgreSQL: for a plant, with several servers on one database.
+//!
+//! Time limits live in the database, set within each transaction so that a pooler in transaction mode bears them.
+//! Session locks and migrations use a direct connection. A connection that comes back inside an open transaction is
+//! thrown away before anyone else's work can disappear in it.
+
+mod dialect;
+#[path = "engine/mod.rs"]
+#[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
+mod engine;
+mod open;
+
+pub use open::PostgresOptions;
+
+use crate::error::{StoreError, StoreResult};
+use crate::gate::{Gate, panicked};
+use crate::locks::Locks;
+use crate::work::Work;
+use feedwright_core::units::Timestamp;
+use sqlx::PgPool;
+use sqlx::pool::PoolConnection;
+use std::sync::Arc;
+
+type Db = sqlx::Postgres;
+type Conn = sqlx::PgConnection;
+type Engine = PostgresStore;
+
+/// One statement of a change takes no longer; a change that forgets its transaction is ended.
+const BEGIN: &str = "BEGIN; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_timeout = '15s'; \
+                     SET LOCAL idle_in_transaction_session_timeout = '30s'";
+const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
+                              SET LOCAL statement_timeout = '30s'; \
+                              SET LOCAL idle_in_transaction_session_timeout = '30s'";
+
+/// The store in a PostgreSQL database. Clones share it; other servers may too.
+#[derive(Debug, Clone)]
+pub struct PostgresStore {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    pool: PgPool,
+    gate: Gate,
+    max_samples: usize,
+}
+
+impl PostgresStore {
+    /// Creates the partitions of samples for the month of `now` and those after it, `months` in all; returns how many
+    /// were new. Without them samples go to the default partition, which retention cannot drop at once.
+    pub async fn make_partitions(&self, now: Timestamp, months: i32) -> StoreResult<i32> {
+        self.write(move |conn| {
+            Box::pin(async move {
+                dialect::lock(conn, &Locks::subject("partitions", "")).await?;
+                Ok(sqlx::query_scalar("SELECT cycle_samples_make_partitions($1, $2)")
+                    .bind(now.micros())
+                    .bind(months)
+                    .fetch_one(&mut *conn)
+                    .await?)
+            })
+        })
+        .await
+    }
+
+    fn max_samples(&self) -> usize {
+        self.inner.max_samples
+    }
+
+    async fn reader(&self) -> StoreResult<PoolConnection<Db>> {
+        Ok(self.inner.pool.acquire().await?)
+    }
+
+    /// Runs one change in one transaction, in a task that nobody can cancel.
+    async fn write<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        let pass = self.inner.gate.enter().await?;
+        let inner = Arc::clone(&self.inner);
+        let task = tokio::spawn(async move {
+            let outcome = inner.transaction(work).await;
+            drop(pass);
+            outcome
+        });
+        task.await.map_err(panicked)?
+    }
+
+    /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
+    async fn snapshot<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        let inner = Arc::clone(&self.inner);
+        let task = tokio::spawn(async move {
+            let mut transaction = inner.pool.begin_with(BEGIN_SNAPSHOT).await?;
+            let outcome = work(&mut transaction).await;
+            transaction.rollback().await?;
+            outcome
+        });
+        task.await.map_err(panicked)?
+    }
+
+    async fn shut(&self) {
+        self.inner.gate.shut().await;
+        self.inner.pool.close().await;
+    }
+}
+
+impl Inner {
+    async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        let mut transaction = self.pool.begin_with(BEGIN).await?;
+        match work(&mut transaction).await {
+            Ok(value) => match transaction.commit().await.map_err(StoreError::from) {
+                Ok(()) => Ok(value),
+                // The commit was sent: it may have been kept although no answer came.
+                Err(StoreError::Unavailable(error)) => Err(StoreError::OutcomeUnknown(error)),
+                Err(error) => Err(error),
+            },
+            Err(error) => {
+                if let Err(rollback) = transaction.rollback().await {
+                    tracing::debug!(error = %rollback, "rollback failed, the connection goes");
+                }
+                Err(error)
+            }
+        }
+    }
+}

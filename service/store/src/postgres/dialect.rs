@@ -1,0 +1,35 @@
+//! What PostgreSQL says differently.
+
+use super::Conn;
+use crate::error::StoreResult;
+use crate::locks::Locks;
+
+/// Locks names until the end of the transaction: shared ones first, each in ascending order.
+pub(super) async fn lock(conn: &mut Conn, locks: &Locks) -> StoreResult<()> {
+    if !locks.shared.is_empty() {
+        sqlx::query(
+            "SELECT count(pg_advisory_xact_lock_shared(k))
+             FROM (SELECT k FROM unnest($1::BIGINT[]) AS keys (k) ORDER BY k OFFSET 0) AS sorted",
+        )
+        .bind(&locks.shared)
+        .execute(&mut *conn)
+        .await?;
+    }
+    if !locks.exclusive.is_empty() {
+        sqlx::query(
+            "SELECT count(pg_advisory_xact_lock(k))
+             FROM (SELECT k FROM unnest($1::BIGINT[]) AS keys (k) ORDER BY k OFFSET 0) AS sorted",
+        )
+        .bind(&locks.exclusive)
+        .execute(&mut *conn)
+        .await?;
+    }
+    Ok(())
+}
+
+/// A tool's caches, locked in the order of their keys.
+pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state FROM tool_wear
+     WHERE tool_id = $1 ORDER BY machine_id FOR UPDATE";
+
+/// A lost connection, a restart or a deadlock's victim: the second attempt finds by key what the first one kept.
+pub(super) const COMMIT_ATTEMPTS: u32 = 3;

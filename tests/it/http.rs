@@ -1,0 +1,13 @@
+//! The server from the outside: the real router, and real sockets where sockets matter.
+
+mod app;
+mod commands;
+mod lists;
+mod matrix;
+mod openapi;
+mod problems;
+mod quarantine;
+mod registry;
+mod service;
+mod sockets;
+mod tokens;

@@ -1,0 +1,147 @@
+//! The binary itself: first start, the one token, tokens beside and through a running server, signals.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::OnceLock;
+use tempfile::TempDir;
+
+/// The binary, built from this very tree: another package's binary is not built for these tests by itself.
+fn binary() -> &'static Path {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    BUILT.get_or_init(|| {
+        let built = Command::new(env!("CARGO"))
+            // Together with the tests, so that its dependencies have the features they were already built with.
+            .args(["build", "--quiet", "--locked", "--workspace", "--test", "it", "--bin", "feedwright"])
+            .args(["--message-format", "json"])
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .output()
+            .unwrap();
+        assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+        let messages = serde_json::Deserializer::from_slice(&built.stdout).into_iter::<serde_json::Value>();
+        let executable =
+            messages.filter_map(|message| Some(message.ok()?["executable"].as_str()?.to_owned())).last();
+        executable.expect("cargo names what it built").into()
+    })
+}
+
+fn feedwright(dir: &TempDir, arguments: &[&str]) -> Command {
+    let mut command = Command::new(binary());
+    command.args(["--data-dir", dir.path().join("data").to_str().unwrap()]).args(arguments);
+    command.args(["--set", "server.listen=127.0.0.1:0"]);
+    command.env_remove("FEEDWRIGHT_TOKEN").env_remove("FEEDWRIGHT_CONFIG");
+    command
+}
+
+#[track_caller]
+fn succeed(output: Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+struct Served {
+    child: Child,
+    stderr: BufReader<std::process::ChildStderr>,
+    log: String,
+}
+
+impl Served {
+    /// Starts the service and reads its output up to the line that holds `until`.
+    fn start(dir: &TempDir, until: &str) -> Self {
+        let mut child = feedwright(dir, &["serve"]).stderr(Stdio::piped()).spawn().unwrap();
+        let stderr = BufReader::new(child.stderr.take().unwrap());
+        let mut served = Self { child, stderr, log: String::new() };
+        while !served.log.contains(until) {
+            assert!(served.stderr.read_line(&mut served.log).unwrap() > 0, "it ended: {}", served.log);
+        }
+        served
+    }
+
+    /// Sends SIGTERM; the whole output, and whether it ended well.
+    fn terminate(mut self) -> (String, bool) {
+        let sent = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        self.stderr.read_to_string(&mut self.log).unwrap();
+        (std::mem::take(&mut self.log), self.child.wait().unwrap().success())
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        // Only where a test failed half-way.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn first_token(log: &str) -> String {
+    let lines: Vec<_> = log.lines().filter(|line| line.contains("fwt_")).collect();
+    assert_eq!(lines.len(), 1, "shown once: {log}");
+    lines[0].trim().to_owned()
+}
+
+#[test]
+fn the_first_start_shows_a_token_and_tokens_go_through_the_server_while_it_runs() {
+    let dir = TempDir::new().unwrap();
+    let served = Served::start(&dir, "make others");
+    let admin = first_token(&served.log);
+    let second = feedwright(&dir, &["serve"]).output().unwrap();
+    let said = String::from_utf8_lossy(&second.stderr).into_owned();
+    assert!(
+        !second.status.success() && said.contains("in use by a server that listens on 127.0.0.1:"),
+        "{said}"
+    );
+
+    let create = ["token", "create", "--name", "MES", "--role", "viewer"];
+    let refused = feedwright(&dir, &create).output().unwrap();
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("FEEDWRIGHT_TOKEN"));
+    let made = succeed(feedwright(&dir, &create).env("FEEDWRIGHT_TOKEN", &admin).output().unwrap());
+    let id = made.trim().split('_').nth(1).unwrap().to_owned();
+    let file = dir.path().join("token");
+    std::fs::write(&file, format!("{admin}\n")).unwrap();
+    let file = file.to_str().unwrap();
+    let list = succeed(feedwright(&dir, &["token", "list", "--token-file", file]).output().unwrap());
+    assert!(list.contains(&id) && list.contains("MES") && !list.contains(made.trim()), "{list}");
+    succeed(feedwright(&dir, &["token", "revoke", &id, "--token-file", file]).output().unwrap());
+    let denied = feedwright(&dir, &["token", "list"]).env("FEEDWRIGHT_TOKEN", made.trim()).output().unwrap();
+    assert!(String::from_utf8_lossy(&denied.stderr).contains("token_revoked"));
+
+    let address = said.split("listens on ").nth(1).unwrap().trim().to_owned();
+    let healthcheck = ["healthcheck", "--server", &format!("http://{address}")];
+    assert_eq!(succeed(feedwright(&dir, &healthcheck).output().unwrap()), "ready\n");
+    let (log, ended_well) = served.terminate();
+    assert!(ended_well, "{log}");
+    first_token(&log);
+    assert!(!feedwright(&dir, &healthcheck).output().unwrap().status.success());
+
+    // No server runs: straight in the database, without a token.
+    let list = succeed(feedwright(&dir, &["token", "list"]).output().unwrap());
+    assert!(list.contains("revoked"), "{list}");
+    let again = Served::start(&dir, "listening");
+    let (log, ended_well) = again.terminate();
+    assert!(ended_well && !log.contains("fwt_"), "{log}");
+}
+
+#[test]
+fn the_settings_in_force_are_printed_without_secrets() {
+    let dir = TempDir::new().unwrap();
+    let mut command = feedwright(&dir, &["config"]);
+    command.env("FEEDWRIGHT__DATABASE__URL", "postgres://fw:hunter2@db/fw");
+    let printed = succeed(command.output().unwrap());
+    assert!(
+        printed.contains("database.url = \"postgres://(hidden)@db/fw\"  # FEEDWRIGHT__DATABASE__URL"),
+        "{printed}"
+    );
+    assert!(!printed.contains("hunter2"));
+    let refused = feedwright(&dir, &["serve", "--listen", "0.0.0.0:0"]).output().unwrap();
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && said.contains("allow_plain_http_on_public_address"), "{said}");
+    assert!(!dir.path().join("data").exists(), "nothing was made");
+}
+
+#[test]
+fn the_description_of_the_api_is_printed() {
+    let dir = TempDir::new().unwrap();
+    let printed = succeed(feedwright(&dir, &["openapi"]).output().unwrap());
+    assert_eq!(printed, feedwright_server::http::openapi::json().unwrap());
+}

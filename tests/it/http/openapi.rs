@@ -1,0 +1,68 @@
+//! The description of the API is checked in, complete and fresh.
+
+use super::app::App;
+use feedwright_server::http::openapi::json;
+use feedwright_server::http::routes::table;
+use serde_json::Value;
+use std::collections::BTreeSet;
+
+const CHECKED_IN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../openapi/openapi.json");
+
+#[test]
+fn the_checked_in_description_is_fresh() {
+    let stored = std::fs::read_to_string(CHECKED_IN).unwrap_or_default();
+    assert!(
+        stored == json().unwrap(),
+        "openapi/openapi.json is stale: run `cargo run -- openapi > openapi/openapi.json`"
+    );
+}
+
+#[tokio::test]
+async fn it_describes_every_route_of_the_api_and_no_other() {
+    let served = App::new().await.get("/openapi.json").await;
+    let described: Value = served.json();
+    let paths = described["paths"].as_object().unwrap();
+    let described: BTreeSet<_> = paths
+        .iter()
+        .flat_map(|(path, item)| {
+            item.as_object().unwrap().keys().map(move |method| format!("{} {path}", method.to_uppercase()))
+        })
+        .collect();
+    let mounted: BTreeSet<_> = table()
+        .iter()
+        .filter(|route| !route.path().starts_with("/docs"))
+        .map(|route| format!("{} {}", route.method(), route.path()))
+        .collect();
+    assert_eq!(described, mounted);
+}
+
+#[test]
+fn every_reference_leads_somewhere_and_every_operation_has_a_name_of_its_own() {
+    let document: Value = serde_json::from_str(&json().unwrap()).unwrap();
+    let mut references = Vec::new();
+    let mut names = Vec::new();
+    collect(&document, &mut references, &mut names);
+    assert!(!references.is_empty());
+    for reference in references {
+        let pointer = reference.strip_prefix('#').unwrap();
+        assert!(document.pointer(pointer).is_some(), "{reference} leads nowhere");
+    }
+    let unique: BTreeSet<_> = names.iter().collect();
+    assert_eq!(unique.len(), names.len(), "{names:?}");
+}
+
+fn collect(at: &Value, references: &mut Vec<String>, names: &mut Vec<String>) {
+    match at {
+        Value::Object(object) => {
+            for (key, value) in object {
+                match (key.as_str(), value) {
+                    ("$ref", Value::String(to)) => references.push(to.clone()),
+                    ("operationId", Value::String(name)) => names.push(name.clone()),
+                    _ => collect(value, references, names),
+                }
+            }
+        }
+        Value::Array(array) => array.iter().for_each(|value| collect(value, references, names)),
+        _ => {}
+    }
+}

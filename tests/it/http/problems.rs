@@ -1,0 +1,130 @@
+//! Every error is a problem document with a stable code.
+
+use super::app::{App, machine};
+use axum::body::Body;
+use feedwright_store::Role;
+use http::{Request, StatusCode};
+use serde_json::json;
+
+async fn put_raw(app: &App, content_type: Option<&str>, body: &str) -> super::app::Answer {
+    let mut request = Request::put("/v1/machines/M1")
+        .header("authorization", format!("Bearer {}", app.token(Role::Engineer)));
+    if let Some(content_type) = content_type {
+        request = request.header("content-type", content_type);
+    }
+    app.send(request.body(Body::from(body.to_owned())).unwrap()).await
+}
+
+#[tokio::test]
+async fn unknown_paths_and_methods_are_told_as_problems() {
+    let app = App::new().await;
+    let answer = app.get("/v2/machines").await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::NOT_FOUND, "unknown_path"));
+    let answer = app.call(Role::Admin, "PATCH", "/v1/machines/M1", &[], None).await;
+    assert_eq!(
+        (answer.status, answer.code().as_str()),
+        (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed")
+    );
+    assert!(answer.header("allow").contains("PUT") && answer.header("allow").contains("GET"), "{answer:?}");
+    let answer = app.get("/v1/machines/M1").await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::NOT_FOUND, "not_found"));
+    let answer = app.get("/v1/machines/%20").await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::BAD_REQUEST, "invalid_path"));
+    assert_eq!(answer.errors(), [("machine".to_owned(), "invalid_id".to_owned())]);
+    let answer = app.get("/v1/alarms?opened=true").await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::BAD_REQUEST, "invalid_query"));
+    assert!(answer.json()["detail"].as_str().unwrap().contains("opened"));
+}
+
+#[tokio::test]
+async fn a_body_is_refused_for_its_type_its_size_or_its_form() {
+    let app = App::with(&[("limits.registration_bytes", "1000")]).await;
+    for kind in [None, Some("text/plain"), Some("application/x-www-form-urlencoded")] {
+        let answer = put_raw(&app, kind, "{}").await;
+        assert_eq!(answer.status, StatusCode::UNSUPPORTED_MEDIA_TYPE);
+        assert_eq!(answer.code(), "unsupported_media_type");
+    }
+    let answer = put_raw(&app, Some("application/json"), &" ".repeat(1001)).await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::PAYLOAD_TOO_LARGE, "body_too_large"));
+    for text in ["", "{", "nonsense", "{\"name\": \"x\",}", "{} {}"] {
+        let answer = put_raw(&app, Some("application/json; charset=utf-8"), text).await;
+        assert!(matches!(answer.status.as_u16(), 400 | 422), "{text}: {answer:?}");
+        assert!(matches!(answer.code().as_str(), "malformed_json" | "invalid_content"), "{text}");
+    }
+}
+
+#[tokio::test]
+async fn each_bad_field_is_named_by_its_path() {
+    let app = App::new().await;
+    let good = machine().to_string();
+    for (from, to, path, code) in [
+        ("\"name\"", "\"nmae\"", "nmae", "unknown_field"),
+        ("\"base_speed_rpm\"", "\"base_speed\"", "spindle.base_speed", "unknown_field"),
+        ("\"control\":\"sinumerik-840d\",", "", "control", "missing_field"),
+        (
+            "\"override_min_percent\":20.0",
+            "\"override_max_percent\":20.0",
+            "limits.override_max_percent",
+            "duplicate_field",
+        ),
+        ("\"ipo_period_ms\":8.0", "\"ipo_period_ms\":\"8\"", "ipo_period_ms", "wrong_type"),
+        ("\"ipo_period_ms\":8.0", "\"ipo_period_ms\":null", "ipo_period_ms", "wrong_type"),
+        (
+            "\"rated_power_watts\":11000.0",
+            "\"rated_power_watts\":1e999",
+            "spindle.rated_power_watts",
+            "number_out_of_range",
+        ),
+        (
+            "\"rated_power_watts\":11000.0",
+            "\"rated_power_watts\":-1",
+            "spindle.rated_power_watts",
+            "out_of_range",
+        ),
+        ("\"rated_power\"", "\"rated_powr\"", "spindle.reference", "invalid_value"),
+        (
+            "\"override_max_percent\":150.0",
+            "\"override_max_percent\":99.0",
+            "limits.override_max_percent",
+            "override_range",
+        ),
+        ("\"Friction drill 1\"", "\"\"", "name", "invalid_length"),
+        ("\"Friction drill 1\"", "\"a\\u0000b\"", "name", "control_character"),
+    ] {
+        let body = good.replacen(from, to, 1);
+        assert_ne!(body, good, "{from}");
+        let answer = put_raw(&app, Some("application/json"), &body).await;
+        assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{to}: {answer:?}");
+        assert_eq!(answer.code(), "invalid_content");
+        assert!(answer.errors().contains(&(path.to_owned(), code.to_owned())), "{to}: {:?}", answer.errors());
+    }
+    assert_eq!(app.get("/v1/machines/M1").await.status, StatusCode::NOT_FOUND, "nothing was kept");
+}
+
+#[tokio::test]
+async fn every_violation_is_listed_not_only_the_first() {
+    let app = App::new().await;
+    let mut body = machine();
+    body["name"] = json!("");
+    body["ipo_period_ms"] = json!(0.0);
+    body["limits"]["override_min_percent"] = json!(0.0);
+    body["limits"]["feed_max_mm_min"] = json!(5.0);
+    let errors = app.put("/v1/machines/M1", body).await.errors();
+    let paths: Vec<_> = errors.iter().map(|(path, _)| path.as_str()).collect();
+    for path in ["name", "ipo_period_ms", "limits.override_min_percent", "limits.feed_max_mm_min"] {
+        assert!(paths.contains(&path), "{paths:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_sane_request_id_is_taken_over_and_another_is_not() {
+    let app = App::new().await;
+    let answer = app.call(Role::Viewer, "GET", "/v1/tools/X", &[("x-request-id", "edge-7.A_1")], None).await;
+    assert_eq!(answer.header("x-request-id"), "edge-7.A_1");
+    answer.code();
+    let long = "a".repeat(65);
+    for id in ["", "a b", "\"quoted\"", "<script>", long.as_str()] {
+        let answer = app.call(Role::Viewer, "GET", "/v1/tools/X", &[("x-request-id", id)], None).await;
+        assert_eq!(answer.header("x-request-id").len(), 36, "{id}");
+    }
+}

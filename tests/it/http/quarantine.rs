@@ -1,0 +1,91 @@
+//! What could not be accepted: seen, repaired, taken in, discarded.
+
+use super::app::{App, NOW};
+use feedwright_core::ids::MachineId;
+use feedwright_store::{QuarantineBounds, QuarantineEntry, Role};
+use http::StatusCode;
+use serde_json::{Value, json};
+
+const BOUNDS: QuarantineBounds = QuarantineBounds { entries: 10, bytes: 1_000_000 };
+
+async fn keep(app: &App, id: &str, body: &[u8]) {
+    let entry = QuarantineEntry {
+        id: id.to_owned(),
+        machine: MachineId::try_from("M1").unwrap(),
+        cycle: Some("c-1".to_owned()),
+        received_at: NOW,
+        code: "not_finite".to_owned(),
+        problem: json!({"code": "invalid_content"}).to_string(),
+        content_type: "application/json".to_owned(),
+        settled: None,
+        size: body.len() as u64,
+    };
+    app.state.store.quarantine(entry, body.to_vec(), BOUNDS).await.unwrap();
+}
+
+async fn settle(app: &App, id: &str, body: Value) -> super::app::Answer {
+    app.post(&format!("/v1/quarantine/{id}"), body).await
+}
+
+#[tokio::test]
+async fn an_entry_is_shown_with_its_body_and_discarded_with_a_reason() {
+    let app = App::registered().await;
+    keep(&app, "q1", b"{\"cycle_id\": \"c-1\", \"x\": 1e999}").await;
+    keep(&app, "q2", &[0xff, 0x00]).await;
+    let listed = app.get("/v1/quarantine?machine=M1").await.json();
+    assert_eq!(listed["items"].as_array().unwrap().len(), 2, "{listed}");
+    assert_eq!(listed["items"][0]["problem"]["code"], "invalid_content");
+    let one = app.get("/v1/quarantine/q1").await.json();
+    assert_eq!(
+        (one["body"].as_str(), one["cycle_id"].as_str()),
+        (Some("{\"cycle_id\": \"c-1\", \"x\": 1e999}"), Some("c-1"))
+    );
+    let two = app.get("/v1/quarantine/q2").await.json();
+    assert_eq!((two["body"].clone(), two["body_base64"].as_str()), (Value::Null, Some("/wA=")));
+
+    let errors = settle(&app, "q1", json!({"action": "discard", "reason": " "})).await.errors();
+    assert_eq!(errors, [("reason".to_owned(), "invalid_length".to_owned())]);
+    let errors = settle(&app, "q1", json!({"action": "discard", "reason": "x", "body": "{}"})).await.errors();
+    assert_eq!(errors, [("body".to_owned(), "body_not_used".to_owned())]);
+    let settled = settle(&app, "q1", json!({"action": "discard", "reason": "test cut"})).await;
+    assert_eq!(settled.json()["how"], "discarded: test cut", "{settled:?}");
+    let again = settle(&app, "q1", json!({"action": "discard", "reason": "test cut"})).await;
+    assert_eq!((again.status, again.code().as_str()), (StatusCode::CONFLICT, "already_settled"));
+    assert_eq!(app.get("/v1/quarantine").await.json()["items"].as_array().unwrap().len(), 1);
+    assert_eq!(app.get("/v1/quarantine?open=false").await.json()["items"].as_array().unwrap().len(), 2);
+    assert_eq!(app.get("/v1/quarantine/q9").await.status, StatusCode::NOT_FOUND);
+    assert_eq!(
+        settle(&app, "q9", json!({"action": "discard", "reason": "x"})).await.status,
+        StatusCode::NOT_FOUND
+    );
+    let audit = String::from_utf8(app.get("/v1/audit?limit=1000").await.body).unwrap();
+    assert!(audit.contains("test cut"), "{audit}");
+}
+
+#[tokio::test]
+async fn a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays() {
+    let app = App::registered().await;
+    let cycle = |energy: Value| {
+        json!({"cycle_id": "c-1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:59:00Z",
+               "reported": {"energy_joules": energy, "duration_ms": 4000}})
+        .to_string()
+    };
+    keep(&app, "q1", cycle(json!("many")).as_bytes()).await;
+    let refused = settle(&app, "q1", json!({"action": "reingest", "reason": "again"})).await;
+    assert_eq!(refused.status, StatusCode::UNPROCESSABLE_ENTITY, "{refused:?}");
+    assert_eq!(refused.errors()[0].0, "reported.energy_joules");
+    assert_eq!(
+        app.get("/v1/quarantine").await.json()["items"].as_array().unwrap().len(),
+        1,
+        "it stays, once"
+    );
+
+    let repaired = json!({"action": "reingest", "reason": "unit was text", "body": cycle(json!(5000.0))});
+    let settled = settle(&app, "q1", repaired).await;
+    assert_eq!(settled.status, StatusCode::OK, "{settled:?}");
+    assert_eq!(settled.json()["how"], "repaired and re-ingested: unit was text");
+    assert!(settled.json()["answer"].is_object());
+    let stored = app.call(Role::Viewer, "GET", "/v1/machines/M1/cycles/c-1", &[], None).await;
+    assert_eq!(stored.status, StatusCode::OK, "{stored:?}");
+    assert!(app.get("/v1/quarantine").await.json()["items"].as_array().unwrap().is_empty());
+}

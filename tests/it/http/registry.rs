@@ -1,0 +1,146 @@
+//! Registering and changing machines, tools and operations, and what happens to a tool.
+
+use super::app::{App, machine, operation, tool};
+use feedwright_store::Role;
+use http::StatusCode;
+use serde_json::{Value, json};
+
+#[tokio::test]
+async fn what_is_put_comes_back_with_its_version() {
+    let app = App::new().await;
+    for (path, body, field) in [
+        ("/v1/machines/M1", machine(), "control"),
+        ("/v1/tools/T1", tool(), "tool_type"),
+        ("/v1/operations/O1", operation(), "process"),
+    ] {
+        let created = app.put(path, body.clone()).await;
+        assert_eq!(created.status, StatusCode::CREATED, "{created:?}");
+        assert_eq!((created.header("etag"), created.header("location")), ("\"1\"", path));
+        let again = app.put(path, body.clone()).await;
+        assert_eq!((again.status, again.header("etag")), (StatusCode::OK, "\"1\""), "the same content twice");
+        let read = app.get(path).await;
+        assert_eq!((read.status, read.header("etag")), (StatusCode::OK, "\"1\""));
+        let read = read.json();
+        assert_eq!(read, created.json());
+        assert_eq!(read[field], body[field]);
+        assert_eq!(read["updated_at"], "2026-05-04T06:00:00Z");
+        for (name, value) in body.as_object().unwrap() {
+            assert_eq!(&read[name], value, "{path} {name}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_change_names_the_version_it_is_based_on() {
+    let app = App::registered().await;
+    let change = |name: &str| {
+        let mut body = tool();
+        body["name"] = json!(name);
+        Some(body)
+    };
+    let put = async |headers: &[(&str, &str)], body: Option<Value>| {
+        app.call(Role::Engineer, "PUT", "/v1/tools/T1", headers, body).await
+    };
+    let answer = put(&[], change("b")).await;
+    assert_eq!(
+        (answer.status, answer.code().as_str()),
+        (StatusCode::PRECONDITION_REQUIRED, "version_required")
+    );
+    assert_eq!(answer.json()["current_version"], 1);
+    let answer = put(&[("if-none-match", "*")], change("b")).await;
+    assert_eq!(
+        (answer.status, answer.code().as_str()),
+        (StatusCode::PRECONDITION_FAILED, "version_mismatch")
+    );
+    let answer = put(&[("if-match", "\"1\"")], change("b")).await;
+    assert_eq!((answer.status, answer.header("etag")), (StatusCode::OK, "\"2\""));
+    let answer = put(&[("if-match", "\"1\"")], change("c")).await;
+    assert_eq!((answer.status, answer.header("etag")), (StatusCode::PRECONDITION_FAILED, "\"2\""));
+    for tags in ["*", "W/\"2\"", "2", "\"0\"", "\"1\", \"2\""] {
+        let answer = put(&[("if-match", tags)], change("c")).await;
+        assert_eq!(
+            (answer.status, answer.code().as_str()),
+            (StatusCode::BAD_REQUEST, "invalid_precondition"),
+            "{tags}"
+        );
+    }
+    let missing =
+        app.call(Role::Engineer, "PUT", "/v1/tools/T9", &[("if-match", "\"1\"")], change("b")).await;
+    assert_eq!(missing.status, StatusCode::PRECONDITION_FAILED);
+    assert_eq!(app.get("/v1/tools/T9").await.status, StatusCode::NOT_FOUND);
+
+    let known = app.call(Role::Viewer, "GET", "/v1/tools/T1", &[("if-none-match", "\"2\"")], None).await;
+    assert_eq!((known.status, known.body.len()), (StatusCode::NOT_MODIFIED, 0));
+    let newer = app.call(Role::Viewer, "GET", "/v1/tools/T1", &[("if-none-match", "\"1\"")], None).await;
+    assert_eq!((newer.status, newer.json()["name"].as_str()), (StatusCode::OK, Some("b")));
+}
+
+#[tokio::test]
+async fn a_reset_needs_a_reason_and_goes_into_the_audit() {
+    let app = App::registered().await;
+    let mounted = json!({"kind": "mounted_new", "at": "2026-05-04T05:00:00Z",
+                         "first_cycle": {"machine": "M1", "cycle_id": "c-1"}});
+    let answer = app.post("/v1/tools/T1/events", mounted).await;
+    assert_eq!(answer.status, StatusCode::CREATED, "{answer:?}");
+    assert_eq!(answer.json()["first_cycle"]["cycle_id"], "c-1");
+
+    let answer = app.post("/v1/tools/T1/events", json!({"kind": "reset"})).await;
+    assert_eq!(answer.errors(), [("reason".to_owned(), "reason_required".to_owned())]);
+    let answer =
+        app.post("/v1/tools/T1/events", json!({"kind": "reset", "reason": "sensor was loose"})).await;
+    assert_eq!(answer.json()["at"], "2026-05-04T06:00:00Z", "{answer:?}");
+    let answer = app.post("/v1/tools/T9/events", json!({"kind": "changed"})).await;
+    assert_eq!(answer.status, StatusCode::NOT_FOUND);
+    let bad = json!({"kind": "changed", "at": "today", "first_cycle": {"machine": "M 1", "cycle_id": "c"}});
+    let errors = app.post("/v1/tools/T1/events", bad).await.errors();
+    assert_eq!(errors.len(), 2, "{errors:?}");
+
+    let events = app.get("/v1/tools/T1/events").await.json();
+    let kinds: Vec<_> =
+        events["items"].as_array().unwrap().iter().map(|event| event["kind"].clone()).collect();
+    assert_eq!(kinds, [json!("mounted_new"), json!("reset")]);
+    assert_eq!(app.get("/v1/tools/T9/events").await.status, StatusCode::NOT_FOUND);
+
+    let audit = app.get("/v1/audit?limit=1000").await.json().to_string();
+    assert!(audit.contains("tool/T1") && audit.contains("sensor was loose"), "{audit}");
+    assert!(audit.contains("machine/M1"), "{audit}");
+}
+
+#[tokio::test]
+async fn fitted_lines_get_versions() {
+    let app = App::registered().await;
+    let line = json!({"slope": 20.0, "intercept": -50.0, "min_percent": 5.0, "max_percent": 45.0,
+                      "r_squared": 0.99, "residual_spread": 5.0});
+    let path = "/v1/machines/M1/calibrations";
+    assert_eq!(app.post(path, json!({})).await.errors()[0].1, "nothing_fitted");
+    let mut wrong = line.clone();
+    wrong["max_percent"] = json!(1.0);
+    wrong["r_squared"] = json!(1.5);
+    let errors = app.post(path, json!({"torque": wrong})).await.errors();
+    assert_eq!(
+        errors.iter().map(|e| e.0.as_str()).collect::<Vec<_>>(),
+        ["torque.r_squared", "torque.max_percent"]
+    );
+    for version in 1..=2 {
+        let answer = app.post(path, json!({"thrust": line})).await;
+        assert_eq!((answer.status, answer.json()["version"].as_u64()), (StatusCode::CREATED, Some(version)));
+    }
+    let listed = app.get(path).await.json();
+    assert_eq!(listed["items"].as_array().unwrap().len(), 2);
+    assert_eq!(listed["items"][1]["thrust"], line);
+    let unknown = app.post("/v1/machines/M9/calibrations", json!({"thrust": line})).await;
+    assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+}
+
+#[tokio::test]
+async fn a_machine_without_overloads_has_nothing_to_acknowledge() {
+    let app = App::registered().await;
+    let answer = app.call(Role::Engineer, "POST", "/v1/machines/M1/acknowledge", &[], None).await;
+    assert_eq!((answer.status, answer.json()), (StatusCode::OK, json!({"acknowledged": []})));
+    let answer = app.call(Role::Engineer, "POST", "/v1/machines/M9/acknowledge", &[], None).await;
+    assert_eq!(answer.status, StatusCode::NOT_FOUND);
+    let answer = app.call(Role::Engineer, "POST", "/v1/alarms/77/acknowledge", &[], None).await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::NOT_FOUND, "not_found"));
+    let answer = app.call(Role::Engineer, "POST", "/v1/alarms/x/acknowledge", &[], None).await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::BAD_REQUEST, "invalid_path"));
+}

@@ -1,0 +1,80 @@
+//! Health, readiness, metrics and the embedded viewer.
+
+use super::app::App;
+use axum::body::Body;
+use feedwright_store::Role;
+use http::{Request, StatusCode};
+
+async fn open(app: &App, path: &str) -> super::app::Answer {
+    app.send(Request::get(path).body(Body::empty()).unwrap()).await
+}
+
+#[tokio::test]
+async fn it_is_ready_while_the_database_takes_writes_and_alive_even_when_not() {
+    let app = App::new().await;
+    assert_eq!(open(&app, "/healthz").await.status, StatusCode::OK);
+    assert_eq!(open(&app, "/readyz").await.status, StatusCode::OK);
+    app.state.lifecycle.fail("the database does not take writes: test");
+    let answer = open(&app, "/readyz").await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::SERVICE_UNAVAILABLE, "not_ready"));
+    assert!(!answer.header("retry-after").is_empty());
+    assert!(!answer.json().to_string().contains("database"), "the reason is for the log");
+    assert_eq!(open(&app, "/healthz").await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn a_closed_store_is_not_ready() {
+    let app = App::new().await;
+    app.state.store.close().await;
+    assert_eq!(open(&app, "/readyz").await.status, StatusCode::SERVICE_UNAVAILABLE);
+}
+
+#[tokio::test]
+async fn metrics_name_routes_and_never_what_was_asked_for() {
+    let app = App::registered().await;
+    app.get("/v1/tools/SECRET-SERIAL").await;
+    app.get("/no/such/SECRET-PATH").await;
+    app.call(Role::Viewer, "BREW", "/v1/tools", &[], None).await;
+    let answer = app.get("/metrics").await;
+    assert_eq!(answer.status, StatusCode::OK);
+    assert!(answer.header("content-type").starts_with("text/plain"));
+    let text = String::from_utf8(answer.body).unwrap();
+    assert!(!text.contains("SECRET") && !text.contains("BREW"), "{text}");
+    for line in [
+        "feedwright_http_requests_total{method=\"GET\",route=\"/v1/tools/{tool}\",status=\"4xx\"} 1",
+        "feedwright_http_requests_total{method=\"GET\",route=\"unmatched\",status=\"4xx\"} 1",
+        "feedwright_http_requests_total{method=\"PUT\",route=\"/v1/machines/{machine}\",status=\"2xx\"} 1",
+        "feedwright_cycles_total{outcome=\"accepted\"} 0",
+        "feedwright_cycles_total{outcome=\"duplicate\"} 0",
+        "feedwright_cycles_total{outcome=\"quarantined\"} 0",
+        "feedwright_alarms_open{kind=\"overload\"} 0",
+        "feedwright_ingest_queue_depth 0",
+        "# TYPE feedwright_commit_seconds histogram",
+        "# TYPE feedwright_commit_group_size histogram",
+        "# TYPE feedwright_http_request_duration_seconds histogram",
+        "feedwright_build_info{version=",
+    ] {
+        assert!(text.contains(line), "{line} is not in\n{text}");
+    }
+}
+
+#[tokio::test]
+async fn the_viewer_comes_out_of_the_binary() {
+    let app = App::new().await;
+    let answer = open(&app, "/docs").await;
+    assert_eq!((answer.status, answer.header("location")), (StatusCode::PERMANENT_REDIRECT, "/docs/"));
+    let page = open(&app, "/docs/").await;
+    assert_eq!(page.status, StatusCode::OK);
+    let html = String::from_utf8(page.body).unwrap();
+    assert!(
+        !html.contains("http://") && !html.contains("https://"),
+        "it loads nothing from elsewhere: {html}"
+    );
+    for file in ["swagger-ui.css", "swagger-ui-bundle.js", "swagger-ui-standalone-preset.js", "index.css"] {
+        assert_eq!(open(&app, &format!("/docs/{file}")).await.status, StatusCode::OK, "{file}");
+    }
+    let script = String::from_utf8(open(&app, "/docs/swagger-initializer.js").await.body).unwrap();
+    assert!(script.contains("/openapi.json"), "{script}");
+    let answer = open(&app, "/docs/none.js").await;
+    assert_eq!((answer.status, answer.code().as_str()), (StatusCode::NOT_FOUND, "not_found"));
+}

@@ -1,0 +1,226 @@
+//! What only real sockets show: silence, halves, stalls, bounds, and the end.
+
+use super::app::{NOW, config, machine};
+use feedwright_core::units::Timestamp;
+use feedwright_server::clock::Clock;
+use feedwright_server::database::{self, Database};
+use feedwright_server::server::{RunningServer, Server};
+use secrecy::ExposeSecret;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+
+/// Long enough that a busy machine does not close a socket before its time, short enough to wait for.
+const SHORT_MS: &str = "400";
+const SHORT: Duration = Duration::from_millis(400);
+/// A socket that is not closed by then is not closed for its silence.
+const LONG: Duration = Duration::from_secs(10);
+
+struct Running {
+    server: RunningServer,
+    address: SocketAddr,
+    token: String,
+    _database: Database,
+    _dir: TempDir,
+}
+
+async fn start(settings: &[(&str, &str)]) -> Running {
+    let dir = TempDir::new().unwrap();
+    let config = config(&dir, settings);
+    let database = database::open(&config).await.unwrap();
+    let server = Server::start(config, database.store.clone(), Clock::fixed(NOW)).await.unwrap();
+    let token = server.first_admin_token.as_ref().unwrap().expose_secret().to_owned();
+    Running { address: server.local_addr, server, token, _database: database, _dir: dir }
+}
+
+impl Running {
+    async fn connect(&self) -> TcpStream {
+        TcpStream::connect(self.address).await.unwrap()
+    }
+
+    fn put_head(&self, length: usize) -> String {
+        format!(
+            "PUT /v1/machines/M1 HTTP/1.1\r\nhost: x\r\nauthorization: Bearer {}\r\n\
+             content-type: application/json\r\ncontent-length: {length}\r\n\r\n",
+            self.token
+        )
+    }
+}
+
+/// Reads until the server closes; how long it took, and what came.
+async fn until_closed(stream: &mut TcpStream) -> (Duration, String) {
+    let begun = Instant::now();
+    let mut answer = Vec::new();
+    let read = tokio::time::timeout(LONG, stream.read_to_end(&mut answer)).await;
+    // A reset closes just as well.
+    let _ = read.expect("the server closes the connection");
+    (begun.elapsed(), String::from_utf8_lossy(&answer).into_owned())
+}
+
+#[tokio::test]
+async fn a_silent_connection_half_a_head_and_an_idle_one_are_closed_in_time() {
+    let running = start(&[("server.header_read_timeout_ms", SHORT_MS)]).await;
+    let mut silent = running.connect().await;
+    let mut half = running.connect().await;
+    half.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\nx-slow").await.unwrap();
+    let mut idle = running.connect().await;
+    idle.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+    let (silent, half, idle) =
+        tokio::join!(until_closed(&mut silent), until_closed(&mut half), until_closed(&mut idle));
+    for (elapsed, _) in [&silent, &half, &idle] {
+        assert!((SHORT / 2..SHORT * 8).contains(elapsed), "{elapsed:?}");
+    }
+    assert!(idle.1.starts_with("HTTP/1.1 200"), "{}", idle.1);
+    running.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_body_that_stalls_or_drips_is_answered_and_closed_in_time() {
+    let running =
+        start(&[("server.body_stall_timeout_ms", SHORT_MS), ("server.body_read_timeout_ms", "900")]).await;
+    let mut stalled = running.connect().await;
+    stalled.write_all(running.put_head(100).as_bytes()).await.unwrap();
+    stalled.write_all(b"{\"name\":").await.unwrap();
+    let (elapsed, answer) = until_closed(&mut stalled).await;
+    assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("body_too_slow"), "{answer}");
+    assert!((SHORT / 2..SHORT * 8).contains(&elapsed), "{elapsed:?}");
+
+    let mut dripping = running.connect().await;
+    dripping.write_all(running.put_head(100_000).as_bytes()).await.unwrap();
+    let (mut read, mut write) = dripping.split();
+    let drip = async {
+        let mut drops = tokio::time::interval(SHORT / 8);
+        loop {
+            drops.tick().await;
+            if write.write_all(b" ").await.is_err() {
+                return std::future::pending::<()>().await;
+            }
+        }
+    };
+    let mut answer = Vec::new();
+    let begun = Instant::now();
+    tokio::select! {
+        _ = read.read_to_end(&mut answer) => {}
+        () = drip => {}
+        () = tokio::time::sleep(LONG) => panic!("a dripping body is never closed"),
+    }
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    running.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_client_that_does_not_read_its_answers_is_dropped() {
+    let running =
+        start(&[("server.body_stall_timeout_ms", SHORT_MS), ("metrics.listen", "127.0.0.1:0")]).await;
+    let mut deaf = running.connect().await;
+    let ask = b"GET /docs/swagger-ui-bundle.js HTTP/1.1\r\nhost: x\r\n\r\n";
+    // More answers than the sockets' buffers hold.
+    deaf.write_all(&ask.repeat(20)).await.unwrap();
+    let metrics = format!("http://{}/metrics", running.server.metrics_addr.unwrap());
+    let begun = Instant::now();
+    let mut polls = tokio::time::interval(SHORT / 8);
+    loop {
+        polls.tick().await;
+        let text = reqwest::get(&metrics).await.unwrap().text().await.unwrap();
+        let asked = text.contains("route=\"/docs/{*file}\"");
+        // The one that is left asks for metrics.
+        if asked && text.contains("feedwright_http_connections 1\n") {
+            break;
+        }
+        assert!(begun.elapsed() < LONG, "it is still connected");
+    }
+    assert!(begun.elapsed() > SHORT / 2, "it was dropped for something else");
+    drop(deaf);
+    running.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn beyond_the_bound_connections_wait_and_are_served_when_there_is_room() {
+    let running = start(&[("server.max_connections", "2")]).await;
+    let ask = b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n";
+    let mut first = running.connect().await;
+    let mut second = running.connect().await;
+    let mut buffer = [0; 1024];
+    for stream in [&mut first, &mut second] {
+        stream.write_all(ask).await.unwrap();
+        assert!(stream.read(&mut buffer).await.unwrap() > 0);
+    }
+    let mut third = running.connect().await;
+    third.write_all(ask).await.unwrap();
+    let waited = tokio::time::timeout(SHORT, third.read(&mut buffer)).await;
+    assert!(waited.is_err(), "a third connection was served: {waited:?}");
+    drop(first);
+    let served = tokio::time::timeout(LONG, third.read(&mut buffer)).await;
+    assert!(served.expect("served after the first left").unwrap() > 0);
+    drop((second, third));
+    running.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn shutdown_answers_what_is_under_way_and_refuses_what_is_new() {
+    let running = start(&[("server.shutdown_timeout_ms", "20000")]).await;
+    let body = machine().to_string();
+    let mut idle = running.connect().await;
+    let mut under_way = running.connect().await;
+    under_way.write_all(running.put_head(body.len()).as_bytes()).await.unwrap();
+    let (head, tail) = body.split_at(body.len() / 2);
+    under_way.write_all(head.as_bytes()).await.unwrap();
+    // An answer on another connection shows that the server has got as far as reading.
+    let mut probe = running.connect().await;
+    probe.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+    let mut buffer = [0; 4096];
+    assert!(probe.read(&mut buffer).await.unwrap() > 0);
+
+    let (address, store) = (running.address, running.server.state().store.clone());
+    let begun = Instant::now();
+    let down = tokio::spawn(running.server.shutdown());
+    let (_, _) = until_closed(&mut idle).await;
+    under_way.write_all(tail.as_bytes()).await.unwrap();
+    let (_, answer) = until_closed(&mut under_way).await;
+    assert!(answer.starts_with("HTTP/1.1 201"), "{answer}");
+    down.await.unwrap().unwrap();
+    assert!(begun.elapsed() < Duration::from_secs(20));
+    assert!(TcpStream::connect(address).await.is_err(), "nobody listens any more");
+    let id = feedwright_core::ids::MachineId::try_from("M1").unwrap();
+    assert!(store.machine(&id).await.is_err(), "the store is closed");
+}
+
+#[tokio::test]
+async fn shutdown_does_not_wait_for_a_client_that_never_ends() {
+    let running = start(&[("server.shutdown_timeout_ms", "2000")]).await;
+    let mut stuck = running.connect().await;
+    stuck.write_all(running.put_head(100).as_bytes()).await.unwrap();
+    let mut probe = running.connect().await;
+    probe.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+    assert!(probe.read(&mut [0; 1024]).await.unwrap() > 0);
+    let begun = Instant::now();
+    running.server.shutdown().await.unwrap();
+    assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
+}
+
+#[tokio::test]
+async fn only_the_first_start_makes_a_token() {
+    let dir = TempDir::new().unwrap();
+    let mut tokens = Vec::new();
+    for _ in 0..2 {
+        let config = config(&dir, &[("metrics.listen", "127.0.0.1:0")]);
+        let database = database::open(&config).await.unwrap();
+        assert!(database::open(&config).await.is_err(), "the data directory is locked");
+        let clock = Clock::fixed(Timestamp::from_micros(1));
+        let server = Server::start(config, database.store.clone(), clock).await.unwrap();
+        tokens.push(server.first_admin_token.is_some());
+
+        let metrics = format!("http://{}/metrics", server.metrics_addr.unwrap());
+        let text = reqwest::get(metrics).await.unwrap().text().await.unwrap();
+        assert!(text.contains("feedwright_http_connections"), "{text}");
+        let refused = reqwest::get(format!("http://{}/metrics", server.local_addr)).await.unwrap();
+        assert_eq!(refused.status().as_u16(), 401);
+        let absent =
+            reqwest::get(format!("http://{}/v1/machines", server.metrics_addr.unwrap())).await.unwrap();
+        assert_eq!(absent.status().as_u16(), 404);
+        server.shutdown().await.unwrap();
+    }
+    assert_eq!(tokens, [true, false]);
+}

@@ -1,0 +1,101 @@
+//! Several servers on one PostgreSQL: what one stores, the others know.
+
+use super::given::{Given, Run, at, commit, engineer, operation, shop, stored, tool};
+use feedwright_store::{Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Store};
+use std::sync::Arc;
+
+async fn replica(given: &Given) -> Arc<dyn Store> {
+    Arc::new(
+        PostgresStore::open(&given.address(), PostgresOptions::default()).await.expect("a replica opens"),
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 3)]
+async fn the_same_cycles_to_three_servers_count_once() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    shop(&*given.store()).await;
+    let replicas = [given.store(), replica(&given).await, replica(&given).await];
+    let runs: Vec<Run> = (1..=60)
+        .map(|n| Run { tool: if n % 2 == 0 { "T1".to_owned() } else { "T2".to_owned() }, ..Run::nth(n) })
+        .collect();
+    let mut tasks = Vec::new();
+    for (shift, store) in replicas.iter().cloned().enumerate() {
+        // Each in another order and in groups of another size, so that they meet on the same rows.
+        let mut runs = runs.clone();
+        runs.rotate_left(shift * 17);
+        tasks.push(tokio::spawn(async move {
+            let mut new = 0;
+            for group in runs.chunks(5 + shift) {
+                for outcome in commit(&*store, group).await {
+                    match outcome.unwrap() {
+                        Committed::Stored(_) => new += 1,
+                        Committed::Known(_) => {}
+                        other => panic!("{other:?}"),
+                    }
+                }
+            }
+            new
+        }));
+    }
+    // Meanwhile the night shift's tool is registered, and an operation changes: neither may miss a cycle.
+    let other = Arc::clone(&replicas[1]);
+    tasks.push(tokio::spawn(async move {
+        other.put_tool(tool("T2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+        let wear = feedwright_core::operation::WearSettings { baseline_cycles: 4, window_cycles: 4 };
+        let changed = feedwright_core::operation::Operation { wear, ..operation("O1") };
+        other.put_operation(changed, Precondition::Version(1), &engineer(), at(2)).await.unwrap();
+        0
+    }));
+    let mut new = 0;
+    for task in tasks {
+        new += task.await.unwrap();
+    }
+    assert_eq!(new, 60);
+    for id in ["T1", "T2"] {
+        assert_eq!(replicas[2].verdict(&id.try_into().unwrap()).await.unwrap().cycles, 30, "{id}");
+    }
+    let check = replicas[0].check_wear(false).await.unwrap();
+    assert_eq!((check.rows, check.different), (2, vec![]));
+    for replica in &replicas[1..] {
+        replica.close().await;
+    }
+    given.done().await;
+}
+
+#[tokio::test]
+async fn partitions_are_made_ahead_and_used() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = PostgresStore::open(&given.address(), PostgresOptions::default()).await.unwrap();
+    assert_eq!(store.make_partitions(at(0), 3).await.unwrap(), 3);
+    assert_eq!(store.make_partitions(at(0), 3).await.unwrap(), 0);
+    shop(&store).await;
+    stored(&store, &Run::nth(1)).await;
+    stored(&store, &Run { seconds: 200 * 86_400, ..Run::nth(2) }).await;
+    let moved = given.raw("UPDATE cycle_samples_202601 SET block = block").await.unwrap();
+    assert_eq!(moved, 1, "January's cycle is in January's partition");
+    assert_eq!(given.raw("UPDATE cycle_samples_default SET block = block").await.unwrap(), 1);
+    // Dropping a partition is how retention works: the cycle stays, its samples are gone.
+    given.raw("DROP TABLE cycle_samples_202601").await.unwrap();
+    let page = Page { after: None, limit: 9 };
+    let cycles = store.cycles(&CycleFilter::default(), page).await.unwrap();
+    assert_eq!(cycles.iter().map(|cycle| cycle.has_samples).collect::<Vec<_>>(), [false, true]);
+    let first = &cycles[0].cycle;
+    assert_eq!(store.cycle_samples(&first.machine, &first.id).await.unwrap(), None);
+    store.close().await;
+    given.done().await;
+}
+
+#[tokio::test]
+async fn a_read_only_server_is_refused() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let address = format!("{}?options=-c%20default_transaction_read_only=on", given.address());
+    let refused = PostgresStore::open(&address, PostgresOptions::default()).await;
+    assert!(matches!(refused, Err(feedwright_store::StoreError::NotWritable(_))), "{:?}", refused.err());
+    given.done().await;
+}
