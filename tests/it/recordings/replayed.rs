@@ -34,7 +34,7 @@ struct Service {
 impl Service {
     async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let config = Config::for_tests(folder.path().to_owned()).unwrap();
+        let config = Config::for_tests(folder.path()).unwrap();
         let file = folder.path().join("feedwright.sqlite3");
         let store = SqliteStore::open(file, SqliteOptions::default()).await.unwrap();
         let server = Server::start(config, Arc::new(store), Clock::fixed(NOW)).await.unwrap();
