@@ -8,7 +8,7 @@ fn question(drills: &Value) -> Value {
     let law = |coefficient: f64, diameter: f64, feed: f64| json!({"coefficient": coefficient, "diameter_exponent": diameter, "feed_exponent": feed, "correction": 1.0});
     json!({
         "material": {"entry": {"name": "C45", "thrust": law(680.0, 1.0, 0.7), "torque": law(345.0, 2.0, 0.8)}},
-        "machine": {"least_feed_mm_min": 1.0, "greatest_feed_mm_min": 5000.0}, "drills": drills,
+        "machine": {"least_feed_mm_min": 10.0, "greatest_feed_mm_min": 5000.0}, "drills": drills,
     })
 }
 
