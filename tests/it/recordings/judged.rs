@@ -112,7 +112,7 @@ pub(super) fn judge(name: &str) -> Judged {
             cycle: recorded.id.as_str().to_owned(),
             state: verdict.state.as_str().to_owned(),
             level: verdict.level.map(|level| level.as_run),
-            reason: verdict.reasons.iter().map(|(_, why)| why.as_str()).collect::<Vec<_>>().join("; "),
+            reasons: verdict.reasons.iter().map(|(_, why)| why.as_str()).collect::<Vec<_>>().join("; "),
             reference: recorded.reference,
         });
     }
@@ -173,9 +173,10 @@ fn a_change_of_speed_in_mid_life_makes_no_tool_good() {
         for &change in &changes {
             assert!(told[change..change + 4].iter().all(|seen| seen.state != "good"), "{}", judged.report());
         }
+        // Nor later: nobody has confirmed the new conditions.
         for seen in &told[changes[0]..] {
             assert!(seen.level.is_none_or(|level| level > 0.97), "{}", judged.report());
-            assert!(seen.state != "good" || seen.reason.contains("carried over"), "{seen:?}");
+            assert!(seen.state != "good", "{seen:?}");
         }
     }
 }

@@ -159,6 +159,12 @@ async fn an_interrupted_replay_started_again_loses_and_doubles_nothing() {
     assert_eq!(again.known + again.new, plan.cycles.len(), "{:?}", again.problems);
     assert_eq!(service.count().await, plan.cycles.len());
     assert_eq!(service.everything(&plan).await, whole.everything(&plan).await);
+
+    // The killed replay could not revoke its machine's token; the next one did.
+    let tokens = service.get("/v1/tokens").await;
+    let machines = tokens["items"].as_array().unwrap().iter().filter(|token| token["role"] == "machine");
+    let revoked: Vec<bool> = machines.map(|token| token["revoked_at"].is_string()).collect();
+    assert_eq!(revoked, [true, true]);
 }
 
 /// A replay that moved its times after all: nothing that is stored changes.

@@ -42,6 +42,7 @@ impl Fleet {
                 Self { clients: BTreeMap::new(), anyone, made: Vec::new() }
             }
         };
+        dismiss_left_over(plan, office).await?;
         let machines: BTreeSet<&MachineId> = plan.cycles.iter().map(|cycle| &cycle.machine).collect();
         for machine in machines {
             if let Err(error) = fleet.enlist(plan, office, machine).await {
@@ -55,7 +56,7 @@ impl Fleet {
     async fn enlist(&mut self, plan: &Plan, office: &Client, machine: &MachineId) -> Result<(), ReplayError> {
         let path = "/v1/tokens";
         let body = json!({
-            "name": format!("replay of {}", plan.name),
+            "name": name_of(plan),
             "role": "machine",
             "machine": machine.as_str(),
         });
@@ -76,13 +77,43 @@ impl Fleet {
     /// Revokes what was made.
     pub(super) async fn dismiss(&self, office: &Client) -> Result<(), ReplayError> {
         for id in &self.made {
-            let path = format!("/v1/tokens/{id}");
-            expect_success("DELETE", &path, &office.delete(&path).await?)?;
+            revoke(office, id).await?;
         }
         Ok(())
     }
 
     pub(super) fn client(&self, machine: &MachineId) -> &Client {
         self.clients.get(machine).unwrap_or(&self.anyone)
+    }
+}
+
+/// What the tokens of a replay are called.
+fn name_of(plan: &Plan) -> String {
+    format!("replay of {}", plan.name)
+}
+
+async fn revoke(office: &Client, id: &str) -> Result<(), ReplayError> {
+    let path = format!("/v1/tokens/{id}");
+    expect_success("DELETE", &path, &office.delete(&path).await?)
+}
+
+/// Revokes the tokens of a replay that was killed: their secrets died with it.
+async fn dismiss_left_over(plan: &Plan, office: &Client) -> Result<(), ReplayError> {
+    let name = name_of(plan);
+    let mut path = "/v1/tokens?limit=500".to_owned();
+    loop {
+        let page = office.get(&path).await?;
+        expect_success("GET", &path, &page)?;
+        let page = page.json();
+        for token in page["items"].as_array().into_iter().flatten() {
+            let valid = token["revoked_at"].is_null() && token["role"] == "machine";
+            if let Some(id) = token["id"].as_str().filter(|_| valid && token["name"] == name.as_str()) {
+                revoke(office, id).await?;
+            }
+        }
+        match page["next_cursor"].as_str() {
+            Some(cursor) => path = format!("/v1/tokens?limit=500&cursor={cursor}"),
+            None => return Ok(()),
+        }
     }
 }

@@ -122,8 +122,8 @@ pub struct Life {
     pub turns: Vec<(usize, String, Option<f64>, Option<f64>)>,
     /// Highest level that was told.
     pub highest: Option<f64>,
-    /// The first reason that was given last.
-    pub reason: String,
+    /// The reasons that were given last.
+    pub reasons: String,
 }
 
 impl Life {
@@ -149,7 +149,7 @@ pub fn lives(seen: &[Seen]) -> Vec<Life> {
                 reference: None,
                 turns: Vec::new(),
                 highest: None,
-                reason: String::new(),
+                reasons: String::new(),
             });
             lives.len() - 1
         });
@@ -162,7 +162,7 @@ pub fn lives(seen: &[Seen]) -> Vec<Life> {
         if seen.level.is_some_and(|level| life.highest.is_none_or(|highest| level > highest)) {
             life.highest = seen.level;
         }
-        life.reason.clone_from(&seen.reason);
+        life.reasons.clone_from(&seen.reasons);
     }
     lives
 }
@@ -206,7 +206,7 @@ pub fn table(plan: &Plan, outcome: &Outcome) -> String {
             told(life.first("worn")),
             states.join(" ")
         );
-        let _ = writeln!(text, "{:16} {}", "", life.reason);
+        let _ = writeln!(text, "{:16} {}", "", life.reasons);
     }
     text
 }
@@ -222,7 +222,7 @@ mod tests {
             cycle: "c".to_owned(),
             state: state.to_owned(),
             level,
-            reason: "because".to_owned(),
+            reasons: "because".to_owned(),
             reference: Some(reference),
         }
     }

@@ -53,8 +53,8 @@ pub struct Seen {
     pub state: String,
     /// The level as run, where there is one.
     pub level: Option<f64>,
-    /// The first reason that was given.
-    pub reason: String,
+    /// The reasons that were given.
+    pub reasons: String,
     /// The measured reference at the end of the cycle.
     pub reference: Option<f64>,
 }
@@ -220,7 +220,13 @@ fn seen(cycle: &RecordedCycle, body: &Value) -> Seen {
         cycle: cycle.id.as_str().to_owned(),
         state: wear["state"].as_str().unwrap_or("unknown").to_owned(),
         level: wear["level"]["as_run"].as_f64(),
-        reason: wear["reasons"][0]["message"].as_str().unwrap_or_default().to_owned(),
+        reasons: wear["reasons"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(|reason| reason["message"].as_str())
+            .collect::<Vec<_>>()
+            .join("; "),
         reference: cycle.reference,
     }
 }
