@@ -15,6 +15,7 @@ use feedwright_core::recommend::{Knowledge, Question, RecommendSettings, recomme
 use feedwright_core::summary::CycleSummary;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What is registered around a group.
@@ -96,9 +97,9 @@ async fn know_all<'a>(
     let mut known = BTreeMap::new();
     for cycle in group.iter().map(|new| &new.cycle) {
         let key = (&cycle.operation, &cycle.tool);
-        if !known.contains_key(&key) {
+        if let Entry::Vacant(unknown) = known.entry(key) {
             let operation = registry.operations.get(&cycle.operation);
-            known.insert(key, models::knowledge(conn, operation, &cycle.tool).await?);
+            unknown.insert(models::knowledge(conn, operation, &cycle.tool).await?);
         }
     }
     Ok(known)

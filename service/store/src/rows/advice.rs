@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum ProcessAdviceBody {
-    Turning(TurningBody),
+    Turning(Box<TurningBody>),
     Plunge(PlungeBody),
 }
 
@@ -95,7 +95,7 @@ impl From<&ProcessAdvice> for ProcessAdviceBody {
                     advice.corrections;
                 let part = |of: Correction| [of.value, of.low, of.high];
                 let Readings { intervals, power, force, wear } = advice.readings;
-                Self::Turning(TurningBody {
+                Self::Turning(Box::new(TurningBody {
                     law_version: advice.law_version.clone(),
                     model: advice.model.as_str().to_owned(),
                     elapsed_min: advice.elapsed_min,
@@ -105,7 +105,7 @@ impl From<&ProcessAdvice> for ProcessAdviceBody {
                     readings: [intervals, power, force, wear],
                     next: advice.next.as_ref().map(Into::into),
                     ended_by: advice.ended_by.map(|limit| limit.as_str().to_owned()),
-                })
+                }))
             }
             ProcessAdvice::Plunge(advice) => Self::Plunge(PlungeBody {
                 law_version: advice.law_version.clone(),
