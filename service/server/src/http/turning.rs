@@ -26,10 +26,8 @@ pub(super) async fn plan(
     State(state): State<AppState>,
     Json(question): Json<TurningPlanQuestion>,
 ) -> Result<axum::Json<TurningPlanAnswer>, Problem> {
-    let TurningPlanQuestion { mut job, start, fixed, whole_life } = question;
-    let choice =
-        std::mem::replace(&mut job.model, super::dto::turning::TurningModelChoice::Id(String::new()));
-    let model = turning_model(&state, "job.model", choice).await?;
+    let TurningPlanQuestion { job, start, fixed, whole_life } = question;
+    let model = turning_model(&state, "job.model", job.model.clone()).await?;
     let (job, start) = (job.job(model)?, start.state()?);
     let fixed = fixed.map(|fixed| fixed.cut("fixed")).transpose()?;
     let objective = whole_life.map(Objective::from);
@@ -74,10 +72,8 @@ pub(super) async fn next(
     State(state): State<AppState>,
     Json(question): Json<TurningNextQuestion>,
 ) -> Result<axum::Json<TurningNextAnswer>, Problem> {
-    let TurningNextQuestion { mut job, start, intervals, caution_sigmas } = question;
-    let choice =
-        std::mem::replace(&mut job.model, super::dto::turning::TurningModelChoice::Id(String::new()));
-    let model = turning_model(&state, "job.model", choice).await?;
+    let TurningNextQuestion { job, start, intervals, caution_sigmas } = question;
+    let model = turning_model(&state, "job.model", job.model.clone()).await?;
     let (job, start) = (job.job(model)?, start.state()?);
     let depth = job.depth_mm();
     let interval =
@@ -96,8 +92,7 @@ pub(super) async fn next(
     Ok(axum::Json(answer(found)))
 }
 
-fn answer(found: NextCut) -> TurningNextAnswer {
-    let NextCut { state, corrections, readings, choice } = found;
+fn answer(NextCut { state, corrections, readings, choice }: NextCut) -> TurningNextAnswer {
     let warnings = choice.ok().and_then(|chosen| outside_warning(chosen.outside)).into_iter().collect();
     TurningNextAnswer {
         elapsed_min: state.elapsed_min(),

@@ -197,7 +197,7 @@ impl SimulateQuestion {
     pub fn process(&self) -> Result<Process, Violation> {
         let control = self.control.clone();
         Process::new(self.settings.input(self.frequency_ratio, self.cutting_coefficient, control))
-            .map_err(|error| named(error))
+            .map_err(named)
     }
 }
 
