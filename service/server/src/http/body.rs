@@ -72,8 +72,11 @@ fn is_too_slow(error: &(dyn Error + 'static)) -> bool {
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     let mut json = serde_json::Deserializer::from_slice(bytes);
     let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| {
-        // Meant as JSON but for a number that is none: named like every other bad field.
-        if let Some((path, literal)) = first_non_finite(bytes) {
+        // Meant as JSON but for a word like NaN: named like every other bad field. Numbers too large are told below.
+        if error.inner().is_syntax()
+            && !error.inner().to_string().starts_with("number out of range")
+            && let Some((path, literal)) = first_non_finite(bytes)
+        {
             return Violation::new(path, "not_finite", format!("must be a finite number, is {literal}"))
                 .into();
         }
