@@ -83,6 +83,8 @@ id! {
     RecommendationId, "recommendation_id";
     /// Names a feed profile.
     ProfileId, "profile";
+    /// Names an entry of the model library within its kind.
+    ModelId, "model";
 }
 
 #[cfg(test)]

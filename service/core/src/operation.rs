@@ -1,8 +1,11 @@
 //! Operations: what is machined, with which feed and set loads.
 
+use crate::field_error::FieldError;
 use crate::ids::OperationId;
 use crate::invalid::{Range, Violation};
 use crate::machine::{FEED_RANGE, SPEED_RANGE};
+use crate::plunge::PlungeSetup;
+use crate::turning::TurningSetup;
 use crate::units::Process;
 
 /// Depths and thicknesses.
@@ -58,6 +61,10 @@ pub struct Operation {
     pub feed_drive_load_set_percent: Option<f64>,
     /// How wear is judged.
     pub wear: WearSettings,
+    /// What a turning operation needs for its next speed and feed; none leaves its program as it is.
+    pub turning: Option<TurningSetup>,
+    /// What a plunge operation needs for its plunge feed; none leaves its program as it is.
+    pub plunge: Option<PlungeSetup>,
 }
 
 impl Operation {
@@ -88,6 +95,18 @@ impl Operation {
                 ));
             }
         }
+        let mut setup = |process: Process, name: &str, check: Option<Result<(), FieldError>>| {
+            let Some(checked) = check else { return };
+            if self.process != process {
+                let why = format!("belongs to operations of the process {}", process.as_str());
+                wrong.push(Violation::new(name, "other_process", why));
+            }
+            if let Err(error) = checked {
+                wrong.push(Violation::new(error.path_in(name), error.code(), error.problem().to_string()));
+            }
+        };
+        setup(Process::Turning, "turning", self.turning.as_ref().map(TurningSetup::check));
+        setup(Process::Plunge, "plunge", self.plunge.as_ref().map(PlungeSetup::check));
         if wrong.is_empty() { Ok(self) } else { Err(wrong) }
     }
 }

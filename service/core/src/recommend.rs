@@ -3,6 +3,13 @@
 //! Between cycles neutral is exactly 100 % of the programmed feed. Unknown never raises the feed; until feed
 //! profiles exist every recommendation is neutral and says so.
 
+mod process;
+
+pub use process::{
+    EdgeCycle, EdgeHistory, Knowledge, MAX_EDGE_CYCLES, PlungeAdvice, ProcessAdvice, TurningAdvice,
+    TurningNext,
+};
+
 use crate::ids::{MachineId, OperationId, ToolId};
 use crate::machine::{FeedLimits, Machine};
 use crate::operation::Operation;
@@ -48,6 +55,8 @@ pub struct Question<'a> {
     pub tool_registered: bool,
     /// The verdict on the tool.
     pub verdict: &'a Verdict,
+    /// What is known for the operation's process beside its energy.
+    pub knowledge: &'a Knowledge,
     /// How long things stay good.
     pub settings: RecommendSettings,
 }
@@ -153,6 +162,8 @@ pub struct Recommendation {
     pub quality: DataQuality,
     /// Age of the newest cycle of the tool, ms.
     pub data_age_ms: Option<i64>,
+    /// What the operation's process adds, where the operation asks for it and enough is known.
+    pub process_advice: Option<ProcessAdvice>,
     /// Why: a stable code and a sentence each; never empty.
     pub reasons: Vec<(String, String)>,
     /// Version of the rules that made it.
@@ -198,6 +209,9 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     if quality == DataQuality::Stale {
         say("data_stale", "the tool's last cycle is older than data stays good");
     }
+    let mut action = action(verdict.state);
+    let process_advice =
+        operation.and_then(|operation| process::advise(question, operation, &mut action, &mut say));
     Recommendation {
         issued_at: now,
         valid_until: now.plus_millis(settings.validity_ms),
@@ -205,7 +219,7 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         operation: question.operation_id.clone(),
         tool: question.tool_id.clone(),
         process: operation.map(|operation| operation.process),
-        action: action(verdict.state),
+        action,
         feed_mm_min: feed,
         override_percent: NEUTRAL_OVERRIDE_PERCENT,
         limits: machine.limits,
@@ -216,6 +230,7 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         remaining: verdict.remaining,
         quality,
         data_age_ms,
+        process_advice,
         reasons,
         law_version: LAW_VERSION.to_owned(),
     }

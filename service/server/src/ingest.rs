@@ -6,5 +6,5 @@ pub mod body;
 pub mod content;
 pub mod intake;
 mod number;
-mod scan;
+pub(crate) mod scan;
 pub mod writer;

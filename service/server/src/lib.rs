@@ -12,6 +12,7 @@ pub mod data_dir;
 pub mod database;
 pub mod http;
 pub mod ingest;
+pub mod jobs;
 pub mod lifecycle;
 pub mod metrics;
 mod readiness;

@@ -4,6 +4,7 @@ use crate::auth::FailedAuthentications;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::ingest::intake::CycleIntake;
+use crate::jobs::Jobs;
 use crate::lifecycle::Lifecycle;
 use crate::metrics::Metrics;
 use crate::readiness::Readiness;
@@ -30,6 +31,8 @@ pub struct Shared {
     pub intake: Arc<CycleIntake>,
     /// Tasks that outlive their request, and the state of the process.
     pub lifecycle: Lifecycle,
+    /// Long computations.
+    pub jobs: Jobs,
     /// Who failed to authenticate, how often.
     pub(crate) failed_authentications: FailedAuthentications,
     /// Whether the database takes writes.
@@ -62,6 +65,7 @@ impl AppState {
             metrics,
             intake,
             lifecycle,
+            jobs: Jobs::default(),
             failed_authentications,
             readiness,
         }))

@@ -23,6 +23,8 @@
 //! option samples:
 //!   u8 0, float period ms     or  u8 1, column of times
 //!   u32 samples per column    u16 channels, and per channel in ascending code: u8 code, column
+//! where anything of a cut is reported:
+//!   text "cut"                5 × option float, in the order of the struct
 //! column: u8 form, then per value i64 m (forms 0..=9) or u64 bits (form 255)
 //! ```
 //!

@@ -1,12 +1,14 @@
 //! What the store keeps, as values.
 
 use feedwright_core::cycle::Cycle;
-use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
+use feedwright_core::plunge::Material;
 use feedwright_core::recommend::Recommendation;
 use feedwright_core::summary::CycleSummary;
 use feedwright_core::tool::{Tool, ToolEvent};
+use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::Verdict;
 use std::sync::Arc;
@@ -97,6 +99,61 @@ impl Role {
     pub fn parse(text: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|role| role.as_str() == text)
     }
+}
+
+/// Kinds of entries in the model library.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ModelKind {
+    /// Coefficients of a tool–work–machine set for turning.
+    Turning,
+    /// Constants of a work material for plunging.
+    Plunge,
+}
+
+impl ModelKind {
+    /// Every kind, in the order of the enum.
+    pub const ALL: [Self; 2] = [Self::Turning, Self::Plunge];
+
+    /// The word used in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Turning => "turning",
+            Self::Plunge => "plunge",
+        }
+    }
+
+    /// The kind of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.as_str() == text)
+    }
+}
+
+/// Content of an entry of the model library.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ModelContent {
+    /// Turning.
+    Turning(TurningModel),
+    /// Plunge.
+    Plunge(Material),
+}
+
+impl ModelContent {
+    /// Its kind.
+    pub const fn kind(&self) -> ModelKind {
+        match self {
+            Self::Turning(_) => ModelKind::Turning,
+            Self::Plunge(_) => ModelKind::Plunge,
+        }
+    }
+}
+
+/// An entry of the model library: data that a process's laws are computed with. Ids are unique within a kind.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// Its name in every path.
+    pub id: ModelId,
+    /// What it holds.
+    pub content: ModelContent,
 }
 
 /// A token as it is kept: never the secret, only its hash.

@@ -1,12 +1,18 @@
 //! Rows as the engines read and write them, and the way from there to records. No SQL and no engine's type here.
 
+mod advice;
+mod cut;
 mod cycle;
 mod facts;
+mod library;
 mod registry;
 mod service;
 
+pub(crate) use advice::ProcessAdviceBody;
+pub(crate) use cut::{CutRow, EdgeCycleRow};
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
+pub(crate) use library::{ModelRow, content_json, setup_json};
 pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
     tool_json,

@@ -2,16 +2,16 @@
 
 use crate::error::StoreResult;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, NewCycle,
-    Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber, StoredCycle,
-    StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
+    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
+    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
-use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::recommend::{Knowledge, RecommendSettings};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
@@ -84,6 +84,21 @@ pub trait Store: Send + Sync + 'static {
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>>;
     /// Operations by id.
     async fn operations(&self, page: Page<OperationId>) -> StoreResult<Vec<Versioned<Operation>>>;
+
+    /// Registers or changes an entry of the model library.
+    async fn put_model(
+        &self,
+        model: Model,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome>;
+    /// One entry of the model library.
+    async fn model(&self, kind: ModelKind, id: &ModelId) -> StoreResult<Option<Versioned<Model>>>;
+    /// Entries of one kind by id.
+    async fn models(&self, kind: ModelKind, page: Page<ModelId>) -> StoreResult<Vec<Versioned<Model>>>;
+    /// What the process of an operation needs to know, with this tool: library entry and what the edge has cut.
+    async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge>;
 
     /// Adds a version of a machine's fitted lines (its `version` is assigned here); `None` where the machine is not
     /// registered.

@@ -42,6 +42,8 @@ fn operation(cycle: &RecordedCycle) -> Operation {
         spindle_load_set_percent: None,
         feed_drive_load_set_percent: None,
         wear: WearSettings::default(),
+        turning: None,
+        plunge: None,
     }
 }
 

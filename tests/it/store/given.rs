@@ -216,6 +216,8 @@ pub(crate) fn operation(id: &str) -> Operation {
         spindle_load_set_percent: Some(35.5),
         feed_drive_load_set_percent: None,
         wear: WearSettings::default(),
+        turning: None,
+        plunge: None,
     }
 }
 

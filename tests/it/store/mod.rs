@@ -5,6 +5,7 @@ mod given;
 mod alarms;
 mod alike;
 mod cycles;
+mod models;
 mod registry;
 mod replicas;
 mod service;

@@ -224,6 +224,36 @@ pub enum PlungeLimit {
     LoopTooSlow,
 }
 
+impl PlungeLimit {
+    /// The word used in the API and in storage.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Stability => "stability",
+            Self::Torsion => "torsion",
+            Self::MachineMaximum => "machine_maximum",
+            Self::LoopLatency => "loop_latency",
+            Self::Impossible => "impossible",
+            Self::LoopTooSlow => "loop_too_slow",
+        }
+    }
+
+    /// The limit of that word.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        [
+            Self::Stability,
+            Self::Torsion,
+            Self::MachineMaximum,
+            Self::LoopLatency,
+            Self::Impossible,
+            Self::LoopTooSlow,
+        ]
+        .into_iter()
+        .find(|limit| limit.as_str() == text)
+    }
+}
+
 /// Plunge feed of one drill.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlungeFeed {

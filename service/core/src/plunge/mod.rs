@@ -5,6 +5,7 @@
 
 mod feed;
 mod saving;
+mod setup;
 
 pub use feed::{
     Drill, DrillInput, DrillingLaw, LoopLatency, LoopLatencyInput, MAX_DRILLS, Machine, MachineInput,
@@ -13,3 +14,4 @@ pub use feed::{
 pub use saving::{
     Hole, HoleInput, HoleSaving, MAX_HOLES, PartSaving, hole_saving, part_saving, relative_saving,
 };
+pub use setup::{PLUNGE_LAW_VERSION, PlungeSetup};

@@ -226,6 +226,14 @@ impl Job {
         self.depth_mm
     }
 
+    /// The same job at another depth of cut.
+    ///
+    /// # Errors
+    /// A depth that is not finite or out of range.
+    pub fn at_depth(&self, depth_mm: f64) -> Result<Self, FieldError> {
+        Ok(Self { depth_mm: within("depth_mm", depth_mm, 1e-3, 100.0)?, ..self.clone() })
+    }
+
     pub(crate) fn with_model(&self, model: TurningModel) -> Self {
         Self { model, ..self.clone() }
     }

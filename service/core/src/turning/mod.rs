@@ -27,18 +27,22 @@ mod grid;
 mod job;
 mod life;
 mod model;
+mod next;
 mod plan;
 mod select;
+mod setup;
 
 pub use adapt::{Adaptation, AdaptationInput, AdaptationSettings, Correction, Corrections, Measured};
 pub use domain::{Axis, Domain, DomainInput, MAX_GRID_PAIRS, Range};
 pub use job::{Accumulation, Economics, EdgeState, Job, JobInput, Limits, Outcome, Outside};
 pub use life::{Objective, WholeLife, whole_life_plan};
 pub use model::{LoadLaw, ModelInput, ModelRanges, ScatterInput, ToolWorkMachine, TurningModel, WearLaw};
+pub use next::{EdgeInterval, MAX_EDGE_INTERVALS, NextCut, Readings, TURNING_LAW_VERSION, next_cut};
 pub use plan::{
     Comparison, EndOfLife, MAX_INTERVALS, Plan, Totals, best_fixed_run, compare, fixed_run, greedy_plan,
 };
 pub use select::{Binding, Chosen, Limit, Selector, Utilisation};
+pub use setup::TurningSetup;
 
 use crate::field_error::{FieldError, within};
 

@@ -18,6 +18,24 @@ pub enum Limit {
     Wear,
 }
 
+impl Limit {
+    /// The word used in the API and in storage.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Power => "power",
+            Self::Force => "force",
+            Self::Wear => "wear",
+        }
+    }
+
+    /// The limit of that word.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        [Self::Power, Self::Force, Self::Wear].into_iter().find(|limit| limit.as_str() == text)
+    }
+}
+
 /// What keeps an interval from a higher removal rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Binding {
@@ -29,6 +47,30 @@ pub enum Binding {
     Life,
     /// The pair was given, not chosen.
     Given,
+}
+
+impl Binding {
+    /// The word used in the API and in storage.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Limit(limit) => limit.as_str(),
+            Self::Range => "range",
+            Self::Life => "life",
+            Self::Given => "given",
+        }
+    }
+
+    /// The binding of that word.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        match text {
+            "range" => Some(Self::Range),
+            "life" => Some(Self::Life),
+            "given" => Some(Self::Given),
+            limit => Limit::parse(limit).map(Self::Limit),
+        }
+    }
 }
 
 /// Predicted value over its limit, 0..1.

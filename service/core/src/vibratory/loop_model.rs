@@ -157,15 +157,28 @@ const REST: f64 = 1e-4;
 /// Most peaks kept of a run.
 const MAX_PEAKS: usize = 10_000;
 
+/// Time between integration steps, s.
+fn step_s(run: &LoopRun, control: Option<&ControllerSettings>) -> f64 {
+    let sample_s = control
+        .map_or_else(|| (0.02 / run.0.eigenfrequency_hz).min(300e-6), |settings| settings.data().period_s);
+    sample_s / f64::from(STEPS_PER_SAMPLE)
+}
+
+/// Integration steps of a run: what it costs.
+#[must_use]
+pub fn loop_steps(run: &LoopRun, control: Option<&ControllerSettings>) -> u64 {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float casts saturate")]
+    let steps = (run.0.duration_s / step_s(run, control)).ceil() as u64;
+    steps
+}
+
 /// Runs the process, with the controller or free.
 ///
 /// # Errors
 /// The steps of the run would be more than 2·10⁸, or the edges pass more often than the integration steps.
 pub fn run_loop(run: &LoopRun, control: Option<&ControllerSettings>) -> Result<LoopSteady, FieldError> {
     let p = &run.0;
-    let sample_s =
-        control.map_or_else(|| (0.02 / p.eigenfrequency_hz).min(300e-6), |settings| settings.data().period_s);
-    let dt = sample_s / f64::from(STEPS_PER_SAMPLE);
+    let dt = step_s(run, control);
     let steps = (p.duration_s / dt).ceil();
     if steps > MAX_STEPS {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float casts saturate")]

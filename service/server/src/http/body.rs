@@ -1,6 +1,7 @@
 //! Reading bodies within their bounds, and JSON out of them with the path of what is wrong.
 
 use super::problem::Problem;
+use crate::ingest::scan::first_non_finite;
 use crate::server::BodyTooSlow;
 use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
 use axum::extract::{FromRequest, Request};
@@ -71,6 +72,14 @@ fn is_too_slow(error: &(dyn Error + 'static)) -> bool {
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     let mut json = serde_json::Deserializer::from_slice(bytes);
     let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| {
+        // Meant as JSON but for a word like NaN: named like every other bad field. Numbers too large are told below.
+        if error.inner().is_syntax()
+            && !error.inner().to_string().starts_with("number out of range")
+            && let Some((path, literal)) = first_non_finite(bytes)
+        {
+            return Violation::new(path, "not_finite", format!("must be a finite number, is {literal}"))
+                .into();
+        }
         let path = error.path().to_string();
         explain(&path, error.inner())
     })?;

@@ -6,15 +6,22 @@
 pub mod alarm;
 pub mod audit;
 pub mod calibration;
+pub mod continuity;
 pub mod cycle;
+pub mod job;
+pub mod library;
 pub mod machine;
+pub mod mirror;
 pub mod operation;
+pub mod peak_to_peak;
+pub mod plunge;
 pub mod quarantine;
 pub mod recommendation;
 pub mod text;
 pub mod time;
 pub mod token;
 pub mod tool;
+pub mod turning;
 pub mod wear;
 pub mod word;
 

@@ -2,7 +2,7 @@
 
 use super::problem::Problem;
 use axum::extract::{FromRequestParts, RawPathParams};
-use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
 use http::request::Parts;
 use serde::de::DeserializeOwned;
@@ -34,6 +34,7 @@ in_path! {
     OperationId, "operation";
     CycleId, "cycle_id";
     RecommendationId, "recommendation_id";
+    ModelId, "model";
 }
 
 /// A number of a row.

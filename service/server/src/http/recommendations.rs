@@ -8,7 +8,7 @@ use crate::state::AppState;
 use axum::Json;
 use axum::extract::State;
 use feedwright_core::ids::{MachineId, OperationId, RecommendationId, ToolId};
-use feedwright_core::recommend::{Question, recommend};
+use feedwright_core::recommend::{Knowledge, Question, recommend};
 use feedwright_store::IssuedRecommendation;
 use http::StatusCode;
 use serde::Deserialize;
@@ -49,6 +49,10 @@ pub async fn get_recommendation(
         Problem::new(StatusCode::NOT_FOUND, "unknown_machine", format!("there is no machine `{machine}`"))
     })?;
     let verdict = state.store.verdict(&tool).await?;
+    let knowledge = match &around.operation {
+        Some(operation) => state.store.knowledge(operation, &tool).await?,
+        None => Knowledge::None,
+    };
     let advice = recommend(&Question {
         now: state.clock.now(),
         machine: &around.machine,
@@ -57,6 +61,7 @@ pub async fn get_recommendation(
         tool_id: &tool,
         tool_registered: around.tool.is_some(),
         verdict: &verdict,
+        knowledge: &knowledge,
         settings: state.config.recommendation.settings(),
     });
     let id = RecommendationId::parse("id", &uuid::Uuid::now_v7().to_string())?;

@@ -1,8 +1,9 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, cycles, edge, health, machines, openapi, operations, quarantine,
-    recommendations, tokens, tool_events, tools, viewer, wear,
+    alarms, audit, calibrations, continuity, cycles, edge, health, jobs, library, machines, openapi,
+    operations, peak_to_peak, plunge, quarantine, recommendations, tokens, tool_events, tools, turning,
+    viewer, wear,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -159,6 +160,27 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(wear::get_history), READ),
         Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
         Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
+        Route::new(routes!(library::put_turning), ENGINEER),
+        Route::new(routes!(library::get_turning), READ),
+        Route::new(routes!(library::list_turning), READ),
+        Route::new(routes!(library::put_plunge), ENGINEER),
+        Route::new(routes!(library::get_plunge), READ),
+        Route::new(routes!(library::list_plunge), READ),
+        Route::new(routes!(turning::plan), READ),
+        Route::new(routes!(turning::next), READ).takes_cycles(),
+        Route::new(routes!(plunge::feed), READ).takes_cycles(),
+        Route::new(routes!(plunge::saving), READ).takes_cycles(),
+        Route::new(routes!(plunge::recorded), READ),
+        Route::new(routes!(continuity::simulate), READ),
+        Route::new(routes!(continuity::map), READ),
+        Route::new(routes!(continuity::border), READ),
+        Route::new(routes!(continuity::advice), READ),
+        Route::new(routes!(peak_to_peak::tuning), READ),
+        Route::new(routes!(peak_to_peak::close_loop), READ),
+        Route::new(routes!(peak_to_peak::poincare), READ),
+        Route::new(routes!(peak_to_peak::recorded), READ).takes_cycles(),
+        Route::new(routes!(jobs::get), READ),
+        Route::new(routes!(jobs::cancel), READ),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),

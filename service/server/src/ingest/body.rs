@@ -7,7 +7,7 @@ use super::number::{Number, Numbers};
 use super::scan;
 use crate::http::dto::time;
 use feedwright_core::cycle::{
-    Channel, Cycle, CycleDraft, Outcome, ProfileVersion, Reported, Samples, TimeBase,
+    Channel, Cycle, CycleDraft, Outcome, ProfileVersion, Reported, ReportedCut, Samples, TimeBase,
 };
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
@@ -71,6 +71,11 @@ struct ReportedBody {
     mean_spindle_load_percent: Option<Number>,
     mean_feed_drive_load_percent: Option<Number>,
     operator_override_percent: Option<Number>,
+    cutting_speed_m_min: Option<Number>,
+    feed_mm_rev: Option<Number>,
+    spindle_power_watts: Option<Number>,
+    thrust_newtons: Option<Number>,
+    edge_wear_mm: Option<Number>,
 }
 
 #[derive(Default)]
@@ -274,6 +279,13 @@ fn draft(
             mean_spindle_load_percent: value(reported.mean_spindle_load_percent),
             mean_feed_drive_load_percent: value(reported.mean_feed_drive_load_percent),
             operator_override_percent: value(reported.operator_override_percent),
+            cut: ReportedCut {
+                cutting_speed_m_min: value(reported.cutting_speed_m_min),
+                feed_mm_rev: value(reported.feed_mm_rev),
+                spindle_power_watts: value(reported.spindle_power_watts),
+                thrust_newtons: value(reported.thrust_newtons),
+                edge_wear_mm: value(reported.edge_wear_mm),
+            },
         },
     })
 }

@@ -9,7 +9,7 @@ const MAX_DEPTH: usize = 64;
 const LITERALS: [&str; 8] = ["NaN", "nan", "Infinity", "-Infinity", "inf", "-inf", "-NaN", "+Infinity"];
 
 /// Path and literal of the first number that is not finite, where the text is JSON but for such numbers.
-pub(super) fn first_non_finite(json: &[u8]) -> Option<(String, String)> {
+pub(crate) fn first_non_finite(json: &[u8]) -> Option<(String, String)> {
     let text = std::str::from_utf8(json).ok()?;
     let mut scan = Scan { rest: text.trim_start(), path: String::new(), found: None };
     scan.value(0)?;

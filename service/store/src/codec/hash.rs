@@ -34,6 +34,13 @@ pub(super) fn of_parts(cycle: &Cycle, samples: Option<&Columns>) -> ContentHash 
         hash.option(value, Hash::float);
     }
     hash.option(samples, Hash::samples);
+    // Only where something of it is there: cycles without it keep the hash they have always had.
+    if !cycle.reported.cut.is_empty() {
+        hash.text("cut");
+        for (_, _, value) in cycle.reported.cut.fields() {
+            hash.option(value, Hash::float);
+        }
+    }
     *hash.0.finalize().as_bytes()
 }
 

@@ -1,20 +1,21 @@
 //! A group of cycles in one transaction: stored or known, folded, alarmed, answered.
 
 use super::wear::{self, ToolWear};
-use super::{Conn, alarms, cycles, dialect, machines, operations, recommendations};
+use super::{Conn, alarms, cycles, dialect, machines, models, operations, recommendations};
 use crate::error::StoreResult;
 use crate::history::beginning;
 use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
-use crate::rows::{CycleRow, FactsRow, Place};
+use crate::rows::{CutRow, CycleRow, FactsRow, Place};
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::{MachineId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::Machine;
 use feedwright_core::operation::Operation;
-use feedwright_core::recommend::{Question, RecommendSettings, recommend};
+use feedwright_core::recommend::{Knowledge, Question, RecommendSettings, recommend};
 use feedwright_core::summary::CycleSummary;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What is registered around a group.
@@ -67,6 +68,7 @@ pub(super) async fn group(
     let registry = Registry::load(conn, group).await?;
     let placed = place_all(conn, group, &registry).await?;
     let verdicts = count_all(conn, group, &placed, &registry, now).await?;
+    let knowledge = know_all(conn, group, &registry).await?;
     let mut answers = Vec::with_capacity(group.len());
     for (new, placed) in group.iter().zip(placed) {
         let (summary, received_at, stored) = match placed {
@@ -77,11 +79,30 @@ pub(super) async fn group(
             Placed::New(_, summary) => (*summary, new.received_at, true),
             Placed::Known(known) => (known.summary, known.received_at, false),
         };
+        let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&Knowledge::None);
+        let tool = (verdicts.get(&new.cycle.tool), known);
         let answer =
-            answer(conn, &new.cycle, (summary, received_at), &registry, &verdicts, (now, settings)).await?;
+            answer(conn, &new.cycle, (summary, received_at), &registry, tool, (now, settings)).await?;
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
     Ok(answers)
+}
+
+/// What the processes of a group need to know, once per operation and tool: the whole group is placed by now.
+async fn know_all<'a>(
+    conn: &mut Conn,
+    group: &'a [NewCycle],
+    registry: &Registry,
+) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Knowledge>> {
+    let mut known = BTreeMap::new();
+    for cycle in group.iter().map(|new| &new.cycle) {
+        let key = (&cycle.operation, &cycle.tool);
+        if let Entry::Vacant(unknown) = known.entry(key) {
+            let operation = registry.operations.get(&cycle.operation);
+            unknown.insert(models::knowledge(conn, operation, &cycle.tool).await?);
+        }
+    }
+    Ok(known)
 }
 
 async fn place_all(conn: &mut Conn, group: &[NewCycle], registry: &Registry) -> StoreResult<Vec<Placed>> {
@@ -107,6 +128,9 @@ async fn place(conn: &mut Conn, new: &NewCycle, registry: &Registry) -> StoreRes
     if cycles::insert(conn, &row).await? {
         if let Some(block) = &new.encoded.samples {
             cycles::insert_samples(conn, &row, block).await?;
+        }
+        if let Some(cut) = CutRow::of(cycle)? {
+            models::insert_cut(conn, &cut).await?;
         }
         return Ok(Placed::New(Box::new(row), Box::new(summary)));
     }
@@ -220,10 +244,10 @@ async fn answer(
     cycle: &Cycle,
     (summary, received_at): (CycleSummary, Timestamp),
     registry: &Registry,
-    verdicts: &BTreeMap<ToolId, Verdict>,
+    (verdict, knowledge): (Option<&Verdict>, &Knowledge),
     (now, settings): (Timestamp, RecommendSettings),
 ) -> StoreResult<Box<CycleAnswer>> {
-    let verdict = verdicts.get(&cycle.tool).cloned().unwrap_or_else(wear::not_registered);
+    let verdict = verdict.cloned().unwrap_or_else(wear::not_registered);
     let machine = registry
         .machines
         .get(&cycle.machine)
@@ -240,6 +264,7 @@ async fn answer(
             tool_id: &cycle.tool,
             tool_registered,
             verdict: &verdict,
+            knowledge,
             settings,
         }),
     };

@@ -1,23 +1,23 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, operations, quarantine,
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
     recommendations, tokens, tools, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, NewCycle,
-    Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber, StoredCycle,
-    StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
+    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
+    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
-use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::recommend::{Knowledge, RecommendSettings};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
@@ -179,6 +179,30 @@ impl Store for Engine {
 
     async fn operations(&self, page: Page<OperationId>) -> StoreResult<Vec<Versioned<Operation>>> {
         operations::list(&mut *self.reader().await?, &page).await
+    }
+
+    async fn put_model(
+        &self,
+        model: Model,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<PutOutcome> {
+        let actor = actor.clone();
+        write!(self, |conn| models::put(conn, &model, expects, &actor, now).await)
+    }
+
+    async fn model(&self, kind: ModelKind, id: &ModelId) -> StoreResult<Option<Versioned<Model>>> {
+        models::get(&mut *self.reader().await?, kind, id).await
+    }
+
+    async fn models(&self, kind: ModelKind, page: Page<ModelId>) -> StoreResult<Vec<Versioned<Model>>> {
+        models::list(&mut *self.reader().await?, kind, &page).await
+    }
+
+    async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge> {
+        let (operation, tool) = (operation.clone(), tool.clone());
+        snapshot!(self, |conn| models::knowledge(conn, Some(&operation), &tool).await)
     }
 
     async fn add_calibration(

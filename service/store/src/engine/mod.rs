@@ -11,6 +11,7 @@ mod commit;
 mod cycles;
 mod implement;
 mod machines;
+mod models;
 mod operations;
 mod quarantine;
 mod recommendations;

@@ -5,7 +5,7 @@ use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
 use crate::record::{Actor, Page, Precondition, PutOutcome, Versioned};
-use crate::rows::{OperationRow, count, operation_json, optional_float};
+use crate::rows::{OperationRow, count, operation_json, optional_float, setup_json};
 use feedwright_core::ids::OperationId;
 use feedwright_core::operation::Operation;
 use feedwright_core::units::Timestamp;
@@ -15,7 +15,7 @@ macro_rules! select {
         concat!(
             "SELECT operation_id, name, process, program, feature, work_material, thickness_mm, depth_mm,
                     spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
-                    feed_drive_load_set_percent, baseline_cycles, window_cycles, version, updated_at_us
+                    feed_drive_load_set_percent, baseline_cycles, window_cycles, setup, version, updated_at_us
              FROM operations ",
             $tail
         )
@@ -66,11 +66,12 @@ pub(super) async fn put(
     if let PutOutcome::Unchanged(_) = outcome {
         return Ok(outcome);
     }
+    let setup = setup_json(operation.turning.as_ref(), operation.plunge.as_ref())?;
     sqlx::query::<Db>(
         "INSERT INTO operations (operation_id, name, process, program, feature, work_material, thickness_mm,
              depth_mm, spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
-             feed_drive_load_set_percent, baseline_cycles, window_cycles, version, updated_at_us)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16)
+             feed_drive_load_set_percent, baseline_cycles, window_cycles, setup, version, updated_at_us)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17)
          ON CONFLICT (operation_id) DO UPDATE SET name = excluded.name, process = excluded.process,
              program = excluded.program, feature = excluded.feature, work_material = excluded.work_material,
              thickness_mm = excluded.thickness_mm, depth_mm = excluded.depth_mm,
@@ -79,6 +80,7 @@ pub(super) async fn put(
              spindle_load_set_percent = excluded.spindle_load_set_percent,
              feed_drive_load_set_percent = excluded.feed_drive_load_set_percent,
              baseline_cycles = excluded.baseline_cycles, window_cycles = excluded.window_cycles,
+             setup = excluded.setup,
              version = excluded.version, updated_at_us = excluded.updated_at_us",
     )
     .bind(operation.id.as_str())
@@ -95,12 +97,19 @@ pub(super) async fn put(
     .bind(optional_float("feed_drive_load_set_percent", operation.feed_drive_load_set_percent)?)
     .bind(i64::from(operation.wear.baseline_cycles))
     .bind(i64::from(operation.wear.window_cycles))
+    .bind(setup.as_ref().map(ToString::to_string))
     .bind(count("version", outcome.version())?)
     .bind(now.micros())
     .execute(&mut *conn)
     .await?;
-    let before = existing.as_ref().map(|existing| operation_json(&existing.value));
-    let detail = audit::change(before.as_ref(), &operation_json(operation), outcome);
+    let before = match existing.as_ref().map(|existing| &existing.value) {
+        None => None,
+        Some(known) => {
+            let setup = setup_json(known.turning.as_ref(), known.plunge.as_ref())?;
+            Some(operation_json(known, setup.as_ref()))
+        }
+    };
+    let detail = audit::change(before.as_ref(), &operation_json(operation, setup.as_ref()), outcome);
     audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
     if !judged_alike(existing.as_ref().map(|existing| &existing.value), operation) {
         for (tool, verdict) in wear::count_operation(conn, &operation.id, now).await? {

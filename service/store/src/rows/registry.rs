@@ -1,5 +1,6 @@
 //! Rows of what people register, and the same as JSON for the audit.
 
+use super::library::setup_of;
 use super::{id, number, word};
 use crate::error::StoreResult;
 use crate::record::Versioned;
@@ -217,12 +218,14 @@ pub(crate) struct OperationRow {
     feed_drive_load_set_percent: Option<f64>,
     baseline_cycles: i64,
     window_cycles: i64,
+    setup: Option<String>,
     version: i64,
     updated_at_us: i64,
 }
 
 impl OperationRow {
     pub(crate) fn versioned(&self) -> StoreResult<Versioned<Operation>> {
+        let (turning, plunge) = setup_of(self.setup.as_deref())?;
         Ok(Versioned {
             value: Operation {
                 id: id("operation_id", &self.operation_id)?,
@@ -241,6 +244,8 @@ impl OperationRow {
                     baseline_cycles: number("baseline_cycles", self.baseline_cycles)?,
                     window_cycles: number("window_cycles", self.window_cycles)?,
                 },
+                turning,
+                plunge,
             },
             version: number("version", self.version)?,
             updated_at: Timestamp::from_micros(self.updated_at_us),
@@ -249,7 +254,7 @@ impl OperationRow {
 }
 
 /// An operation as the audit shows it.
-pub(crate) fn operation_json(operation: &Operation) -> Value {
+pub(crate) fn operation_json(operation: &Operation, setup: Option<&Value>) -> Value {
     json!({
         "name": operation.name,
         "process": operation.process.as_str(),
@@ -264,5 +269,6 @@ pub(crate) fn operation_json(operation: &Operation) -> Value {
         "feed_drive_load_set_percent": operation.feed_drive_load_set_percent,
         "baseline_cycles": operation.wear.baseline_cycles,
         "window_cycles": operation.wear.window_cycles,
+        "setup": setup,
     })
 }

@@ -1,6 +1,6 @@
 //! Rows of advice, alarms, quarantine, audit and tokens.
 
-use super::{id, number, word};
+use super::{ProcessAdviceBody, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{Alarm, AlarmKind, AuditEntry, IssuedRecommendation, QuarantineEntry, Role, TokenRecord};
 use feedwright_core::machine::FeedLimits;
@@ -24,6 +24,8 @@ pub(crate) struct AdviceBody {
     feed_drive_load_set_percent: Option<f64>,
     tool_state: String,
     quality: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    process_advice: Option<ProcessAdviceBody>,
     reasons: Vec<(String, String)>,
     law_version: String,
 }
@@ -49,6 +51,7 @@ impl AdviceBody {
             feed_drive_load_set_percent: recommendation.feed_drive_load_set_percent,
             tool_state: recommendation.tool_state.as_str().to_owned(),
             quality: recommendation.quality.as_str().to_owned(),
+            process_advice: recommendation.process_advice.as_ref().map(Into::into),
             reasons: recommendation.reasons.clone(),
             law_version: recommendation.law_version.clone(),
         }
@@ -123,6 +126,7 @@ impl RecommendationRow {
                 remaining,
                 quality: word("quality", &body.quality, DataQuality::parse)?,
                 data_age_ms: self.data_age_ms,
+                process_advice: body.process_advice.map(|advice| advice.advice()).transpose()?,
                 reasons: body.reasons,
                 law_version: body.law_version,
             },

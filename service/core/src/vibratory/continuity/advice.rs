@@ -253,8 +253,14 @@ fn window_of(points: &[SpeedPoint], scatter: f64) -> Option<SpeedWindow> {
 /// Windows of every head and the best of them.
 #[must_use]
 pub fn advise(question: &AdviceQuestion) -> Advice {
-    let heads: Vec<HeadAdvice> =
-        (0..question.input.stiffnesses_n_mm.len()).filter_map(|head| advise_head(question, head)).collect();
+    best_of(
+        (0..question.input.stiffnesses_n_mm.len()).filter_map(|head| advise_head(question, head)).collect(),
+    )
+}
+
+/// Heads that were advised one by one, with the best of them.
+#[must_use]
+pub fn best_of(heads: Vec<HeadAdvice>) -> Advice {
     let best = heads
         .iter()
         .enumerate()

@@ -10,7 +10,7 @@ mod process;
 
 pub use advice::{
     Advice, AdviceInput, AdviceQuestion, HeadAdvice, MAX_SIMULATIONS, SpeedPoint, SpeedWindow, advise,
-    advise_head,
+    advise_head, best_of,
 };
 pub use border::{BorderPoint, border_at, border_minimum, segmentation_amplitude};
 pub use map::{Cancelled, Map, MapAxis, MapInput, MapQuestion, run_map};

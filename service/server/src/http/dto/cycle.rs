@@ -123,6 +123,16 @@ pub struct ReportedPost {
     mean_feed_drive_load_percent: Option<f64>,
     /// Operator's override, mean, %.
     operator_override_percent: Option<f64>,
+    /// Turning: cutting speed, m/min.
+    cutting_speed_m_min: Option<f64>,
+    /// Turning: feed, mm/rev.
+    feed_mm_rev: Option<f64>,
+    /// Turning: spindle power at the end of the interval, W.
+    spindle_power_watts: Option<f64>,
+    /// Turning: thrust force at the end of the interval, N.
+    thrust_newtons: Option<f64>,
+    /// Turning: average wear of the edge, measured after the interval, mm.
+    edge_wear_mm: Option<f64>,
 }
 
 /// What a machine is told once its cycle is durably stored.

@@ -1,7 +1,9 @@
 //! Operations in JSON.
 
+use super::plunge::PlungeSetupBody;
 use super::text::{MAX_NAME, optional, required};
 use super::time;
+use super::turning::TurningSetupBody;
 use super::word::ProcessWord;
 use super::{Registered, checked};
 use feedwright_core::ids::OperationId;
@@ -50,6 +52,12 @@ pub struct OperationBody {
     /// How wear is judged.
     #[serde(default)]
     pub wear: WearSettingsBody,
+    /// How it is turned; makes its cycles feed the choice of the next speed and feed.
+    #[serde(default)]
+    pub turning: Option<TurningSetupBody>,
+    /// How it plunges; makes its recommendation carry the plunge feed.
+    #[serde(default)]
+    pub plunge: Option<PlungeSetupBody>,
 }
 
 /// How wear is judged.
@@ -74,6 +82,8 @@ impl OperationBody {
     pub fn into_operation(self, id: OperationId) -> Result<Operation, Vec<Violation>> {
         let mut wrong = Vec::new();
         let WearSettingsBody { baseline_cycles, window_cycles } = self.wear;
+        let turning = self.turning.and_then(|setup| setup.setup().map_err(|bad| wrong.push(bad)).ok());
+        let plunge = self.plunge.and_then(|setup| setup.setup().map_err(|bad| wrong.push(bad)).ok());
         let operation = Operation {
             id,
             name: required("name", &self.name, MAX_NAME, &mut wrong),
@@ -88,6 +98,8 @@ impl OperationBody {
             spindle_load_set_percent: self.spindle_load_set_percent,
             feed_drive_load_set_percent: self.feed_drive_load_set_percent,
             wear: WearSettings { baseline_cycles, window_cycles },
+            turning,
+            plunge,
         };
         checked(operation, wrong, Operation::validated)
     }
@@ -110,6 +122,8 @@ impl From<Versioned<Operation>> for Registered<OperationBody> {
             spindle_load_set_percent: operation.spindle_load_set_percent,
             feed_drive_load_set_percent: operation.feed_drive_load_set_percent,
             wear: WearSettingsBody { baseline_cycles, window_cycles },
+            turning: operation.turning.map(Into::into),
+            plunge: operation.plunge.map(Into::into),
         };
         let id = operation.id.as_str().to_owned();
         Self { id, version: stored.version, updated_at: time::show(stored.updated_at), body }

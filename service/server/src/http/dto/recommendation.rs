@@ -1,7 +1,10 @@
 //! A recommendation as JSON.
 
+use super::mirror::{To, shown};
+use super::turning::{CorrectionsBody, ReadingsBody};
 use super::wear::{LevelBody, ReasonBody, RemainingBody};
 use crate::http::dto::time;
+use feedwright_core::recommend::{ProcessAdvice, TurningNext};
 use feedwright_store::IssuedRecommendation;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -41,10 +44,106 @@ pub struct RecommendationBody {
     pub tool_state: ToolStateBody,
     /// The data it rests on.
     pub data: DataBody,
+    /// What the operation's process adds, where the operation asks for it and enough is known; the reasons say why
+    /// not.
+    pub process_advice: Option<ProcessAdviceBody>,
     /// Why; never empty.
     pub reasons: Vec<ReasonBody>,
     /// Version of the rules that made it.
     pub law_version: String,
+}
+
+/// What a process adds.
+#[derive(Debug, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ProcessAdviceBody {
+    /// The next speed and feed of turning.
+    Turning(TurningAdviceBody),
+    /// The plunge feed.
+    Plunge(PlungeAdviceBody),
+}
+
+impl From<ProcessAdvice> for ProcessAdviceBody {
+    fn from(advice: ProcessAdvice) -> Self {
+        match advice {
+            ProcessAdvice::Turning(advice) => Self::Turning(TurningAdviceBody {
+                law_version: advice.law_version,
+                model: advice.model.as_str().to_owned(),
+                elapsed_min: advice.elapsed_min,
+                corrections: advice.corrections.to(),
+                readings: advice.readings.to(),
+                next: advice.next.to(),
+                ended_by: advice.ended_by.to(),
+            }),
+            ProcessAdvice::Plunge(advice) => Self::Plunge(PlungeAdviceBody {
+                law_version: advice.law_version,
+                material: advice.material.as_str().to_owned(),
+                feed_mm_min: advice.feed_mm_min,
+                limit: advice.limit.as_str(),
+                bite_mm: advice.bite_mm,
+            }),
+        }
+    }
+}
+
+/// State of a turning edge and its next pair (Alaskari & Oraby 2017, with adaptation).
+#[derive(Debug, Serialize, ToSchema)]
+pub struct TurningAdviceBody {
+    /// Version of the rules that made it.
+    pub law_version: String,
+    /// Library entry.
+    pub model: String,
+    /// Cutting time since the edge was new, min.
+    pub elapsed_min: f64,
+    /// What was learnt.
+    pub corrections: CorrectionsBody,
+    /// What that rests on.
+    pub readings: ReadingsBody,
+    /// What to cut next; absent where the edge is spent or nothing is advised, as the reasons say.
+    pub next: Option<TurningNextBody>,
+    /// `power`, `force` or `wear`: the limit that leaves no pair.
+    pub ended_by: Option<&'static str>,
+}
+
+shown! {
+    /// The next pair.
+    TurningNextBody = TurningNext {
+        /// Cutting speed, m/min.
+        speed_m_min: f64,
+        /// Feed, mm/rev.
+        feed_mm_rev: f64,
+        /// Spindle speed, 1/min, where the diameter is known.
+        spindle_rpm: Option<f64>,
+        /// Feed rate, mm/min, where the diameter is known.
+        feed_mm_min: Option<f64>,
+        /// Length of the interval it is meant for, min.
+        interval_min: f64,
+        /// Wear expected at its end, mm.
+        wear_mm: f64,
+        /// Power expected at its end, kW.
+        power_kw: f64,
+        /// Force expected at its end, N.
+        force_n: f64,
+        /// Removal rate, mm³/min.
+        removal_mm3_min: f64,
+        /// What keeps it from being faster.
+        binding: &'static str,
+    }
+}
+
+/// Plunge feed of the operation's drill on this machine (Lengerov).
+#[derive(Debug, Serialize, ToSchema)]
+pub struct PlungeAdviceBody {
+    /// Version of the rules that made it.
+    pub law_version: String,
+    /// Library entry.
+    pub material: String,
+    /// Most plunge feed, mm/min; absent where the drill cannot plunge on this machine.
+    pub feed_mm_min: Option<f64>,
+    /// What bounds it.
+    pub limit: &'static str,
+    /// How far the drill bites before the axis reacts, mm.
+    pub bite_mm: Option<f64>,
 }
 
 /// The feed to run: the operation's programmed feed until a profile is active.
@@ -133,6 +232,7 @@ impl From<&IssuedRecommendation> for RecommendationBody {
                 remaining: advice.remaining.map(Into::into),
             },
             data: DataBody { quality: advice.quality.as_str(), age_ms: advice.data_age_ms },
+            process_advice: advice.process_advice.clone().map(Into::into),
             reasons: advice
                 .reasons
                 .iter()

@@ -1,0 +1,170 @@
+//! The model library, and what an edge has cut.
+
+use super::{Conn, Db, audit, dialect, tools};
+use crate::error::StoreResult;
+use crate::locks::Locks;
+use crate::precondition;
+use crate::record::{Actor, Model, ModelContent, ModelKind, Page, Precondition, PutOutcome, Versioned};
+use crate::rows::{CutRow, EdgeCycleRow, ModelRow, Place, content_json, count};
+use feedwright_core::ids::{ModelId, ToolId};
+use feedwright_core::operation::Operation;
+use feedwright_core::recommend::{EdgeHistory, Knowledge, MAX_EDGE_CYCLES};
+use feedwright_core::units::Timestamp;
+
+macro_rules! select {
+    ($tail:literal) => {
+        concat!("SELECT kind, model_id, body, version, updated_at_us FROM models ", $tail)
+    };
+}
+
+pub(super) async fn get(
+    conn: &mut Conn,
+    kind: ModelKind,
+    id: &ModelId,
+) -> StoreResult<Option<Versioned<Model>>> {
+    let row: Option<ModelRow> = sqlx::query_as::<Db, _>(select!("WHERE kind = $1 AND model_id = $2"))
+        .bind(kind.as_str())
+        .bind(id.as_str())
+        .fetch_optional(&mut *conn)
+        .await?;
+    row.map(|row| row.versioned()).transpose()
+}
+
+pub(super) async fn list(
+    conn: &mut Conn,
+    kind: ModelKind,
+    page: &Page<ModelId>,
+) -> StoreResult<Vec<Versioned<Model>>> {
+    let rows: Vec<ModelRow> =
+        sqlx::query_as::<Db, _>(select!("WHERE kind = $1 AND model_id > $2 ORDER BY model_id LIMIT $3"))
+            .bind(kind.as_str())
+            .bind(page.after.as_ref().map_or("", ModelId::as_str))
+            .bind(i64::from(page.limit))
+            .fetch_all(&mut *conn)
+            .await?;
+    rows.iter().map(ModelRow::versioned).collect()
+}
+
+pub(super) async fn put(
+    conn: &mut Conn,
+    model: &Model,
+    expects: Precondition,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<PutOutcome> {
+    let kind = model.content.kind();
+    let subject = format!("model/{}/{}", kind.as_str(), model.id);
+    dialect::lock(conn, &Locks::subject("model", &subject)).await?;
+    let existing = get(conn, kind, &model.id).await?;
+    let known = existing.as_ref().map(|existing| (existing.version, existing.value == *model));
+    let outcome = precondition::decide(known, expects)?;
+    if let PutOutcome::Unchanged(_) = outcome {
+        return Ok(outcome);
+    }
+    let body = content_json(&model.content)?;
+    sqlx::query::<Db>(
+        "INSERT INTO models (kind, model_id, body, version, updated_at_us) VALUES ($1, $2, $3, $4, $5)
+         ON CONFLICT (kind, model_id) DO UPDATE SET body = excluded.body, version = excluded.version,
+             updated_at_us = excluded.updated_at_us",
+    )
+    .bind(kind.as_str())
+    .bind(model.id.as_str())
+    .bind(body.to_string())
+    .bind(count("version", outcome.version())?)
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    let before = existing.map(|existing| content_json(&existing.value.content)).transpose()?;
+    audit::add(conn, actor, now, "model.put", subject, &audit::change(before.as_ref(), &body, outcome))
+        .await?;
+    Ok(outcome)
+}
+
+/// Keeps what a control reported of a cut.
+pub(super) async fn insert_cut(conn: &mut Conn, row: &CutRow) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "INSERT INTO cycle_cuts (machine_id, cycle_id, cutting_speed_m_min, feed_mm_rev, spindle_power_watts,
+             thrust_newtons, edge_wear_mm)
+         VALUES ($1, $2, $3, $4, $5, $6, $7)",
+    )
+    .bind(&row.machine_id)
+    .bind(&row.cycle_id)
+    .bind(row.cutting_speed_m_min)
+    .bind(row.feed_mm_rev)
+    .bind(row.spindle_power_watts)
+    .bind(row.thrust_newtons)
+    .bind(row.edge_wear_mm)
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+/// What the process of an operation needs to know, with this tool.
+pub(super) async fn knowledge(
+    conn: &mut Conn,
+    operation: Option<&Operation>,
+    tool: &ToolId,
+) -> StoreResult<Knowledge> {
+    let Some(operation) = operation else {
+        return Ok(Knowledge::None);
+    };
+    if let Some(setup) = &operation.turning {
+        let model =
+            get(conn, ModelKind::Turning, &setup.model).await?.and_then(|found| match found.value.content {
+                ModelContent::Turning(model) => Some(Box::new(model)),
+                ModelContent::Plunge(_) => None,
+            });
+        return Ok(Knowledge::Turning { model, history: history(conn, tool).await? });
+    }
+    if let Some(setup) = &operation.plunge {
+        let material = get(conn, ModelKind::Plunge, &setup.material).await?.and_then(|found| {
+            match found.value.content {
+                ModelContent::Plunge(material) => Some(Box::new(material)),
+                ModelContent::Turning(_) => None,
+            }
+        });
+        return Ok(Knowledge::Plunge(material));
+    }
+    Ok(Knowledge::None)
+}
+
+/// Everything a tool has cut since it was last new, in the order of the fold.
+async fn history(conn: &mut Conn, tool: &ToolId) -> StoreResult<EdgeHistory> {
+    let events = tools::placed_events(conn, tool).await?;
+    let begun = events.iter().rev().find(|event| event.kind.begins_life());
+    let Some(begun) = begun.filter(|event| event.kind.starts_unworn()) else {
+        return Ok(EdgeHistory::NotNew);
+    };
+    let Place { at, cycle } = &begun.place;
+    let (machine, seq, id) = match cycle {
+        None => ("", i64::MIN, ""),
+        Some((machine, seq, cycle)) => {
+            (machine.as_str(), seq.map_or(Ok(-1), |seq| count("seq", seq))?, cycle.as_str())
+        }
+    };
+    let rows: Vec<EdgeCycleRow> = sqlx::query_as::<Db, _>(
+        "SELECT o.setup, c.duration_ms, k.cutting_speed_m_min,
+                COALESCE(c.median_spindle_speed_rpm, c.spindle_speed_rpm) AS spindle_rpm, k.feed_mm_rev,
+                k.spindle_power_watts, c.measured_power_spindle_joules AS spindle_joules,
+                COALESCE(k.thrust_newtons, c.max_thrust_newtons) AS force_newtons, k.edge_wear_mm
+         FROM cycles c
+         LEFT JOIN cycle_cuts k ON k.machine_id = c.machine_id AND k.cycle_id = c.cycle_id
+         LEFT JOIN operations o ON o.operation_id = c.operation_id
+         WHERE c.tool_id = $1 AND c.started_at_us >= $2
+           AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) >= ($2, $3, $4, $5)
+         ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $6",
+    )
+    .bind(tool.as_str())
+    .bind(at.micros())
+    .bind(machine)
+    .bind(seq)
+    .bind(id)
+    // One more than is looked at tells that there are more.
+    .bind(count("limit", MAX_EDGE_CYCLES as u64 + 1)?)
+    .fetch_all(&mut *conn)
+    .await?;
+    if rows.len() > MAX_EDGE_CYCLES {
+        return Ok(EdgeHistory::TooLong);
+    }
+    rows.iter().map(EdgeCycleRow::cycle).collect::<StoreResult<_>>().map(EdgeHistory::Cycles)
+}
