@@ -131,8 +131,9 @@ fn turning(folder: &Path) -> Outcome {
         x: (0.0, 15.0),
         y,
     };
-    type Value = fn(&feedwright_core::turning::Chosen) -> f64;
-    let shown: [(&str, (f64, f64), Value, Option<f64>); 4] = [
+    /// Title, range of the axis, what is drawn, and its limit.
+    type Shown = (&'static str, (f64, f64), fn(&feedwright_core::turning::Chosen) -> f64, Option<f64>);
+    let shown: [Shown; 4] = [
         ("cutting speed, m/min", (40.0, 200.0), |c| c.cut.speed_m_min(), None),
         ("feed, mm/rev", (0.0, 0.6), |c| c.cut.feed_mm_rev(), None),
         ("power, kW (limit 7)", (0.0, 8.0), |c| c.outcome.power_kw, Some(7.0)),
