@@ -5,6 +5,7 @@
 //! Handlers are thin: decide by one pure call, save, reply. SQL and science do not belong here.
 
 pub mod body;
+pub mod compute;
 pub mod cursor;
 pub mod cycles;
 pub mod dto;
@@ -20,6 +21,7 @@ pub mod wear;
 mod alarms;
 mod audit;
 mod calibrations;
+mod friction;
 mod health;
 mod machines;
 mod operations;

@@ -7,6 +7,7 @@ pub mod alarm;
 pub mod audit;
 pub mod calibration;
 pub mod cycle;
+pub mod friction;
 pub mod machine;
 pub mod operation;
 pub mod quarantine;

@@ -1,7 +1,7 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, cycles, edge, health, machines, openapi, operations, quarantine,
+    alarms, audit, calibrations, cycles, edge, friction, health, machines, openapi, operations, quarantine,
     recommendations, tokens, tool_events, tools, viewer, wear,
 };
 use crate::auth::authorise;
@@ -159,6 +159,7 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(wear::get_history), READ),
         Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
         Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
+        Route::new(routes!(friction::simulate), READ),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),
