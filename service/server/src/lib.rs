@@ -17,3 +17,4 @@ pub mod metrics;
 mod readiness;
 pub mod server;
 pub mod state;
+pub mod what_if;

@@ -7,6 +7,7 @@ pub mod alarm;
 pub mod audit;
 pub mod calibration;
 pub mod cycle;
+pub mod fit;
 pub mod friction;
 pub mod machine;
 pub mod operation;
@@ -17,6 +18,7 @@ pub mod time;
 pub mod token;
 pub mod tool;
 pub mod wear;
+pub mod what_if;
 pub mod word;
 
 use feedwright_core::invalid::Violation;

@@ -32,7 +32,7 @@ pub(super) async fn simulate(
 }
 
 fn answer(request: &SimulationRequest) -> Result<SimulationAnswer, Violation> {
-    let model = request.model.into_model(request.seed.is_some())?;
+    let model = request.model.into_model(request.seed.is_some()).map_err(inside)?;
     let limits = request.limits.to_limits()?;
     let setup = model.setup;
     let period_ms = setup.period_s * 1e3;
@@ -44,9 +44,9 @@ fn answer(request: &SimulationRequest) -> Result<SimulationAnswer, Violation> {
             samples.push(sample);
         }
     })
-    .map_err(|error| located(&error))?;
-    let outcomes = compare(&model.twin, &others, &setup, &limits, request.seed)
-        .map_err(|error: Invalid| located(&error))?;
+    .map_err(|error| drilling(&error))?;
+    let outcomes =
+        compare(&model.twin, &others, &setup, &limits, request.seed).map_err(|error| drilling(&error))?;
     let comparison =
         outcomes.iter().zip(radar(&outcomes)).map(|(one, radar)| ComparedStrategy::new(one, radar));
     Ok(SimulationAnswer {
@@ -56,6 +56,18 @@ fn answer(request: &SimulationRequest) -> Result<SimulationAnswer, Violation> {
         model: (&model).into(),
         defaults: DEFAULTS,
     })
+}
+
+/// A violation within `model`.
+fn inside(wrong: Violation) -> Violation {
+    Violation { path: format!("model.{}", wrong.path), ..wrong }
+}
+
+/// A refusal while drilling: of the setup, of a limit, or of a strategy that never ends.
+fn drilling(error: &Invalid) -> Violation {
+    let wrong = located(error);
+    let is_setup = ["tool.", "operation.", "machine."].iter().any(|part| wrong.path.starts_with(part));
+    if is_setup { inside(wrong) } else { wrong }
 }
 
 fn strategies(

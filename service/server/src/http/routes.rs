@@ -2,7 +2,7 @@
 
 use super::{
     alarms, audit, calibrations, cycles, edge, friction, health, machines, openapi, operations, quarantine,
-    recommendations, tokens, tool_events, tools, viewer, wear,
+    recommendations, tokens, tool_events, tools, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -160,6 +160,9 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
         Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
         Route::new(routes!(friction::simulate), READ),
+        Route::new(routes!(what_if::of_cycle), READ),
+        Route::new(routes!(what_if::of_many), READ),
+        Route::new(routes!(calibrations::fit), ENGINEER),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),

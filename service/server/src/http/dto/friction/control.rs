@@ -167,7 +167,7 @@ impl StrategyBody {
             }
         };
         Strategy::new(name, program, end_depth_mm, law)
-            .map_err(|error| refused(&error, |field| format!("operation.{field}")))
+            .map_err(|error| refused(&error, |field| format!("model.operation.{field}")))
     }
 }
 

@@ -6,9 +6,12 @@ use feedwright_core::friction::twin::{
     AxisLimits, CycleSetup, MachineRatings, Material, NoiseLevels, PAPER_END_DEPTH_MM, PAPER_SPINDLE_RPM,
     Sheet, ToolGeometry, Twin, TwinParams, WearEffect, paper_params, typical_noise,
 };
-use feedwright_core::invalid::Violation;
+use feedwright_core::invalid::{Range, Violation};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+
+/// Interpolator periods: beyond a second no law could follow a hole.
+const PERIOD_RANGE: Range = Range::new(0.0005, 1.0, "s");
 
 macro_rules! mirror {
     ($($(#[$doc:meta])* $body:ident of $of:ty { $($(#[$field_doc:meta])* $field:ident: $type:ty,)* })*) => {$(
@@ -253,6 +256,7 @@ impl ModelBody {
             period_s: self.machine.period_s.unwrap_or(usual.period_s),
             ..usual
         };
+        PERIOD_RANGE.check("machine.period_s", setup.period_s)?;
         Ok(Model { twin, setup, end_depth_mm: self.operation.end_depth_mm.unwrap_or(PAPER_END_DEPTH_MM) })
     }
 }
