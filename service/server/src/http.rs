@@ -30,5 +30,6 @@ mod tokens;
 mod tool_events;
 mod tools;
 mod viewer;
+mod what_if;
 
 pub use routes::{metrics_router, router};
