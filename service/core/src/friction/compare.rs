@@ -209,7 +209,7 @@ mod tests {
         assert_eq!(refused(&[], &NONE), ("compare".into(), InvalidCode::Empty));
         assert_eq!(refused(&vec![one.clone(); 9], &NONE).1, InvalidCode::TooMany);
         let nan = LoadLimits { spindle_percent: Some(f64::NAN), ..NONE };
-        assert_eq!(refused(&[one.clone()], &nan).0, "limits.spindle_percent");
+        assert_eq!(refused(std::slice::from_ref(&one), &nan).0, "limits.spindle_percent");
         let crawl = crate::friction::program::FeedProgram::constant(0.5).unwrap();
         let crawl = Strategy::new("crawl", crawl, 20.0, None).unwrap();
         assert_eq!(refused(&[one, crawl], &NONE).0, "compare[1]");
