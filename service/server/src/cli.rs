@@ -3,8 +3,10 @@
 //! A new command is a file in `cli/` with its arguments and a `run`, and a line in [`Command`].
 
 pub mod config;
+pub mod demo;
 pub mod healthcheck;
 pub mod openapi;
+pub mod replay;
 pub mod serve;
 pub mod simulate;
 pub mod token;
@@ -61,6 +63,10 @@ impl Settings {
 enum Command {
     /// Runs the service until it is told to stop.
     Serve(serve::Arguments),
+    /// Starts a service of its own, replays real recordings into it, says what it makes of them, and stays up.
+    Demo(demo::Arguments),
+    /// Posts recorded cycles from CSV files to a service, as a machine would.
+    Replay(replay::Arguments),
     /// Prints the settings in force, where each came from, and no secret.
     Config,
     /// Makes, lists and revokes tokens: through the server when one runs, else directly in its database.
@@ -79,6 +85,8 @@ enum Command {
 pub async fn run(cli: Cli) -> anyhow::Result<()> {
     match cli.command {
         Command::Serve(arguments) => serve::run(&cli.settings, arguments).await,
+        Command::Demo(arguments) => demo::run(arguments).await,
+        Command::Replay(arguments) => replay::run(arguments).await,
         Command::Config => config::run(&cli.settings),
         Command::Token(arguments) => token::run(&cli.settings, arguments).await,
         Command::Openapi => openapi::run(),

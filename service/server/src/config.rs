@@ -54,7 +54,7 @@ pub struct ServerConfig {
     pub max_connections: usize,
     /// Time for a request's head, ms.
     pub header_read_timeout_ms: u64,
-    /// Time that a body may stand still, ms.
+    /// Time that a body or an answer may stand still, ms.
     pub body_stall_timeout_ms: u64,
     /// Time for a whole body, ms.
     pub body_read_timeout_ms: u64,
@@ -70,7 +70,7 @@ impl ServerConfig {
         Duration::from_millis(self.header_read_timeout_ms)
     }
 
-    /// Time that a body may stand still.
+    /// Time that a body or an answer may stand still.
     pub const fn body_stall_timeout(&self) -> Duration {
         Duration::from_millis(self.body_stall_timeout_ms)
     }

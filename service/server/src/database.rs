@@ -1,10 +1,15 @@
 //! Opening the database that the configuration names.
 
+use crate::clock::Clock;
 use crate::config::{Config, Engine};
 use crate::data_dir::{DataDirError, DataDirLock};
 use feedwright_store::{PostgresOptions, PostgresStore, SqliteOptions, SqliteStore, Store, StoreError};
 use secrecy::ExposeSecret;
 use std::sync::Arc;
+
+/// Months for which partitions of samples are made at a start, the present one included. A server that runs for longer
+/// goes on into the default partition.
+const PARTITIONS_AHEAD: i32 = 13;
 
 /// A store that is open, with what has to be held as long as it is.
 pub struct Database {
@@ -45,6 +50,7 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
                 ..PostgresOptions::default()
             };
             let store = Arc::new(PostgresStore::open(url.expose_secret(), options).await?);
+            store.make_partitions(Clock::system().now(), PARTITIONS_AHEAD).await?;
             Ok(Database { store, lock: None })
         }
     }

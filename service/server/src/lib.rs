@@ -15,6 +15,7 @@ pub mod ingest;
 pub mod lifecycle;
 pub mod metrics;
 mod readiness;
+pub mod replay;
 pub mod server;
 pub mod state;
 pub mod what_if;

@@ -5,6 +5,7 @@
 
 mod accept;
 mod body;
+mod stream;
 
 pub use body::BodyTooSlow;
 

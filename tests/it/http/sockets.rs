@@ -111,6 +111,32 @@ async fn a_body_that_stalls_or_drips_is_answered_and_closed_in_time() {
 }
 
 #[tokio::test]
+async fn a_client_that_does_not_read_its_answers_is_dropped() {
+    let running =
+        start(&[("server.body_stall_timeout_ms", SHORT_MS), ("metrics.listen", "127.0.0.1:0")]).await;
+    let mut deaf = running.connect().await;
+    let ask = b"GET /docs/swagger-ui-bundle.js HTTP/1.1\r\nhost: x\r\n\r\n";
+    // More answers than the sockets' buffers hold.
+    deaf.write_all(&ask.repeat(20)).await.unwrap();
+    let metrics = format!("http://{}/metrics", running.server.metrics_addr.unwrap());
+    let begun = Instant::now();
+    let mut polls = tokio::time::interval(SHORT / 8);
+    loop {
+        polls.tick().await;
+        let text = reqwest::get(&metrics).await.unwrap().text().await.unwrap();
+        let asked = text.contains("route=\"/docs/{*file}\"");
+        // The one that is left asks for metrics.
+        if asked && text.contains("feedwright_http_connections 1\n") {
+            break;
+        }
+        assert!(begun.elapsed() < LONG, "it is still connected");
+    }
+    assert!(begun.elapsed() > SHORT / 2, "it was dropped for something else");
+    drop(deaf);
+    running.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
 async fn beyond_the_bound_connections_wait_and_are_served_when_there_is_room() {
     let running = start(&[("server.max_connections", "2")]).await;
     let ask = b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n";

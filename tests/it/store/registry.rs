@@ -4,6 +4,7 @@ use super::given::{at, engineer, machine, operation, shop, stories, tool};
 use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_store::{Page, Precondition, PutOutcome, Store, StoreError, StoreResult};
 use std::sync::Arc;
+use std::time::Duration;
 
 stories!(
     what_is_put_is_found_again,
@@ -11,6 +12,7 @@ stories!(
     pages_go_by_bytes_not_by_language,
     calibrations_are_numbered,
     every_change_leaves_its_line,
+    callers_that_hang_up_leave_nothing_half_done,
 );
 
 async fn what_is_put_is_found_again(store: Arc<dyn Store>) {
@@ -121,4 +123,32 @@ async fn every_change_leaves_its_line(store: Arc<dyn Store>) {
     assert!(lines.iter().all(|line| line.actor == "tok-eve"));
     let rest = store.audit(Page { after: Some(lines[1].id), limit: 1 }).await.unwrap();
     assert_eq!(rest, lines[2..3]);
+}
+
+async fn callers_that_hang_up_leave_nothing_half_done(store: Arc<dyn Store>) {
+    // Each caller goes away a little later than the one before: before the change begins, in its midst, after it.
+    let mut acknowledged = Vec::new();
+    for n in 0..400_u64 {
+        let id = format!("T{n:03}");
+        let who = engineer();
+        let put = store.put_tool(tool(&id), Precondition::Absent, &who, at(0));
+        if let Ok(outcome) = tokio::time::timeout(Duration::from_micros(n * 20), put).await {
+            assert_eq!(outcome.unwrap(), PutOutcome::Created);
+            acknowledged.push(id);
+        }
+    }
+    // Whoever comes next on the same connections is not inside someone else's transaction.
+    for n in 400..430 {
+        let id = format!("T{n}");
+        store.put_tool(tool(&id), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+        acknowledged.push(id);
+    }
+    let kept = store.tools(Page { after: None, limit: 1000 }).await.unwrap();
+    let audit = store.audit(Page { after: None, limit: 1000 }).await.unwrap();
+    let names = |id: &String| kept.iter().any(|tool| tool.value.id.as_str() == id);
+    assert!(acknowledged.iter().all(names), "everything acknowledged is there");
+    assert!(acknowledged.len() < 430, "some did hang up");
+    let lines: Vec<&str> = audit.iter().filter_map(|line| line.subject.strip_prefix("tool/")).collect();
+    let late = kept.iter().filter(|tool| !lines.contains(&tool.value.id.as_str())).count();
+    assert_eq!(late, 0, "no tool without its line in the audit");
 }

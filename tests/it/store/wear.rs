@@ -21,6 +21,7 @@ stories!(
     an_event_takes_effect_with_the_cycle_it_names,
     an_event_after_the_last_cycle_acts_at_once,
     changed_settings_are_judged_again,
+    a_beginning_that_is_told_late_is_the_beginning,
 );
 
 mod tables {
@@ -67,7 +68,8 @@ async fn cycles_of_an_unregistered_tool_count_once_it_is_registered(store: Arc<d
         assert!(!answer.registered);
         assert!(answer.summary.flags.contains(Flag::ToolUnregistered));
         assert_eq!(answer.verdict.state, ToolState::Unknown);
-        assert_eq!(answer.recommendation.recommendation.override_percent, 100.0);
+        let advised = answer.recommendation.recommendation.override_percent;
+        assert_eq!(advised.to_bits(), 100.0_f64.to_bits(), "neutral is exactly 100 %");
     }
     let id = "T1".try_into().unwrap();
     assert_eq!(store.verdict(&id).await.unwrap().state, ToolState::Unknown);
@@ -205,6 +207,31 @@ async fn an_event_after_the_last_cycle_acts_at_once(store: Arc<dyn Store>) {
     assert_eq!((late.verdict.life, late.verdict.cycles), (2, 0));
     let next = stored(&*store, &Run::nth(11)).await;
     assert_eq!((next.verdict.life, next.verdict.cycles), (2, 1));
+    assert_clean(&*store).await;
+}
+
+async fn a_beginning_that_is_told_late_is_the_beginning(store: Arc<dyn Store>) {
+    let who = engineer();
+    store.put_machine(machine("M1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    store.put_operation(operation("O1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    store.put_tool(tool("T1"), Precondition::Absent, &who, at(0)).await.unwrap();
+    let id = "T1".try_into().unwrap();
+    let runs: Vec<Run> =
+        (1..=260).filter(|n| *n != 3).map(|n| Run { sampled: false, ..Run::nth(n) }).collect();
+    commit(&*store, &runs).await;
+    let tell = async |kind, first: Option<&str>, when| {
+        let mut told = event(kind, when);
+        told.first_cycle = first.map(|cycle| ("M1".try_into().unwrap(), cycle.try_into().unwrap()));
+        store.add_tool_event(&id, told, &who, when).await.unwrap().unwrap();
+        assert_clean(&*store).await;
+    };
+    // Each of these moves what the first life begins with: last the cycle that the mounting names comes in.
+    tell(ToolEventKind::Changed, None, at(200 * 60)).await;
+    tell(ToolEventKind::MountedNew, None, at(100 * 60)).await;
+    tell(ToolEventKind::Reground, None, at(50 * 60)).await;
+    tell(ToolEventKind::MountedUsed, Some("c00003"), at(150 * 60)).await;
+    let answer = stored(&*store, &Run { sampled: false, ..Run::nth(3) }).await;
+    assert_eq!((answer.verdict.life, answer.verdict.cycles), (4, 61), "cycles 200 to 260");
     assert_clean(&*store).await;
 }
 

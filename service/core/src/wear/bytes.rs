@@ -220,6 +220,7 @@ fields!(KeyState {
     needed,
     window,
     level_at_entry,
+    unconfirmed,
     learning,
     baseline,
     recent,

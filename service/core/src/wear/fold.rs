@@ -128,9 +128,12 @@ impl ToolFold {
         }
         let level = self.level();
         let mut announced = true;
-        for key in self.keys.iter_mut().filter(|key| key.change.is_some()) {
-            key.relearn(level.unwrap_or(1.0));
-            announced = false;
+        for key in &mut self.keys {
+            announced &= key.change.is_none() && !key.unconfirmed;
+            key.unconfirmed = false;
+            if key.change.is_some() {
+                key.relearn(level.unwrap_or(1.0));
+            }
         }
         self.change_announced = announced;
         self.settle_suspects();
@@ -217,7 +220,13 @@ impl ToolFold {
             // It has worked unmeasured for so long that its first measured cycles are no new tool's.
             self.unworn = false;
         }
-        let state = KeyState::new(key, settings.wear, level.unwrap_or(1.0));
+        // A speed that is changed in mid-life is often changed because of the wear: the level that is carried over
+        // then says nothing good until somebody confirms the new conditions.
+        let speed_changed = level.is_some() && self.keys.iter().any(|known| known.differs_in_speed(&key));
+        let mut state = KeyState::new(key, settings.wear, level.unwrap_or(1.0));
+        if speed_changed {
+            state.unconfirmed = !std::mem::take(&mut self.change_announced);
+        }
         if self.keys.len() < MAX_KEYS {
             self.keys.push(state);
             return self.keys.len() - 1;

@@ -71,6 +71,7 @@ impl ToolFold {
         }
         let level = self.level();
         let percent = level.map_or(0.0, |level| 100.0 * (level - 1.0));
+        let against = if self.unworn { "the new tool" } else { "its first measured cycles" };
         if !self.suspects.is_empty() {
             let n = self.excluded[Exclusion::BrokenSuspected as usize];
             say(
@@ -80,7 +81,7 @@ impl ToolFold {
             return ToolState::BrokenSuspected;
         }
         if self.worn {
-            say("worn", format!("energy reached 10 % above the new tool (now {percent:+.1} %), latched"));
+            say("worn", format!("energy reached 10 % above {against} (now {percent:+.1} %), latched"));
             return ToolState::Worn;
         }
         if current.is_some_and(|key| key.change.is_some()) {
@@ -96,7 +97,7 @@ impl ToolFold {
             return ToolState::Unknown;
         };
         if self.warned {
-            say("warning", format!("energy is {percent:+.1} % against the new tool"));
+            say("warning", format!("energy is {percent:+.1} % against {against}"));
             return ToolState::Warning;
         }
         if key.baseline.is_none() {
@@ -111,6 +112,13 @@ impl ToolFold {
         }
         if !self.unworn {
             return ToolState::Unknown;
+        }
+        if key.unconfirmed {
+            say(
+                "speed_changed",
+                "the commanded speed was changed in mid-life: confirm the conditions".into(),
+            );
+            return ToolState::Changed;
         }
         say("good", format!("energy is {percent:+.1} % against the new tool"));
         ToolState::Good

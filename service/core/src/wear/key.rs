@@ -118,6 +118,8 @@ pub(super) struct KeyState {
     pub(super) needed: u32,
     pub(super) window: u32,
     pub(super) level_at_entry: f64,
+    /// Whether it began because the commanded speed of an operation changed in mid-life, and nobody confirmed that.
+    pub(super) unconfirmed: bool,
     /// Cycles the baseline is being learnt from, in order; empty once it is complete.
     pub(super) learning: Vec<Measured>,
     pub(super) baseline: Option<Baseline>,
@@ -164,6 +166,7 @@ impl KeyState {
             needed: settings.baseline_cycles,
             window: settings.window_cycles,
             level_at_entry,
+            unconfirmed: false,
             learning: Vec::new(),
             baseline: None,
             recent: Vec::new(),
@@ -187,6 +190,14 @@ impl KeyState {
             && self.key.strategy == key.strategy
             && self.key.law_version == key.law_version
             && self.key.profile == key.profile
+    }
+
+    /// Whether `key` differs from this one only in the commanded speed: the same operation, run otherwise.
+    pub(super) fn differs_in_speed(&self, key: &BaselineKey) -> bool {
+        !self.matches(key) && {
+            let same_speed = BaselineKey { spindle_speed_rpm: self.key.spindle_speed_rpm, ..key.clone() };
+            self.matches(&same_speed)
+        }
     }
 
     /// Forgets the baseline and learns a new one that carries `level` over.

@@ -266,6 +266,15 @@ fn another_key_met_in_mid_life_carries_the_wear_and_coming_back_uses_the_old_bas
         slow(&mut life, 1500.0);
     }
     let verdict = life.fold.verdict();
+    // A speed changed in mid-life is not called good on a level that was only carried over.
+    assert_eq!((verdict.state, why(&verdict).last().copied()), (ToolState::Changed, Some("speed_changed")));
+    let mut confirmed = Life { fold: life.fold.clone(), number: life.number };
+    confirmed.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(slow(&mut confirmed, 1500.0).state, ToolState::Good);
+    let mut announced = Life::learnt();
+    announced.fold.event(ToolEventKind::ConditionsConfirmed);
+    let states: Vec<ToolState> = (0..6).map(|_| slow(&mut announced, 1500.0).state).collect();
+    assert_eq!(states[5], ToolState::Good, "{states:?}");
     assert!((verdict.level.unwrap().as_run - 1.06).abs() < 1e-9);
     for _ in 0..5 {
         slow(&mut life, 1500.0 * 1.05);

@@ -7,7 +7,7 @@ use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
 use crate::ingest::content::{ContentError, Encoding, decompress};
-use crate::ingest::intake::{Accepted, Pace, Refused};
+use crate::ingest::intake::{Accepted, Refused};
 use crate::state::AppState;
 use axum::Json;
 use axum::extract::{Request, State};
@@ -15,7 +15,6 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 use feedwright_store::CycleFilter;
-use futures_util::future::join_all;
 use http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -51,7 +50,7 @@ pub async fn post_cycle(
     let json = decoded_body(&state, request, "application/json").await?;
     // The client may hang up; what was taken in goes on to its commit all the same.
     let intake = state.intake.clone();
-    let accepting = async move { intake.accept(&machine, json, Pace::Live, Refused::ToQuarantine).await };
+    let accepting = async move { intake.accept(&machine, json, Refused::ToQuarantine).await };
     let accepted =
         state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))??;
     let status = if accepted.new { StatusCode::CREATED } else { StatusCode::OK };
@@ -85,20 +84,17 @@ pub async fn post_batch(
         let detail = format!("there is no machine `{machine}`");
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
     }
-    let intake = &state.intake;
     let lines = lines_of(&text, state.config.limits.batch_lines)?;
     let mut answer = Vec::with_capacity(128 * lines.len());
     for window in lines.chunks(BATCH_WINDOW) {
-        let outcomes = window.iter().map(|(number, line)| {
-            let (intake, machine, line, number) = (intake.clone(), machine.clone(), line.clone(), *number);
-            let accepting = async move {
-                let result = intake.accept(&machine, line, Pace::Patient, Refused::ToQuarantine).await;
-                outcome(number, result)
-            };
-            state.lifecycle.spawn(accepting)
-        });
-        for outcome in join_all(outcomes).await {
-            let outcome = outcome.map_err(|error| Problem::internal(error.to_string()))?;
+        let bodies = window.iter().map(|(_, line)| line.clone()).collect();
+        let (intake, machine) = (state.intake.clone(), machine.clone());
+        // The client may hang up; the window that was taken in goes on to its commits all the same.
+        let accepting = async move { intake.accept_all(&machine, bodies).await };
+        let results =
+            state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))?;
+        for ((number, _), result) in window.iter().zip(results) {
+            let outcome = outcome(*number, result);
             serde_json::to_writer(&mut answer, &outcome)
                 .map_err(|error| Problem::internal(error.to_string()))?;
             answer.push(b'\n');

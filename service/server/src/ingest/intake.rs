@@ -1,7 +1,7 @@
 //! The intake: one way for every cycle, whether posted, in a batch or out of quarantine.
 
 use super::body::{self, BodyError};
-use super::writer::{self, Bounds, WriteError, WriterHandle, WriterObserver};
+use super::writer::{self, Answered, Bounds, WriteError, WriterHandle, WriterObserver};
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::http::problem::Problem;
@@ -15,6 +15,7 @@ use feedwright_core::units::Timestamp;
 use feedwright_store::{
     Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, codec,
 };
+use futures_util::future::join_all;
 use http::StatusCode;
 use std::sync::{Arc, RwLock};
 use tokio::sync::Mutex;
@@ -34,13 +35,10 @@ pub struct Accepted {
     pub answer: Box<CycleAnswer>,
 }
 
-/// How a cycle is queued.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Pace {
-    /// A live post: refused at once where the queue is full.
-    Live,
-    /// A line of a batch: waits for room.
-    Patient,
+/// A cycle that is ready for the queue, with the body it came from.
+struct Ready {
+    cycle: NewCycle,
+    json: Bytes,
 }
 
 /// What becomes of a body that is refused for its content.
@@ -107,14 +105,9 @@ impl CycleIntake {
         }
     }
 
-    async fn accept_at(
-        &self,
-        machine: &MachineId,
-        json: Bytes,
-        pace: Pace,
-        refused: Refused,
-        now: Timestamp,
-    ) -> Result<Accepted, Problem> {
+    /// Everything before the queue: reading, summary, blocks and hash.
+    async fn prepare(&self, machine: &MachineId, json: Bytes, refused: Refused) -> Result<Ready, Problem> {
+        let now = self.clock.now();
         let cycle = match self.decode(machine, json.clone(), now).await? {
             Ok(cycle) => Arc::new(cycle),
             Err(BodyError::Malformed(why)) => {
@@ -124,7 +117,7 @@ impl CycleIntake {
                 if self.store.machine(machine).await?.is_none() {
                     return Err(unknown_machine(machine));
                 }
-                return Err(self.refuse(machine, json, Problem::invalid(violations), refused, now).await);
+                return Err(self.refuse(machine, json, Problem::invalid(violations), refused).await);
             }
         };
         let Some(around) = self.store.surroundings(machine, &cycle.operation, &cycle.tool).await? else {
@@ -138,11 +131,20 @@ impl CycleIntake {
         let mut summary = summarise(&cycle, context);
         summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
         let encoded = codec::encode(&cycle);
-        let new = NewCycle { cycle: cycle.clone(), received_at: now, encoded, summary };
-        match self.commit(new, pace).await? {
+        Ok(Ready { cycle: NewCycle { cycle, received_at: now, encoded, summary }, json })
+    }
+
+    /// Everything after the queue: what the commit came to.
+    async fn settle(&self, ready: Ready, answered: Answered, refused: Refused) -> Result<Accepted, Problem> {
+        let outcome = answered.await.map_err(|_| closing())?;
+        if let Ok(writer) = self.writer() {
+            self.metrics.ingest_queue_depth.set(i64::try_from(writer.depth()).unwrap_or(i64::MAX));
+        }
+        let cycle = ready.cycle.cycle;
+        match outcome? {
             Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
             Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),
-            Committed::UnknownMachine => Err(unknown_machine(machine)),
+            Committed::UnknownMachine => Err(unknown_machine(&cycle.machine)),
             Committed::Conflict { .. } => {
                 let problem = Problem::new(
                     StatusCode::CONFLICT,
@@ -153,9 +155,13 @@ impl CycleIntake {
                         cycle.id
                     ),
                 );
-                Err(self.refuse(machine, json, problem, refused, now).await)
+                Err(self.refuse(&cycle.machine, ready.json, problem, refused).await)
             }
         }
+    }
+
+    fn writer(&self) -> Result<WriterHandle, Problem> {
+        self.writer.read().map_err(|_| closing())?.clone().ok_or_else(closing)
     }
 
     async fn decode(
@@ -174,24 +180,18 @@ impl CycleIntake {
             .map_err(|error| Problem::internal(format!("parsing a cycle failed: {error}")))
     }
 
-    async fn commit(&self, cycle: NewCycle, pace: Pace) -> Result<Committed, Problem> {
-        let writer = self.writer.read().map_err(|_| closing())?.clone().ok_or_else(closing)?;
-        let outcome = match pace {
-            Pace::Live => writer.commit(cycle).await,
-            Pace::Patient => writer.commit_patiently(cycle).await,
-        };
-        self.metrics.ingest_queue_depth.set(i64::try_from(writer.depth()).unwrap_or(i64::MAX));
-        outcome.map_err(|error| match error {
-            WriteError::Busy => {
-                Problem::unavailable("queue_full", "too many cycles are waiting to be written", 1)
+    fn observe(&self, result: &Result<Accepted, Problem>) {
+        let Accepted { cycle, new, answer } = match result {
+            Ok(accepted) => accepted,
+            Err(problem) if problem.members.contains_key("quarantine_id") => {
+                self.metrics.cycle(CycleOutcome::Quarantined);
+                return;
             }
-            WriteError::Closing => closing(),
-            WriteError::Store(error) => error.into(),
-        })
-    }
-
-    fn observe(&self, accepted: &Accepted) {
-        let Accepted { cycle, new, answer } = accepted;
+            Err(problem) => {
+                self.metrics.cycle_rejected(problem.code);
+                return;
+            }
+        };
         self.metrics.recommendation(answer.recommendation.recommendation.action);
         if !new {
             self.metrics.cycle(CycleOutcome::Duplicate);
@@ -208,14 +208,7 @@ impl CycleIntake {
     }
 
     /// Keeps a refused body in quarantine, so that its machine may forget it, and names it in the problem.
-    async fn refuse(
-        &self,
-        machine: &MachineId,
-        json: Bytes,
-        problem: Problem,
-        refused: Refused,
-        now: Timestamp,
-    ) -> Problem {
+    async fn refuse(&self, machine: &MachineId, json: Bytes, problem: Problem, refused: Refused) -> Problem {
         if refused == Refused::StaysInQuarantine {
             return problem;
         }
@@ -223,7 +216,7 @@ impl CycleIntake {
             id: uuid::Uuid::now_v7().to_string(),
             machine: machine.clone(),
             cycle: body::cycle_id_of(&json).map(|id| id.chars().take(128).collect()),
-            received_at: now,
+            received_at: self.clock.now(),
             code: problem.errors.first().map_or(problem.code, |error| error.code).to_owned(),
             problem: problem.document(None),
             content_type: "application/json".to_owned(),
@@ -247,29 +240,56 @@ impl CycleIntake {
 }
 
 impl CycleIntake {
-    /// Takes one cycle's JSON body in. Returns after its durable commit.
+    /// Takes one cycle's JSON body in. Returns after its durable commit. A full queue refuses it at once.
     pub async fn accept(
         &self,
         machine: &MachineId,
         json: Bytes,
-        pace: Pace,
         refused: Refused,
     ) -> Result<Accepted, Problem> {
-        let result = self.accept_at(machine, json, pace, refused, self.clock.now()).await;
-        match &result {
-            Ok(accepted) => self.observe(accepted),
-            Err(problem) if problem.members.contains_key("quarantine_id") => {
-                self.metrics.cycle(CycleOutcome::Quarantined);
+        let result = match self.prepare(machine, json, refused).await {
+            Ok(ready) => {
+                match self.writer().and_then(|writer| writer.enqueue(ready.cycle.clone()).map_err(problem_of))
+                {
+                    Ok(answered) => self.settle(ready, answered, refused).await,
+                    Err(problem) => Err(problem),
+                }
             }
-            Err(problem) => self.metrics.cycle_rejected(problem.code),
-        }
+            Err(problem) => Err(problem),
+        };
+        self.observe(&result);
         result
+    }
+
+    /// Takes several cycles in, in their order: where two have the same id, the first is the one that is stored.
+    /// Waits for room in the queue, so that a batch does not crowd out live posts by filling it.
+    pub async fn accept_all(&self, machine: &MachineId, lines: Vec<Bytes>) -> Vec<Result<Accepted, Problem>> {
+        let refused = Refused::ToQuarantine;
+        let mut waiting = Vec::with_capacity(lines.len());
+        for ready in join_all(lines.into_iter().map(|json| self.prepare(machine, json, refused))).await {
+            waiting.push(match ready {
+                Ok(ready) => self.enqueue_patiently(ready).await,
+                Err(problem) => Err(problem),
+            });
+        }
+        let settled = waiting.into_iter().map(|waiting| async move {
+            let (ready, answered) = waiting?;
+            self.settle(ready, answered, refused).await
+        });
+        let results = join_all(settled).await;
+        results.iter().for_each(|result| self.observe(result));
+        results
+    }
+
+    async fn enqueue_patiently(&self, ready: Ready) -> Result<(Ready, Answered), Problem> {
+        let answered = self.writer()?.enqueue_patiently(ready.cycle.clone()).await.map_err(problem_of)?;
+        Ok((ready, answered))
     }
 
     /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have
     /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again.
     pub async fn reingest(&self, machine: &MachineId, body: Bytes) -> Result<serde_json::Value, Problem> {
-        let accepted = self.accept(machine, body, Pace::Live, Refused::StaysInQuarantine).await?;
+        let accepted = self.accept(machine, body, Refused::StaysInQuarantine).await?;
         let answer = crate::http::dto::cycle::CycleAnswerBody::of(&accepted);
         serde_json::to_value(answer).map_err(|error| Problem::internal(error.to_string()))
     }
@@ -289,6 +309,15 @@ impl CycleIntake {
 
 fn unknown_machine(machine: &MachineId) -> Problem {
     Problem::new(StatusCode::NOT_FOUND, "unknown_machine", format!("there is no machine `{machine}`"))
+}
+
+fn problem_of(error: WriteError) -> Problem {
+    match error {
+        WriteError::Busy => {
+            Problem::unavailable("queue_full", "too many cycles are waiting to be written", 1)
+        }
+        WriteError::Closing => closing(),
+    }
 }
 
 fn closing() -> Problem {

@@ -36,37 +36,33 @@ pub struct WriterHandle {
 }
 
 /// Why a cycle was not taken.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WriteError {
     /// The queue is full: try again in a moment.
     Busy,
     /// The writer is shutting down.
     Closing,
-    /// The store failed.
-    Store(StoreError),
 }
 
+/// The answer to a queued cycle, which comes after its commit. Dropping it does not take the cycle back.
+pub type Answered = oneshot::Receiver<StoreResult<Committed>>;
+
 impl WriterHandle {
-    /// Queues a cycle and waits for its commit. Dropping the future does not take the cycle back.
-    pub async fn commit(&self, cycle: NewCycle) -> Result<Committed, WriteError> {
+    /// Queues a cycle, or says at once that the queue is full.
+    pub fn enqueue(&self, cycle: NewCycle) -> Result<Answered, WriteError> {
         let (answer, answered) = oneshot::channel();
         self.queue.try_send(Queued { cycle, answer }).map_err(|error| match error {
             mpsc::error::TrySendError::Full(_) => WriteError::Busy,
             mpsc::error::TrySendError::Closed(_) => WriteError::Closing,
         })?;
-        Self::wait(answered).await
+        Ok(answered)
     }
 
-    /// As [`WriterHandle::commit`], but waits for room in the queue: for batches, which must not crowd out live
-    /// posts by filling it.
-    pub async fn commit_patiently(&self, cycle: NewCycle) -> Result<Committed, WriteError> {
+    /// As [`WriterHandle::enqueue`], but waits for room.
+    pub async fn enqueue_patiently(&self, cycle: NewCycle) -> Result<Answered, WriteError> {
         let (answer, answered) = oneshot::channel();
         self.queue.send(Queued { cycle, answer }).await.map_err(|_| WriteError::Closing)?;
-        Self::wait(answered).await
-    }
-
-    async fn wait(answered: oneshot::Receiver<StoreResult<Committed>>) -> Result<Committed, WriteError> {
-        answered.await.map_err(|_| WriteError::Closing)?.map_err(WriteError::Store)
+        Ok(answered)
     }
 
     /// Cycles waiting now.

@@ -1,6 +1,7 @@
 //! The accept loop: a bound on connections, and on the time a silent one is kept.
 
 use super::body::TimedBody;
+use super::stream::TimedStream;
 use crate::auth::Peer;
 use crate::state::AppState;
 use axum::Router;
@@ -98,7 +99,7 @@ impl Acceptor {
             .timer(TokioTimer::new())
             .header_read_timeout(config.header_read_timeout())
             .max_buf_size(BUFFER)
-            .serve_connection(TokioIo::new(stream), service)
+            .serve_connection(TokioIo::new(TimedStream::new(stream, stall)), service)
             .with_upgrades();
         let mut connection = pin!(connection);
         let ended = tokio::select! {

@@ -3,6 +3,7 @@
 use super::wear::{self, ToolWear};
 use super::{Conn, alarms, cycles, dialect, machines, operations, recommendations};
 use crate::error::StoreResult;
+use crate::history::beginning;
 use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
 use crate::rows::{CycleRow, FactsRow, Place};
@@ -149,7 +150,6 @@ async fn count_all(
         if let Placed::New(_, summary) = placed
             && summary.flags.contains(Flag::LoadOver400)
         {
-            let Cycle { .. } = &*new.cycle;
             let message = format!("cycle {}: a load exceeded 400 %", new.cycle.id);
             let (machine, tool) = (&new.cycle.machine, &new.cycle.tool);
             alarms::raise(conn, AlarmKind::Overload, Some(machine), Some(tool), &message, now).await?;
@@ -168,12 +168,18 @@ async fn count_tool(
     // An event that names a cycle of this group has just moved from its own time to that cycle's place: every
     // machine's fold changes from the earlier of the two on.
     let mut moved: Option<Place> = None;
+    let mut before = wear.events.clone();
     for row in machines.values().flatten() {
         let place = Place::of(&row.order()?);
-        for event in wear.events.iter().filter(|event| event.place == place) {
-            let from = Place::at(event.at).min(place.clone());
+        for event in before.iter_mut().filter(|event| event.place == place) {
+            event.place = Place::at(event.at);
+            let from = event.place.clone().min(place.clone());
             moved = Some(moved.map_or(from.clone(), |moved| moved.min(from)));
         }
+    }
+    before.sort();
+    if moved.is_some() && beginning(&before) != beginning(&wear.events) {
+        moved = Some(wear::BEGINNING);
     }
     for (machine, mut rows) in machines {
         match &moved {

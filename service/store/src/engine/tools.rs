@@ -99,7 +99,7 @@ pub(super) async fn placed_events(conn: &mut Conn, tool: &ToolId) -> StoreResult
         .fetch_all(&mut *conn)
         .await?;
     let mut events = rows.iter().map(EventRow::placed).collect::<StoreResult<Vec<_>>>()?;
-    events.sort_by(|a, b| (&a.place, a.at, a.id).cmp(&(&b.place, b.at, b.id)));
+    events.sort();
     Ok(events)
 }
 

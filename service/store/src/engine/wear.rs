@@ -367,13 +367,13 @@ pub(super) async fn count_event(
     now: Timestamp,
 ) -> StoreResult<Verdict> {
     let mut wear = ToolWear::load_locked(conn, tool).await?;
-    // The first event that begins a life speaks of everything before it too.
-    let lives = wear.events.iter().filter(|placed| placed.kind.begins_life()).count();
-    let place = wear
-        .events
-        .iter()
-        .find(|placed| placed.id == event && !(lives == 1 && placed.kind.begins_life()))
-        .map_or(BEGINNING, |placed| placed.place.clone());
+    let (mut before, mut place) = (wear.events.clone(), BEGINNING);
+    if let Some(at) = before.iter().position(|placed| placed.id == event) {
+        place = before.remove(at).place;
+    }
+    if beginning(&before) != beginning(&wear.events) {
+        place = BEGINNING;
+    }
     for machine in wear.machines() {
         wear.refold(conn, &machine, &place, now).await?;
     }

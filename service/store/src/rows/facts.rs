@@ -171,6 +171,18 @@ pub(crate) struct PlacedEvent {
     pub(crate) kind: ToolEventKind,
 }
 
+impl Ord for PlacedEvent {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (&self.place, self.at, self.id).cmp(&(&other.place, other.at, other.id))
+    }
+}
+
+impl PartialOrd for PlacedEvent {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
 /// A row of `tool_events` with the order key of the cycle it names, where that one is stored for the same tool.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct EventRow {

@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::sync::{Mutex, Notify};
 use tokio::task::JoinHandle;
 
-/// A log this long (64 MiB of 4 KiB pages) means that a reader holds an old snapshot, or that the disk is too slow.
+/// A log this long (128 MiB of 8 KiB pages) means that a reader holds an old snapshot, or that the disk is too slow.
 const LONG_WAL_PAGES: u64 = 16_384;
 
 #[derive(Debug)]

@@ -71,7 +71,15 @@ impl LineBody {
             ));
         }
         let Self { slope, intercept, min_percent, max_percent, r_squared, residual_spread } = self;
-        FittedLine { slope, intercept, min_percent, max_percent, r_squared, residual_spread }
+        // Adding zero turns −0.0 into 0.0, so that equal content has equal bits on both databases.
+        FittedLine {
+            slope,
+            intercept: intercept + 0.0,
+            min_percent: min_percent + 0.0,
+            max_percent: max_percent + 0.0,
+            r_squared: r_squared + 0.0,
+            residual_spread: residual_spread + 0.0,
+        }
     }
 }
 
