@@ -6,23 +6,21 @@
 
 mod fault;
 mod machine;
-mod remote;
 mod report;
 
 pub use fault::Fault;
 
 use super::{Settings, print};
 use crate::http::dto::time;
+use crate::replay::client::Client;
 use anyhow::{Context, ensure};
 use clap::Args;
 use feedwright_core::friction::twin::PaperStrategies;
 use feedwright_core::units::{Strategy, Timestamp};
 use futures_util::future::try_join_all;
-use machine::{Plan, SimulatedMachine};
-use remote::Remote;
+use machine::{Clients, Plan, SimulatedMachine};
 use report::Report;
 use secrecy::SecretString;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Most machines: each holds a connection, and a server has 512 unless configured.
@@ -32,13 +30,16 @@ const MOST_CYCLES: u32 = 100_000;
 /// From the beginning of one cycle to that of the next on the machines' clocks, ms.
 const CADENCE_MS: i64 = 20_000;
 
+/// Longest wait for a server that does not answer or has no room.
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// Arguments of the command.
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// The server to drive; as configured where it is left out.
     #[arg(long, value_name = "URL")]
     server: Option<String>,
-    /// An admin's token: it registers the shop and posts for every machine.
+    /// An admin's token: it registers the shop and has a token made for each machine.
     #[arg(long, env = "FEEDWRIGHT_TOKEN", hide_env_values = true, value_parser = secret)]
     token: SecretString,
     /// How many machines.
@@ -90,7 +91,7 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
             format!("http://{}", super::healthcheck::reachable(listen))
         }
     };
-    let remote = Arc::new(Remote::new(&url, arguments.token.clone())?);
+    let office = Client::new(&url, Some(arguments.token.clone()), PATIENCE)?;
     let until = match &arguments.until {
         Some(text) => time::read("--until", text)?,
         None => crate::clock::Clock::system().now(),
@@ -98,8 +99,8 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     let begin = until.plus_millis(-CADENCE_MS * i64::from(arguments.cycles - 1));
     let begun = Instant::now();
     let machines = (1..=arguments.machines).map(|number| {
-        let (remote, plan) = (remote.clone(), plan(&arguments, number, begin));
-        async move { drive(&remote, plan?).await }
+        let (office, plan) = (office.clone(), plan(&arguments, number, begin));
+        async move { drive(office, plan?).await }
     });
     let reports = try_join_all(machines).await?;
     let report = reports.into_iter().fold(Report::default(), Report::plus);
@@ -132,20 +133,26 @@ fn plan(arguments: &Arguments, number: u32, begin: Timestamp) -> anyhow::Result<
     })
 }
 
-/// One machine's shift.
-async fn drive(remote: &Remote, plan: Plan) -> anyhow::Result<Report> {
+/// One machine's shift, with a token of its own that is revoked at its end.
+async fn drive(office: Client, plan: Plan) -> anyhow::Result<Report> {
     let name = plan.name();
-    let mut machine = SimulatedMachine::new(plan)?;
-    machine.register(remote).await.with_context(|| format!("cannot register {name}"))?;
+    let machine = SimulatedMachine::new(plan)?;
+    machine.register(&office).await.with_context(|| format!("cannot register {name}"))?;
+    let shop = Clients::enlist(office, &name).await?;
+    let report = shift(machine, &shop).await.with_context(|| format!("{name} stops"));
+    shop.dismiss().await?;
+    report
+}
+
+async fn shift(mut machine: SimulatedMachine, shop: &Clients) -> anyhow::Result<Report> {
     let mut report = Report { machines: 1, ..Report::default() };
     let mut ticks = machine.pause().map(tokio::time::interval);
     while machine.has_more() {
         if let Some(ticks) = &mut ticks {
             ticks.tick().await;
         }
-        machine.cycle(remote, &mut report).await.with_context(|| format!("{name} stops"))?;
+        machine.cycle(shop, &mut report).await?;
     }
-    machine.replay(remote, &mut report).await?;
-    report.remaining_wear.push(machine.wear());
+    machine.replay(shop, &mut report).await?;
     Ok(report)
 }

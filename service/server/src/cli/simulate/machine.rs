@@ -1,9 +1,10 @@
 //! One simulated machine: its tool wears, it drills, posts, and does what it is told.
 
 use super::fault::Fault;
-use super::remote::{Answer, Remote};
 use super::report::Report;
 use crate::http::dto::time;
+use crate::replay::client::{Answer, Client};
+use anyhow::{Context, bail};
 use feedwright_core::friction::noise::Noise;
 use feedwright_core::friction::program::Strategy;
 use feedwright_core::friction::twin::{
@@ -11,6 +12,7 @@ use feedwright_core::friction::twin::{
 };
 use feedwright_core::units::{self, Timestamp};
 use reqwest::Method;
+use secrecy::SecretString;
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -47,6 +49,41 @@ impl Plan {
     pub(super) fn name(&self) -> String {
         format!("sim-{}", self.number)
     }
+}
+
+/// Who talks to the server: the office registers and tells events, the machine posts its own cycles.
+pub(super) struct Clients {
+    office: Client,
+    own: Client,
+    token_id: String,
+}
+
+impl Clients {
+    /// Has a token made for a machine that is registered.
+    pub(super) async fn enlist(office: Client, machine: &str) -> anyhow::Result<Self> {
+        let body = json!({"name": format!("simulation of {machine}"), "role": "machine", "machine": machine});
+        let issued = must(&office, Method::POST, "/v1/tokens", &body).await?;
+        let text = |key: &str| issued[key].as_str().with_context(|| format!("the new token has no {key}"));
+        let own = office.with_token(SecretString::from(text("token")?));
+        let token_id = text("id")?.to_owned();
+        Ok(Self { office, own, token_id })
+    }
+
+    /// Revokes the token again.
+    pub(super) async fn dismiss(self) -> anyhow::Result<()> {
+        let path = format!("/v1/tokens/{}", self.token_id);
+        let answer = self.office.delete(&path).await?;
+        if answer.status.is_success() { Ok(()) } else { bail!("{path}: {}", answer.problem()) }
+    }
+}
+
+/// Sends JSON that has to be taken.
+async fn must(office: &Client, method: Method, path: &str, body: &Value) -> anyhow::Result<Value> {
+    let answer = office.json(method, path, body).await?;
+    if answer.status.is_success() {
+        return Ok(answer.json());
+    }
+    bail!("{path} answers {}: {}", answer.status, answer.problem())
 }
 
 /// The machine.
@@ -103,7 +140,7 @@ impl SimulatedMachine {
     }
 
     /// Registers the machine with its line, its tool and the operation, and mounts the tool.
-    pub(super) async fn register(&self, remote: &Remote) -> anyhow::Result<()> {
+    pub(super) async fn register(&self, office: &Client) -> anyhow::Result<()> {
         let name = self.plan.name();
         let ratings = self.twin.params().machine;
         let machine = json!({
@@ -115,35 +152,35 @@ impl SimulatedMachine {
             "limits": {"feed_min_mm_min": 1, "feed_max_mm_min": 5000,
                        "override_min_percent": 5, "override_max_percent": 200},
         });
-        remote.must(Method::PUT, &format!("/v1/machines/{name}"), &machine).await?;
+        must(office, Method::PUT, &format!("/v1/machines/{name}"), &machine).await?;
         let slope = ratings.spindle_rated_torque_nm() / 100.0;
         // Idle load is in the drive, not in the tool: without the line it would hide the wear.
         let line = json!({"torque": {
             "slope": slope, "intercept": -slope * ratings.spindle_idle_percent, "min_percent": 0,
             "max_percent": 150, "r_squared": 1, "residual_spread": 0}});
         let path = format!("/v1/machines/{name}/calibrations");
-        let known = remote.must(Method::GET, &path, &Value::Null).await?;
+        let known = office.get(&path).await?.json();
         if known["items"].as_array().is_none_or(Vec::is_empty) {
-            remote.must(Method::POST, &path, &line).await?;
+            must(office, Method::POST, &path, &line).await?;
         }
         let tool = json!({"name": "Simulated tool", "tool_type": "fd-7.3", "diameter_mm": 7.3});
-        remote.must(Method::PUT, &format!("/v1/tools/{}", self.tool()), &tool).await?;
+        must(office, Method::PUT, &format!("/v1/tools/{}", self.tool()), &tool).await?;
         let operation = json!({
             "name": "Simulated bushing", "process": "friction", "thickness_mm": 2, "depth_mm": 20.5,
             "spindle_speed_rpm": PAPER_SPINDLE_RPM,
         });
-        remote.must(Method::PUT, "/v1/operations/sim-bushing", &operation).await?;
-        self.event(remote, "mounted_new", "the simulation begins").await
+        must(office, Method::PUT, "/v1/operations/sim-bushing", &operation).await?;
+        self.event(office, "mounted_new", "the simulation begins").await
     }
 
-    async fn event(&self, remote: &Remote, kind: &str, reason: &str) -> anyhow::Result<()> {
+    async fn event(&self, office: &Client, kind: &str, reason: &str) -> anyhow::Result<()> {
         let event = json!({"kind": kind, "at": time::show(self.now()), "reason": reason});
         let path = format!("/v1/tools/{}/events", self.tool());
-        remote.must(Method::POST, &path, &event).await.map(drop)
+        must(office, Method::POST, &path, &event).await.map(drop)
     }
 
     /// Drills one hole and posts it, with whatever fault falls due.
-    pub(super) async fn cycle(&mut self, remote: &Remote, report: &mut Report) -> anyhow::Result<()> {
+    pub(super) async fn cycle(&mut self, shop: &Clients, report: &mut Report) -> anyhow::Result<()> {
         let fault = self.draw();
         if let Some(fault) = fault {
             *report.faults.entry(fault.as_str()).or_insert(0) += 1;
@@ -160,19 +197,19 @@ impl SimulatedMachine {
         match fault {
             Some(Fault::LateReplay) => {
                 self.held.push(body);
-                if self.held.len() < HELD { Ok(()) } else { self.replay(remote, report).await }
+                if self.held.len() < HELD { Ok(()) } else { self.replay(shop, report).await }
             }
             Some(Fault::NanBody) => {
                 let name = "\"spindle_load_percent\":[";
-                self.post(remote, body.replace(name, &format!("{name}NaN,")), report).await.map(drop)
+                self.post(shop, body.replace(name, &format!("{name}NaN,")), report).await.map(drop)
             }
             Some(Fault::Duplicate) => {
-                self.post(remote, body.clone(), report).await?;
-                self.post(remote, body, report).await.map(drop)
+                self.post(shop, body.clone(), report).await?;
+                self.post(shop, body, report).await.map(drop)
             }
             _ => {
-                let answer = self.post(remote, body, report).await?;
-                self.react(remote, &answer.json()["wear"]["state"], report).await
+                let answer = self.post(shop, body, report).await?;
+                self.react(shop, &answer.json()["wear"]["state"], report).await
             }
         }
     }
@@ -232,9 +269,9 @@ impl SimulatedMachine {
         .to_string())
     }
 
-    async fn post(&self, remote: &Remote, body: String, report: &mut Report) -> anyhow::Result<Answer> {
+    async fn post(&self, shop: &Clients, body: String, report: &mut Report) -> anyhow::Result<Answer> {
         let path = format!("/v1/machines/{}/cycles", self.plan.name());
-        let answer = remote.send(Method::POST, &path, "application/json", body).await?;
+        let answer = shop.own.text(&path, body).await?;
         let json = answer.json();
         let outcome = match json["status"].as_str() {
             Some(outcome) => outcome.to_owned(),
@@ -246,13 +283,13 @@ impl SimulatedMachine {
     }
 
     /// Posts what was kept back, as a batch.
-    pub(super) async fn replay(&mut self, remote: &Remote, report: &mut Report) -> anyhow::Result<()> {
+    pub(super) async fn replay(&mut self, shop: &Clients, report: &mut Report) -> anyhow::Result<()> {
         if self.held.is_empty() {
             return Ok(());
         }
         let body = std::mem::take(&mut self.held).join("\n");
         let path = format!("/v1/machines/{}/cycles/batch", self.plan.name());
-        let answer = remote.send(Method::POST, &path, "application/x-ndjson", body).await?;
+        let answer = shop.own.lines(&path, body).await?;
         for line in answer.text.lines() {
             let outcome: Value = serde_json::from_str(line).unwrap_or(Value::Null);
             report.count(outcome["outcome"].as_str().unwrap_or("refused"));
@@ -261,13 +298,13 @@ impl SimulatedMachine {
     }
 
     /// Does what the server's verdict asks for.
-    async fn react(&mut self, remote: &Remote, state: &Value, report: &mut Report) -> anyhow::Result<()> {
+    async fn react(&mut self, shop: &Clients, state: &Value, report: &mut Report) -> anyhow::Result<()> {
         let why = match state.as_str() {
             Some("worn") => "worn",
             Some("broken_suspected") if self.is_broken => "broken_suspected",
             Some("changed") => {
                 report.conditions_confirmed += 1;
-                return self.event(remote, "conditions_confirmed", "sheets of another thickness").await;
+                return self.event(&shop.office, "conditions_confirmed", "sheets of another thickness").await;
             }
             _ if self.wear >= OVERDUE * WORN => "overdue",
             _ => return Ok(()),
@@ -276,7 +313,7 @@ impl SimulatedMachine {
             report.wear_at_change.push(self.wear());
         }
         *report.tool_changes.entry(why).or_insert(0) += 1;
-        self.event(remote, "changed", why).await?;
+        self.event(&shop.office, "changed", why).await?;
         self.wear = 0.0;
         self.is_broken = false;
         Ok(())

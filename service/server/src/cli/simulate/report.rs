@@ -20,8 +20,6 @@ pub(super) struct Report {
     /// Wear over the limit's at each change for wear: 1 is +10 % at constant feed.
     #[serde(skip)]
     pub(super) wear_at_change: Vec<f64>,
-    #[serde(skip)]
-    pub(super) remaining_wear: Vec<f64>,
 }
 
 #[derive(Serialize)]
@@ -53,7 +51,6 @@ impl Report {
             *self.tool_changes.entry(why).or_insert(0) += count;
         }
         self.wear_at_change.extend(other.wear_at_change);
-        self.remaining_wear.extend(other.remaining_wear);
         self
     }
 
