@@ -19,8 +19,11 @@ pub(crate) fn binary() -> &'static Path {
             .unwrap();
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
         let messages = serde_json::Deserializer::from_slice(&built.stdout).into_iter::<serde_json::Value>();
+        // The tests themselves are among what was built, in whatever order cargo finished.
+        let binaries =
+            messages.filter_map(Result::ok).filter(|message| message["target"]["name"] == "feedwright");
         let executable =
-            messages.filter_map(|message| Some(message.ok()?["executable"].as_str()?.to_owned())).last();
+            binaries.filter_map(|message| Some(message["executable"].as_str()?.to_owned())).last();
         executable.expect("cargo names what it built").into()
     })
 }
