@@ -1,7 +1,7 @@
 //! The server from the outside: the real router, and real sockets where sockets matter.
 
 mod app;
-mod commands;
+pub(crate) mod commands;
 mod lists;
 mod matrix;
 mod openapi;

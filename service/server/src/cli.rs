@@ -8,7 +8,9 @@ pub mod healthcheck;
 pub mod openapi;
 pub mod replay;
 pub mod serve;
+pub mod simulate;
 pub mod token;
+pub mod twin;
 
 use crate::config::{Config, ConfigError, LogConfig, LogFormat, Sources};
 use clap::{Args, Parser, Subcommand};
@@ -73,6 +75,10 @@ enum Command {
     Openapi,
     /// Asks a running service whether it is ready; for containers.
     Healthcheck(healthcheck::Arguments),
+    /// Drives a running server with a shop of simulated friction drills, and prints what became of it.
+    Simulate(simulate::Arguments),
+    /// Runs the process model of friction drilling in step with another program, line by line.
+    Twin(twin::Arguments),
 }
 
 /// Runs the command that the arguments name.
@@ -85,6 +91,8 @@ pub async fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Token(arguments) => token::run(&cli.settings, arguments).await,
         Command::Openapi => openapi::run(),
         Command::Healthcheck(arguments) => healthcheck::run(&cli.settings, arguments).await,
+        Command::Simulate(arguments) => simulate::run(&cli.settings, arguments).await,
+        Command::Twin(arguments) => twin::run(arguments).await,
     }
 }
 

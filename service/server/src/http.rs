@@ -5,6 +5,7 @@
 //! Handlers are thin: decide by one pure call, save, reply. SQL and science do not belong here.
 
 pub mod body;
+pub mod compute;
 pub mod cursor;
 pub mod cycles;
 pub mod dto;
@@ -21,6 +22,7 @@ mod alarms;
 mod audit;
 mod calibrations;
 mod continuity;
+mod friction;
 mod health;
 mod jobs;
 mod library;
@@ -34,5 +36,6 @@ mod tool_events;
 mod tools;
 mod turning;
 mod viewer;
+mod what_if;
 
 pub use routes::{metrics_router, router};

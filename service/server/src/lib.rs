@@ -19,3 +19,4 @@ mod readiness;
 pub mod replay;
 pub mod server;
 pub mod state;
+pub mod what_if;

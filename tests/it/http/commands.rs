@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use tempfile::TempDir;
 
 /// The binary, built from this very tree: another package's binary is not built for these tests by itself.
-fn binary() -> &'static Path {
+pub(crate) fn binary() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {
         let built = Command::new(env!("CARGO"))
@@ -19,8 +19,11 @@ fn binary() -> &'static Path {
             .unwrap();
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
         let messages = serde_json::Deserializer::from_slice(&built.stdout).into_iter::<serde_json::Value>();
+        // The tests themselves are among what was built, in whatever order cargo finished.
+        let binaries =
+            messages.filter_map(Result::ok).filter(|message| message["target"]["name"] == "feedwright");
         let executable =
-            messages.filter_map(|message| Some(message.ok()?["executable"].as_str()?.to_owned())).last();
+            binaries.filter_map(|message| Some(message["executable"].as_str()?.to_owned())).last();
         executable.expect("cargo names what it built").into()
     })
 }

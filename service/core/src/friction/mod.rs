@@ -17,6 +17,7 @@
 //! | [`wear`] | as-run and feed-compensated wear, masking, reference cycles |
 //! | [`whatif`] | a stored cycle under another law, program or limits |
 //! | [`twin`] | the process model |
+//! | [`compare`] | strategies beside each other on it, Fig. 21 |
 //! | [`study`] | lives of many tools on the process model |
 //!
 //! A configuration is plain parameters checked once by a constructor; an [`error::Invalid`] names the field. To add
@@ -24,6 +25,7 @@
 //! Transport, storage and the choice of which cycles count do not belong here.
 
 pub mod calibration;
+pub mod compare;
 pub mod energy;
 pub mod error;
 pub mod feed_override;

@@ -8,6 +8,8 @@ pub mod audit;
 pub mod calibration;
 pub mod continuity;
 pub mod cycle;
+pub mod fit;
+pub mod friction;
 pub mod job;
 pub mod library;
 pub mod machine;
@@ -23,6 +25,7 @@ pub mod token;
 pub mod tool;
 pub mod turning;
 pub mod wear;
+pub mod what_if;
 pub mod word;
 
 use feedwright_core::invalid::Violation;

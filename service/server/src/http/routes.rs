@@ -1,9 +1,9 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, continuity, cycles, edge, health, jobs, library, machines, openapi,
-    operations, peak_to_peak, plunge, quarantine, recommendations, tokens, tool_events, tools, turning,
-    viewer, wear,
+    alarms, audit, calibrations, continuity, cycles, edge, friction, health, jobs, library, machines,
+    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, tokens, tool_events, tools,
+    turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -181,6 +181,10 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(peak_to_peak::recorded), READ).takes_cycles(),
         Route::new(routes!(jobs::get), READ),
         Route::new(routes!(jobs::cancel), READ),
+        Route::new(routes!(friction::simulate), READ),
+        Route::new(routes!(what_if::of_cycle), READ),
+        Route::new(routes!(what_if::of_many), READ),
+        Route::new(routes!(calibrations::fit), ENGINEER),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),

@@ -99,6 +99,11 @@ impl Client {
         self.send(method, path, Some(("application/json", body.to_string()))).await
     }
 
+    /// Posts text as JSON, whether it is any or not: a broken control sends what it likes.
+    pub async fn text(&self, path: &str, body: String) -> Result<Answer, ReplayError> {
+        self.send(Method::POST, path, Some(("application/json", body))).await
+    }
+
     /// Sends lines of JSON.
     pub async fn lines(&self, path: &str, lines: String) -> Result<Answer, ReplayError> {
         self.send(Method::POST, path, Some(("application/x-ndjson", lines))).await

@@ -154,8 +154,7 @@ impl RunFigures {
         if let Some(joules) = cycle.joules(spindle) {
             *self.energy_j.get_or_insert(0.0) += joules;
         }
-        let over = |limit: Option<f64>, load: f64| limit.is_some_and(|limit| load > limit);
-        if over(limits.feed_drive_percent, feed_drive) || over(limits.spindle_percent, spindle) {
+        if limits.are_exceeded(feed_drive, spindle) {
             self.overload_s += cycle.period_s;
         }
     }

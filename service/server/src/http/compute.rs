@@ -1,0 +1,41 @@
+//! Long computations: off the threads that answer requests, and only a few at a time.
+
+use super::problem::Problem;
+use tokio::sync::{Semaphore, SemaphorePermit};
+
+/// Computations under way at a time: enough for a shop's engineers, and they cannot starve the intake of cycles.
+const MOST_COMPUTATIONS: usize = 4;
+
+/// Seconds after which a refused computation may be asked for again: most take well under one.
+const TRY_AGAIN_S: u64 = 1;
+
+static ROOM: Semaphore = Semaphore::const_new(MOST_COMPUTATIONS);
+
+/// Room for one request's computations, until it is dropped; 503 where too many run already.
+pub fn room() -> Result<SemaphorePermit<'static>, Problem> {
+    ROOM.try_acquire().map_err(|_| {
+        let detail = "other computations are under way; nothing was computed";
+        Problem::unavailable("computing", detail, TRY_AGAIN_S)
+    })
+}
+
+/// Runs `work` on a thread of its own, for a request that has room.
+pub async fn on_thread<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    tokio::task::spawn_blocking(work).await.map_err(|error| Problem::internal(error.to_string()))?
+}
+
+/// Finds room and runs `work` on a thread of its own.
+pub async fn compute<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    let permit = room()?;
+    // The permit goes with the work: a client that hangs up does not make room for a second one beside it.
+    on_thread(move || {
+        let result = work();
+        drop(permit);
+        result
+    })
+    .await
+}

@@ -1,0 +1,215 @@
+//! Stored cycles under another law, other limits or another feed program.
+
+use super::body::Json;
+use super::compute::{compute, on_thread, room};
+use super::dto::time;
+use super::dto::what_if::{ManyAnswer, ManyQuestion, SumBody, SumErrorBody, WhatIfAnswer, WhatIfQuestion};
+use super::extract::PathId;
+use super::problem::{Problem, ProblemDocument};
+use crate::state::AppState;
+use crate::what_if::{Asked, Library, Prediction, Unusable, predict};
+use axum::extract::State;
+use feedwright_core::friction::whatif::RunFigures;
+use feedwright_core::ids::{CycleId, MachineId};
+use feedwright_core::invalid::Violation;
+use feedwright_store::{Page, StoredCycle};
+use http::StatusCode;
+use std::collections::BTreeMap;
+
+/// Cycles that are read before they are run: bounds what is held in memory at a time.
+const CHUNK: usize = 16;
+
+/// Runs one stored cycle under another control, beside what happened.
+///
+/// The load–feed relation is learned from the first cycles of the tool's life on this machine, operation, speed,
+/// strategy and law. The answer says how wrong the model is on the cycle itself.
+#[utoipa::path(post, path = "/v1/machines/{machine}/cycles/{cycle_id}/what-if", tag = "friction",
+    params(("machine" = String, Path), ("cycle_id" = String, Path)), request_body = WhatIfQuestion,
+    responses(
+        (status = 200, body = WhatIfAnswer),
+        (status = 404, description = "There is no such cycle", body = ProblemDocument<'static>),
+        (status = 422, description = "A control that is none, or a cycle that says too little (`cycle_not_usable`)",
+            body = ProblemDocument<'static>),
+        (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),
+    ))]
+pub(super) async fn of_cycle(
+    State(state): State<AppState>,
+    PathId(machine): PathId<MachineId>,
+    PathId(id): PathId<CycleId>,
+    Json(question): Json<WhatIfQuestion>,
+) -> Result<axum::Json<WhatIfAnswer>, Problem> {
+    let (asked, idle) = question.to_asked()?;
+    let stored = state.store.cycle(&machine, &id).await?;
+    let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
+    let mut library = Library::new(state.store.clone(), idle);
+    let ready = prepare(&mut library, stored).await?;
+    let ready = ready.map_err(|why| not_usable(why, "the cycle's samples do not say enough"))?;
+    compute(move || {
+        let tolerated_s = asked.tolerated_overload_s;
+        let predicted = ready.predict(&asked);
+        let predicted = predicted.map_err(|(why, error)| not_usable(why, error.to_string()))?;
+        Ok(axum::Json(WhatIfAnswer::new(&predicted, tolerated_s)))
+    })
+    .await
+}
+
+/// Runs many stored cycles under another control and sums up: time, energy, loads and alarms per thousand, before a
+/// limit is rolled out.
+#[utoipa::path(post, path = "/v1/what-if", tag = "friction", request_body = ManyQuestion,
+    responses(
+        (status = 200, body = ManyAnswer),
+        (status = 422, description = "A control or a filter that is none", body = ProblemDocument<'static>),
+        (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),
+    ))]
+pub(super) async fn of_many(
+    State(state): State<AppState>,
+    Json(question): Json<ManyQuestion>,
+) -> Result<axum::Json<ManyAnswer>, Problem> {
+    let inside = |wrong: Violation| Violation { path: format!("question.{}", wrong.path), ..wrong };
+    let (asked, idle) = question.question.to_asked().map_err(inside)?;
+    let most = question.most()?;
+    let filter = question.filter.to_filter("filter")?;
+    let _room = room()?;
+    let mut rows = state.store.cycles(&filter, Page { after: None, limit: most + 1 }).await?;
+    let next = rows.get(most as usize).map(|row| time::show(row.cycle.started_at));
+    rows.truncate(most as usize);
+    let mut sum = Sum::new(&asked, question.cycles);
+    let mut library = Library::new(state.store.clone(), idle);
+    let mut rows = rows.into_iter().peekable();
+    while rows.peek().is_some() {
+        let mut chunk = Vec::with_capacity(CHUNK);
+        for stored in rows.by_ref().take(CHUNK) {
+            chunk.push(prepare(&mut library, stored).await?);
+        }
+        let asked = asked.clone();
+        let run = move |ready: Result<Ready, Unusable>| ready?.predict(&asked).map_err(|(why, _)| why);
+        let answers: Vec<_> = on_thread(move || Ok(chunk.into_iter().map(run).collect())).await?;
+        answers.into_iter().for_each(|answer| sum.take(answer));
+    }
+    Ok(axum::Json(sum.answer(next)))
+}
+
+/// A cycle with all that its prediction needs.
+struct Ready {
+    around: std::sync::Arc<feedwright_store::Surroundings>,
+    stored: StoredCycle,
+    cycle: crate::what_if::ContactCycle,
+    learned: std::sync::Arc<crate::what_if::Learned>,
+}
+
+impl Ready {
+    fn predict(
+        self,
+        asked: &Asked,
+    ) -> Result<Prediction, (Unusable, feedwright_core::friction::error::Invalid)> {
+        predict(asked, &self.around, self.stored, self.cycle, self.learned)
+    }
+}
+
+async fn prepare(library: &mut Library, stored: StoredCycle) -> Result<Result<Ready, Unusable>, Problem> {
+    let cycle = match library.contact(&stored).await? {
+        Ok(cycle) => cycle,
+        Err(why) => return Ok(Err(why)),
+    };
+    let Some(around) = library.around(&stored.cycle).await? else { return Ok(Err(Unusable::Refused)) };
+    let Some(learned) = library.learned(&stored, &cycle).await? else {
+        return Ok(Err(Unusable::NoRelation));
+    };
+    Ok(Ok(Ready { around, stored, cycle, learned }))
+}
+
+fn not_usable(why: Unusable, detail: impl Into<String>) -> Problem {
+    let problem = Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "cycle_not_usable", detail.into());
+    problem.member("reason", why.as_str())
+}
+
+/// Answers as they come, summed up.
+struct Sum {
+    tolerated_s: f64,
+    considered: u32,
+    skipped: BTreeMap<&'static str, u32>,
+    happened: Vec<RunFigures>,
+    predicted: Vec<RunFigures>,
+    duration_errors: Vec<f64>,
+    spindle_errors: Vec<f64>,
+    cycles: Option<Vec<WhatIfAnswer>>,
+}
+
+impl Sum {
+    fn new(asked: &Asked, each: bool) -> Self {
+        Self {
+            tolerated_s: asked.tolerated_overload_s,
+            considered: 0,
+            skipped: BTreeMap::new(),
+            happened: Vec::new(),
+            predicted: Vec::new(),
+            duration_errors: Vec::new(),
+            spindle_errors: Vec::new(),
+            cycles: each.then(Vec::new),
+        }
+    }
+
+    fn take(&mut self, answer: Result<Prediction, Unusable>) {
+        self.considered += 1;
+        let prediction = match answer {
+            Ok(prediction) => prediction,
+            Err(why) => return *self.skipped.entry(why.as_str()).or_insert(0) += 1,
+        };
+        let answer = &prediction.answer;
+        self.happened.push(answer.happened);
+        self.predicted.push(answer.predicted);
+        self.duration_errors.push(answer.error.duration_relative.abs());
+        self.spindle_errors.push(answer.error.peak_points.1.abs());
+        if let Some(cycles) = &mut self.cycles {
+            cycles.push(WhatIfAnswer::new(&prediction, self.tolerated_s));
+        }
+    }
+
+    fn answer(mut self, next: Option<String>) -> ManyAnswer {
+        let (duration_median, duration_largest) = spread(&mut self.duration_errors);
+        let (peak_spindle_median_points, peak_spindle_largest_points) = spread(&mut self.spindle_errors);
+        ManyAnswer {
+            considered: self.considered,
+            predicted_cycles: u32::try_from(self.predicted.len()).unwrap_or(u32::MAX),
+            skipped: self.skipped,
+            happened: total(&self.happened, self.tolerated_s),
+            predicted: total(&self.predicted, self.tolerated_s),
+            model_error: SumErrorBody {
+                duration_median,
+                duration_largest,
+                peak_spindle_median_points,
+                peak_spindle_largest_points,
+            },
+            complete: next.is_none(),
+            continue_from: next,
+            cycles: self.cycles,
+        }
+    }
+}
+
+/// Median and largest; 0 for none.
+fn spread(values: &mut [f64]) -> (f64, f64) {
+    values.sort_by(f64::total_cmp);
+    let at = |index: usize| values.get(index).copied().unwrap_or(0.0);
+    (at(values.len() / 2), at(values.len().saturating_sub(1)))
+}
+
+fn total(runs: &[RunFigures], tolerated_s: f64) -> SumBody {
+    #[expect(clippy::cast_precision_loss, reason = "at most a thousand cycles")]
+    let count = runs.len().max(1) as f64;
+    let largest = |of: fn(&RunFigures) -> f64| runs.iter().map(of).fold(0.0, f64::max);
+    let energies: Vec<f64> = runs.iter().filter_map(|run| run.energy_j).collect();
+    #[expect(clippy::cast_precision_loss, reason = "at most a thousand cycles")]
+    let mean_energy_j = (!energies.is_empty()).then(|| energies.iter().sum::<f64>() / energies.len() as f64);
+    let alarms = runs.iter().filter(|run| run.overload_s > tolerated_s).count();
+    let alarms = u32::try_from(alarms).unwrap_or(u32::MAX);
+    SumBody {
+        mean_duration_s: runs.iter().map(|run| run.duration_s).sum::<f64>() / count,
+        mean_energy_j,
+        peak_feed_drive_percent: largest(|run| run.peak_feed_drive_percent),
+        peak_spindle_percent: largest(|run| run.peak_spindle_percent),
+        overload_s: runs.iter().map(|run| run.overload_s).sum(),
+        alarms,
+        alarms_per_thousand: f64::from(alarms) * 1000.0 / count,
+    }
+}

@@ -1,0 +1,132 @@
+//! The control that ran and the one that is asked about, and the core's answer.
+
+use super::cycle::{ContactCycle, Unusable};
+use super::relation::Learned;
+use crate::http::dto::friction::control::{LawBody, ProgramBody};
+use crate::http::dto::friction::refused;
+use feedwright_core::friction::error::{Invalid, InvalidCode};
+use feedwright_core::friction::feed_override::{HIGHEST_OVERRIDE_PERCENT, OverrideRange};
+use feedwright_core::friction::law::{LawConfig, LawParams};
+use feedwright_core::friction::program::FeedProgram;
+use feedwright_core::friction::twin::{AxisLimits, PaperStrategies};
+use feedwright_core::friction::whatif::{Control, LoadLimits, WhatIf, what_if};
+use feedwright_core::invalid::Violation;
+use feedwright_store::{StoredCycle, Surroundings};
+use std::sync::Arc;
+
+/// Time without a sample that is a gap for the law, in sample periods, as the paper's law has it.
+const GAP_PERIODS: f64 = 2.5;
+
+/// What is asked of every cycle.
+#[derive(Debug, Clone)]
+pub struct Asked {
+    /// Another program; the cycle's own where it is `None`.
+    pub program: Option<FeedProgram>,
+    /// A law on top; none where it is `None`.
+    pub law: Option<LawBody>,
+    /// What the feed axis can do.
+    pub axis: AxisLimits,
+    /// What counts as an overload.
+    pub limits: LoadLimits,
+    /// Overload that raises no alarm yet, s.
+    pub tolerated_overload_s: f64,
+}
+
+impl Asked {
+    /// Reads the program and tries the law once, so that what is wrong with them is told before anything is read.
+    pub fn new(
+        program: Option<&ProgramBody>,
+        law: Option<LawBody>,
+        axis: AxisLimits,
+        limits: LoadLimits,
+        tolerated_overload_s: f64,
+    ) -> Result<Self, Violation> {
+        let program = program.map(|program| program.to_program("control.program")).transpose()?;
+        if let Some(law) = &law {
+            law.over(paper_law()?, None, "control.law")?;
+        }
+        Ok(Self { program, law, axis, limits, tolerated_overload_s })
+    }
+
+    /// The other control for one cycle. Where neither program nor law is asked for it is the feed that ran, and
+    /// only the limits differ.
+    fn control(
+        &self,
+        cycle: &ContactCycle,
+        around: &Surroundings,
+        own: &Control,
+    ) -> Result<Control, Invalid> {
+        let law = self.law.map(|law| law_for(&law, cycle, around)).transpose()?;
+        let program = match (&self.program, &law) {
+            (Some(program), _) => program.clone(),
+            (None, Some(_)) => cycle.programmed()?,
+            (None, None) => own.program.clone(),
+        };
+        Ok(Control { program, law })
+    }
+}
+
+fn paper_law() -> Result<LawParams, Violation> {
+    let internal = |error: Invalid| refused(&error, str::to_owned);
+    let adaptive = PaperStrategies::new().map_err(internal)?.adaptive.law;
+    adaptive.map_or_else(|| LawParams::paper(30.0, 40.0).map_err(internal), |law| Ok(*law.params()))
+}
+
+/// The law over the operation's set loads, within the machine's override range.
+fn law_for(law: &LawBody, cycle: &ContactCycle, around: &Surroundings) -> Result<LawConfig, Invalid> {
+    let core =
+        |violation: Violation| Invalid::new(violation.path, InvalidCode::OutOfRange, violation.message);
+    let paper = paper_law().map_err(core)?;
+    let operation = around.operation.as_ref();
+    let period_ms = cycle.period_s * 1e3;
+    let base = LawParams {
+        set_feed_drive_percent: operation
+            .and_then(|operation| operation.feed_drive_load_set_percent)
+            .or(paper.set_feed_drive_percent),
+        set_spindle_percent: operation
+            .and_then(|operation| operation.spindle_load_set_percent)
+            .or(paper.set_spindle_percent),
+        period_ms,
+        longest_gap_ms: GAP_PERIODS * period_ms,
+        ..paper
+    };
+    let limits = &around.machine.limits;
+    let highest = limits.override_max_percent().min(HIGHEST_OVERRIDE_PERCENT);
+    let machine = OverrideRange::new(limits.override_min_percent(), highest)?;
+    law.over(base, Some(machine), "control.law").map_err(core)
+}
+
+/// One cycle's answer with what it rests on.
+#[derive(Debug, Clone)]
+pub struct Prediction {
+    /// The cycle.
+    pub stored: StoredCycle,
+    /// Its contact.
+    pub cycle: ContactCycle,
+    /// What the relation was learned from.
+    pub learned: Arc<Learned>,
+    /// The core's answer.
+    pub answer: WhatIf,
+}
+
+/// Predicts one cycle.
+///
+/// # Errors
+/// Why the core refuses it.
+pub fn predict(
+    asked: &Asked,
+    around: &Surroundings,
+    stored: StoredCycle,
+    cycle: ContactCycle,
+    learned: Arc<Learned>,
+) -> Result<Prediction, (Unusable, Invalid)> {
+    let refused = |error: Invalid| match error.code() {
+        InvalidCode::NotIdentifiable => (Unusable::NoRelation, error),
+        _ => (Unusable::Refused, error),
+    };
+    let own = Control { program: cycle.feed_that_ran().map_err(refused)?, law: None };
+    let other = asked.control(&cycle, around, &own).map_err(refused)?;
+    let answer = what_if(&cycle.core(), &learned.relations, &asked.axis, &asked.limits, &own, &other);
+    let answer = answer.map_err(refused)?;
+    Ok(Prediction { stored, cycle, learned, answer })
+}

@@ -1,0 +1,171 @@
+//! Load–feed relations, learned from the first cycles of a tool's life under a key.
+
+use super::cycle::{ContactCycle, IdleLoads, Unusable};
+use feedwright_core::cycle::Samples;
+use feedwright_core::friction::relation::{RelationConfig, RelationParams};
+use feedwright_core::friction::whatif::LoadRelations;
+use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
+use feedwright_core::units::{Strategy, Timestamp};
+use feedwright_store::{CycleFilter, CycleMeta, Page, Store, StoreResult, StoredCycle, Surroundings};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Cycles that a relation is learned from: more hardly move it, and the tool has to be new.
+pub const MOST_LEARNED: usize = 20;
+
+/// Rows of a tool's life that are looked at for them: a life may begin with other operations' cycles.
+pub const MOST_SCANNED: u32 = 500;
+
+/// Events of a tool that are looked at for the beginning of a life: a tool is not changed more often.
+const MOST_EVENTS: u32 = 1000;
+
+/// Relative difference of commanded speeds that are one key's.
+const SAME_SPEED: f64 = 0.02;
+
+/// Widest relation: 512 bins of the core.
+const MOST_BINS: f64 = 512.0;
+
+/// What the cycles of a relation have in common. The profile's version is left out on purpose: cycles at other
+/// feeds of the same tool are what tells how the loads depend on the feed.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Key {
+    machine: MachineId,
+    tool: ToolId,
+    operation: OperationId,
+    speed_bits: Option<u64>,
+    strategy: Option<Strategy>,
+    law: Option<String>,
+    life_began: Option<Timestamp>,
+}
+
+/// A relation with what it was learned from.
+#[derive(Debug, Clone)]
+pub struct Learned {
+    /// The relation.
+    pub relations: LoadRelations,
+    /// The cycles it was learned from, oldest first.
+    pub from: Vec<CycleId>,
+}
+
+/// Cycles of the store with what is needed around them, each relation learned once.
+pub struct Library {
+    store: Arc<dyn Store>,
+    idle: Option<IdleLoads>,
+    surroundings: HashMap<(MachineId, OperationId, ToolId), Option<Arc<Surroundings>>>,
+    lives: HashMap<ToolId, Vec<Timestamp>>,
+    learned: HashMap<Key, Option<Arc<Learned>>>,
+}
+
+impl Library {
+    /// A library over the store; `idle` holds for every cycle where it is given.
+    pub fn new(store: Arc<dyn Store>, idle: Option<IdleLoads>) -> Self {
+        Self { store, idle, surroundings: HashMap::new(), lives: HashMap::new(), learned: HashMap::new() }
+    }
+
+    /// Machine, calibration and operation of a cycle; `None` where the machine is not registered.
+    pub async fn around(&mut self, meta: &CycleMeta) -> StoreResult<Option<Arc<Surroundings>>> {
+        let key = (meta.machine.clone(), meta.operation.clone(), meta.tool.clone());
+        if let Some(known) = self.surroundings.get(&key) {
+            return Ok(known.clone());
+        }
+        let found = self.store.surroundings(&meta.machine, &meta.operation, &meta.tool).await?.map(Arc::new);
+        self.surroundings.insert(key, found.clone());
+        Ok(found)
+    }
+
+    /// A stored cycle, cut to its contact.
+    pub async fn contact(&mut self, stored: &StoredCycle) -> StoreResult<Result<ContactCycle, Unusable>> {
+        let meta = &stored.cycle;
+        if !stored.has_samples {
+            return Ok(Err(Unusable::NoSamples));
+        }
+        let Some(around) = self.around(meta).await? else { return Ok(Err(Unusable::Refused)) };
+        let samples: Option<Samples> = self.store.cycle_samples(&meta.machine, &meta.id).await?;
+        let Some(samples) = samples else { return Ok(Err(Unusable::NoSamples)) };
+        Ok(ContactCycle::new(meta, &samples, &around.machine, around.calibration.as_ref(), self.idle))
+    }
+
+    /// The relation for a cycle; `None` where nothing teaches one.
+    pub async fn learned(
+        &mut self,
+        stored: &StoredCycle,
+        cycle: &ContactCycle,
+    ) -> StoreResult<Option<Arc<Learned>>> {
+        let meta = &stored.cycle;
+        let key = Key {
+            machine: meta.machine.clone(),
+            tool: meta.tool.clone(),
+            operation: meta.operation.clone(),
+            speed_bits: meta.spindle_speed_rpm.map(f64::to_bits),
+            strategy: meta.strategy,
+            law: meta.law_version.clone(),
+            life_began: self.life_of(meta).await?,
+        };
+        if let Some(known) = self.learned.get(&key) {
+            return Ok(known.clone());
+        }
+        let learned = self.learn(meta, key.life_began, cycle.deepest_mm()).await?.map(Arc::new);
+        self.learned.insert(key, learned.clone());
+        Ok(learned)
+    }
+
+    /// When the life began in which a cycle was run; `None` where no event begins one.
+    async fn life_of(&mut self, meta: &CycleMeta) -> StoreResult<Option<Timestamp>> {
+        if !self.lives.contains_key(&meta.tool) {
+            let page = Page { after: None, limit: MOST_EVENTS };
+            let mut begun = Vec::new();
+            for stored in self.store.tool_events(&meta.tool, page).await? {
+                if !stored.event.kind.begins_life() {
+                    continue;
+                }
+                let first = match &stored.event.first_cycle {
+                    Some((machine, id)) => self.store.cycle(machine, id).await?,
+                    None => None,
+                };
+                begun.push(first.map_or(stored.event.at, |first| first.cycle.started_at));
+            }
+            self.lives.insert(meta.tool.clone(), begun);
+        }
+        let begun = self.lives.get(&meta.tool).into_iter().flatten();
+        Ok(begun.copied().filter(|at| *at <= meta.started_at).max())
+    }
+
+    async fn learn(
+        &mut self,
+        meta: &CycleMeta,
+        from: Option<Timestamp>,
+        deepest_mm: f64,
+    ) -> StoreResult<Option<Learned>> {
+        let filter = CycleFilter {
+            machine: Some(meta.machine.clone()),
+            tool: Some(meta.tool.clone()),
+            operation: Some(meta.operation.clone()),
+            from,
+            to: None,
+        };
+        let rows = self.store.cycles(&filter, Page { after: None, limit: MOST_SCANNED }).await?;
+        let base = RelationParams::load(deepest_mm.max(1.0));
+        let params = RelationParams { bin_mm: base.bin_mm.max(base.depth_mm / MOST_BINS), ..base };
+        let Ok(config) = RelationConfig::new(params) else { return Ok(None) };
+        let mut relations = LoadRelations::new(config);
+        let mut taught = Vec::new();
+        for row in rows.iter().filter(|row| is_alike(meta, &row.cycle)) {
+            if taught.len() == MOST_LEARNED {
+                break;
+            }
+            let Ok(cycle) = self.contact(row).await? else { continue };
+            if relations.observe(&cycle.core(), cycle.source).is_ok() {
+                taught.push(row.cycle.id.clone());
+            }
+        }
+        Ok((!taught.is_empty()).then_some(Learned { relations, from: taught }))
+    }
+}
+
+fn is_alike(one: &CycleMeta, other: &CycleMeta) -> bool {
+    let speed = match (one.spindle_speed_rpm, other.spindle_speed_rpm) {
+        (Some(a), Some(b)) => (a - b).abs() <= SAME_SPEED * a.abs().max(b.abs()),
+        (a, b) => a.is_none() && b.is_none(),
+    };
+    speed && one.strategy == other.strategy && one.law_version == other.law_version
+}

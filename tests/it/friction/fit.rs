@@ -1,0 +1,73 @@
+//! A machine's lines fitted to its dynamometer cycles.
+
+use super::{drilled, model_machine, number};
+use crate::shop::Shop;
+use feedwright_core::friction::twin::PaperStrategies;
+use serde_json::{Value, json};
+
+const PATH: &str = "/v1/machines/F1/calibrations/fit";
+
+#[tokio::test]
+async fn lines_are_fitted_dry_first_and_then_stored_as_a_version() {
+    let shop = Shop::open().await;
+    model_machine(&shop).await;
+    let paper = PaperStrategies::new().unwrap();
+    for number in 1..=4 {
+        let body = drilled(number, &paper.linear, "f_lin", number != 4);
+        assert_eq!(shop.cycle("F1", &body).await.status, 201);
+    }
+    let dry = shop.post(PATH, &json!({"dry_run": true})).await;
+    assert_eq!((dry.status, &dry.body["calibration"]), (200, &Value::Null), "{}", dry.text);
+    assert_eq!((&dry.body["considered"], &dry.body["skipped"]), (&json!(4), &json!({"no_dynamometer": 1})));
+    // 9000 N and 7 kW at 6970 rpm stand behind 100 %.
+    let thrust = &dry.body["thrust"]["line"];
+    assert!((number(&thrust["slope"]) / 90.0 - 1.0).abs() < 0.05, "{thrust}");
+    let torque = &dry.body["torque"]["line"];
+    assert!((number(&torque["slope"]) / 0.0959 - 1.0).abs() < 0.05, "{torque}");
+    assert!(number(&torque["r_squared"]) > 0.9 && number(&torque["residual_spread"]) > 0.0);
+    assert_eq!(shop.get("/v1/machines/F1/calibrations").await.body["items"], json!([]), "nothing is stored");
+
+    let stored = shop.post(PATH, &json!({})).await;
+    assert_eq!((stored.status, &stored.body["calibration"]["version"]), (201, &json!(1)), "{}", stored.text);
+    assert_eq!(stored.body["thrust"], dry.body["thrust"], "as the dry run said");
+    let listed = shop.get("/v1/machines/F1/calibrations").await;
+    assert_eq!(listed.body["items"][0]["torque"]["slope"], torque["slope"]);
+    assert_eq!(shop.post(PATH, &json!({})).await.body["calibration"]["version"], 2);
+    // The next cycle is told in joules by the lines.
+    let body = drilled(9, &paper.linear, "f_lin", false);
+    let answer = shop.cycle("F1", &body).await;
+    assert_eq!(answer.body["summary"]["energy"][0]["basis"], "calibrated", "{}", answer.text);
+}
+
+#[tokio::test]
+async fn what_makes_no_line_is_refused_and_only_engineers_fit() {
+    let shop = Shop::open().await;
+    model_machine(&shop).await;
+    let none = shop.post(PATH, &json!({})).await;
+    assert_eq!(
+        (none.status, &none.body["errors"][0]["code"]),
+        (422, &json!("not_identifiable")),
+        "{}",
+        none.text
+    );
+    for (body, path) in [
+        (json!({"most_cycles": 201}), "most_cycles"),
+        (json!({"filter": {"machine": "M1"}}), "filter.machine"),
+        (json!({"filter": {"from": "yesterday"}}), "filter.from"),
+        (json!({"dry": true}), "dry"),
+    ] {
+        let answer = shop.post(PATH, &body).await;
+        assert_eq!(
+            (answer.status, &answer.body["errors"][0]["path"]),
+            (422, &json!(path)),
+            "{}",
+            answer.text
+        );
+    }
+    assert_eq!(shop.post("/v1/machines/nobody/calibrations/fit", &json!({})).await.status, 404);
+    let viewer = shop.token("viewer", None).await;
+    let request = shop.client.post(shop.url(PATH)).json(&json!({"dry_run": true}));
+    assert_eq!(shop.send_as(request, &viewer).await.status, 403);
+    let request = shop.client.post(shop.url("/v1/friction/simulate")).json(&json!({}));
+    assert_eq!(shop.send_as(request, &viewer).await.status, 200, "a viewer may compute");
+}
