@@ -143,3 +143,21 @@ async fn a_clock_that_was_never_set_spoils_nothing() {
     let wear = state_after(&shop, &[(5, 1000.0), (6, 1000.0), (7, 1000.0), (8, 1000.0), (9, 1000.0)]).await;
     assert_eq!((&wear["state"], &wear["cycles"]), (&json!("good"), &json!(5)));
 }
+
+#[tokio::test]
+async fn an_event_may_name_a_cycle_that_has_not_come_yet() {
+    for (kind, cycles) in [("changed", 6), ("reground", 6), ("mounted_new", 6), ("conditions_confirmed", 12)] {
+        let shop = Shop::open().await;
+        let first: Vec<(i64, f64)> = (1..=6).map(|number| (number, 1000.0)).collect();
+        state_after(&shop, &first).await;
+        let event = json!({"kind": kind, "at": at(7), "reason": "worn",
+            "first_cycle": {"machine": "M1", "cycle_id": "c7"}});
+        assert_eq!(shop.post("/v1/tools/T1/events", &event).await.status, 201);
+        let lines: Vec<String> = (7..=12).map(|number| reported(number, 1000.0).to_string()).collect();
+        let path = "/v1/machines/M1/cycles/batch";
+        let answer = shop.post_raw(path, "application/x-ndjson", lines.join("\n")).await;
+        assert_eq!(answer.status, 200, "{}", answer.text);
+        let wear = shop.get("/v1/tools/T1/wear").await;
+        assert_eq!((&wear.body["cycles"], &wear.body["state"]), (&json!(cycles), &json!("good")), "{kind}: {}", wear.text);
+    }
+}

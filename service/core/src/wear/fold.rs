@@ -18,11 +18,13 @@ use crate::tool::ToolEventKind;
 pub const FOLD_VERSION: u16 = 1;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
-pub(super) const MAX_KEYS: usize = 64;
+pub(super) const MAX_KEYS: usize = 256;
 /// Cycles left out that are kept by name.
 pub(super) const LAST_EXCLUDED: usize = 20;
 /// Newest undercuts in a row that are kept apart; beyond them the tool is not less broken.
 const MAX_SUSPECTS: usize = 64;
+/// Ratios that the level is judged from at the least, where the window is not smaller still.
+const LEAST_RATIOS: usize = 5;
 /// Cycles off the usual that make a lasting step, where the level's window is not smaller still.
 const LASTING: usize = 3;
 /// Two single cycles off the usual within so many of one key: conditions alternate.
@@ -64,6 +66,8 @@ pub struct ToolFold {
     pub(super) excluded: ExclusionCounts,
     pub(super) last_excluded: Vec<(MachineId, CycleId, Exclusion)>,
     pub(super) keys: Vec<KeyState>,
+    /// Whether a key had to make room: one that comes back then is not known to be new.
+    pub(super) evicted: bool,
     /// Place in `keys` of the one that ran last.
     pub(super) current: Option<usize>,
     /// Last counted ratios, oldest first.
@@ -92,6 +96,7 @@ impl Default for ToolFold {
             excluded: [0; Exclusion::ALL.len()],
             last_excluded: Vec::new(),
             keys: Vec::new(),
+            evicted: false,
             current: None,
             ratios: Vec::new(),
             window: WearSettings::default().window_cycles,
@@ -129,8 +134,9 @@ impl ToolFold {
         let level = self.level();
         let mut announced = true;
         for key in &mut self.keys {
-            announced &= key.change.is_none() && !key.unconfirmed;
+            announced &= key.change.is_none() && !key.unconfirmed && !key.stepped;
             key.unconfirmed = false;
+            key.stepped = false;
             if key.change.is_some() {
                 key.relearn(level.unwrap_or(1.0));
             }
@@ -161,7 +167,8 @@ impl ToolFold {
         self.current = Some(at);
         self.keys[at].used = self.cycles;
         self.keys[at].seen += 1;
-        if self.keys[at].baseline.is_none() {
+        let (counted, learning) = (self.counted, self.keys[at].baseline.is_none());
+        if learning {
             self.learn(at, cycle);
         } else if self.keys[at].override_differs(&cycle) {
             self.leave_out(&cycle, Exclusion::OperatorOverride);
@@ -169,6 +176,9 @@ impl ToolFold {
             self.compare_after_change(at, cycle);
         } else {
             self.compare(at, cycle);
+        }
+        if self.counted > counted && !(learning && self.keys[at].baseline.is_some()) {
+            self.judge();
         }
     }
 
@@ -224,13 +234,14 @@ impl ToolFold {
         // then says nothing good until somebody confirms the new conditions.
         let speed_changed = level.is_some() && self.keys.iter().any(|known| known.differs_in_speed(&key));
         let mut state = KeyState::new(key, settings.wear, level.unwrap_or(1.0));
-        if speed_changed {
+        if speed_changed || self.evicted {
             state.unconfirmed = !std::mem::take(&mut self.change_announced);
         }
         if self.keys.len() < MAX_KEYS {
             self.keys.push(state);
             return self.keys.len() - 1;
         }
+        self.evicted = true;
         let oldest = (0..self.keys.len()).min_by_key(|&at| self.keys[at].used).unwrap_or(0);
         self.keys[oldest] = state;
         oldest
@@ -284,7 +295,7 @@ impl ToolFold {
                 self.suspect(&cycle, short);
             }
             _ if cycle.joules <= 0.0 => self.leave_out(&cycle, Exclusion::Incomplete),
-            Look::Usual => {
+            Look::Usual if !key.goes_on(&cycle, &usual) => {
                 if !key.off.is_empty() {
                     let seen = key.seen;
                     key.flips.retain(|flip| seen - flip < FLIP_SPAN);
@@ -300,7 +311,7 @@ impl ToolFold {
                 self.count(at, cycle);
             }
             Look::Off if key.off.is_empty() && !key.jumped(&cycle) => self.count(at, cycle),
-            Look::Off => {
+            Look::Off | Look::Usual => {
                 key.off.push(cycle);
                 if key.off.len() >= lasting(key.window) {
                     self.judge_step(at, usual);
@@ -384,6 +395,14 @@ impl ToolFold {
         self.ratios.push(ratio);
         self.trend.push(ratio);
         self.settle_suspects();
+    }
+
+    /// Compares the level with its limits. Not while a baseline's own cycles are counted: their ratios say how they
+    /// scatter, not how the tool wears; and not before the window holds enough of them.
+    fn judge(&mut self) {
+        if self.window().len() < LEAST_RATIOS.min(self.window as usize) {
+            return;
+        }
         if let Some(level) = self.level() {
             self.worn |= level >= WORN_LEVEL - ROUNDING;
             self.warned =

@@ -1,5 +1,6 @@
 //! From the fold's state to a verdict with its reasons.
 
+use super::WARNING_LEVEL;
 use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::remaining;
@@ -111,6 +112,22 @@ impl ToolFold {
             return ToolState::Unknown;
         }
         if !self.unworn {
+            return ToolState::Unknown;
+        }
+        if key.stepped {
+            say(
+                "conditions_changed",
+                "energy jumped while the baseline was learnt: confirm the conditions".into(),
+            );
+            return ToolState::Changed;
+        }
+        let longer = indicators(key).cycle_time_ratio.filter(|ratio| *ratio >= WARNING_LEVEL);
+        if let (Some(Strategy::FAc), Some(ratio)) = (key.key.strategy, longer) {
+            let percent = 100.0 * (ratio - 1.0);
+            say(
+                "cycle_time_risen",
+                format!("the control lengthened the cycle by {percent:.1} %: run a reference cycle"),
+            );
             return ToolState::Unknown;
         }
         if key.unconfirmed {

@@ -27,7 +27,15 @@ const STEP_UNKNOWN_NOISE: f64 = 0.15;
 /// Steps above this are told however noisy the energies are.
 const STEP_MAX: f64 = 0.20;
 /// A step has to exceed the noise of single cycles so many times.
-const STEP_SIGMAS: f64 = 5.0;
+const STEP_SIGMAS: f64 = 4.0;
+/// Cycles after a step that make it lasting while a baseline is being learnt.
+const LASTING_LEARNT: usize = 3;
+/// So many odd cycles at the start are no conditions of their own.
+const BEDDING_IN: usize = 2;
+/// Energies of one level scatter by no more than this while a baseline is being learnt.
+const LEARNT_SCATTER: f64 = 0.1;
+/// Counted cycles that a jump is told from.
+const PREDECESSORS: usize = 3;
 /// Successive differences that the noise is told from.
 const NOISE_LENGTH: usize = 16;
 /// Differences needed before the noise counts as known.
@@ -120,6 +128,8 @@ pub(super) struct KeyState {
     pub(super) level_at_entry: f64,
     /// Whether it began because the commanded speed of an operation changed in mid-life, and nobody confirmed that.
     pub(super) unconfirmed: bool,
+    /// Whether conditions changed while it was being learnt, and nobody confirmed that.
+    pub(super) stepped: bool,
     /// Cycles the baseline is being learnt from, in order; empty once it is complete.
     pub(super) learning: Vec<Measured>,
     pub(super) baseline: Option<Baseline>,
@@ -167,6 +177,7 @@ impl KeyState {
             window: settings.window_cycles,
             level_at_entry,
             unconfirmed: false,
+            stepped: false,
             learning: Vec::new(),
             baseline: None,
             recent: Vec::new(),
@@ -243,11 +254,27 @@ impl KeyState {
         if depth_off || energy_off || time_off { Look::Off } else { Look::Usual }
     }
 
-    /// Whether `cycle` is off not only what is usual but also its predecessor: wear creeps, a step jumps.
+    /// Whether `cycle` is off not only what is usual but also most of its last predecessors: wear creeps, a step
+    /// jumps. Several are asked, since one borderline cycle may already lie beyond the step.
     pub(super) fn jumped(&self, cycle: &Measured) -> bool {
-        let Some(last) = self.recent.last() else { return false };
-        let usual = Usual { joules: last.joules, duration_ms: last.duration_ms, depth_mm: last.depth_mm };
-        self.look(cycle, &usual) != Look::Usual
+        let last = &self.recent[self.recent.len().saturating_sub(PREDECESSORS)..];
+        let far = |now: f64, before: f64, step: f64| (now / before - 1.0).abs() > step / 2.0;
+        let jumps = last.iter().filter(|before| {
+            far(cycle.joules, before.joules, self.energy_step())
+                || ratio(cycle.duration_ms, before.duration_ms).is_some_and(|r| far(r, 1.0, self.time_step()))
+                || ratio(cycle.depth_mm, before.depth_mm).is_some_and(|r| far(r, 1.0, DEPTH_TOLERANCE))
+        });
+        2 * jumps.count() > last.len()
+    }
+
+    /// Whether `cycle` lies nearer to the cycles that are off than to what is usual: a step goes on, although noise
+    /// brings single cycles back below the limit.
+    pub(super) fn goes_on(&self, cycle: &Measured, usual: &Usual) -> bool {
+        let energies: Vec<f64> = self.off.iter().map(|cycle| cycle.joules).collect();
+        !energies.is_empty() && {
+            let level = median(&energies);
+            (cycle.joules - level).abs() < (cycle.joules - usual.joules).abs()
+        }
     }
 
     /// The relative step in energy that is more than noise.
@@ -270,12 +297,17 @@ impl KeyState {
         }
     }
 
-    /// Whether all cycles that are off stayed where the first of them jumped to.
+    /// Whether all cycles that are off stayed where the first of them jumped to, instead of running on.
     pub(super) fn off_is_level(&self) -> bool {
-        let Some((first, rest)) = self.off.split_first() else { return false };
-        let jump = self.usual().map_or(0.0, |usual| (first.joules / usual.joules - 1.0).abs());
-        let allowed = self.energy_step().max(0.5 * jump);
-        rest.iter().all(|cycle| (cycle.joules / first.joules - 1.0).abs() <= allowed)
+        let (Some((first, rest)), Some(usual)) = (self.off.split_first(), self.usual()) else { return false };
+        let jump = first.joules / usual.joules - 1.0;
+        let allowed = self.energy_step().max(0.5 * jump.abs());
+        rest.iter().all(|cycle| {
+            let moved = cycle.joules / first.joules - 1.0;
+            let runs_on =
+                moved * jump > 0.0 && jump.abs() > self.energy_step() && moved.abs() > 0.5 * jump.abs();
+            moved.abs() <= allowed && !runs_on
+        })
     }
 
     /// Keeps a counted cycle for what is usual, noise and indicators.
@@ -327,7 +359,10 @@ impl KeyState {
     /// Completes the baseline where enough cycles agree. Returns every cycle that was held, in order, with the
     /// reason why it is left out, or `None` in its place where it is counted.
     pub(super) fn complete(&mut self) -> Option<Vec<(Measured, Option<Exclusion>)>> {
-        let centre = self.learning_centre(self.needed as usize)?;
+        let mut left_out = self.settle_learning_step()?;
+        let Some(centre) = self.learning_centre(self.needed as usize) else {
+            return (!left_out.is_empty()).then_some(left_out);
+        };
         let operator =
             medians(self.learning.iter().map(|cycle| cycle.operator_percent)).unwrap_or(OPERATOR_NEUTRAL);
         let judged: Vec<(Measured, Option<Exclusion>)> = self
@@ -342,8 +377,10 @@ impl KeyState {
             .take(self.needed as usize)
             .collect();
         if fit.len() < self.needed as usize {
-            return None;
+            return (!left_out.is_empty()).then_some(left_out);
         }
+        // A cycle that took far more than these says that these may all be air.
+        self.stepped |= self.learning.iter().any(|cycle| centre.joules < UNDERCUT * cycle.joules);
         let energies: Vec<f64> = fit.iter().map(|cycle| cycle.joules).collect();
         self.baseline = Some(Baseline {
             joules: median(&energies) / self.level_at_entry,
@@ -354,7 +391,33 @@ impl KeyState {
             learnt_from: self.needed,
         });
         self.learning.clear();
-        Some(judged)
+        left_out.extend(judged);
+        Some(left_out)
+    }
+
+    /// Looks for a lasting step among the cycles being learnt from: a baseline must not straddle it. Returns the
+    /// cycles before a step, which are left out; `None` while too few cycles have come after one to tell.
+    fn settle_learning_step(&mut self) -> Option<Vec<(Measured, Option<Exclusion>)>> {
+        let cut: Vec<usize> = (0..self.learning.len())
+            .filter(|&k| {
+                let energies: Vec<f64> = self.learning.iter().map(|cycle| cycle.joules).collect();
+                within(energies[k], median(&energies), 1.0 / UNDERCUT)
+            })
+            .collect();
+        let energies: Vec<f64> = cut.iter().map(|&k| self.learning[k].joules).collect();
+        let Some(step) = (1..energies.len()).find(|&split| is_step(&energies[..split], &energies[split..]))
+        else {
+            return Some(Vec::new());
+        };
+        if energies.len() - step < LASTING_LEARNT {
+            return None;
+        }
+        // One or two odd cycles at the start are a tool that beds in; more are conditions that changed.
+        let changed = step > BEDDING_IN;
+        self.stepped |= changed;
+        let why = if changed { Exclusion::ConditionsChanged } else { Exclusion::BaselineOutlier };
+        let before = self.learning.drain(..cut[step]).map(|cycle| (cycle, Some(why))).collect();
+        Some(before)
     }
 
     /// Why `cycle` is left out of a baseline around `centre`.
@@ -397,6 +460,14 @@ fn ratio(value: Option<f64>, usual: Option<f64>) -> Option<f64> {
 
 fn within(value: f64, centre: f64, factor: f64) -> bool {
     value * factor >= centre && value <= centre * factor
+}
+
+/// Whether two runs of energies are each of one level, and far apart.
+fn is_step(before: &[f64], after: &[f64]) -> bool {
+    let (low, high) = (median(before), median(after));
+    let steady =
+        |run: &[f64], level: f64| run.iter().all(|joules| (joules / level - 1.0).abs() <= LEARNT_SCATTER);
+    (high / low - 1.0).abs() > STEP_UNKNOWN_NOISE && steady(before, low) && steady(after, high)
 }
 
 fn step(differences: &[f64]) -> f64 {

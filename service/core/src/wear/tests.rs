@@ -471,3 +471,85 @@ proptest! {
         prop_assert!(ToolFold::from_bytes(&life.fold.to_bytes()[..cut % (bytes.len() - 1)]).is_none());
     }
 }
+
+#[test]
+fn the_cycles_of_a_baseline_are_no_verdict_on_the_tool() {
+    for first in [2250.0 / 2000.0, 2210.0 / 2000.0, 1.19] {
+        let mut life = Life::new();
+        let verdict = life.ratios(&[first, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
+        assert_eq!(verdict.state, ToolState::Good, "{first}: {verdict:?}");
+    }
+    let mut noisy = Life::new();
+    let verdict = noisy.ratios(&[1.12, 1.12, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
+    assert_eq!(verdict.state, ToolState::Good);
+}
+
+#[test]
+fn a_baseline_does_not_straddle_a_step() {
+    for step in [1.32, 1.34, 0.77, 1.2] {
+        for after in 1..5_usize {
+            let mut life = Life::new();
+            life.ratios(&vec![1.0; after]);
+            let verdict = life.ratios(&[step; 9]);
+            let baseline = verdict.baselines[0].baseline_joules.unwrap();
+            assert!((baseline / (step * NEW) - 1.0).abs() < 1e-9, "{step} after {after}: {baseline}");
+            let expected = if after > 2 { ToolState::Changed } else { ToolState::Good };
+            assert_eq!(verdict.state, expected, "{step} after {after}: {verdict:?}");
+        }
+    }
+    let mut confirmed = Life::new();
+    confirmed.ratios(&[1.0, 1.0, 1.0, 1.34, 1.34, 1.34, 1.34, 1.34]);
+    assert_eq!(confirmed.fold.verdict().state, ToolState::Changed);
+    confirmed.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(confirmed.ratio(1.34).state, ToolState::Good);
+}
+
+#[test]
+fn a_tool_that_breaks_on_its_second_cycle_is_not_good() {
+    let mut life = Life::new();
+    let verdict = life.ratios(&[1.0, 0.075, 0.075, 0.075, 0.075, 0.075, 0.075]);
+    assert_eq!(verdict.state, ToolState::Changed, "{verdict:?}");
+}
+
+/// A step among noise, in many shops: what is said is "changed", hardly ever wear, and never a new tool.
+#[test]
+fn steps_are_told_among_noise() {
+    let mut seed = 0x1234_5678_9ABC_DEF1_u64;
+    let mut noise = move || {
+        // Twelve even numbers make a nearly normal one.
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            seed ^= seed << 13;
+            seed ^= seed >> 7;
+            seed ^= seed << 17;
+            sum += (seed >> 11) as f64 / (1_u64 << 53) as f64;
+        }
+        sum
+    };
+    for (step, sigma, least) in
+        [(0.77, 0.03, 95), (1.34, 0.03, 95), (1.25, 0.03, 90), (1.2, 0.02, 90), (0.8, 0.02, 90)]
+    {
+        let mut changed = 0;
+        for _ in 0..100 {
+            let mut life = Life::new();
+            for _ in 0..15 {
+                life.ratio(1.0 + sigma * noise());
+            }
+            for _ in 0..12 {
+                life.ratio(step * (1.0 + sigma * noise()));
+            }
+            changed += u32::from(life.fold.verdict().state == ToolState::Changed);
+        }
+        assert!(changed >= least, "{step} at {sigma}: {changed} of 100");
+    }
+    // And a tool that wears slowly among the same noise is worn, not changed.
+    let mut worn = 0;
+    for _ in 0..100 {
+        let mut life = Life::new();
+        for k in 0..200 {
+            life.ratio((1.0 + 0.0008 * f64::from(k)) * (1.0 + 0.02 * noise()));
+        }
+        worn += u32::from(life.fold.verdict().state == ToolState::Worn);
+    }
+    assert!(worn >= 97, "{worn} of 100");
+}

@@ -219,6 +219,8 @@ async fn count_tool(
                 for row in &rows {
                     from = from.min(Place::of(&row.order()?));
                 }
+                // The cached fold may end before `from`, and these rows lie beyond its end.
+                wear.forget(machine);
                 wear.refold(conn, machine, &from, now).await?;
             }
         }

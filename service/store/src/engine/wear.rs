@@ -170,6 +170,11 @@ impl ToolWear {
         Ok(())
     }
 
+    /// Forgets one machine's cached fold, so that it is folded again whatever comes next.
+    pub(super) fn forget(&mut self, machine: &MachineId) {
+        self.machines.remove(machine);
+    }
+
     /// Folds one machine's cycles again from `from` on: from the last checkpoint before it.
     pub(super) async fn refold(
         &mut self,
