@@ -33,6 +33,8 @@ CREATE TABLE cycles (
     sample_count BIGINT NOT NULL
         CONSTRAINT cycles_sample_count_range CHECK (sample_count BETWEEN 0 AND 4294967295),
     coverage DOUBLE PRECISION NOT NULL CONSTRAINT cycles_coverage_range CHECK (coverage BETWEEN 0.0 AND 1.0),
+    -- Fingerprint of the ratings and fitted lines that the best energy rests on: energies of another are not compared.
+    energy_scale BIGINT NOT NULL,
     flags BIGINT NOT NULL CONSTRAINT cycles_flags_range CHECK (flags BETWEEN 0 AND 4294967295),
     -- How many of the quantities below are there. SQLite stores a NaN as NULL: the count shows it.
     quantities BIGINT NOT NULL,

@@ -29,6 +29,8 @@ CREATE TABLE cycles (
     sample_count INTEGER NOT NULL
         CONSTRAINT cycles_sample_count_range CHECK (sample_count BETWEEN 0 AND 4294967295),
     coverage REAL NOT NULL CONSTRAINT cycles_coverage_range CHECK (coverage BETWEEN 0.0 AND 1.0),
+    -- Fingerprint of the ratings and fitted lines that the best energy rests on: energies of another are not compared.
+    energy_scale INTEGER NOT NULL,
     flags INTEGER NOT NULL CONSTRAINT cycles_flags_range CHECK (flags BETWEEN 0 AND 4294967295),
     -- How many of the quantities below are there. SQLite stores a NaN as NULL: the count shows it.
     quantities INTEGER NOT NULL,

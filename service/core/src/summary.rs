@@ -48,6 +48,9 @@ pub struct CycleSummary {
     pub duration_ms: Option<f64>,
     /// Energy by basis, best basis first; empty where no joules can be told.
     pub energy: Vec<Energy>,
+    /// Fingerprint of what the best energy rests on: ratings, fitted lines, which parts are in it. Energies of another
+    /// scale are not compared. 0 where there is no energy.
+    pub energy_scale: i64,
     /// Largest depth, mm.
     pub max_depth_mm: Option<f64>,
     /// Largest spindle load, %, with where and when.
@@ -94,6 +97,7 @@ pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
     if let Some(joules) = cycle.reported.energy_joules {
         summary.energy.push(Energy::reported(joules));
     }
+    summary.energy_scale = summary.best_energy().map_or(0, |best| energy::scale(best, context));
     let contradictory = contradicts(cycle, &summary);
     let asked = context.operation.and_then(|operation| operation.depth_mm);
     let short = asked.zip(summary.max_depth_mm).is_some_and(|(asked, reached)| reached < DEPTH_FLOOR * asked);
@@ -123,6 +127,7 @@ fn of_reported(cycle: &Cycle) -> CycleSummary {
         sample_count: 0,
         duration_ms: reported.duration_ms,
         energy: Vec::new(),
+        energy_scale: 0,
         max_depth_mm: reported.max_depth_mm,
         max_spindle_load_percent: peak(reported.max_spindle_load_percent),
         max_feed_drive_load_percent: peak(reported.max_feed_drive_load_percent),
@@ -158,6 +163,7 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
         sample_count: u32::try_from(samples.len()).unwrap_or(u32::MAX),
         duration_ms: Some(clock.duration_ms),
         energy,
+        energy_scale: 0,
         max_depth_mm: depth.map(|depth| depth.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
         max_spindle_load_percent: peak(Channel::SpindleLoadPercent),
         max_feed_drive_load_percent: peak(Channel::FeedDriveLoadPercent),

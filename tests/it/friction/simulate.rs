@@ -117,5 +117,5 @@ async fn what_makes_no_hole_is_refused_by_path() {
     }
     assert_eq!(shop.post_raw(PATH, "application/json", "{\"seed\": ").await.status, 400);
     let nan = shop.post_raw(PATH, "application/json", "{\"model\": {\"tool\": {\"wear\": NaN}}}").await;
-    assert_eq!(nan.status, 400, "NaN is no JSON");
+    assert_eq!((nan.status, &nan.body["code"]), (422, &json!("not_finite")), "{}", nan.text);
 }

@@ -49,7 +49,7 @@ async fn a_body_is_refused_for_its_type_its_size_or_its_form() {
     for text in ["", "{", "nonsense", "{\"name\": \"x\",}", "{} {}"] {
         let answer = put_raw(&app, Some("application/json; charset=utf-8"), text).await;
         assert!(matches!(answer.status.as_u16(), 400 | 422), "{text}: {answer:?}");
-        assert!(matches!(answer.code().as_str(), "malformed_json" | "invalid_content"), "{text}");
+        assert!(matches!(answer.code().as_str(), "malformed_json" | "missing_field"), "{text}");
     }
 }
 
@@ -95,7 +95,8 @@ async fn each_bad_field_is_named_by_its_path() {
         assert_ne!(body, good, "{from}");
         let answer = put_raw(&app, Some("application/json"), &body).await;
         assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{to}: {answer:?}");
-        assert_eq!(answer.code(), "invalid_content");
+        let alone = answer.errors().len() == 1;
+        assert_eq!(answer.code(), if alone { code } else { "invalid_content" }, "{to}: {answer:?}");
         assert!(answer.errors().contains(&(path.to_owned(), code.to_owned())), "{to}: {:?}", answer.errors());
     }
     assert_eq!(app.get("/v1/machines/M1").await.status, StatusCode::NOT_FOUND, "nothing was kept");

@@ -146,7 +146,8 @@ async fn a_clock_that_was_never_set_spoils_nothing() {
 
 #[tokio::test]
 async fn an_event_may_name_a_cycle_that_has_not_come_yet() {
-    for (kind, cycles) in [("changed", 6), ("reground", 6), ("mounted_new", 6), ("conditions_confirmed", 12)] {
+    for (kind, cycles) in [("changed", 6), ("reground", 6), ("mounted_new", 6), ("conditions_confirmed", 12)]
+    {
         let shop = Shop::open().await;
         let first: Vec<(i64, f64)> = (1..=6).map(|number| (number, 1000.0)).collect();
         state_after(&shop, &first).await;
@@ -158,6 +159,38 @@ async fn an_event_may_name_a_cycle_that_has_not_come_yet() {
         let answer = shop.post_raw(path, "application/x-ndjson", lines.join("\n")).await;
         assert_eq!(answer.status, 200, "{}", answer.text);
         let wear = shop.get("/v1/tools/T1/wear").await;
-        assert_eq!((&wear.body["cycles"], &wear.body["state"]), (&json!(cycles), &json!("good")), "{kind}: {}", wear.text);
+        assert_eq!(
+            (&wear.body["cycles"], &wear.body["state"]),
+            (&json!(cycles), &json!("good")),
+            "{kind}: {}",
+            wear.text
+        );
     }
+}
+
+#[tokio::test]
+async fn another_rating_is_another_baseline_and_no_wear() {
+    let shop = Shop::open().await;
+    let loaded = |number: i64| {
+        json!({"cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1", "started_at": at(number),
+            "samples": {"period_ms": 10, "spindle_load_percent": vec![30.0; 400]}})
+    };
+    for number in 1..=10 {
+        assert_eq!(shop.cycle("M1", &loaded(number)).await.status, 201);
+    }
+    let mut machine = super::machine();
+    machine["spindle"]["rated_power_watts"] = 7770.into();
+    let request = shop.client.put(shop.url("/v1/machines/M1")).header("if-match", "\"1\"").json(&machine);
+    assert_eq!(shop.send(request).await.status, 200);
+    for number in 11..=20 {
+        assert_eq!(shop.cycle("M1", &loaded(number)).await.status, 201);
+    }
+    let wear = shop.get("/v1/tools/T1/wear").await;
+    assert_eq!(
+        (&wear.body["state"], &wear.body["level"]["as_run"]),
+        (&json!("good"), &json!(1.0)),
+        "{}",
+        wear.text
+    );
+    assert_eq!(wear.body["baselines"].as_array().unwrap().len(), 2);
 }

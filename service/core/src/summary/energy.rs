@@ -126,6 +126,31 @@ pub(super) fn by_basis(
     (energies, beyond)
 }
 
+/// Fingerprint of what an energy rests on besides the samples (FNV-1a, 63 bits).
+pub(super) fn scale(energy: &Energy, context: Context<'_>) -> i64 {
+    let spindle = &context.machine.spindle;
+    let bits = |value: Option<f64>| value.map_or(1, f64::to_bits);
+    let thrust = bits(context.machine.feed_drive.rated_thrust_newtons);
+    let parts = u64::from(energy.feed_drive_joules.is_some());
+    let rests_on = match energy.basis {
+        EnergyBasis::Dynamometer | EnergyBasis::MeasuredPower | EnergyBasis::Reported => [parts, 0, 0, 0],
+        EnergyBasis::Calibrated => {
+            [parts, context.calibration.map_or(0, |lines| u64::from(lines.version)), 0, 0]
+        }
+        EnergyBasis::RatedPower => [
+            parts * thrust,
+            spindle.reference as u64,
+            bits(spindle.rated_power_watts),
+            if spindle.reference.follows_torque() { bits(spindle.base_speed_rpm) } else { 0 },
+        ],
+    };
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    for byte in rests_on.iter().flat_map(|word| word.to_le_bytes()) {
+        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+    }
+    (hash >> 1).cast_signed()
+}
+
 struct Motion<'a> {
     samples: &'a Samples,
     clock: &'a SampleClock,

@@ -196,6 +196,7 @@ fields!(BaselineKey {
     spindle_speed_rpm,
     basis,
     idle_subtracted,
+    energy_scale,
     strategy,
     law_version,
     profile,

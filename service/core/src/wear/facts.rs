@@ -35,6 +35,8 @@ pub struct CycleFacts {
     pub profile: Option<ProfileVersion>,
     /// Basis and joules of the best energy that is known, and whether idle power was subtracted.
     pub energy: Option<(EnergyBasis, bool, f64)>,
+    /// Fingerprint of the ratings and fitted lines that the energy rests on.
+    pub energy_scale: i64,
     /// Cycle time, ms.
     pub duration_ms: Option<f64>,
     /// Largest depth, mm.
@@ -69,6 +71,7 @@ impl CycleFacts {
             law_version: cycle.law_version.clone(),
             profile: cycle.profile.clone(),
             energy,
+            energy_scale: summary.energy_scale,
             duration_ms: summary.duration_ms,
             max_depth_mm: summary.max_depth_mm,
             fall_depth_mm: summary.spindle_load_fall_depth_mm,

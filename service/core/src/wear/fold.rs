@@ -218,6 +218,7 @@ impl ToolFold {
             spindle_speed_rpm: facts.spindle_speed_rpm.or(settings.spindle_speed_rpm),
             basis,
             idle_subtracted,
+            energy_scale: facts.energy_scale,
             strategy: facts.strategy,
             law_version: facts.law_version.clone(),
             profile: facts.profile.clone(),

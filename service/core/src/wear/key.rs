@@ -198,6 +198,7 @@ impl KeyState {
             && self.key.operation == key.operation
             && self.key.basis == key.basis
             && self.key.idle_subtracted == key.idle_subtracted
+            && self.key.energy_scale == key.energy_scale
             && self.key.strategy == key.strategy
             && self.key.law_version == key.law_version
             && self.key.profile == key.profile

@@ -29,6 +29,7 @@ fn facts(number: u32, joules: f64) -> CycleFacts {
         law_version: None,
         profile: None,
         energy: Some((EnergyBasis::Dynamometer, false, joules)),
+        energy_scale: 0,
         duration_ms: Some(4280.0),
         max_depth_mm: None,
         fall_depth_mm: None,

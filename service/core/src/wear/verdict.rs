@@ -139,6 +139,8 @@ pub struct BaselineKey {
     pub basis: EnergyBasis,
     /// Whether idle power was subtracted from it.
     pub idle_subtracted: bool,
+    /// Fingerprint of the ratings and fitted lines that the energy rests on.
+    pub energy_scale: i64,
     /// How the feed was chosen.
     pub strategy: Option<Strategy>,
     /// Which version of the law ran.

@@ -108,7 +108,12 @@ impl Problem {
             [first, ..] => format!("{found} fields are not accepted; the first: {first}"),
             [] => "the content is not accepted".to_owned(),
         };
-        Self { errors, ..Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_content", detail) }
+        // One fault has its own code; several are told apart in the list.
+        let code = match errors.as_slice() {
+            [only] if found == 1 => only.code,
+            _ => "invalid_content",
+        };
+        Self { errors, ..Self::new(StatusCode::UNPROCESSABLE_ENTITY, code, detail) }
     }
 
     /// 500, with what only the log may know.

@@ -76,6 +76,7 @@ macro_rules! cycle_columns {
                 reported_mean_spindle_load_percent: Option<f64> = "$63",
                 reported_mean_feed_drive_load_percent: Option<f64> = "$64",
                 reported_operator_override_percent: Option<f64> = "$65",
+                energy_scale: i64 = "$66",
         }
     };
 }
@@ -235,6 +236,7 @@ impl CycleRow {
             reported_mean_spindle_load_percent: reported.mean_spindle_load_percent,
             reported_mean_feed_drive_load_percent: reported.mean_feed_drive_load_percent,
             reported_operator_override_percent: reported.operator_override_percent,
+            energy_scale: summary.energy_scale,
         };
         row.settle_quantities()?;
         if row.energy() != summary.energy {
@@ -305,6 +307,7 @@ impl CycleRow {
             sample_count: number("sample_count", self.sample_count)?,
             duration_ms: self.duration_ms,
             energy: self.energy(),
+            energy_scale: self.energy_scale,
             max_depth_mm: self.max_depth_mm,
             max_spindle_load_percent: peak(
                 self.max_spindle_load_percent,

@@ -157,6 +157,8 @@ pub struct BaselineBody {
     pub basis: &'static str,
     /// Whether idle power was subtracted.
     pub idle_subtracted: bool,
+    /// Names the ratings and fitted lines that its energies rest on; after a change of them it is another baseline.
+    pub energy_scale: String,
     /// Strategy of the feed.
     pub strategy: Option<&'static str>,
     /// Version of the law.
@@ -184,6 +186,7 @@ impl From<&BaselineEvidence> for BaselineBody {
             spindle_speed_rpm: key.spindle_speed_rpm,
             basis: EnergyBasis::as_str(key.basis),
             idle_subtracted: key.idle_subtracted,
+            energy_scale: format!("{:x}", key.energy_scale),
             strategy: key.strategy.map(feedwright_core::units::Strategy::as_str),
             law_version: key.law_version.clone(),
             profile: key.profile.as_ref().map(|profile| format!("{}@{}", profile.profile, profile.version)),
