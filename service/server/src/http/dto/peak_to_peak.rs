@@ -357,8 +357,16 @@ impl From<SignalWord> for Signal {
 }
 
 /// A recorded block of vibration.
+///
+/// The example is 4 periods of 0.06 mm peak to peak at 70.83 Hz, near the head's own 70.86 Hz (Ivanov et al. 2024).
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
+#[schema(example = json!({
+    "signal": "displacement", "period_s": 0.001_764_7,
+    "values": [0.0, 0.0212, 0.03, 0.0212, 0.0, -0.0212, -0.03, -0.0212, 0.0, 0.0212, 0.03, 0.0212, 0.0, -0.0212, -0.03,
+               -0.0212, 0.0, 0.0212, 0.03, 0.0212, 0.0, -0.0212, -0.03, -0.0212, 0.0, 0.0212, 0.03, 0.0212, 0.0,
+               -0.0212, -0.03, -0.0212]
+}))]
 pub struct BlockQuestion {
     /// What `values` are.
     pub signal: SignalWord,
