@@ -79,7 +79,7 @@ impl Profile {
     /// The section that a depth in mm is in: a border belongs to the upper one; `None` outside the profile.
     #[must_use]
     pub fn section_at(&self, depth_mm: f64) -> Option<SectionKind> {
-        if !(depth_mm >= 0.0) {
+        if depth_mm.is_nan() || depth_mm < 0.0 {
             return None;
         }
         self.sections.iter().find(|section| depth_mm <= whole(section.to)).map(|section| section.kind)

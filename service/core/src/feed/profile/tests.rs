@@ -235,7 +235,7 @@ fn values_are_kept_in_thousandths_and_limits_hold_for_what_is_kept() {
     given.knots[4].feed_mm_min = 545.000_6;
     let kept: Vec<f64> = Profile::new(given).unwrap().knots().map(|knot| knot.feed_mm_min).collect();
     assert!((kept[1] - 155.0).abs() < 1e-12 && (kept[4] - 545.001).abs() < 1e-12);
-    assert!(refused(|p| p.knots[2].feed_mm_min = 1000.000_6).len() == 1);
+    assert!(refused(|p| p.knots[2].feed_mm_min = 1_000.000_6).len() == 1);
 }
 
 #[test]
