@@ -8,6 +8,7 @@
 pub mod codec;
 mod error;
 mod fault;
+mod feed_profile;
 mod gate;
 mod history;
 mod locks;
@@ -20,6 +21,7 @@ mod store;
 mod work;
 
 pub use error::{StoreError, StoreResult};
+pub use feed_profile::*;
 pub use postgres::{PostgresOptions, PostgresStore};
 pub use record::*;
 pub use sqlite::{SqliteOptions, SqliteStore};

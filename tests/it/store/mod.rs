@@ -5,6 +5,7 @@ mod given;
 mod alarms;
 mod alike;
 mod cycles;
+mod feed_profiles;
 mod models;
 mod registry;
 mod replicas;

@@ -1,13 +1,14 @@
 //! A group of cycles in one transaction: stored or known, folded, alarmed, answered.
 
 use super::wear::{self, ToolWear};
-use super::{Conn, alarms, cycles, dialect, machines, models, operations, recommendations};
+use super::{Conn, alarms, cycles, dialect, feed_profiles, machines, models, operations, recommendations};
 use crate::error::StoreResult;
 use crate::history::beginning;
 use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
 use crate::rows::{CutRow, CycleRow, FactsRow, Place};
 use feedwright_core::cycle::{Cycle, Flag};
+use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{MachineId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::Machine;
 use feedwright_core::operation::Operation;
@@ -79,7 +80,7 @@ pub(super) async fn group(
             Placed::New(_, summary) => (*summary, new.received_at, true),
             Placed::Known(known) => (known.summary, known.received_at, false),
         };
-        let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&Knowledge::None);
+        let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&UNKNOWN);
         let tool = (verdicts.get(&new.cycle.tool), known);
         let answer =
             answer(conn, &new.cycle, (summary, received_at), &registry, tool, (now, settings)).await?;
@@ -88,18 +89,33 @@ pub(super) async fn group(
     Ok(answers)
 }
 
+/// What is known for an operation with a tool: for its process, and its active feed profiles.
+struct Known {
+    process: Knowledge,
+    profiles: Vec<ActiveProfile>,
+}
+
+static UNKNOWN: Known = Known { process: Knowledge::None, profiles: Vec::new() };
+
 /// What the processes of a group need to know, once per operation and tool: the whole group is placed by now.
 async fn know_all<'a>(
     conn: &mut Conn,
     group: &'a [NewCycle],
     registry: &Registry,
-) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Knowledge>> {
+) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Known>> {
+    let any_active = feed_profiles::any_active(conn).await?;
     let mut known = BTreeMap::new();
     for cycle in group.iter().map(|new| &new.cycle) {
         let key = (&cycle.operation, &cycle.tool);
         if let Entry::Vacant(unknown) = known.entry(key) {
             let operation = registry.operations.get(&cycle.operation);
-            unknown.insert(models::knowledge(conn, operation, &cycle.tool).await?);
+            let process = models::knowledge(conn, operation, &cycle.tool).await?;
+            let profiles = if any_active {
+                feed_profiles::active(conn, &cycle.operation, &cycle.tool).await?
+            } else {
+                Vec::new()
+            };
+            unknown.insert(Known { process, profiles });
         }
     }
     Ok(known)
@@ -246,7 +262,7 @@ async fn answer(
     cycle: &Cycle,
     (summary, received_at): (CycleSummary, Timestamp),
     registry: &Registry,
-    (verdict, knowledge): (Option<&Verdict>, &Knowledge),
+    (verdict, known): (Option<&Verdict>, &Known),
     (now, settings): (Timestamp, RecommendSettings),
 ) -> StoreResult<Box<CycleAnswer>> {
     let verdict = verdict.cloned().unwrap_or_else(wear::not_registered);
@@ -266,7 +282,9 @@ async fn answer(
             tool_id: &cycle.tool,
             tool_registered,
             verdict: &verdict,
-            knowledge,
+            knowledge: &known.process,
+            profiles: &known.profiles,
+            ran: cycle.profile.as_ref(),
             settings,
         }),
     };
