@@ -19,8 +19,8 @@ use crate::locks::Locks;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use sqlx::PgPool;
-use sqlx::postgres::PgConnectOptions;
 use sqlx::pool::PoolConnection;
+use sqlx::postgres::PgConnectOptions;
 use std::sync::Arc;
 
 type Db = sqlx::Postgres;

@@ -22,7 +22,8 @@ pub(super) struct Reader {
 
 impl Reader {
     pub(super) async fn open(served: &Served, query: &str, last: Option<&str>) -> Self {
-        let mut request = served.client.get(served.url(&format!("/v1/live{query}"))).bearer_auth(&served.token);
+        let mut request =
+            served.client.get(served.url(&format!("/v1/live{query}"))).bearer_auth(&served.token);
         if let Some(last) = last {
             request = request.header("last-event-id", last);
         }

@@ -23,11 +23,17 @@ async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing
     // A load above 400 % raises an overload, and acknowledging it clears it.
     served.post_cycle("c2", 500.0).await;
     let raised = reader.next_of("alarm").await;
-    assert_eq!((&raised.data["change"], &raised.data["alarm"]["kind"]), (&json!("raised"), &json!("overload")));
+    assert_eq!(
+        (&raised.data["change"], &raised.data["alarm"]["kind"]),
+        (&json!("raised"), &json!("overload"))
+    );
     let (status, _) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
     assert_eq!(status, 200);
     let cleared = reader.next_of("alarm").await;
-    assert_eq!((&cleared.data["change"], &cleared.data["alarm"]["id"]), (&json!("cleared"), &raised.data["alarm"]["id"]));
+    assert_eq!(
+        (&cleared.data["change"], &cleared.data["alarm"]["id"]),
+        (&json!("cleared"), &raised.data["alarm"]["id"])
+    );
 
     // From the first cycle on, everything again in the same order, by either way to ask.
     let last = cycle.id.unwrap();

@@ -1,8 +1,8 @@
 //! One reader: a position in the history, and samples where it asks for them.
 
+use super::Live;
 use super::event::{Event, Kind};
 use super::history::Shown;
-use super::Live;
 use crate::lifecycle::Lifecycle;
 use axum::response::sse;
 use serde_json::json;

@@ -74,7 +74,8 @@ fn packed(live: &Live, events: Vec<Event>) -> Vec<(String, u64)> {
     let mut told = Told { from: live.boot.clone(), lost: 0, events: Vec::new() };
     let mut bytes = 0;
     for event in events {
-        let event = ToldEvent { kind: event.kind.as_str().to_owned(), machine: event.machine, data: event.data };
+        let event =
+            ToldEvent { kind: event.kind.as_str().to_owned(), machine: event.machine, data: event.data };
         let size = serde_json::to_string(&event).map_or(usize::MAX, |text| text.len() + 1);
         // The frame around the events: a name, a count and brackets.
         let frame = 100;
