@@ -12,6 +12,7 @@ mod feed_profile;
 mod gate;
 mod history;
 mod locks;
+mod notice;
 mod postgres;
 mod precondition;
 mod record;
@@ -22,6 +23,7 @@ mod work;
 
 pub use error::{StoreError, StoreResult};
 pub use feed_profile::*;
+pub use notice::{Listener, Notice, Notices};
 pub use postgres::{PostgresOptions, PostgresStore};
 pub use record::*;
 pub use sqlite::{SqliteOptions, SqliteStore};

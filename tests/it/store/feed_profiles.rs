@@ -255,7 +255,7 @@ async fn only_the_active_version_that_fits_is_handed_out(store: Arc<dyn Store>) 
         stored(store, &run).await.recommendation.recommendation
     };
     let advice = next(30.0).await;
-    assert_eq!((reasons(&advice), advice.profile), (vec!["no_profile"], None));
+    assert_eq!((reasons(&advice), &advice.profile), (vec!["no_profile"], &None));
     let version = draft(store, "P1", 300.0).await;
     go(store, Step::Shadow, version, &engineer()).await.unwrap();
     assert_eq!(reasons(&next(30.0).await), ["no_profile"], "a shadow is computed, not handed out");
@@ -272,7 +272,7 @@ async fn only_the_active_version_that_fits_is_handed_out(store: Arc<dyn Store>) 
 
     put(store, |operation| operation.program = Some("O2000".to_owned())).await;
     let advice = next(30.0).await;
-    assert_eq!((reasons(&advice), advice.profile), (vec!["profile_other_program"], None));
+    assert_eq!((reasons(&advice), &advice.profile), (vec!["profile_other_program"], &None));
     put(store, |operation| operation.work_material = Some("1.4301".to_owned())).await;
     assert_eq!(reasons(&next(30.0).await), ["profile_other_material"]);
     put(store, |operation| operation.work_material = None).await;

@@ -2,7 +2,7 @@
 
 use super::{
     alarms, audit, calibrations, continuity, cycles, edge, feed_profiles, friction, health, jobs, library,
-    machines, openapi, operations, peak_to_peak, plunge, profile_evidence, profile_files, quarantine,
+    live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence, profile_files, quarantine,
     recommendations, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
@@ -186,6 +186,7 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(jobs::get), READ),
         Route::new(routes!(jobs::cancel), READ),
         Route::new(routes!(friction::simulate), READ),
+        Route::new(routes!(live::events), READ),
         Route::new(routes!(what_if::of_cycle), READ),
         Route::new(routes!(what_if::of_many), READ),
         Route::new(routes!(calibrations::fit), ENGINEER),
