@@ -277,7 +277,8 @@ async fn only_the_active_version_that_fits_is_handed_out(store: Arc<dyn Store>) 
     assert_eq!(reasons(&next(30.0).await), ["profile_other_material"]);
     put(store, |operation| operation.work_material = None).await;
     assert_eq!(reasons(&next(30.0).await), ["profile_other_material"], "what is not known does not match");
-    put(store, |operation| operation.depth_mm = Some(6.0)).await;
+    // Within what counts as a complete cycle, and yet another depth.
+    put(store, |operation| operation.depth_mm = Some(5.2)).await;
     assert_eq!(reasons(&next(30.0).await), ["profile_other_depth"]);
     put(store, |_| {}).await;
     for _ in 0..6 {

@@ -129,9 +129,11 @@ pub fn choose(
 /// The level of wear to choose by, on the careful side.
 fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
     let unknown = |why: &str| Err(("profile_wear_unknown", format!("{why}: no feed profile is handed out")));
+    let mounted_new = verdict.life > 0 && verdict.started_unworn;
     match (verdict.state, verdict.level) {
         // Mounted new and not judged yet: it is what a profile for new tools is made for.
-        (ToolState::Learning, None) if verdict.life > 0 && verdict.started_unworn => Ok(1.0),
+        (ToolState::Learning, None) if mounted_new => Ok(1.0),
+        (ToolState::Unknown, None) if mounted_new && verdict.cycles == 0 => Ok(1.0),
         (_, None) => unknown("the tool's wear is not known"),
         (_, Some(_)) if stale => unknown("the tool's wear is older than data stays good"),
         (_, Some(level)) if verdict.indicators.masked_by_control => {

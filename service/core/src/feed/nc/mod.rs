@@ -9,6 +9,7 @@
 //! hole at or above the clearance, its length compensated, Z0 at first contact and the spindle at its speed.
 
 mod afc;
+mod closed_loop;
 mod comment;
 mod csv;
 mod law;
@@ -17,6 +18,7 @@ mod steps;
 #[cfg(test)]
 mod tests;
 
+pub use closed_loop::{Mover, Run, closed_loop};
 pub use law::{FitError, OverridePolynomial};
 pub use steps::{FeedStep, MOST_STEPS, steps};
 

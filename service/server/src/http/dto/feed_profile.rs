@@ -60,6 +60,21 @@ pub struct ProfileLimitsBody {
     pub feed_drive_load_set_percent: Option<f64>,
 }
 
+impl ProfileLimitsBody {
+    /// As the core takes them.
+    pub fn to_input(self) -> LimitsInput {
+        LimitsInput {
+            feed_min_mm_min: self.feed_min_mm_min,
+            feed_max_mm_min: self.feed_max_mm_min,
+            acceleration_mm_s2: self.acceleration_mm_s2,
+            override_min_percent: self.override_min_percent,
+            override_max_percent: self.override_max_percent,
+            spindle_load_set_percent: self.spindle_load_set_percent,
+            feed_drive_load_set_percent: self.feed_drive_load_set_percent,
+        }
+    }
+}
+
 /// Tool wear for which it is meant: level of wear, 1 is the new tool.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -122,7 +137,6 @@ impl ProfileBody {
 
     /// The checked profile for its operation; `at` is the path of this body.
     pub fn profile(&self, at: &str, operation: &Operation) -> Result<Profile, Vec<Violation>> {
-        let limits = &self.limits;
         let conditions = self.conditions.clone().unwrap_or_else(|| ConditionsBody {
             program: operation.program.clone(),
             work_material: operation.work_material.clone(),
@@ -141,15 +155,7 @@ impl ProfileBody {
                 .iter()
                 .map(|section| SectionInput { kind: section.kind.0, to_mm: section.to_mm })
                 .collect(),
-            limits: LimitsInput {
-                feed_min_mm_min: limits.feed_min_mm_min,
-                feed_max_mm_min: limits.feed_max_mm_min,
-                acceleration_mm_s2: limits.acceleration_mm_s2,
-                override_min_percent: limits.override_min_percent,
-                override_max_percent: limits.override_max_percent,
-                spindle_load_set_percent: limits.spindle_load_set_percent,
-                feed_drive_load_set_percent: limits.feed_drive_load_set_percent,
-            },
+            limits: self.limits.to_input(),
             wear: WearBandInput { from_level: self.wear.from_level, to_level: self.wear.to_level },
             conditions: Conditions {
                 program: conditions.program,
