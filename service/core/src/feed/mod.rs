@@ -1,5 +1,17 @@
-//! Feed over depth: profiles, and the optimiser that learns the fastest one from recorded cycles.
+//! Feed profiles: the feed over depth that an operation runs, with its limits and how far it holds.
 //!
-//! Storage, HTTP and the recording itself do not belong here.
+//! Source of the idea: R. Stryczek and P. Błaszczak, "Optimal feed rate control strategies for friction drilling", 2020,
+//! section 4.2 (F_Lin, and choosing F_pr from recorded cycles).
+//!
+//! | module | what |
+//! |---|---|
+//! | [`profile`] | a piecewise-linear feed over depth, valid by construction, hashed by content, compared knot by knot |
+//! | [`optimise`] | the fastest profile that keeps the set loads, learned from recorded cycles |
+//! | [`study`] | how good the optimiser is on process models that it does not know |
+//!
+//! A profile says what a control runs. Who drafted it, who approved it and which version is in force belong to the
+//! store.
 
 pub mod optimise;
+pub mod profile;
+pub mod study;

@@ -3,6 +3,7 @@
 use super::plan::{Binding, Envelope, Planner};
 use super::predict::Expected;
 use super::profile::feed_at;
+use crate::feed::profile::SectionKind;
 use crate::friction::program::Knot;
 
 /// Both loads over idle below this share of what is allowed over idle: the tool forms nothing.
@@ -13,32 +14,6 @@ const SHORTEST_MM: f64 = 0.3;
 
 /// How far below the envelope a feed is held by its knots and by nothing else.
 const UNDER_ENVELOPE: f64 = 0.03;
-
-/// What happens to the work over a stretch of depth (Stryczek & Błaszczak 2020, stages A to D).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SectionKind {
-    /// Contact and heating at the tool maker's feed: stage A.
-    Heating,
-    /// The hole and its bushing are formed: stage B.
-    Forming,
-    /// A long tool's cylinder travels without forming: stage C.
-    IdleTravel,
-    /// The collar forms the flange: stage D.
-    Flange,
-}
-
-impl SectionKind {
-    /// The stable word.
-    #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Heating => "heating",
-            Self::Forming => "forming",
-            Self::IdleTravel => "idle_travel",
-            Self::Flange => "flange",
-        }
-    }
-}
 
 /// One section of a proposal.
 #[derive(Debug, Clone, PartialEq)]

@@ -36,8 +36,8 @@ mod simplify;
 #[cfg(test)]
 mod tests;
 
-pub use bands::{WearBand, wear_bands};
-pub use explain::{Section, SectionKind};
+pub use bands::{MOST_BANDS, WearBand, wear_bands};
+pub use explain::Section;
 pub use outcome::{Actual, Comparison, Deviation, calibrate, compare, coverage};
 pub use plan::Binding;
 pub use predict::{Band, Prediction};
