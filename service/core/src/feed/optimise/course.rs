@@ -202,8 +202,7 @@ fn reading_sd(samples: &[Sample], drive: usize) -> f64 {
 fn check_feed(samples: &[Sample]) -> Result<(), SkipReason> {
     let (mut by_feed, mut by_depth) = (0.0, 0.0);
     for pair in samples.windows(2) {
-        by_feed +=
-            (pair[0].feed + pair[1].feed) / 2.0 / 60.0 * (pair[1].time_s - pair[0].time_s).min(0.25);
+        by_feed += (pair[0].feed + pair[1].feed) / 2.0 / 60.0 * (pair[1].time_s - pair[0].time_s).min(0.25);
         if pair[1].time_s - pair[0].time_s <= 0.25 {
             by_depth += pair[1].depth_mm - pair[0].depth_mm;
         }

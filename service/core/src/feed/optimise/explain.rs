@@ -68,9 +68,9 @@ fn kinds(planner: &Planner<'_>, nodes: &[Expected]) -> Vec<SectionKind> {
             (0..2).all(|drive| load[drive] - idle[drive] < IDLE_SHARE * (set[drive] - idle[drive]))
         })
     };
-    let heating = nodes.iter().enumerate().position(|(node, _)| grid.depth_mm(node) > planner.heating_until_mm);
     let heating =
-        if planner.heating_until_mm > 0.0 { heating.unwrap_or(nodes.len()) } else { 0 };
+        nodes.iter().enumerate().position(|(node, _)| grid.depth_mm(node) > planner.heating_until_mm);
+    let heating = if planner.heating_until_mm > 0.0 { heating.unwrap_or(nodes.len()) } else { 0 };
     let mut kinds = vec![SectionKind::Forming; nodes.len()];
     kinds[..heating].fill(SectionKind::Heating);
     // The tool travels idly only after it has formed something; what comes after that is the flange.
@@ -155,7 +155,9 @@ fn text(planner: &Planner<'_>, section: &Section) -> String {
         Binding::Bushing => "the moderate feed in the last part of the bushing".to_owned(),
         Binding::LargestFeed => format!("the largest feed of {:.0} mm/min", settings.feed_max_mm_min),
         Binding::SmallestFeed => "the smallest feed; the load would ask for less".to_owned(),
-        Binding::FeedDriveLoad => format!("the feed drive's set load of {} %", settings.set_feed_drive_percent),
+        Binding::FeedDriveLoad => {
+            format!("the feed drive's set load of {} %", settings.set_feed_drive_percent)
+        }
         Binding::SpindleLoad => format!("the spindle's set load of {} %", settings.set_spindle_percent),
         Binding::Acceleration => "the axis' acceleration".to_owned(),
         Binding::Step => "the step from the last tried profile".to_owned(),

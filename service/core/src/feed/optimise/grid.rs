@@ -56,7 +56,6 @@ impl Grid {
     pub(crate) fn nearest(&self, depth_mm: f64) -> usize {
         whole((depth_mm / self.step_mm).round()).min(self.count - 1)
     }
-
 }
 
 /// A number that is not negative, as an index.

@@ -42,7 +42,7 @@ pub use outcome::{Actual, Comparison, Deviation, calibrate, compare, coverage};
 pub use plan::Binding;
 pub use predict::{Band, Prediction};
 pub use profile::{Knots, acceleration_mm_s2};
-pub use propose::{Advice, Proposal, Warning, optimise};
+pub use propose::{Advice, Identified, Proposal, Warning, optimise};
 pub use recording::{LoadSignal, MOST_CYCLES, MOST_SAMPLES, RecordedCycle, SkipReason, Skipped};
 pub use settings::{
     Bushing, Heating, MOST_PROFILE_KNOTS, Objective, Settings, SettingsParams, USUAL_PROFILE_KNOTS,

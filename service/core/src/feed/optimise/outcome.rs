@@ -32,7 +32,11 @@ impl Actual {
     ///
     /// # Errors
     /// When the columns differ in length or fewer than two samples are in contact.
-    pub fn of(cycle: &RecordedCycle, settings: &Settings, idle_spindle_percent: f64) -> Result<Self, Invalid> {
+    pub fn of(
+        cycle: &RecordedCycle,
+        settings: &Settings,
+        idle_spindle_percent: f64,
+    ) -> Result<Self, Invalid> {
         cycle.check(&cycle.operation).map_err(|reason| {
             Invalid::new("cycle", InvalidCode::LengthMismatch, format!("unusable: {}", reason.as_str()))
         })?;
@@ -51,13 +55,15 @@ impl Actual {
         for at in 0..cycle.time_s.len() {
             let (time, depth) = (cycle.time_s[at], cycle.depth_mm[at]);
             let raw = [cycle.feed_drive_percent[at], cycle.spindle_percent[at]];
-            if !(time.is_finite() && depth.is_finite() && raw.iter().all(|load| load.is_finite())) || depth < 0.0 {
+            if !(time.is_finite() && depth.is_finite() && raw.iter().all(|load| load.is_finite()))
+                || depth < 0.0
+            {
                 continue;
             }
             let dt = before.map_or(0.0, |before| (time - before).max(0.0));
             before = Some(time);
-            let load =
-                [0, 1].map(|drive| if filtered { raw[drive] } else { filters[drive].step(&weights, raw[drive]) });
+            let load = [0, 1]
+                .map(|drive| if filtered { raw[drive] } else { filters[drive].step(&weights, raw[drive]) });
             actual.time_s += dt;
             actual.peak_feed_drive_percent = actual.peak_feed_drive_percent.max(load[0]);
             actual.peak_spindle_percent = actual.peak_spindle_percent.max(load[1]);
@@ -164,7 +170,11 @@ pub fn coverage(comparisons: &[Comparison]) -> Option<(f64, f64)> {
     let figures: Vec<bool> = comparisons
         .iter()
         .flat_map(|one| {
-            [one.peak_feed_drive_percent.within, one.peak_spindle_percent.within, one.spindle_percent_s.within]
+            [
+                one.peak_feed_drive_percent.within,
+                one.peak_spindle_percent.within,
+                one.spindle_percent_s.within,
+            ]
         })
         .collect();
     let within = figures.iter().filter(|within| **within).count();

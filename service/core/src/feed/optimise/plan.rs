@@ -5,6 +5,7 @@ use super::predict::Expected;
 use super::profile::Knots;
 use super::relation::{Node, Relation};
 use super::settings::Settings;
+use crate::friction::program::Knot;
 use libm::erf;
 
 /// Share of the axis' acceleration that is planned with; the rest is for following the path.
@@ -21,6 +22,9 @@ const OVERLOAD_RISK: f64 = 0.01;
 
 /// How long the unevenness of a cycle stays the same, s: a cycle that is near its limit for longer tries its luck anew.
 pub(super) const UNEVEN_S: f64 = 0.15;
+
+/// What a feed above a limit that is no load counts against a load above its bound, in ln.
+const CAP_WEIGHT: f64 = 30.0;
 
 /// Largest fall of the feed-drive load behind its maximum that is still noise, relative.
 const CLEAR_FALL: f64 = 0.15;
@@ -106,16 +110,13 @@ pub(super) struct Outlook {
     pub(super) cost: f64,
     /// Sum over the nodes of how far the bounds of the loads are crossed, in ln load.
     pub(super) crossed: f64,
+    /// The largest of them.
+    pub(super) most_crossed: f64,
 }
 
 impl<'a> Planner<'a> {
     /// `last` is the feed of the last tried profile at the nodes, `least` its smallest between the neighbours of each.
-    pub(super) fn new(
-        relation: &'a Relation,
-        settings: &'a Settings,
-        last: Vec<f64>,
-        least: &[f64],
-    ) -> Self {
+    pub(super) fn new(relation: &'a Relation, settings: &'a Settings, last: Vec<f64>, least: &[f64]) -> Self {
         let grid = &relation.grid;
         let set = settings.set_percent();
         let over_idle = |drive: usize, percent: f64| (percent - relation.idle[drive]).max(0.1).ln();
@@ -225,8 +226,7 @@ impl<'a> Planner<'a> {
         let mut envelope = self.forward(&caps);
         for _ in 0..ROUNDS {
             let reachable = self.reachable(&envelope.feed);
-            let slowed =
-                (0..grid.count()).any(|node| reachable[node] < envelope.feed[node] * (1.0 - 1e-9));
+            let slowed = (0..grid.count()).any(|node| reachable[node] < envelope.feed[node] * (1.0 - 1e-9));
             if !slowed {
                 break;
             }
@@ -252,8 +252,11 @@ impl<'a> Planner<'a> {
     fn forward(&self, caps: &[(f64, Binding)]) -> Envelope {
         let grid = &self.relation.grid;
         let count = grid.count();
-        let mut envelope =
-            Envelope { feed: vec![0.0; count], binding: vec![Binding::Unknown; count], heat: vec![0.0; count] };
+        let mut envelope = Envelope {
+            feed: vec![0.0; count],
+            binding: vec![Binding::Unknown; count],
+            heat: vec![0.0; count],
+        };
         let weights = self.settings.objective.weights();
         let mut heat = 0.0;
         for node in 0..count {
@@ -301,15 +304,16 @@ impl<'a> Planner<'a> {
     fn heat_after(&self, node: usize, heat: f64, feed: f64) -> f64 {
         let time = self.relation.grid.step_mm() / feed * 60.0;
         let keep = (-time / super::relation::MEMORY_S).exp();
-        let load = self.relation.nodes[node]
-            .as_ref()
-            .map_or(0.0, |known| self.relation.load(known, 1, feed.ln(), self.relation.phi(heat), 0.0).mean.exp());
+        let load = self.relation.nodes[node].as_ref().map_or(0.0, |known| {
+            self.relation.load(known, 1, feed.ln(), self.relation.phi(heat), 0.0).mean.exp()
+        });
         heat * keep + load * time
     }
 
     /// The feeds lowered to what the axis reaches between the nodes: v·dv/dz ≤ a, both ways.
     fn reachable(&self, feed: &[f64]) -> Vec<f64> {
-        let most = self.settings.acceleration_mm_s2 * PLANNED_ACCELERATION * 2.0 * self.relation.grid.step_mm();
+        let most =
+            self.settings.acceleration_mm_s2 * PLANNED_ACCELERATION * 2.0 * self.relation.grid.step_mm();
         let mut reachable = feed.to_vec();
         let limit = |from: f64, to: f64| to.min(((from / 60.0).powi(2) + most).sqrt() * 60.0);
         for node in 1..reachable.len() {
@@ -322,7 +326,7 @@ impl<'a> Planner<'a> {
     }
 
     /// What knots are expected to do; allocates nothing, because a search asks it thousands of times.
-    pub(super) fn outlook(&self, knots: &[crate::friction::program::Knot]) -> Outlook {
+    pub(super) fn outlook(&self, knots: &[Knot]) -> Outlook {
         let grid = &self.relation.grid;
         let weights = self.settings.objective.weights();
         let mut out = Outlook::default();
@@ -349,10 +353,12 @@ impl<'a> Planner<'a> {
                 load = self.relation.load(known, 1, x, phi, 0.0).mean.exp();
                 // Where even the floor crosses, the floor is no fault of the knots.
                 if feed > self.floors[node] * 1.001 {
-                    out.crossed += self.worst(known, x, phi).0.max(0.0);
+                    let crossed = self.worst(known, x, phi).0.max(0.0);
+                    out.crossed += crossed;
+                    out.most_crossed = out.most_crossed.max(crossed);
                 }
             }
-            out.crossed += (feed / self.caps[node].0).ln().max(0.0) * 10.0;
+            out.crossed += (feed / self.caps[node].0).ln().max(0.0) * CAP_WEIGHT;
             heat += load * time;
             out.time_s += time;
             out.percent_s += load * time;
@@ -396,6 +402,22 @@ impl<'a> Planner<'a> {
     pub(super) fn stays_above(&self, nodes: &[Expected]) -> bool {
         let set = self.settings.set_percent();
         nodes.iter().filter_map(|node| node.load).any(|load| load[0] > set[0] || load[1] > set[1])
+    }
+
+    /// Whether acting knots keep the limits that the settings name; the step and what is unknown are none of them.
+    pub(super) fn keeps_limits(&self, knots: &[Knot]) -> bool {
+        let settings = self.settings;
+        let grid = &self.relation.grid;
+        (0..grid.count()).all(|node| {
+            let depth = grid.depth_mm(node);
+            let feed = super::profile::feed_at(knots, depth);
+            let heats = depth <= self.heating_until_mm;
+            let heating = settings.heating.is_none_or(|one| !heats || feed <= one.feed_mm_min * (1.0 + 1e-6));
+            let bushing = settings.bushing.is_none_or(|one| {
+                depth < one.from_mm || depth > one.to_mm || feed <= one.feed_mm_min * (1.0 + 1e-6)
+            });
+            heating && bushing
+        })
     }
 
     /// Depths at which limits begin and end, mm.
@@ -470,7 +492,8 @@ pub(super) fn acting(knots: &Knots, grid: &Grid, factor: f64) -> (Vec<f64>, Vec<
     let feed: Vec<f64> = knots.on(grid).into_iter().map(|feed| feed * factor).collect();
     let least = (0..grid.count())
         .map(|node| {
-            let (from, to) = (grid.depth_mm(node.saturating_sub(1)), grid.depth_mm((node + 1).min(grid.count() - 1)));
+            let (from, to) =
+                (grid.depth_mm(node.saturating_sub(1)), grid.depth_mm((node + 1).min(grid.count() - 1)));
             let inner = knots.as_slice().iter().filter(|knot| knot.depth_mm > from && knot.depth_mm < to);
             let ends = feed[node.saturating_sub(1)].min(feed[(node + 1).min(grid.count() - 1)]);
             inner.map(|knot| knot.feed_mm_min * factor).fold(ends.min(feed[node]), f64::min)

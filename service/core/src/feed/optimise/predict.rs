@@ -81,8 +81,8 @@ pub(super) fn follow(planner: &Planner<'_>, knots: &[Knot], more_wear: f64) -> V
         let mut expected = Expected { feed, time_s, ..Expected::default() };
         heat *= (-time_s / MEMORY_S).exp();
         if let Some(known) = &relation.nodes[node] {
-            let loads = [0, 1]
-                .map(|drive| relation.load(known, drive, feed.ln(), relation.phi(heat), more_wear));
+            let loads =
+                [0, 1].map(|drive| relation.load(known, drive, feed.ln(), relation.phi(heat), more_wear));
             heat += loads[1].mean.exp() * time_s;
             expected.load = Some([0, 1].map(|drive| loads[drive].mean.exp() + relation.idle[drive]));
             expected.known_sd = loads.map(|load| load.known_sd);

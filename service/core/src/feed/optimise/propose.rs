@@ -5,7 +5,7 @@ use super::explain::{Section, sections};
 use super::grid::Grid;
 use super::plan::{Envelope, Planner, acting};
 use super::predict::{Band, Prediction, follow, predict};
-use super::profile::Knots;
+use super::profile::{Knots, acceleration_mm_s2};
 use super::recording::{MOST_CYCLES, RecordedCycle, SkipReason, Skipped, nothing_usable};
 use super::relation::{MEMORY_S, Relation};
 use super::settings::Settings;
@@ -15,11 +15,14 @@ use crate::friction::program::Knot;
 use std::cmp::Ordering;
 
 /// Resolution of proposed knots: depths in mm and feeds in mm/min.
-const DEPTH_RESOLUTION_MM: f64 = 0.01;
+const DEPTH_RESOLUTION_MM: f64 = 0.001;
 const FEED_RESOLUTION_MM_MIN: f64 = 0.1;
 
 /// Gain below which the last tried profile stays: less than cycles differ by.
 const LEAST_GAIN: f64 = 0.003;
+
+/// Crossing of a load's bound that is none, in ln load.
+const HAIR: f64 = 0.01;
 
 /// Offset of a cycle from the others beyond which it is another process, in ln load.
 const OUTLIER: f64 = 0.25;
@@ -80,6 +83,23 @@ impl Warning {
     }
 }
 
+/// What was learned of one drive, over all depths.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Identified {
+    /// Relative rise of the load over idle with the feed: 0.7 means 7 % for 10 % more feed.
+    pub slope: f64,
+    /// Its standard deviation.
+    pub slope_sd: f64,
+    /// Relative fall of the load with heat put in before, in units of ln(1 + heat / scale).
+    pub memory: f64,
+    /// Its standard deviation.
+    pub memory_sd: f64,
+    /// Unevenness of the load within a cycle, relative.
+    pub uneven: f64,
+    /// Unevenness from cycle to cycle, relative.
+    pub common: f64,
+}
+
 /// A proposed profile with everything that a reviewer asks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
@@ -100,6 +120,10 @@ pub struct Proposal {
     pub holds_for_more_wear: f64,
     /// Smallest probability over the depth that an expected load is at or below L_set.
     pub confidence: f64,
+    /// What was learned of feed drive and spindle.
+    pub identified: [Identified; 2],
+    /// Idle loads (feed drive, spindle) that loads are counted over, percent.
+    pub idle_percent: [f64; 2],
     /// Cycles that were learned from.
     pub learned_from: usize,
     /// Cycles that were not, and why.
@@ -158,7 +182,8 @@ pub fn optimise(
     skipped.sort_by(|a, b| a.id.cmp(&b.id).then(a.reason.as_str().cmp(b.reason.as_str())));
     let planner = Planner::new(&relation, settings, feed, &least);
     let envelope = planner.envelope();
-    let last_knots = last.map_or_else(|| on_grid(&planner.last, &grid), |knots| scaled(knots.as_slice(), factor));
+    let last_knots =
+        last.map_or_else(|| on_grid(&planner.last, &grid), |knots| scaled(knots.as_slice(), factor));
     Ok(assemble(&planner, &envelope, last, &last_knots, &courses, skipped))
 }
 
@@ -173,13 +198,14 @@ fn assemble(
     let settings = planner.settings;
     let factor = settings.override_factor();
     let mut warnings = Vec::new();
-    let found = settle(planner, simplify(planner, envelope, settings.most_knots));
-    let last_valid = last.is_some_and(|knots| settings.check(knots).is_ok() && within_caps(planner, last_knots));
+    let found = settle(planner, &simplify(planner, envelope, settings.most_knots));
+    let last_valid =
+        last.is_some_and(|knots| settings.check(knots).is_ok() && planner.keeps_limits(last_knots));
     if last.is_some() && !last_valid {
         warnings.push(Warning::LastBreaksLimits);
     }
     let last_outlook = planner.outlook(last_knots);
-    let last_keeps = last_valid && last_outlook.crossed <= 1e-9;
+    let last_keeps = last_valid && last_outlook.most_crossed <= HAIR;
     let (knots, advice) = match (found, last) {
         (Some(found), Some(last)) => {
             let new = planner.outlook(&scaled(found.as_slice(), factor));
@@ -202,7 +228,7 @@ fn assemble(
     if unknown as f64 > TOLD_UNKNOWN * planner.relation.grid.count() as f64 {
         warnings.push(Warning::DepthUnknown);
     }
-    if planner.outlook(&acting_knots).crossed > 1e-3 || planner.stays_above(&nodes) {
+    if planner.outlook(&acting_knots).most_crossed > HAIR || planner.stays_above(&nodes) {
         warnings.push(Warning::LoadAboveSet);
     }
     if planner.relation.slope.iter().any(|(_, sd)| *sd > 0.2) {
@@ -226,6 +252,15 @@ fn assemble(
         holds_up_to_wear: planner.relation.wear_ratio.map(|wear| wear + more),
         holds_for_more_wear: more,
         confidence,
+        identified: [0, 1].map(|drive| Identified {
+            slope: planner.relation.slope[drive].0,
+            slope_sd: planner.relation.slope[drive].1,
+            memory: planner.relation.memory[drive],
+            memory_sd: planner.relation.memory_var[drive].sqrt(),
+            uneven: planner.relation.noise[drive].uneven,
+            common: planner.relation.noise[drive].common,
+        }),
+        idle_percent: planner.relation.idle,
         learned_from: courses.len(),
         skipped,
         warnings,
@@ -289,7 +324,9 @@ fn common_idle(courses: &[Course], settings: &Settings) -> [f64; 2] {
 /// The feed that the latest cycle ran, with the feed of the nearest known depth where it says nothing.
 fn run_feed(courses: &[Course], grid: &Grid, settings: &Settings) -> (Vec<f64>, Vec<f64>) {
     let smallest = settings.feed_min_mm_min;
-    let Some(latest) = courses.last() else { return (vec![smallest; grid.count()], vec![smallest; grid.count()]) };
+    let Some(latest) = courses.last() else {
+        return (vec![smallest; grid.count()], vec![smallest; grid.count()]);
+    };
     let known: Vec<(usize, f64)> = latest
         .readings
         .iter()
@@ -304,7 +341,10 @@ fn run_feed(courses: &[Course], grid: &Grid, settings: &Settings) -> (Vec<f64>, 
         .collect();
     let least = (0..grid.count())
         .map(|node| {
-            feed[node.saturating_sub(1)..(node + 2).min(grid.count())].iter().copied().fold(f64::INFINITY, f64::min)
+            feed[node.saturating_sub(1)..(node + 2).min(grid.count())]
+                .iter()
+                .copied()
+                .fold(f64::INFINITY, f64::min)
         })
         .collect();
     (feed, least)
@@ -335,17 +375,21 @@ fn crossing(planner: &Planner<'_>, knots: &[Knot]) -> Option<(f64, f64)> {
 }
 
 /// Acting feeds as programmed knots on the resolution of a control, checked against every limit that is no load.
-fn settle(planner: &Planner<'_>, knots: Vec<Knot>) -> Option<Knots> {
+fn settle(planner: &Planner<'_>, knots: &[Knot]) -> Option<Knots> {
     let settings = planner.settings;
     let factor = settings.override_factor();
     let end = settings.depth_mm;
     let count = knots.len();
     let mut rounded: Vec<Knot> = Vec::with_capacity(count);
-    for (at, knot) in knots.into_iter().enumerate() {
+    for (at, knot) in knots.iter().enumerate() {
+        let place = knot.depth_mm / DEPTH_RESOLUTION_MM;
         let depth_mm = match at {
             0 => 0.0,
             _ if at + 1 == count => end,
-            _ => (knot.depth_mm / DEPTH_RESOLUTION_MM).round() * DEPTH_RESOLUTION_MM,
+            // The end of a slow stretch is rounded into the fast one.
+            _ if knots[at + 1].feed_mm_min > knot.feed_mm_min => place.ceil() * DEPTH_RESOLUTION_MM,
+            _ if knots[at - 1].feed_mm_min > knot.feed_mm_min => place.floor() * DEPTH_RESOLUTION_MM,
+            _ => place.round() * DEPTH_RESOLUTION_MM,
         };
         let feed = floor_feed(knot.feed_mm_min / factor, settings);
         if rounded.last().is_some_and(|last| depth_mm <= last.depth_mm + 1e-9) {
@@ -353,18 +397,42 @@ fn settle(planner: &Planner<'_>, knots: Vec<Knot>) -> Option<Knots> {
         }
         rounded.push(Knot { depth_mm, feed_mm_min: feed });
     }
-    for _ in 0..8 * count {
-        let Some((depth, ratio)) = crossing(planner, &scaled(&rounded, factor)) else { break };
-        let after = rounded.partition_point(|knot| knot.depth_mm <= depth).min(rounded.len() - 1);
-        for at in [after.saturating_sub(1), after] {
-            let near = (rounded[at].depth_mm - depth).abs() < 1e-9 || rounded[at].feed_mm_min > settings.feed_min_mm_min;
-            if near {
-                rounded[at].feed_mm_min = floor_feed(rounded[at].feed_mm_min / ratio, settings);
+    for _ in 0..16 * count {
+        // Rounding may have made a step too steep or a knot too fast: the faster side gives way.
+        let mut steep = false;
+        for at in 1..rounded.len() {
+            if acceleration_mm_s2(rounded[at - 1], rounded[at]) > settings.acceleration_mm_s2 {
+                let faster = if rounded[at].feed_mm_min > rounded[at - 1].feed_mm_min { at } else { at - 1 };
+                let slower = rounded[at].feed_mm_min.min(rounded[at - 1].feed_mm_min);
+                let feed = slower + (rounded[faster].feed_mm_min - slower) * 0.98;
+                rounded[faster].feed_mm_min = floor_feed(feed, settings);
+                steep = true;
             }
+        }
+        let Some((depth, ratio)) = crossing(planner, &scaled(&rounded, factor)) else {
+            if steep {
+                continue;
+            }
+            break;
+        };
+        let after = rounded.partition_point(|knot| knot.depth_mm < depth - 1e-9).min(rounded.len() - 1);
+        let before = after.saturating_sub(1);
+        let cap = super::profile::feed_at(&rounded, depth) / ratio;
+        let faster = if rounded[after].feed_mm_min >= rounded[before].feed_mm_min { after } else { before };
+        let slower = if faster == after { before } else { after };
+        let way = rounded[after].depth_mm - rounded[before].depth_mm;
+        let part = if way > 0.0 { (depth - rounded[slower].depth_mm).abs() / way } else { 1.0 };
+        let low = rounded[slower].feed_mm_min;
+        // The faster knot comes down until the line passes under the limit; where the slower one is above it, both do.
+        let feed = if low >= cap || part < 1e-6 { cap } else { low + (cap - low) / part };
+        rounded[faster].feed_mm_min = floor_feed(feed.min(rounded[faster].feed_mm_min), settings);
+        if low > cap {
+            rounded[slower].feed_mm_min = floor_feed(cap, settings);
         }
     }
     let knots = Knots::new(rounded).ok()?;
-    (settings.check(&knots).is_ok() && within_caps(planner, &scaled(knots.as_slice(), factor))).then_some(knots)
+    (settings.check(&knots).is_ok() && within_caps(planner, &scaled(knots.as_slice(), factor)))
+        .then_some(knots)
 }
 
 fn floor_feed(feed: f64, settings: &Settings) -> f64 {
@@ -411,7 +479,11 @@ impl Proposal {
     pub fn closest_peak(&self, settings: &Settings) -> Band {
         let feed = self.prediction.peak_feed_drive_percent;
         let spindle = self.prediction.peak_spindle_percent;
-        let over = |band: Band, set: f64| Band { low: band.low / set, expected: band.expected / set, high: band.high / set };
+        let over = |band: Band, set: f64| Band {
+            low: band.low / set,
+            expected: band.expected / set,
+            high: band.high / set,
+        };
         let (feed, spindle) =
             (over(feed, settings.set_feed_drive_percent), over(spindle, settings.set_spindle_percent));
         if feed.expected >= spindle.expected { feed } else { spindle }

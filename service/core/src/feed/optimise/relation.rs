@@ -27,7 +27,7 @@ const PRIOR_WEAR: f64 = 2.0;
 const PRIOR_WEAR_SD: f64 = 2.0;
 
 /// How much the slope differs from depth to depth, and the wear's effect.
-const LOCAL_SLOPE_SD: f64 = 0.25;
+const LOCAL_SLOPE_SD: f64 = 0.3;
 const LOCAL_WEAR_SD: f64 = 2.0;
 
 /// How wrong a straight line in ln feed may be, per unit of ln feed away from where it was measured.
@@ -111,6 +111,14 @@ pub(super) struct LnLoad {
     pub(super) cycle_sd: f64,
 }
 
+/// Slope and wear of one neighbourhood with their variances.
+struct Local {
+    slope: f64,
+    slope_var: f64,
+    wear: f64,
+    wear_var: f64,
+}
+
 struct Fit {
     slope: f64,
     slope_var: f64,
@@ -170,14 +178,7 @@ impl Relation {
     }
 
     /// The load of a drive at a node for a ln feed, heat and `more_wear` beyond that of the plan.
-    pub(super) fn load(
-        &self,
-        node: &Node,
-        drive: usize,
-        x: f64,
-        phi: f64,
-        more_wear: f64,
-    ) -> LnLoad {
+    pub(super) fn load(&self, node: &Node, drive: usize, x: f64, phi: f64, more_wear: f64) -> LnLoad {
         let one = &node.drives[drive];
         let (dx, dphi) = (x - node.x, phi - node.phi);
         let mean = one.level + one.slope * dx - self.memory[drive] * dphi + one.wear * more_wear;
@@ -187,15 +188,11 @@ impl Relation {
             slope_var = slope_var.min(most * most);
         }
         let wear_var = one.wear_var * more_wear * more_wear;
-        let known =
-            one.level_var + slope_var + self.memory_var[drive] * dphi * dphi + wear_var;
+        let known = one.level_var + slope_var + self.memory_var[drive] * dphi * dphi + wear_var;
         let noise = self.noise[drive];
-        let all = known + noise.common * noise.common + noise.uneven * noise.uneven + one.reading * one.reading;
-        LnLoad {
-            mean,
-            known_sd: known.sqrt() * self.spread_scale,
-            cycle_sd: all.sqrt() * self.spread_scale,
-        }
+        let all =
+            known + noise.common * noise.common + noise.uneven * noise.uneven + one.reading * one.reading;
+        LnLoad { mean, known_sd: known.sqrt() * self.spread_scale, cycle_sd: all.sqrt() * self.spread_scale }
     }
 }
 
@@ -267,11 +264,8 @@ impl<'a> Table<'a> {
         let size = 3 + self.cycles;
         let mut left = vec![0.0; size * size];
         let mut right = vec![0.0; size];
-        let priors = [
-            (PRIOR_SLOPE, PRIOR_SLOPE_SD),
-            (PRIOR_MEMORY, PRIOR_MEMORY_SD),
-            (PRIOR_WEAR, PRIOR_WEAR_SD),
-        ];
+        let priors =
+            [(PRIOR_SLOPE, PRIOR_SLOPE_SD), (PRIOR_MEMORY, PRIOR_MEMORY_SD), (PRIOR_WEAR, PRIOR_WEAR_SD)];
         for (at, (value, sd)) in priors.into_iter().enumerate() {
             left[at * size + at] = 1.0 / (sd * sd);
             right[at] = value / (sd * sd);
@@ -327,31 +321,41 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Unevenness that the residuals show, drawn towards what is expected.
+    /// Unevenness that the residuals about the local slopes show, drawn towards what is expected.
     fn noise(&self, drive: usize, fit: &Fit) -> Noise {
         let (mut squares, mut freedom) = (0.0, 0.0);
-        for rows in &self.rows {
+        let stride = super::grid::whole(UNEVEN_MM / 2.0 / self.grid.step_mm()).max(1);
+        for (at, rows) in self.rows.iter().enumerate().step_by(stride) {
+            // Loads that are barely read tell of the reading and not of the process.
+            let rows: Vec<&Row> = rows.iter().filter(|row| row.var[drive] < 0.01).collect();
             if rows.len() < 2 {
                 continue;
             }
-            let residuals: Vec<f64> = rows.iter().map(|row| self.residual(row, drive, fit)).collect();
+            let local = self.local(at, drive, fit);
+            let mean_x = rows.iter().map(|row| row.x).sum::<f64>() / rows.len() as f64;
+            let of = |row: &Row| {
+                self.residual(row, drive, fit)
+                    - (local.slope - fit.slope) * (row.x - mean_x)
+                    - (local.wear - fit.wear) * row.wear
+            };
+            let residuals: Vec<f64> = rows.iter().map(|row| of(row)).collect();
             let mean = residuals.iter().sum::<f64>() / residuals.len() as f64;
+            let spread = rows.iter().map(|row| (row.x - mean_x).powi(2)).sum::<f64>();
+            let share = (stride as f64 * self.share()).min(1.0);
             for (row, residual) in rows.iter().zip(&residuals) {
-                // Loads that are barely read tell of the reading and not of the process.
-                if row.var[drive] < 0.01 {
-                    squares += self.share() * ((residual - mean).powi(2) - row.var[drive]).max(0.0);
-                }
+                squares += share * ((residual - mean).powi(2) - row.var[drive]).max(0.0);
             }
-            if rows[0].var[drive] < 0.01 {
-                freedom += self.share() * (rows.len() - 1) as f64;
-            }
+            // A local slope that the feeds of these very rows told takes one degree of freedom, shared by its neighbours.
+            let slope_taken = spread / (spread + (fit.noise.uneven / LOCAL_SLOPE_SD).powi(2));
+            freedom += share * ((rows.len() - 1) as f64 - 0.3 * slope_taken).max(0.3);
         }
         let depth_units = self.grid.end_mm() / UNEVEN_MM;
         let weight = PRIOR_NOISE_WEIGHT * depth_units / 4.0;
         let uneven = ((weight * PRIOR_UNEVEN.powi(2) + squares) / (weight + freedom)).sqrt();
         let offsets: f64 = fit.offsets.iter().map(|offset| offset * offset).sum();
         let seen = (self.cycles.saturating_sub(1)) as f64;
-        let common = ((PRIOR_NOISE_WEIGHT * PRIOR_COMMON.powi(2) + offsets) / (PRIOR_NOISE_WEIGHT + seen)).sqrt();
+        let common =
+            ((PRIOR_NOISE_WEIGHT * PRIOR_COMMON.powi(2) + offsets) / (PRIOR_NOISE_WEIGHT + seen)).sqrt();
         Noise { uneven: uneven.clamp(0.004, 0.3), common: common.clamp(0.003, 0.3) }
     }
 
@@ -375,7 +379,7 @@ impl<'a> Table<'a> {
     }
 
     fn drive_node(&self, at: usize, about: f64, phi: f64, drive: usize, fit: &Fit) -> DriveNode {
-        let (slope, slope_var, wear, wear_var) = self.local(at, drive, fit);
+        let Local { slope, slope_var, wear, wear_var } = self.local(at, drive, fit);
         let curvature = slope_var + CURVATURE_SD * CURVATURE_SD;
         let noise = fit.noise;
         let (mut total, mut level, mut off_x, mut off_phi, mut off_wear, mut common) =
@@ -415,7 +419,7 @@ impl<'a> Table<'a> {
     }
 
     /// Slope and wear of a neighbourhood, drawn towards the drive's own.
-    fn local(&self, at: usize, drive: usize, fit: &Fit) -> (f64, f64, f64, f64) {
+    fn local(&self, at: usize, drive: usize, fit: &Fit) -> Local {
         let reach = NEIGHBOURHOOD_MM / self.grid.step_mm();
         let half = super::grid::whole(reach).max(1);
         let (from, to) = (at.saturating_sub(half), (at + half).min(self.rows.len() - 1));
@@ -434,11 +438,8 @@ impl<'a> Table<'a> {
             let mean = |of: &dyn Fn(&Row) -> f64| {
                 usable.iter().map(|row| precise(row) * of(row)).sum::<f64>() / total
             };
-            let (x, wear, residual) = (
-                mean(&|row| row.x),
-                mean(&|row| row.wear),
-                mean(&|row| self.residual(row, drive, fit)),
-            );
+            let (x, wear, residual) =
+                (mean(&|row| row.x), mean(&|row| row.wear), mean(&|row| self.residual(row, drive, fit)));
             for row in &usable {
                 let (weight, dx, dw) = (precise(row), row.x - x, row.wear - wear);
                 let r = self.residual(row, drive, fit) - residual;
@@ -455,9 +456,12 @@ impl<'a> Table<'a> {
             (cross * posterior, posterior + left * left * var)
         };
         let (slope_off, slope_var) = drawn(xx, xr, LOCAL_SLOPE_SD, fit.slope_var);
-        let (wear_off, wear_var) =
-            if self.worn { drawn(ww, wr, LOCAL_WEAR_SD, fit.wear_var) } else { (0.0, LOCAL_WEAR_SD.powi(2) + fit.wear_var) };
+        let (wear_off, wear_var) = if self.worn {
+            drawn(ww, wr, LOCAL_WEAR_SD, fit.wear_var)
+        } else {
+            (0.0, LOCAL_WEAR_SD.powi(2) + fit.wear_var)
+        };
         let slope = (fit.slope + slope_off).clamp(*SLOPES.start(), *SLOPES.end());
-        (slope, slope_var, fit.wear + wear_off, wear_var)
+        Local { slope, slope_var, wear: fit.wear + wear_off, wear_var }
     }
 }

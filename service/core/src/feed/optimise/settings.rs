@@ -213,11 +213,7 @@ impl Settings {
             between("idle_percent", *idle, -50.0, 400.0)?;
             if *idle >= set {
                 let text = format!("the idle load of {idle} % is not below the set load of {set} %");
-                return Err(Invalid::new(
-                    format!("idle_percent[{index}]"),
-                    InvalidCode::Inconsistent,
-                    text,
-                ));
+                return Err(Invalid::new(format!("idle_percent[{index}]"), InvalidCode::Inconsistent, text));
             }
         }
         if let Some(watts) = p.watts_per_percent {

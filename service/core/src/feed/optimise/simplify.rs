@@ -27,10 +27,11 @@ const DEPTH_MOVES_MM: [f64; 6] = [0.4, 0.2, 0.1, 0.05, 0.03, 0.02];
 const SWEEPS: usize = 3;
 
 /// Least distance of two knots, mm.
-const LEAST_DISTANCE_MM: f64 = 0.05;
+const LEAST_DISTANCE_MM: f64 = 0.1;
 
-/// What crossing costs against everything else, in the search.
-const CROSSING_WEIGHT: f64 = 1e3;
+/// What crossing costs relative to everything else, for each size of move: gently first, so that a knot is not thrown away
+/// for a hair's breadth at one depth.
+const CROSSING_WEIGHTS: [f64; 6] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 
 /// The envelope as knots: cheapest path of at most `most` knots under it.
 pub(super) fn simplify(planner: &Planner<'_>, envelope: &Envelope, most: usize) -> Vec<Knot> {
@@ -137,8 +138,9 @@ fn edges(planner: &Planner<'_>, envelope: &Envelope, places: &[usize]) -> Vec<Ed
                         Knot { depth_mm: grid.depth_mm(to), feed_mm_min: w },
                     ];
                     let slope = (w - v) / (to - from) as f64;
-                    let under = (from + 1..to)
-                        .all(|node| v + slope * (node - from) as f64 <= envelope.feed[node] * (1.0 + ROUNDING));
+                    let under = (from + 1..to).all(|node| {
+                        v + slope * (node - from) as f64 <= envelope.feed[node] * (1.0 + ROUNDING)
+                    });
                     if !under {
                         continue;
                     }
@@ -169,12 +171,13 @@ fn edges(planner: &Planner<'_>, envelope: &Envelope, places: &[usize]) -> Vec<Ed
 
 /// Moves knots one by one while it helps; never to where bounds are crossed more than before.
 fn polish(planner: &Planner<'_>, mut knots: Vec<Knot>) -> Vec<Knot> {
-    let value = |knots: &[Knot]| {
-        let out = planner.outlook(knots);
-        out.cost + CROSSING_WEIGHT * out.crossed * out.cost
-    };
-    let mut best = value(&knots);
-    for (feed_move, depth_move) in FEED_MOVES.into_iter().zip(DEPTH_MOVES_MM) {
+    for ((feed_move, depth_move), weight) in FEED_MOVES.into_iter().zip(DEPTH_MOVES_MM).zip(CROSSING_WEIGHTS)
+    {
+        let value = |knots: &[Knot]| {
+            let out = planner.outlook(knots);
+            out.cost * (1.0 + weight * out.crossed)
+        };
+        let mut best = value(&knots);
         for _ in 0..SWEEPS {
             let before = best;
             for at in 0..knots.len() {
