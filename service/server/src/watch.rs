@@ -83,6 +83,7 @@ pub async fn round(state: &AppState) -> StoreResult<()> {
         }
     };
     state.metrics.round(&found, now);
+    state.intake.live().alarms_may_have_changed();
     Ok(())
 }
 

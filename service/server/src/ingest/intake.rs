@@ -6,6 +6,7 @@ use crate::clock::Clock;
 use crate::config::Config;
 use crate::http::problem::Problem;
 use crate::lifecycle::Lifecycle;
+use crate::live::{Event, Live};
 use crate::metrics::{CycleOutcome, Metrics};
 use crate::watch::Heard;
 use bytes::Bytes;
@@ -56,6 +57,7 @@ pub struct CycleIntake {
     store: Arc<dyn Store>,
     clock: Clock,
     metrics: Arc<Metrics>,
+    live: Arc<Live>,
     max_samples: usize,
     bounds: QuarantineBounds,
     heard: Heard,
@@ -100,6 +102,7 @@ impl CycleIntake {
             store: store.clone(),
             clock: clock.clone(),
             metrics: metrics.clone(),
+            live: Live::new(&config.live),
             max_samples: config.limits.samples_per_cycle,
             bounds: config.quarantine.bounds(),
             heard: Heard::default(),
@@ -117,6 +120,11 @@ impl CycleIntake {
     pub(crate) fn measure(&self) {
         let depth = self.writer().map_or(0, |writer| writer.depth());
         self.metrics.ingest_queue_depth.set(i64::try_from(depth).unwrap_or(i64::MAX));
+    }
+
+    /// The view that is told of every cycle stored here.
+    pub(crate) const fn live(&self) -> &Arc<Live> {
+        &self.live
     }
 
     /// Everything before the queue: reading, summary, blocks and hash.
@@ -194,9 +202,10 @@ impl CycleIntake {
     fn observe(&self, machine: &MachineId, refused: Refused, result: &Result<Accepted, Problem>) {
         // What an engineer takes out of quarantine says nothing about the machine.
         let heard = refused == Refused::ToQuarantine;
-        let Accepted { cycle, new, answer } = match result {
+        let accepted = match result {
             Ok(accepted) => accepted,
             Err(problem) if problem.members.contains_key("quarantine_id") => {
+                self.live.alarms_may_have_changed();
                 self.heard.note(machine, self.clock.now());
                 self.metrics.cycle_quarantined(machine, problem.code);
                 return;
@@ -206,6 +215,7 @@ impl CycleIntake {
                 return;
             }
         };
+        let Accepted { cycle, new, answer } = accepted;
         if heard {
             self.heard.note(machine, self.clock.now());
         }
@@ -215,6 +225,8 @@ impl CycleIntake {
             return;
         }
         self.metrics.cycle(machine, CycleOutcome::Accepted);
+        self.live.publish(Event::cycle(accepted));
+        self.live.alarms_may_have_changed();
         if let Some(energy) = answer.summary.best_energy() {
             let process = cycle.process.or(answer.recommendation.recommendation.process);
             self.metrics.cycle_energy(process, energy.total_joules);
