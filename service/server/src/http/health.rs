@@ -33,8 +33,9 @@ pub(super) async fn readyz(State(state): State<AppState>) -> Result<axum::Json<H
     }
 }
 
-/// Metrics in the text format of Prometheus. None of them asks the database: they are wanted most when it is in
-/// trouble. What only the database knows is as old as the watch's last round.
+// None of them asks the database: they are wanted most when it is in trouble. What only the database knows is as old as
+// the watch's last round.
+/// Metrics in the text format of Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "service",
     responses((status = 200, body = String, content_type = "text/plain")))]
 pub(super) async fn metrics(State(state): State<AppState>) -> Response {
