@@ -2,14 +2,16 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, tokens, tools, wear,
+    recommendations, tokens, tools, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
+use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
-    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage,
+    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
+    QuarantineEntry, Round, RowNumber, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
+    WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -105,8 +107,30 @@ impl Store for Engine {
         })
     }
 
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round> {
+        let settings = settings.clone();
+        write!(self, |conn| watch::round(conn, &heard, &settings, now).await)
+    }
+
+    async fn usage(&self) -> StoreResult<DatabaseUsage> {
+        self.measure().await
+    }
+
     async fn close(&self) {
         self.shut().await;
+    }
+
+    async fn notify(&self, text: &str) -> StoreResult<()> {
+        self.tell(text).await
+    }
+
+    fn notices(&self) -> Option<Arc<dyn Notices>> {
+        self.ears()
     }
 
     async fn put_machine(
