@@ -107,8 +107,7 @@ fn section(
     let mut shares: Vec<(Binding, f64)> = Vec::new();
     let (mut time_s, mut before_s, mut confidence) = (0.0, 0.0, 1.0_f64);
     let (mut feed_peak, mut spindle_peak): (Option<f64>, Option<f64>) = (None, None);
-    for node in from..to {
-        let expected = &nodes[node];
+    for (node, expected) in nodes.iter().enumerate().take(to).skip(from) {
         time_s += expected.time_s;
         if node > 0 {
             let (a, b) = (feed_at(last, grid.depth_mm(node - 1)), feed_at(last, grid.depth_mm(node)));

@@ -240,9 +240,9 @@ impl<'a> Planner<'a> {
             envelope = self.forward(&caps);
         }
         let reachable = self.reachable(&envelope.feed);
-        for node in 0..grid.count() {
-            if reachable[node] < envelope.feed[node] * (1.0 - 1e-9) {
-                envelope.feed[node] = reachable[node];
+        for (node, reached) in reachable.into_iter().enumerate() {
+            if reached < envelope.feed[node] * (1.0 - 1e-9) {
+                envelope.feed[node] = reached;
                 envelope.binding[node] = Binding::Acceleration;
             }
         }
@@ -259,9 +259,8 @@ impl<'a> Planner<'a> {
         };
         let weights = self.settings.objective.weights();
         let mut heat = 0.0;
-        for node in 0..count {
+        for (node, &(cap, mut binding)) in caps.iter().enumerate() {
             envelope.heat[node] = heat;
-            let (cap, mut binding) = caps[node];
             let mut feed = cap;
             if let Some(known) = &self.relation.nodes[node] {
                 let phi = self.relation.phi(heat);

@@ -154,7 +154,7 @@ proptest! {
             prop_assert!(settings.check(&proposal.knots).is_ok(), "{:?}", settings.check(&proposal.knots));
             let slices = proposal.knots.as_slice();
             prop_assert!(slices.len() <= knots);
-            prop_assert!(slices[0].depth_mm == 0.0 && slices[slices.len() - 1].depth_mm == settings.depth_mm);
+            prop_assert!(slices[0].depth_mm.abs() < 1e-12 && (slices[slices.len() - 1].depth_mm - settings.depth_mm).abs() < 1e-12);
             let mut depth = 0.0;
             while depth <= settings.depth_mm {
                 let feed = proposal.knots.feed_at(depth);

@@ -189,7 +189,6 @@ fn peaks(run: &Run) -> [f64; 2] {
     peaks
 }
 
-#[expect(clippy::too_many_arguments, reason = "what both models share was drawn before")]
 fn twin(
     dice: &mut Dice,
     nominal: f64,
@@ -260,7 +259,6 @@ fn twin(
     Ok((AnyPlant::Twin(Box::new(plant(p)?)), end_mm, perforation, p.tool.shoulder_depth_mm(), wear))
 }
 
-#[expect(clippy::too_many_arguments, reason = "what both models share was drawn before")]
 fn other(
     dice: &mut Dice,
     nominal: f64,

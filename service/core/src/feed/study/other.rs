@@ -156,9 +156,9 @@ impl Plant for OtherModel {
                 run.time_s.push(time);
                 run.depth_mm.push(depth);
                 run.feed_mm_min.push((speed * 60.0).round());
-                for drive in 0..2 {
+                for (drive, seen) in seen.into_iter().enumerate() {
                     let read = noise.as_deref_mut().map_or(0.0, |noise| self.reading * noise.normal());
-                    let value = seen[drive] + read;
+                    let value = seen + read;
                     let value = if noise.is_some() {
                         (value / self.resolution).round() * self.resolution
                     } else {

@@ -123,8 +123,8 @@ impl<P: Plant> Search<'_, P> {
             let cause = run.depth_mm[at.saturating_sub(lag).max(first)];
             let node = self.depths.partition_point(|depth| *depth < cause).min(ratios.len() - 1);
             let ratio = (load[0] / self.most[0]).max(load[1] / self.most[1]);
-            for near in node.saturating_sub(1)..=node {
-                ratios[near] = ratios[near].max(ratio);
+            for near in &mut ratios[node.saturating_sub(1)..=node] {
+                *near = near.max(ratio);
             }
             at += 1;
         });
