@@ -34,6 +34,7 @@ mod peak_to_peak;
 mod plunge;
 mod profile_evidence;
 mod profile_files;
+mod profile_optimise;
 mod quarantine;
 mod tokens;
 mod tool_events;

@@ -29,8 +29,10 @@ fn limits() -> Value {
 }
 
 fn draft(factor: f64) -> Value {
-    let knots: Vec<_> =
-        knots(factor).into_iter().map(|(depth, feed)| json!({"depth_mm": depth, "feed_mm_min": feed})).collect();
+    let knots: Vec<_> = knots(factor)
+        .into_iter()
+        .map(|(depth, feed)| json!({"depth_mm": depth, "feed_mm_min": feed}))
+        .collect();
     let content = json!({
         "operation": "O1", "tool_type": "fd-7.3", "knots": knots,
         "sections": [{"kind": "heating", "to_mm": 3.0}, {"kind": "forming", "to_mm": 13.0},
@@ -111,13 +113,22 @@ async fn a_shadow_is_computed_against_what_really_ran() {
     let report = story.shop.get(&format!("{HERE}/shadow?version={version}&cycles=6")).await;
     assert_eq!(report.status, 200, "{}", report.text);
     let cycles = &report.body["cycles"];
-    assert_eq!((&cycles["considered"], &cycles["predicted_cycles"]), (&json!(6), &json!(6)), "{}", report.text);
-    let shorter = number(&cycles["predicted"]["mean_duration_s"]) / number(&cycles["happened"]["mean_duration_s"]);
+    assert_eq!(
+        (&cycles["considered"], &cycles["predicted_cycles"]),
+        (&json!(6), &json!(6)),
+        "{}",
+        report.text
+    );
+    let shorter =
+        number(&cycles["predicted"]["mean_duration_s"]) / number(&cycles["happened"]["mean_duration_s"]);
     assert!((shorter - 1.0 / 1.2).abs() < 0.06, "a fifth faster: {shorter}");
     // Its own time is that of its curve; the model brakes at the end of the path besides.
     let own = number(&report.body["time_s"]) / number(&cycles["predicted"]["mean_duration_s"]);
     assert!((0.9..1.02).contains(&own), "{own}");
-    assert!(number(&cycles["predicted"]["peak_spindle_percent"]) > number(&cycles["happened"]["peak_spindle_percent"]) * 0.95);
+    assert!(
+        number(&cycles["predicted"]["peak_spindle_percent"])
+            > number(&cycles["happened"]["peak_spindle_percent"]) * 0.95
+    );
     assert_eq!(story.shop.get(&format!("{HERE}/shadow?cycles=0")).await.status, 422);
 }
 
@@ -134,7 +145,10 @@ async fn two_versions_are_compared_over_the_cycles_that_ran_them() {
     assert_eq!(found.status, 200, "{}", found.text);
     let change = &found.body["duration_s"]["change"];
     assert!((number(&change["value"]) + 0.13).abs() < 0.03, "{change}");
-    assert!(number(&change["low"]) <= number(&change["value"]) && number(&change["high"]) >= number(&change["value"]));
+    assert!(
+        number(&change["low"]) <= number(&change["value"])
+            && number(&change["high"]) >= number(&change["value"])
+    );
     assert_eq!(found.body["duration_s"]["is_clear"], true);
     assert_eq!(found.body["energy_basis"], "rated_power");
     assert_eq!(found.body["energy_joules"]["before"]["cycles"], 12);
@@ -210,13 +224,96 @@ async fn what_a_shop_has_now_is_imported_as_a_draft() {
     assert_eq!(drafted.status, 201, "{}", drafted.text);
     assert_eq!((&drafted.body["source"], &drafted.body["state"]), (&json!("imported"), &json!("draft")));
     assert_eq!(drafted.body["report"]["passed_over"], json!(["O815", "S2800", "M3", "M30"]));
-    let feeds: Vec<_> =
-        drafted.body["content"]["knots"].as_array().unwrap().iter().map(|knot| number(&knot["feed_mm_min"])).collect();
+    let feeds: Vec<_> = drafted.body["content"]["knots"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|knot| number(&knot["feed_mm_min"]))
+        .collect();
     assert_eq!(feeds, [160.0, 160.0, 480.0, 480.0, 150.0, 150.0], "ramps instead of steps");
-    let list = shop.post("/v1/feed-profiles/import", &import("csv_linear", "depth;feed\n0;105\n3;155\n20.5;345\n")).await;
+    let list = shop
+        .post("/v1/feed-profiles/import", &import("csv_linear", "depth;feed\n0;105\n3;155\n20.5;345\n"))
+        .await;
     assert_eq!((list.status, &list.body["version"]), (201, &json!(2)), "{}", list.text);
     let bad = shop.post("/v1/feed-profiles/import", &import("gcode", "G0 Z5\nG83 Z-20.5 R1 Q2 F100\n")).await;
     assert_eq!((bad.status, &bad.body["errors"][0]["path"]), (422, &json!("text:line 2")), "{}", bad.text);
     let short = shop.post("/v1/feed-profiles/import", &import("csv_linear", "0,100\n19,100\n")).await;
     assert_eq!((short.status, &short.body["code"]), (422, &json!("not_covered")), "{}", short.text);
+}
+
+async fn ended(shop: &Shop, path: &str) -> Value {
+    for _ in 0..2400 {
+        let job = shop.get(path).await;
+        assert_eq!(job.status, 200, "{}", job.text);
+        if !["waiting", "running"].contains(&job.body["state"].as_str().unwrap()) {
+            return job.body;
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(25)).await;
+    }
+    panic!("{path} does not end");
+}
+
+#[tokio::test]
+async fn a_profile_is_learnt_from_cycles_and_its_prediction_held_against_the_next_ones() {
+    let mut story = Story::begin().await;
+    let question = json!({
+        "operation": "O1", "tool_type": "fd-7.3", "limits": limits(),
+        "heating": {"feed_mm_min": 160.0, "until_mm": 3.0},
+    });
+    let none = story.shop.post("/v1/feed-profiles/optimize", &question).await;
+    assert_eq!(none.status, 202, "{}", none.text);
+    let ended_without = ended(&story.shop, none.headers["location"].to_str().unwrap()).await;
+    assert_eq!(ended_without["result"]["refused"][0]["path"], "cycles", "{ended_without}");
+    let empty = json!({"profile": "bushing", "job": ended_without["id"], "reason": "r"});
+    assert_eq!(story.shop.post("/v1/feed-profiles", &empty).await.body["errors"][0]["code"], "no_proposal");
+
+    for factor in [0.85, 1.0, 1.15] {
+        story.drill(1, factor, None).await;
+    }
+    let asked = story.shop.post("/v1/feed-profiles/optimize", &question).await;
+    let done = ended(&story.shop, asked.headers["location"].to_str().unwrap()).await;
+    assert_eq!(done["state"], "done", "{done}");
+    let report = &done["result"]["report"];
+    assert_eq!(report["learned_from"], 3, "{done}");
+    assert!(number(&report["prediction"]["time_s"]["low"]) < number(&report["prediction"]["time_s"]["high"]));
+    let explained = report["sections"].as_array().unwrap();
+    assert!(explained.iter().all(|section| !section["text"].as_str().unwrap().is_empty()), "{report}");
+    assert!(number(&done["result"]["content"]["wear"]["to_level"]) >= 1.0);
+
+    let draft = json!({"profile": "bushing", "job": done["id"], "reason": "learnt from three holes"});
+    let drafted = story.shop.post("/v1/feed-profiles", &draft).await;
+    assert_eq!(drafted.status, 201, "{}", drafted.text);
+    assert_eq!(
+        (&drafted.body["source"], &drafted.body["report"]["learned_from"]),
+        (&json!("optimised"), &json!(3))
+    );
+    let version = drafted.body["version"].as_u64().unwrap();
+    story.bring(version).await;
+
+    let learnt: Vec<(f64, f64)> = drafted.body["content"]["knots"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|knot| (number(&knot["depth_mm"]), number(&knot["feed_mm_min"])))
+        .collect();
+    assert!(learnt.iter().filter(|(depth, _)| *depth < 3.0).all(|(_, feed)| *feed <= 160.0), "{learnt:?}");
+    let program = FeedProgram::from_pairs(Between::Linear, &learnt).unwrap();
+    let strategy = Strategy::new("learnt", program, PAPER_END_DEPTH_MM, None).unwrap();
+    for number in 50..56 {
+        let mut cycle = drilled(number, &strategy, "f_lin", false);
+        cycle["profile"] = json!({"id": "bushing", "version": version});
+        assert_eq!(story.shop.cycle("F1", &cycle).await.status, 201);
+    }
+    let outcome = story.shop.get(&format!("{HERE}/outcome")).await;
+    assert_eq!(outcome.status, 200, "{}", outcome.text);
+    assert_eq!(outcome.body["cycles"].as_array().unwrap().len(), 6);
+    for cycle in outcome.body["cycles"].as_array().unwrap() {
+        assert!(number(&cycle["time_s"]["relative"]).abs() < 0.1, "{}", outcome.text);
+    }
+    assert!(number(&outcome.body["within_share"]) >= 0.5, "{}", outcome.text);
+    let bad = json!({"operation": "O1", "tool_type": "fd-7.3", "limits": limits(), "confidence": 2.0});
+    let refused = story.shop.post("/v1/feed-profiles/optimize", &bad).await;
+    assert_eq!((refused.status, &refused.body["errors"][0]["path"]), (422, &json!("confidence")));
+    let unknown = json!({"profile": "bushing", "job": "none", "reason": "r"});
+    assert_eq!(story.shop.post("/v1/feed-profiles", &unknown).await.body["errors"][0]["code"], "unknown_job");
 }

@@ -148,3 +148,121 @@ fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
         (_, Some(level)) => Ok(level.as_run),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::feed::profile::tests::given;
+    use crate::feed::profile::{Conditions, WearBandInput};
+    use crate::ids::{OperationId, ProfileId};
+    use crate::operation::WearSettings;
+    use crate::units::Process;
+    use crate::wear::{Level, SecondIndicators};
+    use proptest::prelude::*;
+
+    fn active(name: &str, from_level: Option<f64>, to_level: f64) -> ActiveProfile {
+        let input = given::input();
+        let wear = WearBandInput { from_level, to_level };
+        let profile = Profile::new(crate::feed::profile::ProfileInput { wear, ..input }).unwrap();
+        let version = ProfileVersion { profile: ProfileId::try_from(name).unwrap(), version: 1 };
+        ActiveProfile { version, hash: ProfileHash::from_bytes([0; 32]), profile }
+    }
+
+    fn operation() -> Operation {
+        let Conditions { program, work_material, spindle_speed_rpm } = given::input().conditions;
+        Operation {
+            id: OperationId::try_from("bushing-m8").unwrap(),
+            name: "Bushing".to_owned(),
+            process: Process::Friction,
+            program,
+            feature: None,
+            work_material,
+            thickness_mm: None,
+            depth_mm: Some(20.5),
+            spindle_speed_rpm,
+            programmed_feed_mm_min: Some(110.0),
+            spindle_load_set_percent: None,
+            feed_drive_load_set_percent: None,
+            wear: WearSettings::default(),
+            turning: None,
+            plunge: None,
+        }
+    }
+
+    fn worn(level: Option<f64>) -> Verdict {
+        let unknown = Verdict::unknown("x", "x");
+        let state = if level.is_some() { ToolState::Good } else { ToolState::Learning };
+        let level = level.map(|as_run| Level { as_run, lowest: as_run, highest: as_run, n: 5, window: 5 });
+        Verdict { state, level, life: 1, cycles: 9, ..unknown }
+    }
+
+    fn limits() -> FeedLimits {
+        FeedLimits::new(10.0, 2000.0, 5.0, 200.0).unwrap()
+    }
+
+    fn chosen(bands: &[ActiveProfile], verdict: &Verdict) -> Result<String, &'static str> {
+        choose(bands, &operation(), &limits(), verdict, (true, false))
+            .map(|advice| advice.version.profile.to_string())
+            .map_err(|(code, _)| code)
+    }
+
+    #[test]
+    fn the_band_that_was_made_for_the_wear_is_chosen_and_beyond_none() {
+        let bands = [active("new", None, 1.05), active("mid", Some(1.03), 1.08)];
+        assert_eq!(chosen(&bands, &worn(None)), Ok("new".into()), "mounted new and learning");
+        assert_eq!(chosen(&bands, &worn(Some(0.99))), Ok("new".into()));
+        assert_eq!(chosen(&bands, &worn(Some(1.04))), Ok("mid".into()));
+        assert_eq!(chosen(&bands, &worn(Some(1.08))), Ok("mid".into()));
+        assert_eq!(chosen(&bands, &worn(Some(1.081))), Err("profile_beyond_wear"));
+        assert_eq!(chosen(&bands[1..], &worn(Some(1.0))), Err("profile_beyond_wear"));
+        assert_eq!(chosen(&[], &worn(None)), Err("no_profile"));
+    }
+
+    #[test]
+    fn wear_that_is_not_known_hands_nothing_out() {
+        let band = [active("new", None, 1.10)];
+        let used = Verdict { started_unworn: false, ..worn(None) };
+        assert_eq!(chosen(&band, &used), Err("profile_wear_unknown"));
+        assert_eq!(chosen(&band, &Verdict { life: 0, ..worn(None) }), Err("profile_wear_unknown"));
+        let lost = Verdict { state: ToolState::Unknown, ..worn(None) };
+        assert_eq!(chosen(&band, &lost), Err("profile_wear_unknown"));
+        assert_eq!(chosen(&band, &Verdict { cycles: 0, ..lost }), Ok("new".into()), "mounted a moment ago");
+        let stale = choose(&band, &operation(), &limits(), &worn(Some(1.0)), (true, true));
+        assert_eq!(stale.unwrap_err().0, "profile_wear_unknown");
+        let held = choose(&band, &operation(), &limits(), &worn(Some(1.0)), (false, false));
+        assert_eq!(held.unwrap_err().0, "profile_withheld");
+        let narrow = FeedLimits::new(10.0, 500.0, 5.0, 200.0).unwrap();
+        let outside = choose(&band, &operation(), &narrow, &worn(Some(1.0)), (true, false));
+        assert_eq!(outside.unwrap_err().0, "profile_outside_machine");
+    }
+
+    #[test]
+    fn where_a_law_hides_the_wear_the_time_tells_it() {
+        let band = [active("new", None, 1.07)];
+        let hidden = |time: Option<f64>| {
+            let indicators =
+                SecondIndicators { fall_depth: None, cycle_time_ratio: time, masked_by_control: true };
+            Verdict { indicators, ..worn(Some(1.023)) }
+        };
+        assert_eq!(chosen(&band, &hidden(Some(1.02))), Ok("new".into()));
+        assert_eq!(chosen(&band, &hidden(Some(1.063))), Err("profile_beyond_wear"));
+        assert_eq!(chosen(&band, &hidden(None)), Err("profile_wear_unknown"));
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_handed_out_holds_at_the_tools_wear(
+            level in 0.8..1.6_f64, edges in prop::collection::vec((1.0..1.4_f64, 0.001..0.3_f64), 1..5),
+        ) {
+            let bands: Vec<_> = edges
+                .iter()
+                .enumerate()
+                .map(|(at, &(from, more))| active(&format!("p{at}"), (from > 1.1).then_some(from), from + more))
+                .collect();
+            if let Ok(name) = chosen(&bands, &worn(Some(level))) {
+                let wear = bands.iter().find(|one| one.version.profile.as_str() == name).unwrap().profile.wear();
+                prop_assert!(level <= wear.to_level && wear.from_level.is_none_or(|from| level >= from));
+            }
+        }
+    }
+}

@@ -16,6 +16,7 @@ pub mod library;
 pub mod machine;
 pub mod mirror;
 pub mod operation;
+pub mod optimise;
 pub mod peak_to_peak;
 pub mod plunge;
 pub mod profile_evidence;

@@ -10,6 +10,7 @@ use super::dto::feed_profile::{
 use super::extract::{PathId, Query, query_id};
 use super::precondition::{answer_read, etag, expected};
 use super::problem::{Problem, ProblemDocument};
+use super::profile_optimise::proposed;
 use crate::auth::Caller;
 use crate::state::AppState;
 use axum::extract::State;
@@ -41,10 +42,9 @@ pub(super) async fn draft(
 ) -> Result<Response, Problem> {
     let (content, source, report) = match (&body.content, &body.job) {
         (Some(content), None) => (checked(&state, "content", content).await?, ProfileSource::Drawn, None),
-        (None, Some(_)) => {
-            return Err(
-                Violation::new("job", "unknown_job", "there is no finished optimisation of this id").into()
-            );
+        (None, Some(job)) => {
+            let (content, report) = proposed(&state, job)?;
+            (checked(&state, "content", &content).await?, ProfileSource::Optimised, Some(report))
         }
         _ => return Err(Violation::new("content", "one_of", "give either content or job").into()),
     };

@@ -3,8 +3,8 @@
 use super::body::Json;
 use super::dto::feed_profile::ProfileBody;
 use super::dto::optimise::{
-    CycleOutcomeBody, OptimiseBody, OptimisedBody, OutcomeAnswer, OutcomeQuery, PredictionBody, ProposalReport,
-    SkippedBody, USUAL_CYCLES, WORN_LEVEL, refused, settings,
+    CycleOutcomeBody, OptimiseBody, OptimisedBody, OutcomeAnswer, OutcomeQuery, PredictionBody,
+    ProposalReport, SkippedBody, USUAL_CYCLES, WORN_LEVEL, refused, settings,
 };
 use super::extract::{PathId, Query};
 use super::feed_profiles::{line_of, version_of};
@@ -52,11 +52,19 @@ pub(super) async fn start(
 ) -> Result<Response, Problem> {
     let id = OperationId::parse("operation", &body.operation)?;
     let operation = state.store.operation(&id).await?.ok_or_else(|| {
-        Violation::new("operation", "operation_unregistered", format!("the operation `{id}` is not registered"))
+        Violation::new(
+            "operation",
+            "operation_unregistered",
+            format!("the operation `{id}` is not registered"),
+        )
     })?;
     let operation = operation.value;
     let depth_mm = operation.depth_mm.ok_or_else(|| {
-        Violation::new("operation", "no_depth", "the operation declares no depth: a profile has to end somewhere")
+        Violation::new(
+            "operation",
+            "no_depth",
+            "the operation declares no depth: a profile has to end somewhere",
+        )
     })?;
     let most = body.cycles.unwrap_or(USUAL_CYCLES);
     if !(1..=USUAL_CYCLES).contains(&most) {
@@ -90,7 +98,10 @@ pub(super) fn proposed(state: &AppState, job: &str) -> Result<(ProfileBody, Stri
     let done: Done = serde_json::from_slice(&result).map_err(|error| Problem::internal(error.to_string()))?;
     match (done.content, done.report) {
         (Some(content), Some(report)) => Ok((content, report.to_string())),
-        _ => Err(Violation::new("job", "no_proposal", "the optimisation found none: its result says why").into()),
+        _ => {
+            Err(Violation::new("job", "no_proposal", "the optimisation found none: its result says why")
+                .into())
+        }
     }
 }
 
@@ -111,7 +122,8 @@ async fn last_tried(
     }
     let number = body.last_version.or(line.active).unwrap_or(line.newest);
     let stored = version_of(state, &id, number).await?;
-    let knots = stored.content.knots().map(|knot| Knot { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min });
+    let knots =
+        stored.content.knots().map(|knot| Knot { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min });
     Knots::new(knots.collect()).map(Some).map_err(|error| refused(&error).into())
 }
 
@@ -216,7 +228,11 @@ fn optimised(
 }
 
 /// A proposal as a profile, checked like any other.
-fn content(body: &OptimiseBody, operation: &Operation, proposal: &Proposal) -> Result<Profile, Vec<Violation>> {
+fn content(
+    body: &OptimiseBody,
+    operation: &Operation,
+    proposal: &Proposal,
+) -> Result<Profile, Vec<Violation>> {
     let mut sections: Vec<SectionInput> = Vec::new();
     for section in &proposal.sections {
         // Sections only go forward: what looks like forming behind idle travel is the beginning of the flange.

@@ -2,8 +2,9 @@
 
 use super::{
     alarms, audit, calibrations, continuity, cycles, edge, feed_profiles, friction, health, jobs, library,
-    live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence, profile_files, quarantine,
-    recommendations, tokens, tool_events, tools, turning, viewer, wear, what_if,
+    live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence, profile_files,
+    profile_optimise, quarantine, recommendations, tokens, tool_events, tools, turning, viewer, wear,
+    what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -205,6 +206,8 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(profile_files::read), READ),
         Route::new(routes!(profile_evidence::shadow_report), READ),
         Route::new(routes!(profile_evidence::comparison), READ),
+        Route::new(routes!(profile_optimise::start), ENGINEER),
+        Route::new(routes!(profile_optimise::outcome), READ),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),

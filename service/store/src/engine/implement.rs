@@ -2,7 +2,7 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, machines, models, operations,
-    quarantine, recommendations, tokens, tools, wear,
+    quarantine, recommendations, tokens, tools, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
@@ -11,9 +11,10 @@ use crate::feed_profile::{
 };
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
-    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage,
+    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
+    QuarantineEntry, Round, RowNumber, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
+    WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -108,6 +109,20 @@ impl Store for Engine {
             .await?;
             Ok(())
         })
+    }
+
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round> {
+        let settings = settings.clone();
+        write!(self, |conn| watch::round(conn, &heard, &settings, now).await)
+    }
+
+    async fn usage(&self) -> StoreResult<DatabaseUsage> {
+        self.measure().await
     }
 
     async fn close(&self) {

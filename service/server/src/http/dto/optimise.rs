@@ -2,8 +2,8 @@
 
 use super::feed_profile::{ProfileBody, ProfileLimitsBody};
 use feedwright_core::feed::optimise::{
-    Band, Bushing, Comparison, Deviation, Heating, Identified, Objective, Prediction, Proposal, Section, Settings,
-    SettingsParams,
+    Band, Bushing, Comparison, Deviation, Heating, Identified, Objective, Prediction, Proposal, Section,
+    Settings, SettingsParams,
 };
 use feedwright_core::feed::profile::LimitsInput;
 use feedwright_core::friction::error::Invalid;
@@ -111,7 +111,9 @@ pub struct OptimiseBody {
 /// Settings for a depth and limits; both set loads are needed.
 pub fn settings(operation: &str, depth_mm: f64, limits: &LimitsInput) -> Result<SettingsParams, Violation> {
     let need = |path: &str, value: Option<f64>| {
-        value.ok_or_else(|| Violation::new(path, "missing_field", "is needed: it is what the loads are kept at"))
+        value.ok_or_else(|| {
+            Violation::new(path, "missing_field", "is needed: it is what the loads are kept at")
+        })
     };
     let feed_drive = need("limits.feed_drive_load_set_percent", limits.feed_drive_load_set_percent)?;
     let spindle = need("limits.spindle_load_set_percent", limits.spindle_load_set_percent)?;
@@ -347,7 +349,10 @@ impl ProposalReport {
     pub fn new(proposal: &Proposal, mut skipped: Vec<SkippedBody>) -> Self {
         use feedwright_core::feed::optimise::Advice;
         skipped.extend(
-            proposal.skipped.iter().map(|one| SkippedBody { cycle: one.id.clone(), reason: one.reason.as_str() }),
+            proposal
+                .skipped
+                .iter()
+                .map(|one| SkippedBody { cycle: one.id.clone(), reason: one.reason.as_str() }),
         );
         let [feed_drive, spindle] = &proposal.identified;
         Self {
