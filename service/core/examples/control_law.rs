@@ -44,10 +44,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for intensity in [2.0, 8.47] {
         for (tool, wear) in [("new", 0.0), ("worn (10 000 cycles)", 1.0)] {
             let setup = CycleSetup::new(PAPER_SPINDLE_RPM, wear);
-            let holes: Vec<[Run; 3]> = (0..50)
+            let holes: Vec<[Run; 4]> = (0..50)
                 .map(|seed| closed_loop(&twin, &profile, intensity, &setup, Some(seed)))
                 .collect::<Result<_, _>>()?;
-            for way in 0..3 {
+            for way in 0..4 {
                 let median = |of: fn(&Run) -> f64| {
                     let mut values: Vec<f64> = holes.iter().map(|runs| of(&runs[way])).collect();
                     values.sort_by(f64::total_cmp);
@@ -56,7 +56,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let name = match holes[0][way].mover {
                     Mover::Profile => "nothing",
                     Mover::Law => "our law",
-                    Mover::Polynomial => "the polynomial",
+                    Mover::Polynomial => "the polynomial, to 200 %",
+                    Mover::PolynomialLowering => "the polynomial, to 100 %",
                 };
                 println!(
                     "| {intensity} | {tool} | {name} | {:.2} | {:.1} | {:.1} | {:.2} | {:.2} |",

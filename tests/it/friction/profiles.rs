@@ -192,7 +192,7 @@ async fn files_are_written_for_controls_and_read_back_to_the_letter() {
         assert_eq!(refused.status, 422, "{dialect}: {}", refused.text);
     }
     let law = shop.get(&export("dialect=sinumerik&law_intensity=2")).await;
-    assert!(law.text.contains("FCTDEF(1,20.000,150.000,"), "{}", law.text);
+    assert!(law.text.contains("FCTDEF(1,20.000,100.000,"), "{}", law.text);
     let view = shop.get(&export("dialect=json")).await;
     assert_eq!(view.body, shop.get(&format!("{HERE}/versions/1")).await.body);
     let unknown = shop.get(&export("dialect=basic")).await;

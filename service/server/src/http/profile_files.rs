@@ -58,7 +58,7 @@ pub(super) async fn export(
             (format!("{name}.json"), "application/json", text)
         }
         Some(dialect) => {
-            let options = query.options(stored.content.limits().override_max_percent);
+            let options = query.options();
             let stamp = Stamp { version: stored.version, hash: stored.hash };
             let text = nc::write(dialect, &stored.content, &stamp, &options)?;
             (format!("{name}.{}", dialect.extension()), "text/plain; charset=us-ascii", text)

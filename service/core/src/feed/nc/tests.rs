@@ -18,7 +18,7 @@ fn written(dialect: Dialect, options: &ExportOptions) -> String {
     write(dialect, &profile, &stamp(&profile), options).unwrap()
 }
 
-const LAW: LawInControl = LawInControl { intensity: 2.0, override_max_percent: 150.0 };
+const LAW: LawInControl = LawInControl { intensity: 2.0, override_max_percent: 100.0 };
 
 /// Compares with the file beside the tests, or writes it where `FEEDWRIGHT_BLESS` is set.
 fn golden(name: &str, is: &str) {

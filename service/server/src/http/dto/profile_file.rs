@@ -25,7 +25,8 @@ pub struct ExportQuery {
     pub feed_error: Option<f64>,
     /// SINUMERIK: holds the override law in the control too, fitted for this intensity b.
     pub law_intensity: Option<f64>,
-    /// SINUMERIK: highest override of that law, %; the profile's own where it is left out, at most 200.
+    /// SINUMERIK: highest override of that law, %; 100 where it is left out, so that it only lowers; at most 200 and
+    /// the profile's own.
     pub law_override_max_percent: Option<f64>,
 }
 
@@ -41,15 +42,15 @@ impl ExportQuery {
         })
     }
 
-    /// How it is written; `highest` is the profile's own highest override, %.
-    pub fn options(&self, highest: f64) -> ExportOptions {
+    /// How it is written.
+    pub fn options(&self) -> ExportOptions {
         let usual = ExportOptions::default();
         ExportOptions {
             clearance_mm: self.clearance_mm.unwrap_or(usual.clearance_mm),
             feed_error: self.feed_error.unwrap_or(usual.feed_error),
             law: self.law_intensity.map(|intensity| LawInControl {
                 intensity,
-                override_max_percent: self.law_override_max_percent.unwrap_or(highest.min(200.0)),
+                override_max_percent: self.law_override_max_percent.unwrap_or(100.0),
             }),
         }
     }
