@@ -14,6 +14,8 @@ pub use open::PostgresOptions;
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
+use crate::slot::Slot;
+use crate::registry::Registry;
 use crate::locks::Locks;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
@@ -43,6 +45,8 @@ struct Inner {
     pool: PgPool,
     gate: Gate,
     max_samples: usize,
+    registry: Arc<Registry>,
+    memory: Slot<engine::Memory>,
 }
 
 impl PostgresStore {
@@ -60,6 +64,14 @@ impl PostgresStore {
             })
         })
         .await
+    }
+
+    fn registry(&self) -> &Arc<Registry> {
+        &self.inner.registry
+    }
+
+    fn memory(&self) -> &Slot<engine::Memory> {
+        &self.inner.memory
     }
 
     fn max_samples(&self) -> usize {

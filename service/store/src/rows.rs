@@ -3,6 +3,7 @@
 mod advice;
 mod cut;
 mod cycle;
+mod saved;
 mod facts;
 mod library;
 mod registry;
@@ -13,6 +14,7 @@ pub(crate) use cut::{CutRow, EdgeCycleRow};
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
 pub(crate) use library::{ModelRow, content_json, setup_json};
+pub(crate) use saved::{ADVICE_HASH_BYTES, IssuedRow, SavedWear};
 pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
     tool_json,

@@ -14,6 +14,8 @@ pub use open::SqliteOptions;
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
+use crate::slot::Slot;
+use crate::registry::Registry;
 use crate::work::Work;
 use checkpoint::Checkpoints;
 use sqlx::pool::PoolConnection;
@@ -42,12 +44,22 @@ struct Inner {
     refused: AtomicBool,
     checkpoints: Checkpoints,
     max_samples: usize,
+    registry: Arc<Registry>,
+    memory: Slot<engine::Memory>,
 }
 
 impl SqliteStore {
     /// Pages of the write-ahead log at the last checkpoint: what a watchdog looks at.
     pub fn wal_pages(&self) -> u64 {
         self.inner.checkpoints.wal_pages()
+    }
+
+    fn registry(&self) -> &Arc<Registry> {
+        &self.inner.registry
+    }
+
+    fn memory(&self) -> &Slot<engine::Memory> {
+        &self.inner.memory
     }
 
     fn max_samples(&self) -> usize {

@@ -310,7 +310,13 @@ pub(crate) fn new_cycle(cycle: Cycle) -> NewCycle {
     let context = Context { machine: &machine, calibration: None, operation: Some(&operation) };
     let summary = summarise(&cycle, context);
     let encoded = codec::encode(&cycle);
-    NewCycle { received_at: cycle.started_at.plus_millis(3000), cycle: Arc::new(cycle), encoded, summary }
+    NewCycle {
+        received_at: cycle.started_at.plus_millis(3000),
+        cycle: Arc::new(cycle),
+        encoded,
+        summary,
+        generation: None,
+    }
 }
 
 /// Commits a group at the usual settings.

@@ -120,7 +120,8 @@ impl CycleIntake {
                 return Err(self.refuse(machine, json, Problem::invalid(violations), refused).await);
             }
         };
-        let Some(around) = self.store.surroundings(machine, &cycle.operation, &cycle.tool).await? else {
+        let around = self.store.recent_surroundings(machine, &cycle.operation, &cycle.tool).await?;
+        let Some((around, generation)) = around else {
             return Err(unknown_machine(machine));
         };
         let context = Context {
@@ -131,7 +132,8 @@ impl CycleIntake {
         let mut summary = summarise(&cycle, context);
         summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
         let encoded = codec::encode(&cycle);
-        Ok(Ready { cycle: NewCycle { cycle, received_at: now, encoded, summary }, json })
+        let generation = Some(generation);
+        Ok(Ready { cycle: NewCycle { cycle, received_at: now, encoded, summary, generation }, json })
     }
 
     /// Everything after the queue: what the commit came to.

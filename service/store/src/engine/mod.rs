@@ -11,12 +11,16 @@ mod commit;
 mod cycles;
 mod implement;
 mod machines;
+mod memory;
 mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod registry;
 mod tokens;
 mod tools;
 mod wear;
+
+pub(super) use memory::Memory;
 
 use super::{Conn, Db, Engine, dialect};
