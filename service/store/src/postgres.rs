@@ -14,9 +14,9 @@ pub use open::PostgresOptions;
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
-use crate::slot::Slot;
-use crate::registry::Registry;
 use crate::locks::Locks;
+use crate::registry::Registry;
+use crate::slot::Slot;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use sqlx::PgPool;

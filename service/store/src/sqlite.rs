@@ -14,8 +14,8 @@ pub use open::SqliteOptions;
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
-use crate::slot::Slot;
 use crate::registry::Registry;
+use crate::slot::Slot;
 use crate::work::Work;
 use checkpoint::Checkpoints;
 use sqlx::pool::PoolConnection;

@@ -1,7 +1,10 @@
 //! The JSON body of a cycle, to a checked [`Cycle`], with the path of whatever is wrong.
 //!
-//! The fast way is one pass of `serde_json`. Only what it refuses is looked at again: once with the path of the
-//! field, and once by [`super::scan`], which tells a document that is JSON but for NaN from one that is no JSON.
+//! The usual body is read in one pass by [`reader`]; anything else by `serde_json`, with the same outcome. Only what
+//! that refuses is looked at again: once with the path of the field, and once by [`super::scan`], which tells a
+//! document that is JSON but for NaN from one that is no JSON.
+
+mod reader;
 
 use super::number::{Number, Numbers};
 use super::scan;
@@ -34,7 +37,7 @@ impl BodyError {
     }
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Body {
     cycle_id: String,
@@ -53,14 +56,14 @@ struct Body {
     reported: Option<ReportedBody>,
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ProfileBody {
     id: String,
     version: u32,
 }
 
-#[derive(Deserialize, Default)]
+#[derive(Debug, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
 struct ReportedBody {
     energy_joules: Option<Number>,
@@ -78,7 +81,7 @@ struct ReportedBody {
     edge_wear_mm: Option<Number>,
 }
 
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct SamplesBody {
     period_ms: Option<f64>,
     time_ms: Option<Vec<f64>>,
@@ -161,7 +164,20 @@ pub fn decode(
     max_samples: usize,
     now: Timestamp,
 ) -> Result<Cycle, BodyError> {
-    let body: Body = parse(json)?;
+    checked(machine, parse(json)?, max_samples, now)
+}
+
+/// As [`decode`], by serde alone: what the fast reader is held against.
+pub fn decode_by_serde(
+    machine: &MachineId,
+    json: &[u8],
+    max_samples: usize,
+    now: Timestamp,
+) -> Result<Cycle, BodyError> {
+    checked(machine, parse_by_serde(json)?, max_samples, now)
+}
+
+fn checked(machine: &MachineId, body: Body, max_samples: usize, now: Timestamp) -> Result<Cycle, BodyError> {
     let mut wrong = Vec::new();
     let draft = draft(machine, body, max_samples, now, &mut wrong);
     match draft {
@@ -180,6 +196,10 @@ pub fn cycle_id_of(json: &[u8]) -> Option<String> {
 }
 
 fn parse(json: &[u8]) -> Result<Body, BodyError> {
+    reader::read(json).map_or_else(|| parse_by_serde(json), Ok)
+}
+
+fn parse_by_serde(json: &[u8]) -> Result<Body, BodyError> {
     let error = match serde_json::from_slice(json) {
         Ok(body) => return Ok(body),
         Err(error) => error,

@@ -110,9 +110,8 @@ async fn place_all(
     let inserted = dialect::insert_cycles(conn, &keyed).await?;
     let all_new = inserted.len() == keyed.len();
     let inserted: HashSet<(String, String)> = inserted.into_iter().collect();
-    let is_new = |row: &CycleRow| {
-        all_new || inserted.contains(&(row.machine_id.clone(), row.cycle_id.clone()))
-    };
+    let is_new =
+        |row: &CycleRow| all_new || inserted.contains(&(row.machine_id.clone(), row.cycle_id.clone()));
     let fresh: Vec<_> = rows.into_values().filter(|(_, row, _)| is_new(row)).collect();
     let mut blocks = Vec::with_capacity(fresh.len());
     for (index, row, _) in &fresh {

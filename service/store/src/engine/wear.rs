@@ -231,15 +231,12 @@ impl ToolWear {
             return Ok(());
         };
         let first = Place::of(&first.order()?);
-        let cached = self
-            .machines
-            .entry(machine.clone())
-            .or_insert_with(|| Cached {
-                fold: Some(beginning(&self.events)),
-                folded: 0,
-                version: 0,
-                changed: true,
-            });
+        let cached = self.machines.entry(machine.clone()).or_insert_with(|| Cached {
+            fold: Some(beginning(&self.events)),
+            folded: 0,
+            version: 0,
+            changed: true,
+        });
         let newest = |fold: &ToolFold| fold.last().is_none_or(|last| Place::of(last) < first);
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
             return self.refold(conn, machine, &first).await;

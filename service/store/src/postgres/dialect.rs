@@ -32,7 +32,8 @@ pub(super) async fn lock(conn: &mut Conn, locks: &Locks) -> StoreResult<()> {
 }
 
 /// A tool's caches, locked in the order of their keys.
-pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
+pub(super) const WEAR_OF_TOOL_LOCKED: &str =
+    "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
      WHERE tool_id = $1 ORDER BY machine_id FOR UPDATE";
 
 /// The generation of the registry, under an empty name, and the versions of the folds of a list of tools. The tools'

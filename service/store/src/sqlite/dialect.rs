@@ -15,8 +15,7 @@ pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
 }
 
 /// A tool's caches, inside a transaction that nobody else writes beside.
-pub(super) const WEAR_OF_TOOL_LOCKED: &str =
-    "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
+pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
 
 /// The generation of the registry, under an empty name, and the versions of the folds of a list of tools.
 pub(super) const HEADS: &str = "SELECT '' AS tool_id, '' AS machine_id, generation AS version
