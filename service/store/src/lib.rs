@@ -19,6 +19,7 @@ mod rows;
 mod slot;
 mod sqlite;
 mod store;
+pub mod wire;
 mod work;
 
 pub use error::{StoreError, StoreResult};

@@ -4,6 +4,7 @@
 //! that refuses is looked at again: once with the path of the field, and once by [`super::scan`], which tells a
 //! document that is JSON but for NaN from one that is no JSON.
 
+mod frame;
 mod reader;
 
 use super::number::{Number, Numbers};
@@ -15,6 +16,7 @@ use feedwright_core::cycle::{
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::{Process, Strategy, Timestamp};
+use feedwright_store::wire;
 use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
@@ -27,7 +29,9 @@ pub const CLOCK_AHEAD_MS: i64 = 10 * 60 * 1000;
 pub enum BodyError {
     /// It is no JSON: answered 400, nothing is kept.
     Malformed(String),
-    /// It is JSON, but no cycle that could have been run: answered 422 and kept in quarantine.
+    /// It is no frame of the binary form: answered 400, nothing is kept.
+    MalformedFrame(&'static str),
+    /// It is read, but no cycle that could have been run: answered 422 and kept in quarantine.
     Invalid(Vec<Violation>),
 }
 
@@ -43,7 +47,7 @@ struct Body {
     cycle_id: String,
     tool: String,
     operation: String,
-    started_at: String,
+    started_at: Started,
     seq: Option<u64>,
     process: Option<String>,
     strategy: Option<String>,
@@ -54,6 +58,19 @@ struct Body {
     outcome: Option<String>,
     samples: Option<SamplesBody>,
     reported: Option<ReportedBody>,
+}
+
+/// When a cycle began: JSON has a text, the binary form the time itself.
+#[derive(Debug)]
+enum Started {
+    Text(String),
+    At(Timestamp),
+}
+
+impl<'de> Deserialize<'de> for Started {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer).map(Self::Text)
+    }
 }
 
 #[derive(Debug, Deserialize)]
@@ -155,16 +172,22 @@ impl<'de> Deserialize<'de> for SamplesBody {
     }
 }
 
-/// Decodes one cycle's JSON body.
+/// Decodes one cycle's body: the binary form where it begins as that does, else JSON, which never does.
 ///
 /// `now` is the server's clock; a cycle that begins more than [`CLOCK_AHEAD_MS`] after it is refused.
 pub fn decode(
     machine: &MachineId,
-    json: &[u8],
+    body: &[u8],
     max_samples: usize,
     now: Timestamp,
 ) -> Result<Cycle, BodyError> {
-    checked(machine, parse(json)?, max_samples, now)
+    let body = if is_frame(body) { frame::read(body, max_samples)? } else { parse(body)? };
+    checked(machine, body, max_samples, now)
+}
+
+/// Whether a body is of the binary form.
+pub fn is_frame(body: &[u8]) -> bool {
+    body.starts_with(&wire::MAGIC[..3])
 }
 
 /// As [`decode`], by serde alone: what the fast reader is held against.
@@ -187,12 +210,15 @@ fn checked(machine: &MachineId, body: Body, max_samples: usize, now: Timestamp) 
 }
 
 /// The cycle id of a body that is otherwise refused, for the quarantine's list.
-pub fn cycle_id_of(json: &[u8]) -> Option<String> {
+pub fn cycle_id_of(body: &[u8]) -> Option<String> {
+    if is_frame(body) {
+        return wire::read(body, usize::MAX).ok().map(|post| post.cycle_id);
+    }
     #[derive(Deserialize)]
     struct OnlyId {
         cycle_id: String,
     }
-    serde_json::from_slice::<OnlyId>(json).ok().map(|body| body.cycle_id)
+    serde_json::from_slice::<OnlyId>(body).ok().map(|body| body.cycle_id)
 }
 
 fn parse(json: &[u8]) -> Result<Body, BodyError> {
@@ -261,7 +287,7 @@ fn draft(
     let id = keep(CycleId::parse("cycle_id", &body.cycle_id), wrong);
     let tool = keep(ToolId::parse("tool", &body.tool), wrong);
     let operation = keep(OperationId::parse("operation", &body.operation), wrong);
-    let started_at = keep(started_at(&body.started_at, now), wrong);
+    let started_at = keep(started_at(body.started_at, now), wrong);
     let process = word("process", body.process.as_deref(), Process::parse, wrong);
     let strategy = word("strategy", body.strategy.as_deref(), Strategy::parse, wrong);
     let outcome = word("outcome", body.outcome.as_deref(), Outcome::parse, wrong);
@@ -329,8 +355,16 @@ fn word<T>(
     parsed
 }
 
-fn started_at(text: &str, now: Timestamp) -> Result<Timestamp, Violation> {
-    let at = time::read("started_at", text)?;
+fn started_at(started: Started, now: Timestamp) -> Result<Timestamp, Violation> {
+    let at = match started {
+        Started::Text(text) => time::read("started_at", &text)?,
+        // Within what a text could have said.
+        Started::At(at) => {
+            time::read("started_at", &time::show(at)).ok().filter(|shown| *shown == at).ok_or_else(|| {
+                Violation::new("started_at", "invalid_timestamp", "must be within the years -9999 to 9999")
+            })?
+        }
+    };
     if at.millis_since(now) > CLOCK_AHEAD_MS {
         return Err(Violation::new(
             "started_at",

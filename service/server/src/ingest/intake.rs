@@ -13,7 +13,7 @@ use feedwright_core::ids::MachineId;
 use feedwright_core::summary::{Context, summarise};
 use feedwright_core::units::Timestamp;
 use feedwright_store::{
-    Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, codec,
+    Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, codec, wire,
 };
 use futures_util::future::join_all;
 use http::StatusCode;
@@ -112,6 +112,9 @@ impl CycleIntake {
             Ok(cycle) => Arc::new(cycle),
             Err(BodyError::Malformed(why)) => {
                 return Err(Problem::bad_request("malformed_json", format!("the body is no JSON: {why}")));
+            }
+            Err(BodyError::MalformedFrame(why)) => {
+                return Err(Problem::bad_request("malformed_cycle", format!("the body is no cycle: {why}")));
             }
             Err(BodyError::Invalid(violations)) => {
                 if self.store.machine(machine).await?.is_none() {
@@ -221,7 +224,8 @@ impl CycleIntake {
             received_at: self.clock.now(),
             code: problem.errors.first().map_or(problem.code, |error| error.code).to_owned(),
             problem: problem.document(None),
-            content_type: "application/json".to_owned(),
+            content_type: if body::is_frame(&json) { wire::MEDIA_TYPE } else { "application/json" }
+                .to_owned(),
             settled: None,
             size: json.len() as u64,
         };
@@ -242,7 +246,7 @@ impl CycleIntake {
 }
 
 impl CycleIntake {
-    /// Takes one cycle's JSON body in. Returns after its durable commit. A full queue refuses it at once.
+    /// Takes one cycle's body in, JSON or binary. Returns after its durable commit. A full queue refuses it at once.
     pub async fn accept(
         &self,
         machine: &MachineId,

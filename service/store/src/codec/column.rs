@@ -88,7 +88,7 @@ fn next_scale(value: f64, scale: u8) -> u8 {
 }
 
 #[expect(clippy::cast_precision_loss, reason = "integers of the canonical form are below 2^53")]
-pub(super) fn decimal(integer: i64, scale: u8) -> f64 {
+pub(crate) fn decimal(integer: i64, scale: u8) -> f64 {
     integer as f64 / POWERS[usize::from(scale)]
 }
 

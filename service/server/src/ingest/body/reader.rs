@@ -4,7 +4,7 @@
 //! So this reader can refuse, but never accept what serde would not, nor read another value.
 
 use super::super::number::{Number, Numbers};
-use super::{Body, ProfileBody, ReportedBody, SamplesBody};
+use super::{Body, ProfileBody, ReportedBody, SamplesBody, Started};
 use feedwright_core::cycle::Channel;
 
 /// Digits that a number may have: every integer of so many is exact as f64, so a quotient by a power of ten, exact as
@@ -78,7 +78,7 @@ impl<'a> Reader<'a> {
             cycle_id: fields.cycle_id?,
             tool: fields.tool?,
             operation: fields.operation?,
-            started_at: fields.started_at?,
+            started_at: Started::Text(fields.started_at?),
             seq: fields.seq,
             process: fields.process,
             strategy: fields.strategy,
