@@ -8,6 +8,7 @@ mod dialect;
 #[path = "engine/mod.rs"]
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
+mod notice;
 mod open;
 
 pub use open::PostgresOptions;
@@ -21,6 +22,7 @@ use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use sqlx::PgPool;
 use sqlx::pool::PoolConnection;
+use sqlx::postgres::PgConnectOptions;
 use std::sync::Arc;
 
 type Db = sqlx::Postgres;
@@ -43,6 +45,8 @@ pub struct PostgresStore {
 #[derive(Debug)]
 struct Inner {
     pool: PgPool,
+    /// The server itself, past any pooler.
+    direct: PgConnectOptions,
     gate: Gate,
     max_samples: usize,
     registry: Arc<Registry>,
@@ -72,6 +76,10 @@ impl PostgresStore {
 
     fn memory(&self) -> &Slot<engine::Memory> {
         &self.inner.memory
+    }
+
+    fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {
+        Some(Arc::new(notice::Direct(self.inner.direct.clone())))
     }
 
     fn max_samples(&self) -> usize {
