@@ -127,6 +127,21 @@ impl Given {
         }
     }
 
+    /// Sessions of PostgreSQL that are inside a transaction and do nothing; 0 where there is no server.
+    pub(crate) async fn open_transactions(&self) -> i64 {
+        if !self.is_postgres() {
+            return 0;
+        }
+        let mut conn = PgConnection::connect(&self.address()).await.unwrap();
+        sqlx::query_scalar(
+            "SELECT count(*) FROM pg_stat_activity
+             WHERE datname = current_database() AND state LIKE 'idle in transaction%'",
+        )
+        .fetch_one(&mut conn)
+        .await
+        .unwrap()
+    }
+
     async fn sqlite_tables(&self) -> SqliteConnection {
         let Place::File(folder) = &self.place else { unreachable!("only a file has these") };
         let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("cell.sqlite3"));
