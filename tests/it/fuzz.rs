@@ -32,8 +32,30 @@ impl Random {
 
 /// Pieces that break readers: what JSON is made of, and numbers at their edges.
 const PIECES: [&[u8]; 24] = [
-    b"{", b"}", b"[", b"]", b",", b":", b"\"", b"\\", b"\\u0000", b"null", b"true", b"-", b"-0", b"0.1", b"1e999",
-    b"9007199254740993", b"123456789012345678901", b"0.000000000000001", b"NaN", b"\xff", b" ", b"01", b"1.", b"\"cycle_id\":\"x\",",
+    b"{",
+    b"}",
+    b"[",
+    b"]",
+    b",",
+    b":",
+    b"\"",
+    b"\\",
+    b"\\u0000",
+    b"null",
+    b"true",
+    b"-",
+    b"-0",
+    b"0.1",
+    b"1e999",
+    b"9007199254740993",
+    b"123456789012345678901",
+    b"0.000000000000001",
+    b"NaN",
+    b"\xff",
+    b" ",
+    b"01",
+    b"1.",
+    b"\"cycle_id\":\"x\",",
 ];
 
 fn mutated(seed: &[u8], random: &mut Random) -> Vec<u8> {

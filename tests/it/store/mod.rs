@@ -11,4 +11,5 @@ mod models;
 mod registry;
 mod replicas;
 mod service;
+mod watch;
 mod wear;

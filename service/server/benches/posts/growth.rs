@@ -42,7 +42,11 @@ pub(crate) async fn grow(most: usize) {
 }
 
 fn tell(at: usize, (cpu, asked): (f64, f64)) {
-    println!("at {at} cycles: {:.1} µs of server CPU a cycle, recommendation p50 {:.3} ms", cpu * 1e6, asked * 1e3);
+    println!(
+        "at {at} cycles: {:.1} µs of server CPU a cycle, recommendation p50 {:.3} ms",
+        cpu * 1e6,
+        asked * 1e3
+    );
 }
 
 /// Server CPU per cycle, s, and the median of a recommendation, s.
@@ -83,7 +87,8 @@ async fn fill(server: &Running, client: &reqwest::Client, stored: &mut usize, wa
             );
         }
         let url = format!("{}/v1/machines/M{machine}/cycles/batch", server.address);
-        let request = client.post(url).bearer_auth(&server.token).header("content-type", "application/x-ndjson");
+        let request =
+            client.post(url).bearer_auth(&server.token).header("content-type", "application/x-ndjson");
         let answer = request.body(body).send().await.expect("an answer");
         assert_eq!(answer.status().as_u16(), 200, "{:?}", answer.text().await);
         let outcomes = answer.text().await.expect("outcomes");

@@ -90,7 +90,8 @@ fn main() {
             systems.push(System::PostgresRows);
         }
     }
-    let mut rounds: Vec<(System, Vec<Round>)> = systems.into_iter().map(|system| (system, Vec::new())).collect();
+    let mut rounds: Vec<(System, Vec<Round>)> =
+        systems.into_iter().map(|system| (system, Vec::new())).collect();
     // Round by round, not system by system: what drifts on the machine drifts for all of them.
     for _ in 0..ROUNDS {
         for (system, done) in &mut rounds {
@@ -117,7 +118,10 @@ fn main() {
         for (system, theirs) in &rounds[2..] {
             println!("\n{} × {}, pair by pair", rounds[ours].0.name(), system.name());
             for (what, of) in [
-                ("  values per server-CPU-second", (|round| round.values_per_cpu_second) as fn(&Round) -> f64),
+                (
+                    "  values per server-CPU-second",
+                    (|round| round.values_per_cpu_second) as fn(&Round) -> f64,
+                ),
                 ("  one cycle alone, p50", |round| round.alone_p50),
                 ("  one whole cycle read, p50", |round| round.read_p50),
                 ("  resident memory", |round| round.resident),

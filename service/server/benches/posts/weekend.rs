@@ -124,7 +124,8 @@ async fn live(
                 ticks.tick().await;
                 let at = times.len();
                 let started = MORNING_MS + at as u64 * 1000;
-                let cycle = templates[at % templates.len()].again(&machine, format!("{prefix}-{at:05}"), started);
+                let cycle =
+                    templates[at % templates.len()].again(&machine, format!("{prefix}-{at:05}"), started);
                 let body = cycle.json().into_bytes();
                 let begun = Instant::now();
                 post(&client, &address, &token, &cycle, "application/json", body).await;

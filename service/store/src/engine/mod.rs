@@ -19,6 +19,7 @@ mod recommendations;
 mod registry;
 mod tokens;
 mod tools;
+mod watch;
 mod wear;
 
 pub(super) use memory::Memory;
