@@ -76,6 +76,9 @@ fn seconds(ms: u64) -> f64 {
     ms as f64 / 1e3
 }
 
+/// A time and eight values.
+type SampleRow = (i64, f64, f64, f64, f64, f64, f64, f64, f64);
+
 /// A row per sample in PostgreSQL, filled by COPY; only what reading a cycle costs, and what it takes on disk.
 pub(crate) async fn postgres_rows(cycles: &Arc<Vec<Cycle>>) -> Round {
     let address = std::env::var("FEEDWRIGHT_TEST_POSTGRES").expect("behind tests/postgres");
@@ -109,7 +112,7 @@ pub(crate) async fn postgres_rows(cycles: &Arc<Vec<Cycle>>) -> Round {
     for cycle in &cycles[..ALONE] {
         let end = cycle.started_ms + 10 * (cycle.samples() as u64 - 1);
         let begun = Instant::now();
-        let rows: Vec<(i64, f64, f64, f64, f64, f64, f64, f64, f64)> = sqlx::query_as(
+        let rows: Vec<SampleRow> = sqlx::query_as(
             "SELECT at, a, b, c, d, e, f, g, h FROM samples WHERE machine = $1 AND at BETWEEN $2 AND $3 ORDER BY at",
         )
         .bind(&cycle.machine)
