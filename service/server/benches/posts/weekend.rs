@@ -13,8 +13,8 @@ const CUT_OFF: usize = 200;
 const KEPT: usize = 480;
 /// Cycles in one batch.
 const BATCH: usize = 120;
-/// Machines that replay at the same time.
-const REPLAYING: usize = 16;
+/// Machines that replay at the same time: all of them, when the line comes back.
+const REPLAYING: usize = CUT_OFF;
 /// Machines that post live, each a cycle a second.
 const LIVE: usize = 20;
 

@@ -20,11 +20,15 @@ use feedwright_store::{
 use futures_util::future::join_all;
 use http::StatusCode;
 use std::sync::{Arc, RwLock};
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, Semaphore};
 use tokio::task::JoinHandle;
 
 /// Bodies larger than this are parsed off the threads that serve connections.
 const PARSED_ASIDE_BYTES: usize = 256 * 1024;
+
+/// Windows of batches that are read, summed up and encoded at once. When a weekend comes back, every machine of a plant
+/// replays at the same moment: live posts must find a processor all the same.
+const BATCHES_PREPARED: usize = 2;
 
 /// A cycle that is durably stored, with what its machine is told.
 #[derive(Debug)]
@@ -63,6 +67,7 @@ pub struct CycleIntake {
     heard: Heard,
     writer: RwLock<Option<WriterHandle>>,
     writing: Mutex<Option<JoinHandle<()>>>,
+    preparing: Semaphore,
 }
 
 /// What the writer tells metrics and the life of the process.
@@ -108,6 +113,7 @@ impl CycleIntake {
             heard: Heard::default(),
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
+            preparing: Semaphore::new(BATCHES_PREPARED),
         }
     }
 
@@ -299,7 +305,15 @@ impl CycleIntake {
     pub async fn accept_all(&self, machine: &MachineId, lines: Vec<Bytes>) -> Vec<Result<Accepted, Problem>> {
         let refused = Refused::ToQuarantine;
         let mut waiting = Vec::with_capacity(lines.len());
-        for ready in join_all(lines.into_iter().map(|json| self.prepare(machine, json, refused))).await {
+        let mut prepared = Vec::with_capacity(lines.len());
+        let turn = self.preparing.acquire().await;
+        for json in lines {
+            prepared.push(self.prepare(machine, json, refused).await);
+            // Between two cycles whoever posts live may have the thread.
+            tokio::task::yield_now().await;
+        }
+        drop(turn);
+        for ready in prepared {
             waiting.push(match ready {
                 Ok(ready) => self.enqueue_patiently(ready).await,
                 Err(problem) => Err(problem),
