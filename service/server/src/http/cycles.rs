@@ -27,7 +27,7 @@ const BATCH_WINDOW: usize = 64;
 #[utoipa::path(
     post, path = "/v1/machines/{machine}/cycles", tag = "cycles",
     params(("machine" = String, Path, description = "The machine that ran it")),
-    request_body(content((CyclePost = "application/json"), (Vec<u8> = "application/vnd.feedwright.cycle")),
+    request_body(content((CyclePost = "application/json"), (String = "application/vnd.feedwright.cycle")),
         description = "One cycle, as JSON or in the binary form; `Content-Encoding: gzip` and `zstd` are accepted"),
     responses(
         (status = 201, description = "New, and durably stored", body = CycleAnswerBody),
@@ -58,15 +58,15 @@ pub async fn post_cycle(
     Ok((status, Json(CycleAnswerBody::of(&accepted))).into_response())
 }
 
-/// Posts many cycles, one JSON document per line or frame after frame of the binary form; an outcome per line or frame is
-/// answered, in the same order.
+/// Posts many cycles, a JSON document per line or a binary frame after the other; an outcome per line is answered.
 ///
+/// Outcomes come in the order of the lines or frames.
 /// A line that fails fails alone. A machine may forget its copy of every line whose outcome is `stored`, `known` or
 /// `quarantined`.
 #[utoipa::path(
     post, path = "/v1/machines/{machine}/cycles/batch", tag = "cycles",
     params(("machine" = String, Path, description = "The machine that ran them")),
-    request_body(content((String = "application/x-ndjson"), (Vec<u8> = "application/vnd.feedwright.cycle")),
+    request_body(content((String = "application/x-ndjson"), (String = "application/vnd.feedwright.cycle")),
         description = "One cycle per line or frame, as for a single post; gzip and zstd are accepted"),
     responses(
         (status = 200, description = "An outcome per line, NDJSON", body = BatchOutcome,
