@@ -38,8 +38,9 @@ pub(super) const WEAR_OF_TOOL_LOCKED: &str =
 
 /// The generation of the registry, under an empty name, and the versions of the folds of a list of tools. The tools'
 /// names are locked by then.
-pub(super) const HEADS: &str = "SELECT '' AS tool_id, '' AS machine_id, generation AS version
-     FROM registry_generation WHERE registry_id = 1
+pub(super) const HEADS: &str =
+    "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
+     FROM registry_generation
      UNION ALL SELECT tool_id, machine_id, version FROM tool_wear WHERE tool_id = ANY($1)";
 
 /// A list of ids as one parameter.

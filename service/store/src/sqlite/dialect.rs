@@ -18,8 +18,9 @@ pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
 pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
 
 /// The generation of the registry, under an empty name, and the versions of the folds of a list of tools.
-pub(super) const HEADS: &str = "SELECT '' AS tool_id, '' AS machine_id, generation AS version
-     FROM registry_generation WHERE registry_id = 1
+pub(super) const HEADS: &str =
+    "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
+     FROM registry_generation
      UNION ALL SELECT tool_id, machine_id, version FROM tool_wear
      WHERE tool_id IN (SELECT value FROM json_each($1))";
 
