@@ -12,13 +12,17 @@ mod cycles;
 mod feed_profiles;
 mod implement;
 mod machines;
+mod memory;
 mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod registry;
 mod tokens;
 mod tools;
 mod watch;
 mod wear;
+
+pub(super) use memory::Memory;
 
 use super::{Conn, Db, Engine, dialect};
