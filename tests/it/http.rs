@@ -7,6 +7,7 @@ mod matrix;
 mod openapi;
 mod problems;
 mod quarantine;
+mod reading;
 mod registry;
 mod service;
 mod sockets;

@@ -17,6 +17,8 @@ pub mod lifecycle;
 pub mod metrics;
 mod readiness;
 pub mod replay;
+pub mod series;
 pub mod server;
 pub mod state;
+pub mod table;
 pub mod what_if;

@@ -3,6 +3,7 @@
 use crate::auth::FailedAuthentications;
 use crate::clock::Clock;
 use crate::config::Config;
+use crate::http::export::Exports;
 use crate::ingest::intake::CycleIntake;
 use crate::jobs::Jobs;
 use crate::lifecycle::Lifecycle;
@@ -33,6 +34,8 @@ pub struct Shared {
     pub lifecycle: Lifecycle,
     /// Long computations.
     pub jobs: Jobs,
+    /// Large answers under way.
+    pub exports: Exports,
     /// Who failed to authenticate, how often.
     pub(crate) failed_authentications: FailedAuthentications,
     /// Whether the database takes writes.
@@ -66,6 +69,7 @@ impl AppState {
             intake,
             lifecycle,
             jobs: Jobs::default(),
+            exports: Exports::default(),
             failed_authentications,
             readiness,
         }))

@@ -2,7 +2,7 @@
 
 use crate::error::StoreResult;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, CyclePoint, IssuedRecommendation, LevelPoint, Model,
     ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
     StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
 };
@@ -130,6 +130,21 @@ pub trait Store: Send + Sync + 'static {
     async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>>;
     /// Cycles in the order of `(started_at, machine, cycle)`.
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>>;
+
+    /// The newest cycles, in the order of `(started_at, machine, cycle)`.
+    async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>>;
+    /// What cycles amounted to, in the order of `(started_at, machine, cycle)`.
+    async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>>;
+    /// The newest of them, oldest first. Cycles that began at the same time stand in the order of their tool.
+    async fn last_points(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<CyclePoint>>;
+    /// How worn a tool was after each cycle that began within `from` to `to` (exclusive), at most `limit`.
+    async fn levels(
+        &self,
+        tool: &ToolId,
+        from: Timestamp,
+        to: Timestamp,
+        limit: u32,
+    ) -> StoreResult<Vec<LevelPoint>>;
 
     /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;

@@ -2,7 +2,7 @@
 
 use super::body::{media_type, read, unsupported};
 use super::cursor::{List, Paging};
-use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost, SamplesBody};
+use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost};
 use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
@@ -120,25 +120,6 @@ pub async fn get_cycle(
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
     Ok(Json((&stored).into()))
-}
-
-/// The samples of one cycle, as they were posted.
-#[utoipa::path(
-    get, path = "/v1/machines/{machine}/cycles/{cycle_id}/samples", tag = "cycles",
-    params(("machine" = String, Path, description = "Its machine"), ("cycle_id" = String, Path, description = "Its id")),
-    responses(
-        (status = 200, description = "The samples", body = SamplesBody),
-        (status = 404, description = "There is no such cycle, or no samples of it", body = ProblemDocument<'static>),
-    )
-)]
-pub async fn get_samples(
-    State(state): State<AppState>,
-    PathId(machine): PathId<MachineId>,
-    PathId(id): PathId<CycleId>,
-) -> Result<Json<SamplesBody>, Problem> {
-    let samples = state.store.cycle_samples(&machine, &id).await?;
-    let samples = samples.ok_or_else(|| Problem::not_found("cycle with samples", id.as_str()))?;
-    Ok(Json((&samples).into()))
 }
 
 /// Filters of a list of cycles.

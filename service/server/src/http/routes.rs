@@ -2,7 +2,7 @@
 
 use super::{
     alarms, audit, calibrations, continuity, cycles, edge, friction, health, jobs, library, machines,
-    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, tokens, tool_events, tools,
+    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, samples, series, summaries, tokens, tool_events, tools,
     turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
@@ -154,8 +154,10 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(cycles::post_cycle), OWN).takes_cycles(),
         Route::new(routes!(cycles::post_batch), OWN).takes_cycles(),
         Route::new(routes!(cycles::get_cycle), READ_OR_OWN),
-        Route::new(routes!(cycles::get_samples), READ_OR_OWN),
+        Route::new(routes!(samples::get_samples), READ_OR_OWN),
         Route::new(routes!(cycles::list_cycles), READ),
+        Route::new(routes!(summaries::get_summaries), READ),
+        Route::new(routes!(series::get_series), READ),
         Route::new(routes!(wear::get_wear), READ),
         Route::new(routes!(wear::get_history), READ),
         Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),

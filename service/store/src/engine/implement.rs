@@ -2,12 +2,12 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, tokens, tools, wear,
+    recommendations, series, tokens, tools, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, CyclePoint, IssuedRecommendation, LevelPoint, Model,
     ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
     StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
 };
@@ -245,6 +245,29 @@ impl Store for Engine {
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {
         cycles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
+        cycles::last(&mut *self.reader().await?, filter, limit).await
+    }
+
+    async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>> {
+        series::points(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_points(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<CyclePoint>> {
+        series::last_points(&mut *self.reader().await?, filter, limit).await
+    }
+
+    async fn levels(
+        &self,
+        tool: &ToolId,
+        from: Timestamp,
+        to: Timestamp,
+        limit: u32,
+    ) -> StoreResult<Vec<LevelPoint>> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| series::levels(conn, &tool, from, to, limit).await)
     }
 
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {

@@ -15,6 +15,7 @@ mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod series;
 mod tokens;
 mod tools;
 mod wear;
