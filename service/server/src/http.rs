@@ -33,6 +33,7 @@ mod operations;
 mod peak_to_peak;
 mod plunge;
 mod quarantine;
+mod retention;
 mod samples;
 mod series;
 mod summaries;

@@ -17,6 +17,7 @@ pub mod lifecycle;
 pub mod metrics;
 mod readiness;
 pub mod replay;
+pub mod retention;
 pub mod series;
 pub mod server;
 pub mod state;

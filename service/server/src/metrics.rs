@@ -6,11 +6,11 @@
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::Action;
 use feedwright_core::units::Process;
-use feedwright_store::AlarmKind;
+use feedwright_store::{AlarmKind, DropReason, Dropped};
 use http::{Method, StatusCode};
 use prometheus::{
-    Gauge, GaugeVec, Histogram, HistogramOpts, HistogramVec, IntCounterVec, IntGauge, IntGaugeVec, Opts,
-    Registry, TextEncoder,
+    Gauge, GaugeVec, Histogram, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge,
+    IntGaugeVec, Opts, Registry, TextEncoder,
 };
 use std::collections::HashSet;
 use std::sync::{Mutex, PoisonError};
@@ -58,6 +58,9 @@ pub struct Metrics {
     machines: Mutex<HashSet<MachineId>>,
     most_machines: usize,
     recommendations: IntCounterVec,
+    samples_dropping: IntCounterVec,
+    samples_dropped_cycles: IntCounter,
+    samples_dropped_bytes: IntCounter,
     http_requests: IntCounterVec,
     http_seconds: HistogramVec,
     alarms_open: IntGaugeVec,
@@ -97,6 +100,11 @@ impl Metrics {
             registry.register(Box::new(gauge.clone()))?;
             Ok::<_, prometheus::Error>(gauge)
         };
+        let counter = |name: &str, help: &str| {
+            let counter = IntCounter::new(name, help)?;
+            registry.register(Box::new(counter.clone()))?;
+            Ok::<_, prometheus::Error>(counter)
+        };
         let build = Gauge::with_opts(
             Opts::new("feedwright_build_info", "1, labelled with the version of the build")
                 .const_label("version", env!("CARGO_PKG_VERSION")),
@@ -134,6 +142,19 @@ impl Metrics {
                 "Recommendations handed out, by action",
                 &["action"],
             )?,
+            samples_dropping: counters(
+                "feedwright_sample_drop_decisions_total",
+                "Decisions of retention to drop samples of a machine, by reason",
+                &["reason"],
+            )?,
+            samples_dropped_cycles: counter(
+                "feedwright_sample_drop_cycles_total",
+                "Cycles whose samples retention has dropped",
+            )?,
+            samples_dropped_bytes: counter(
+                "feedwright_sample_drop_bytes_total",
+                "Bytes of sample blocks that retention has dropped",
+            )?,
             http_requests: counters(
                 "feedwright_http_requests_total",
                 "Answered requests",
@@ -168,6 +189,9 @@ impl Metrics {
         for outcome in CycleOutcome::ALL {
             metrics.cycles.with_label_values(&[outcome.as_str()]);
         }
+        for reason in DropReason::ALL {
+            metrics.samples_dropping.with_label_values(&[reason.as_str()]);
+        }
         for kind in AlarmKind::ALL {
             metrics.alarms_open.with_label_values(&[kind.as_str()]);
         }
@@ -197,6 +221,17 @@ impl Metrics {
             known.insert(machine.clone());
             self.tool_wear_level.with_label_values(&[machine.as_str()]).set(ratio);
         }
+    }
+
+    /// Counts a decision to drop samples.
+    pub fn samples_dropping(&self, reason: DropReason) {
+        self.samples_dropping.with_label_values(&[reason.as_str()]).inc();
+    }
+
+    /// Counts samples that have gone.
+    pub fn samples_dropped(&self, dropped: Dropped) {
+        self.samples_dropped_cycles.inc_by(dropped.cycles);
+        self.samples_dropped_bytes.inc_by(dropped.bytes);
     }
 
     /// Counts a recommendation that was handed out.

@@ -225,7 +225,9 @@ mod tests {
         ] {
             assert_eq!(width_us("bucket", text), Ok(us), "{text}");
         }
-        for text in ["", "0s", "h", "-1h", "1.5h", "1y", "99999999999999999999s", "9223372036854775807d", "1 h"] {
+        for text in
+            ["", "0s", "h", "-1h", "1.5h", "1y", "99999999999999999999s", "9223372036854775807d", "1 h"]
+        {
             assert_eq!(width_us("bucket", text).unwrap_err().code, "invalid_duration", "{text}");
         }
     }

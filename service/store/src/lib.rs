@@ -17,6 +17,7 @@ mod record;
 mod rows;
 mod sqlite;
 mod store;
+pub mod transfer;
 mod work;
 
 pub use error::{StoreError, StoreResult};

@@ -1,6 +1,7 @@
 //! PostgreSQL: for a plant, with several servers on one database.
 //!
-//! Time limits live in the database, set within each transaction so that a pooler in transaction mode bears them.
+//! Time limits live in the database, set within each transaction so that a pooler in transaction mode bears them, and
+//! behind one every read is a transaction: only inside of one do all messages of a statement reach the same server.
 //! Session locks and migrations use a direct connection. A connection that comes back inside an open transaction is
 //! thrown away before anyone else's work can disappear in it.
 
@@ -9,6 +10,7 @@ mod dialect;
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
 mod open;
+mod reader;
 
 pub use open::PostgresOptions;
 
@@ -17,8 +19,8 @@ use crate::gate::{Gate, panicked};
 use crate::locks::Locks;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
+use reader::Reader;
 use sqlx::PgPool;
-use sqlx::pool::PoolConnection;
 use std::sync::Arc;
 
 type Db = sqlx::Postgres;
@@ -43,6 +45,7 @@ struct Inner {
     pool: PgPool,
     gate: Gate,
     max_samples: usize,
+    pooled: bool,
 }
 
 impl PostgresStore {
@@ -66,8 +69,18 @@ impl PostgresStore {
         self.inner.max_samples
     }
 
-    async fn reader(&self) -> StoreResult<PoolConnection<Db>> {
-        Ok(self.inner.pool.acquire().await?)
+    async fn reader(&self) -> StoreResult<Reader> {
+        Ok(if self.inner.pooled {
+            Reader::Pooled(self.inner.pool.begin_with(BEGIN_SNAPSHOT).await?)
+        } else {
+            Reader::Own(self.inner.pool.acquire().await?)
+        })
+    }
+
+    /// The server's own vacuum gives space back.
+    #[expect(clippy::unused_async, reason = "the other engine asks its file")]
+    async fn give_back(&self) -> StoreResult<bool> {
+        Ok(false)
     }
 
     /// Runs one change in one transaction, in a task that nobody can cancel.

@@ -255,6 +255,13 @@ pub struct StoredCycle {
     pub has_samples: bool,
 }
 
+impl StoredCycle {
+    /// Whether it came with samples that are not kept any more.
+    pub const fn samples_are_gone(&self) -> bool {
+        !self.has_samples && self.summary.sample_count > 0
+    }
+}
+
 /// What a cycle amounted to, as a point of series.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CyclePoint {
@@ -513,6 +520,94 @@ pub struct WearCheck {
     pub rows: u64,
     /// Those that differed from the fold, `(machine, tool)`.
     pub different: Vec<(MachineId, ToolId)>,
+}
+
+/// How long a machine's samples are kept; without either limit for ever.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SampleRetention {
+    /// Days since they were received.
+    pub days: Option<u32>,
+    /// Bytes as they are stored, the newest first.
+    pub bytes: Option<u64>,
+}
+
+/// Why samples were dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DropReason {
+    /// They were older than the machine's samples are kept.
+    Age,
+    /// The machine's samples were larger than it may keep.
+    Size,
+}
+
+impl DropReason {
+    /// Every reason, in the order of the enum.
+    pub const ALL: [Self; 2] = [Self::Age, Self::Size];
+
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Age => "age",
+            Self::Size => "size",
+        }
+    }
+
+    /// The reason of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|reason| reason.as_str() == text)
+    }
+}
+
+/// A decision to drop a machine's samples.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SampleDrop {
+    /// The machine.
+    pub machine: MachineId,
+    /// Samples that were received before this.
+    pub before: Timestamp,
+    /// When it was decided.
+    pub dropped_at: Timestamp,
+    /// Why.
+    pub reason: DropReason,
+    /// Cycles whose samples have gone so far.
+    pub cycles: u64,
+    /// Bytes that have gone so far.
+    pub bytes: u64,
+}
+
+/// What one step of dropping did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Dropped {
+    /// Cycles whose samples have gone.
+    pub cycles: u64,
+    /// Bytes of blocks that have gone.
+    pub bytes: u64,
+    /// Whether there may be more to do.
+    pub more: bool,
+}
+
+/// What is wrong with something stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoreFault {
+    /// What it is about: `cycle`, `samples`, `hash`, `file`.
+    pub kind: &'static str,
+    /// Which one, as in `M1/c0001`.
+    pub key: String,
+    /// What is wrong.
+    pub detail: String,
+}
+
+/// What the check of a page of cycles found.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CheckPage {
+    /// Cycles that were looked at.
+    pub checked: u64,
+    /// Those among them whose samples were dropped, so that their content hash cannot be computed again.
+    pub dropped: u64,
+    /// What is wrong.
+    pub faults: Vec<StoreFault>,
+    /// Where to go on; `None` at the end.
+    pub next: Option<(MachineId, CycleId)>,
 }
 
 /// Names a row of the quarantine, of alarms or of audit in a list.

@@ -167,7 +167,8 @@ async fn buckets_hold_every_cycle_once_and_gaps_are_no_zeros() {
     let answer = app.get(&format!("{path}&measures=energy_joules,duration_ms")).await.json();
     assert_eq!(answer["by"], "tool");
     let series = answer["series"].as_array().unwrap();
-    let names: Vec<_> = series.iter().map(|one| (one["measure"].as_str().unwrap(), one["basis"].as_str())).collect();
+    let names: Vec<_> =
+        series.iter().map(|one| (one["measure"].as_str().unwrap(), one["basis"].as_str())).collect();
     assert_eq!(
         names,
         [("energy_joules", Some("rated_power")), ("energy_joules", Some("reported")), ("duration_ms", None)]
@@ -214,7 +215,7 @@ async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {
     assert_eq!(series[0]["time"][0], "2026-05-04T05:25:00Z");
     let level = series[1]["value"].as_array().unwrap().last().unwrap().clone();
     let wear = app.get("/v1/tools/T1/wear").await.json();
-    assert_eq!(wear["level"]["as_run_ratio"], level, "{wear}");
+    assert_eq!(wear["level"]["as_run"], level, "{wear}");
 
     let path = "/v1/series?tool=T1&bucket=10m&from=2026-05-04T05:00:00Z&to=2026-05-04T05:30:00Z";
     let bucketed = app.get(&format!("{path}&measures=wear_level_ratio")).await.json();
@@ -228,7 +229,11 @@ async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {
     let summaries = text(get_as(&app, "/v1/summaries?tool=T1&last=2", "text/csv").await);
     let lines: Vec<_> = summaries.trim_end().split("\r\n").collect();
     assert_eq!(lines.len(), 3);
-    assert!(lines[0].starts_with("started_at,received_at,machine,cycle_id,tool,operation,seq,"), "{}", lines[0]);
+    assert!(
+        lines[0].starts_with("started_at,received_at,machine,cycle_id,tool,operation,seq,"),
+        "{}",
+        lines[0]
+    );
     assert!(lines[2].starts_with("2026-05-04T05:29:00.000000Z,2026-05-04T06:00:00.000000Z,M1,c29,T1,O1,,"));
     let all = app.get("/v1/summaries?machine=M1").await.json();
     let items = all["items"].as_array().unwrap();

@@ -127,6 +127,14 @@ impl Given {
         }
     }
 
+    /// The file, where it is SQLite's.
+    pub(crate) fn file(&self) -> std::path::PathBuf {
+        match &self.place {
+            Place::File(folder) => folder.path().join("cell.sqlite3"),
+            Place::Database { .. } => unreachable!("only a file has a path"),
+        }
+    }
+
     async fn sqlite_tables(&self) -> SqliteConnection {
         let Place::File(folder) = &self.place else { unreachable!("only a file has these") };
         let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("cell.sqlite3"));

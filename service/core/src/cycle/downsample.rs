@@ -137,7 +137,15 @@ mod tests {
     fn lttb_keeps_the_corners_of_a_line() {
         // Three straight lines: the corners span the largest triangles of their buckets.
         let y: Vec<f64> = (0..=100)
-            .map(|at: i32| f64::from(if at <= 30 { at } else if at <= 60 { 60 - at } else { at - 60 }))
+            .map(|at: i32| {
+                f64::from(if at <= 30 {
+                    at
+                } else if at <= 60 {
+                    60 - at
+                } else {
+                    at - 60
+                })
+            })
             .collect();
         let rows = Downsampling::Lttb.rows(&times(y.len()), &[&y], 12);
         assert_eq!(rows.len(), 12);

@@ -17,6 +17,7 @@ use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 use feedwright_store::CycleFilter;
 use http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use utoipa::IntoParams;
 
 /// Lines of a batch that are under way at once: about one commit's worth, so that live posts find room in between.
@@ -119,7 +120,12 @@ pub async fn get_cycle(
 ) -> Result<Json<CycleBody>, Problem> {
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
-    Ok(Json((&stored).into()))
+    let body = CycleBody::from(&stored);
+    if !stored.samples_are_gone() {
+        return Ok(Json(body));
+    }
+    let drops = state.store.sample_drops(&machine).await?;
+    Ok(Json(body.tell_drops(&stored, &drops)))
 }
 
 /// Filters of a list of cycles.
@@ -163,10 +169,22 @@ pub async fn list_cycles(
     );
     let paging = Paging::new(&state, scope, query.limit, query.cursor.as_deref())?;
     let rows = state.store.cycles(&filter, paging.page()).await?;
+    // One question per machine, and only where something is gone.
+    let mut drops = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.samples_are_gone()) {
+        let machine = &row.cycle.machine;
+        if !drops.contains_key(machine) {
+            drops.insert(machine.clone(), state.store.sample_drops(machine).await?);
+        }
+    }
+    let view = |row: feedwright_store::StoredCycle| {
+        let drops = drops.get(&row.cycle.machine).map(Vec::as_slice).unwrap_or_default();
+        CycleBody::from(&row).tell_drops(&row, drops)
+    };
     let key = |row: &feedwright_store::StoredCycle| {
         (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone())
     };
-    Ok(Json(paging.list(rows, key, |row| (&row).into())))
+    Ok(Json(paging.list(rows, key, view)))
 }
 
 impl CyclesQuery {

@@ -16,7 +16,8 @@ impl<S: Send + Sync> FromRequestParts<S> for Accepts {
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
         best(&parts.headers).map(Self).ok_or_else(|| {
             let ours: Vec<_> = Format::ALL.iter().map(|format| format.media_type()).collect();
-            let detail = format!("none of the accepted media types is offered; offered are {}", ours.join(", "));
+            let detail =
+                format!("none of the accepted media types is offered; offered are {}", ours.join(", "));
             Problem::new(StatusCode::NOT_ACCEPTABLE, "not_acceptable", detail)
         })
     }
@@ -36,12 +37,17 @@ fn best(headers: &HeaderMap) -> Option<Format> {
     }
     // The most specific range that names a form gives its weight, whatever the order.
     let weight = |format: &Format| {
-        let matching = accepted.iter().filter_map(|(range, weight)| Some((specific(range, *format)?, *weight)));
+        let matching =
+            accepted.iter().filter_map(|(range, weight)| Some((specific(range, *format)?, *weight)));
         matching.max_by_key(|(specific, _)| *specific).map_or(0, |(_, weight)| weight)
     };
     let weighed = Format::ALL.into_iter().map(|format| (weight(&format), format));
     // Of equal weights the first of ours.
-    weighed.rev().max_by_key(|(weight, _)| *weight).filter(|(weight, _)| *weight > 0).map(|(_, format)| format)
+    weighed
+        .rev()
+        .max_by_key(|(weight, _)| *weight)
+        .filter(|(weight, _)| *weight > 0)
+        .map(|(_, format)| format)
 }
 
 /// A media range in lower case, with its weight in thousandths; none where it cannot be read.

@@ -2,8 +2,8 @@
 
 use super::{
     alarms, audit, calibrations, continuity, cycles, edge, friction, health, jobs, library, machines,
-    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, samples, series, summaries, tokens, tool_events, tools,
-    turning, viewer, wear, what_if,
+    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, retention, samples, series,
+    summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -127,6 +127,8 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(machines::put), ENGINEER),
         Route::new(routes!(machines::get), READ_OR_OWN),
         Route::new(routes!(machines::list), READ),
+        Route::new(routes!(retention::put), ENGINEER),
+        Route::new(routes!(retention::get), READ),
         Route::new(routes!(calibrations::add), ENGINEER),
         Route::new(routes!(calibrations::list), READ),
         Route::new(routes!(tools::put), ENGINEER),

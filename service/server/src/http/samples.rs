@@ -15,7 +15,6 @@ use feedwright_core::cycle::{Channel, Downsampling, Samples, TimeBase};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
-use feedwright_store::StoredCycle;
 use futures_util::stream;
 use http::{HeaderValue, StatusCode, header};
 use serde::Deserialize;
@@ -103,16 +102,17 @@ async fn missing(state: &AppState, machine: &MachineId, id: &CycleId) -> Result<
     let Some(cycle) = state.store.cycle(machine, id).await? else {
         return Ok(Problem::not_found("cycle", id.as_str()));
     };
-    Ok(gone(&cycle).unwrap_or_else(|| Problem::not_found("cycle with samples", id.as_str())))
-}
-
-/// 410 where samples were there once.
-fn gone(cycle: &StoredCycle) -> Option<Problem> {
-    if cycle.has_samples || cycle.summary.sample_count == 0 {
-        return None;
+    if !cycle.samples_are_gone() {
+        return Ok(Problem::not_found("cycle with samples", id.as_str()));
     }
     let detail = "the samples of this cycle were dropped by retention; its summary is kept";
-    Some(Problem::new(StatusCode::GONE, "samples_dropped", detail))
+    let mut problem = Problem::new(StatusCode::GONE, "samples_dropped", detail);
+    let drops = state.store.sample_drops(machine).await?;
+    if let Some(drop) = drops.iter().find(|drop| drop.before > cycle.received_at) {
+        problem.members.insert("dropped_at".to_owned(), time::show(drop.dropped_at).into());
+        problem.members.insert("reason".to_owned(), drop.reason.as_str().into());
+    }
+    Ok(problem)
 }
 
 /// What was asked for, read and checked.
@@ -138,7 +138,8 @@ impl Wanted {
                     Some(_) => {}
                     None => {
                         let all: Vec<_> = Channel::ALL.iter().map(|channel| channel.as_str()).collect();
-                        let message = format!("there is no channel `{name}`, must be among {}", all.join(", "));
+                        let message =
+                            format!("there is no channel `{name}`, must be among {}", all.join(", "));
                         wrong.push(Violation::new("channels", "unknown_channel", message));
                     }
                 }
@@ -196,10 +197,7 @@ impl Wanted {
 
     /// Whether no row is left out.
     const fn is_whole(&self) -> bool {
-        matches!(
-            self,
-            Self { time_ms: (None, None), depth_mm: (None, None), points: None, .. }
-        )
+        matches!(self, Self { time_ms: (None, None), depth_mm: (None, None), points: None, .. })
     }
 
     fn select(&self, samples: &Samples) -> Result<Selected, Problem> {
@@ -207,7 +205,11 @@ impl Wanted {
         let channels = self.channels.clone().unwrap_or_else(|| sampled.clone());
         if let Some(lacking) = channels.iter().find(|channel| !sampled.contains(channel)) {
             let names: Vec<_> = sampled.iter().map(|channel| channel.as_str()).collect();
-            let message = format!("{} was not sampled in this cycle; sampled were {}", lacking.as_str(), names.join(", "));
+            let message = format!(
+                "{} was not sampled in this cycle; sampled were {}",
+                lacking.as_str(),
+                names.join(", ")
+            );
             return Err(Violation::new("channels", "channel_not_sampled", message).into());
         }
         let depth = samples.column(Channel::DepthMm);

@@ -109,7 +109,10 @@ pub(super) async fn get_series(
 async fn known(store: &dyn Store, filter: &CycleFilter) -> Result<(), Problem> {
     if let Some(tool) = &filter.tool
         && store.tool(tool).await?.is_none()
-        && store.last_points(&CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() }, 1).await?.is_empty()
+        && store
+            .last_points(&CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() }, 1)
+            .await?
+            .is_empty()
     {
         return Err(Problem::not_found("tool", tool.as_str()));
     }

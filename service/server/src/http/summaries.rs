@@ -78,7 +78,8 @@ pub(super) async fn get_summaries(
     let pieces = match query.last {
         Some(last) if (1..=MAX_LAST).contains(&last) => {
             let cycles = state.store.last_cycles(&filter, last).await?;
-            let pieces: Vec<_> = cycles.chunks(PAGE as usize).map(|cycles| Ok(rows(cycles.to_vec()))).collect();
+            let pieces: Vec<_> =
+                cycles.chunks(PAGE as usize).map(|cycles| Ok(rows(cycles.to_vec()))).collect();
             stream::iter(pieces).boxed()
         }
         Some(last) => {
@@ -117,7 +118,9 @@ fn fields() -> Vec<Field> {
     let mut fields = vec![Field::new("started_at", Kind::Time), Field::new("received_at", Kind::Time)];
     fields.extend(["machine", "cycle_id", "tool", "operation"].map(|name| Field::new(name, Kind::Text)));
     fields.push(Field::new("seq", Kind::Whole));
-    fields.extend(["process", "strategy", "law_version", "profile_id"].map(|name| Field::new(name, Kind::Text)));
+    fields.extend(
+        ["process", "strategy", "law_version", "profile_id"].map(|name| Field::new(name, Kind::Text)),
+    );
     fields.push(Field::new("profile_version", Kind::Whole));
     fields.extend(["recommendation_id", "outcome"].map(|name| Field::new(name, Kind::Text)));
     fields.extend([Field::float("spindle_speed_rpm", "rpm"), Field::float("duration_ms", "ms")]);

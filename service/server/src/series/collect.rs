@@ -1,8 +1,6 @@
 //! Cycles into series, page by page: no more is kept than the bucket that is being filled.
 
-use super::{
-    GroupBy, MAX_BUCKETS, MAX_CELLS, MAX_CYCLES, Measure, SeriesKey, Value, levels,
-};
+use super::{GroupBy, MAX_BUCKETS, MAX_CELLS, MAX_CYCLES, Measure, SeriesKey, Value, levels};
 use crate::http::problem::Problem;
 use feedwright_core::invalid::Violation;
 use feedwright_core::series::{Buckets, Spread};
@@ -177,7 +175,9 @@ pub async fn last(
         (true, Some(first), Some(last)) => {
             let range = CycleFilter {
                 from: Some(first.key.0),
-                to: Some(feedwright_core::units::Timestamp::from_micros(last.key.0.micros().saturating_add(1))),
+                to: Some(feedwright_core::units::Timestamp::from_micros(
+                    last.key.0.micros().saturating_add(1),
+                )),
                 ..filter.clone()
             };
             let tools: BTreeSet<_> = points.iter().map(|point| point.tool.clone()).collect();

@@ -29,10 +29,14 @@ pub(super) fn schema(fields: &[Field]) -> SchemaRef {
 pub(super) fn batch(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch, TableError> {
     macro_rules! column {
         ($array:ty, $kind:path, $at:expr) => {
-            Arc::new(rows.iter().map(|row| match row.get($at) {
-                Some($kind(value)) => Some(value.clone()),
-                _ => None,
-            }).collect::<$array>()) as ArrayRef
+            Arc::new(
+                rows.iter()
+                    .map(|row| match row.get($at) {
+                        Some($kind(value)) => Some(value.clone()),
+                        _ => None,
+                    })
+                    .collect::<$array>(),
+            ) as ArrayRef
         };
     }
     let column = |(at, field): (usize, &Arc<arrow_schema::Field>)| match field.data_type() {

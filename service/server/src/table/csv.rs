@@ -20,7 +20,9 @@ impl Csv {
     fn lines(&mut self, rows: &[Row]) -> Result<Vec<u8>, TableError> {
         let mut writer = WriterBuilder::new().terminator(Terminator::CRLF).from_writer(Vec::new());
         if let Some(fields) = self.header.take() {
-            writer.write_record(fields.iter().map(|field| field.name.as_bytes())).map_err(TableError::form)?;
+            writer
+                .write_record(fields.iter().map(|field| field.name.as_bytes()))
+                .map_err(TableError::form)?;
         }
         for row in rows {
             for cell in row {

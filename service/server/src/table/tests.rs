@@ -25,7 +25,7 @@ fn pieces() -> [Vec<Row>; 2] {
     };
     [
         vec![row(1_777_874_400_250_000, "M,1", Some(0.1 + 0.2), 1), row(-1, "say \"M2\"", None, 0)],
-        vec![row(1_777_874_460_000_000, "Fräse\r\n3", Some(-5e-324), i64::MIN)],
+        vec![row(1_777_874_460_000_000, "Fräse\r\n3", Some(-1e-7), i64::MIN)],
     ]
 }
 
@@ -47,7 +47,7 @@ fn csv_is_rfc_4180() {
         "time,machine,energy_joules,count,has_samples\r\n\
          2026-05-04T06:00:00.250000Z,\"M,1\",0.30000000000000004,1,true\r\n\
          1969-12-31T23:59:59.999999Z,\"say \"\"M2\"\"\",,0,false\r\n\
-         2026-05-04T06:01:00.000000Z,\"Fräse\r\n3\",-0.000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000005,-9223372036854775808,false\r\n"
+         2026-05-04T06:01:00.000000Z,\"Fräse\r\n3\",-0.0000001,-9223372036854775808,false\r\n"
     );
 }
 
@@ -58,9 +58,15 @@ fn json_holds_the_same_numbers() {
     assert_eq!(items.len(), 3);
     assert_eq!(items[0]["energy_joules"].as_f64(), Some(0.1 + 0.2));
     assert_eq!(items[0]["time"], "2026-05-04T06:00:00.250000Z");
-    assert_eq!((items[1]["machine"].as_str(), items[1]["energy_joules"].is_null()), (Some("say \"M2\""), true));
+    assert_eq!(
+        (items[1]["machine"].as_str(), items[1]["energy_joules"].is_null()),
+        (Some("say \"M2\""), true)
+    );
     let empty = writer(Format::Json, &fields()).unwrap().finish().unwrap();
-    assert_eq!(serde_json::from_slice::<serde_json::Value>(&empty).unwrap(), serde_json::json!({"items": []}));
+    assert_eq!(
+        serde_json::from_slice::<serde_json::Value>(&empty).unwrap(),
+        serde_json::json!({"items": []})
+    );
 }
 
 fn same(batches: &[RecordBatch]) {

@@ -188,11 +188,7 @@ const LAST_OF_ALL: &str = newest!(
 );
 
 /// The newest cycles, oldest of them first.
-pub(super) async fn last(
-    conn: &mut Conn,
-    filter: &CycleFilter,
-    limit: u32,
-) -> StoreResult<Vec<StoredCycle>> {
+pub(super) async fn last(conn: &mut Conn, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
     let sql = match filter {
         CycleFilter { tool: Some(_), .. } => LAST_OF_TOOL,
         CycleFilter { machine: Some(_), .. } => LAST_OF_MACHINE,

@@ -15,9 +15,11 @@ mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod retention;
 mod series;
 mod tokens;
 mod tools;
+mod verify;
 mod wear;
 
 use super::{Conn, Db, Engine, dialect};
