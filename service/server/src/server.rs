@@ -84,6 +84,8 @@ impl Server {
             _ => None,
         };
         crate::retention::start(&state);
+        crate::live::start(&state);
+        crate::watch::start(&state);
         let acceptor = Acceptor::new(state.clone());
         acceptor.accept(listener, http::router(state.clone()));
         if let Some(listener) = metrics_listener {

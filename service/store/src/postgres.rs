@@ -9,6 +9,7 @@ mod dialect;
 #[path = "engine/mod.rs"]
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
+mod notice;
 mod open;
 mod reader;
 
@@ -17,10 +18,13 @@ pub use open::PostgresOptions;
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
 use crate::locks::Locks;
+use crate::record::DatabaseUsage;
+use crate::rows::number;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use reader::Reader;
 use sqlx::PgPool;
+use sqlx::postgres::PgConnectOptions;
 use std::sync::Arc;
 
 type Db = sqlx::Postgres;
@@ -43,6 +47,8 @@ pub struct PostgresStore {
 #[derive(Debug)]
 struct Inner {
     pool: PgPool,
+    /// The server itself, past any pooler.
+    direct: PgConnectOptions,
     gate: Gate,
     max_samples: usize,
     pooled: bool,
@@ -63,6 +69,25 @@ impl PostgresStore {
             })
         })
         .await
+    }
+
+    async fn measure(&self) -> StoreResult<DatabaseUsage> {
+        let bytes: i64 = sqlx::query_scalar("SELECT pg_database_size(current_database())")
+            .fetch_one(&mut *self.reader().await?)
+            .await?;
+        let pool = &self.inner.pool;
+        let idle = u32::try_from(pool.num_idle()).unwrap_or(u32::MAX);
+        Ok(DatabaseUsage {
+            bytes: number("bytes", bytes)?,
+            wal_bytes: None,
+            connections_in_use: pool.size().saturating_sub(idle),
+            connections_idle: idle,
+            connections_max: pool.options().get_max_connections(),
+        })
+    }
+
+    fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {
+        Some(Arc::new(notice::Direct(self.inner.direct.clone())))
     }
 
     fn max_samples(&self) -> usize {

@@ -1,11 +1,12 @@
 //! The trait that both engines implement.
 
 use crate::error::StoreResult;
+use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint, Dropped,
-    IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome,
-    QuarantineBounds, QuarantineEntry, RowNumber, SampleDrop, SampleRetention, StoreFault, StoredCycle,
-    StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
+    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, Precondition,
+    PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop, SampleRetention, StoreFault,
+    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
@@ -16,6 +17,7 @@ use feedwright_core::recommend::{Knowledge, RecommendSettings};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
+use std::sync::Arc;
 
 /// The store. Every method that changes something returns after its durable commit, and writes its audit line
 /// in the same transaction. Futures of mutating methods must not be dropped half-way: callers spawn them.
@@ -34,8 +36,24 @@ pub trait Store: Send + Sync + 'static {
     /// Proves that the database takes writes, by one.
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
 
+    /// One round of the watch: notes when machines were `heard` of, raises and clears what only a look around can tell
+    /// (silence, a quarantine that fills up), and says what was found.
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round>;
+    /// What the database occupies and how many of its connections are in use.
+    async fn usage(&self) -> StoreResult<DatabaseUsage>;
+
     /// Ends after everything handed in is committed; later calls fail.
     async fn close(&self);
+
+    /// Tells the other servers on this database; no change, and lost where nobody listens. At most 7 999 bytes.
+    async fn notify(&self, text: &str) -> StoreResult<()>;
+    /// Where to listen to the other servers; `None` where the store is one server's alone.
+    fn notices(&self) -> Option<Arc<dyn Notices>>;
 
     /// Registers or changes a machine.
     async fn put_machine(

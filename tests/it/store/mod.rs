@@ -1,6 +1,6 @@
 //! Stories of the store, each told to both engines.
 
-mod given;
+pub(crate) mod given;
 
 mod alarms;
 mod alike;
@@ -12,4 +12,5 @@ mod replicas;
 mod retention;
 mod service;
 mod transfer;
+mod watch;
 mod wear;

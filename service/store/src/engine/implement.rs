@@ -2,15 +2,16 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, retention, series, tokens, tools, verify, wear,
+    recommendations, retention, series, tokens, tools, verify, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
+use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint, Dropped,
-    IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome,
-    QuarantineBounds, QuarantineEntry, RowNumber, SampleDrop, SampleRetention, StoreFault, StoredCycle,
-    StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
+    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, Precondition,
+    PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop, SampleRetention, StoreFault,
+    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -109,8 +110,30 @@ impl Store for Engine {
         })
     }
 
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round> {
+        let settings = settings.clone();
+        write!(self, |conn| watch::round(conn, &heard, &settings, now).await)
+    }
+
+    async fn usage(&self) -> StoreResult<DatabaseUsage> {
+        self.measure().await
+    }
+
     async fn close(&self) {
         self.shut().await;
+    }
+
+    async fn notify(&self, text: &str) -> StoreResult<()> {
+        self.tell(text).await
+    }
+
+    fn notices(&self) -> Option<Arc<dyn Notices>> {
+        self.ears()
     }
 
     async fn put_machine(

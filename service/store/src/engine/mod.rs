@@ -20,6 +20,7 @@ mod series;
 mod tokens;
 mod tools;
 mod verify;
+mod watch;
 mod wear;
 
 use super::{Conn, Db, Engine, dialect};

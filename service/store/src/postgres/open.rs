@@ -42,7 +42,7 @@ impl PostgresStore {
     /// Connects to the database at `url`, refuses one that cannot be written durably, and migrates it under a lock.
     pub async fn open(url: &str, options: PostgresOptions) -> StoreResult<Self> {
         let direct: PgConnectOptions = options.direct.as_deref().unwrap_or(url).parse()?;
-        let mut migrating = direct.application_name("feedwright migrations").connect().await?;
+        let mut migrating = direct.clone().application_name("feedwright migrations").connect().await?;
         assert_durable(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
         MIGRATIONS.run(&mut migrating).await.map_err(|error| StoreError::Database(Box::new(error)))?;
@@ -81,9 +81,8 @@ impl PostgresStore {
         let mut transaction = pool.begin().await?;
         assert_durable(&mut transaction).await?;
         transaction.rollback().await?;
-        Ok(Self {
-            inner: Arc::new(Inner { pool, gate: Gate::default(), max_samples: options.max_samples, pooled }),
-        })
+        let (gate, max_samples) = (Gate::default(), options.max_samples);
+        Ok(Self { inner: Arc::new(Inner { pool, direct, gate, max_samples, pooled }) })
     }
 }
 
