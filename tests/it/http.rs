@@ -9,6 +9,8 @@ mod problems;
 mod quarantine;
 mod reading;
 mod registry;
+mod replicas;
 mod service;
 mod sockets;
 mod tokens;
+mod transfers;

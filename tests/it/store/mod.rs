@@ -4,6 +4,7 @@ pub(crate) mod given;
 
 mod alarms;
 mod alike;
+mod citus;
 mod cycles;
 mod models;
 mod operations;

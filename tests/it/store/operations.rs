@@ -163,20 +163,13 @@ async fn servers_that_start_together_migrate_once() {
     given.raw("DROP SCHEMA public CASCADE").await.unwrap();
     given.raw("CREATE SCHEMA public").await.unwrap();
     let address = given.address();
-    let opening = (0..4).map(|_| {
-        let address = address.clone();
-        tokio::spawn(async move {
-            let options = PostgresOptions { connections: 2, ..PostgresOptions::default() };
-            let store = PostgresStore::open(&address, options).await.unwrap();
-            store.make_room(at(0)).await.unwrap();
-            store
-        })
-    });
-    let opening: Vec<_> = opening.collect();
-    let mut stores = Vec::new();
-    for store in opening {
-        stores.push(store.await.unwrap());
-    }
+    let start = || async {
+        let options = PostgresOptions { connections: 2, ..PostgresOptions::default() };
+        let store = PostgresStore::open(&address, options).await.unwrap();
+        store.make_room(at(0)).await.unwrap();
+        store
+    };
+    let stores: [PostgresStore; 4] = tokio::join!(start(), start(), start(), start()).into();
     shop(&stores[0]).await;
     assert!(stored(&stores[3], &Run::nth(1)).await.registered);
     for store in &stores {
