@@ -126,10 +126,10 @@ mod tests {
             from in -4_000_000_000_000_000_i64..4_000_000_000_000_000,
             span in 1_i64..1_000_000_000_000,
             width in 1_000_000_000_i64..1_000_000_000_000,
-            share in 0.0_f64..1.0,
+            permille in 0_i64..1000,
         ) {
             let buckets = Buckets::new(Timestamp::from_micros(from), Timestamp::from_micros(from + span), width).unwrap();
-            let at = Timestamp::from_micros(from + (share * span as f64) as i64);
+            let at = Timestamp::from_micros(from + span * permille / 1000);
             let index = buckets.of(at).unwrap();
             prop_assert!(buckets.begin(index) <= at && at.micros() < buckets.begin(index).micros() + width);
         }

@@ -290,6 +290,15 @@ pub struct CyclePoint {
     pub max_torque_newton_metres: Option<f64>,
 }
 
+/// How much of its points a reader wants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PointColumns {
+    /// Energies; the rest may be left out.
+    Energy,
+    /// Everything.
+    All,
+}
+
 /// How worn a tool was after a cycle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LevelPoint {

@@ -4,9 +4,10 @@ use crate::error::StoreResult;
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
-    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, Precondition,
-    PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop, SampleRetention, StoreFault,
-    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WatchSettings, WearCheck,
+    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, PointColumns,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
+    WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
@@ -155,7 +156,12 @@ pub trait Store: Send + Sync + 'static {
     /// What cycles amounted to, in the order of `(started_at, machine, cycle)`.
     async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>>;
     /// The newest of them, oldest first. Cycles that began at the same time stand in the order of their tool.
-    async fn last_points(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<CyclePoint>>;
+    async fn last_points(
+        &self,
+        filter: &CycleFilter,
+        told: PointColumns,
+        limit: u32,
+    ) -> StoreResult<Vec<CyclePoint>>;
     /// How worn a tool was after each cycle that began within `from` to `to` (exclusive), at most `limit`.
     async fn levels(
         &self,

@@ -15,7 +15,7 @@ use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::series::Buckets;
-use feedwright_store::{CycleFilter, Store};
+use feedwright_store::{CycleFilter, PointColumns, Store};
 use futures_util::stream;
 use http::{HeaderValue, header};
 use serde::Deserialize;
@@ -110,7 +110,11 @@ async fn known(store: &dyn Store, filter: &CycleFilter) -> Result<(), Problem> {
     if let Some(tool) = &filter.tool
         && store.tool(tool).await?.is_none()
         && store
-            .last_points(&CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() }, 1)
+            .last_points(
+                &CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() },
+                PointColumns::Energy,
+                1,
+            )
             .await?
             .is_empty()
     {
@@ -120,7 +124,7 @@ async fn known(store: &dyn Store, filter: &CycleFilter) -> Result<(), Problem> {
         && store.operation(operation).await?.is_none()
     {
         let of = CycleFilter { operation: Some(operation.clone()), ..CycleFilter::default() };
-        if store.last_points(&of, 1).await?.is_empty() {
+        if store.last_points(&of, PointColumns::Energy, 1).await?.is_empty() {
             return Err(Problem::not_found("operation", operation.as_str()));
         }
     }

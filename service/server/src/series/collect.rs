@@ -4,7 +4,7 @@ use super::{GroupBy, MAX_BUCKETS, MAX_CELLS, MAX_CYCLES, Measure, SeriesKey, Val
 use crate::http::problem::Problem;
 use feedwright_core::invalid::Violation;
 use feedwright_core::series::{Buckets, Spread};
-use feedwright_store::{CycleFilter, CyclePoint, Page, Store};
+use feedwright_store::{CycleFilter, CyclePoint, Page, PointColumns, Store};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Rows that are read at a time: a short read, so that no snapshot is held for long.
@@ -170,7 +170,9 @@ pub async fn last(
     by: GroupBy,
     limit: u32,
 ) -> Result<(Series<Vec<Value>>, usize), Problem> {
-    let points = store.last_points(filter, limit).await?;
+    let energy = measures.iter().all(|measure| matches!(measure, Measure::Energy | Measure::WearLevel));
+    let told = if energy { PointColumns::Energy } else { PointColumns::All };
+    let points = store.last_points(filter, told, limit).await?;
     let levels = match (measures.contains(&Measure::WearLevel), points.first(), points.last()) {
         (true, Some(first), Some(last)) => {
             let range = CycleFilter {

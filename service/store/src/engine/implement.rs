@@ -9,9 +9,10 @@ use crate::error::{StoreError, StoreResult};
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
-    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, Precondition,
-    PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop, SampleRetention, StoreFault,
-    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WatchSettings, WearCheck,
+    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, PointColumns,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
+    WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -282,8 +283,13 @@ impl Store for Engine {
         series::points(&mut *self.reader().await?, filter, &page).await
     }
 
-    async fn last_points(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<CyclePoint>> {
-        series::last_points(&mut *self.reader().await?, filter, limit).await
+    async fn last_points(
+        &self,
+        filter: &CycleFilter,
+        told: PointColumns,
+        limit: u32,
+    ) -> StoreResult<Vec<CyclePoint>> {
+        series::last_points(&mut *self.reader().await?, filter, told, limit).await
     }
 
     async fn levels(

@@ -4,22 +4,31 @@ use super::wear::{self, ToolWear};
 use super::{Conn, Db};
 use crate::error::StoreResult;
 use crate::history::Walk;
-use crate::record::{CycleFilter, CycleKey, CyclePoint, LevelPoint, Page};
+use crate::record::{CycleFilter, CycleKey, CyclePoint, LevelPoint, Page, PointColumns};
 use crate::rows::id;
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::summary::{Energy, EnergyBasis, IdlePower};
 use feedwright_core::units::Timestamp;
 use sqlx::Row;
 
+/// Columns of a point that tells of energy alone: what comes after them costs as much again.
+const ENERGY_COLUMNS: usize = 11;
+
+macro_rules! energies {
+    (@columns) => {
+        "SELECT c.started_at_us, c.machine_id, c.cycle_id, c.tool_id, c.operation_id, c.dynamometer_joules,
+                c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts, c.rated_power_joules,
+                c.reported_energy_joules"
+    };
+    ($($tail:literal),+) => { concat!(energies!(@columns), " FROM cycles c WHERE ", $($tail),+) };
+}
+
 macro_rules! points {
     ($($tail:literal),+) => {
         concat!(
-            "SELECT c.started_at_us, c.machine_id, c.cycle_id, c.tool_id, c.operation_id, c.duration_ms,
-                    c.dynamometer_joules, c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts,
-                    c.rated_power_joules, c.reported_energy_joules, c.max_depth_mm, c.max_spindle_load_percent,
-                    c.max_feed_drive_load_percent, c.max_spindle_power_watts, c.max_thrust_newtons,
-                    c.max_torque_newton_metres
-             FROM cycles c WHERE ", $($tail),+
+            energies!(@columns), ", c.duration_ms, c.max_depth_mm, c.max_spindle_load_percent,
+                 c.max_feed_drive_load_percent, c.max_spindle_power_watts, c.max_thrust_newtons,
+                 c.max_torque_newton_metres FROM cycles c WHERE ", $($tail),+
         )
     };
 }
@@ -67,17 +76,21 @@ type DbRow = <Db as sqlx::Database>::Row;
 
 fn point(row: &DbRow) -> StoreResult<CyclePoint> {
     let number = |at: usize| row.try_get::<Option<f64>, _>(at);
-    let idle = match number(9)? {
+    let rest = |at: usize| {
+        let place = ENERGY_COLUMNS + at;
+        if place < row.len() { number(place) } else { Ok(None) }
+    };
+    let idle = match number(8)? {
         Some(watts) => IdlePower::Subtracted { watts },
         None => IdlePower::Included,
     };
     let mut energy = Vec::with_capacity(2);
     for (basis, at, idle) in [
-        (EnergyBasis::Dynamometer, 6, IdlePower::NotApplicable),
-        (EnergyBasis::Calibrated, 7, IdlePower::NotApplicable),
-        (EnergyBasis::MeasuredPower, 8, idle),
-        (EnergyBasis::RatedPower, 10, IdlePower::Included),
-        (EnergyBasis::Reported, 11, IdlePower::Included),
+        (EnergyBasis::Dynamometer, 5, IdlePower::NotApplicable),
+        (EnergyBasis::Calibrated, 6, IdlePower::NotApplicable),
+        (EnergyBasis::MeasuredPower, 7, idle),
+        (EnergyBasis::RatedPower, 9, IdlePower::Included),
+        (EnergyBasis::Reported, 10, IdlePower::Included),
     ] {
         if let Some(total_joules) = number(at)? {
             energy.push(Energy { basis, total_joules, spindle_joules: None, feed_drive_joules: None, idle });
@@ -92,14 +105,14 @@ fn point(row: &DbRow) -> StoreResult<CyclePoint> {
         key,
         tool: id("tool_id", row.try_get(3)?)?,
         operation: id("operation_id", row.try_get(4)?)?,
-        duration_ms: number(5)?,
+        duration_ms: rest(0)?,
         energy,
-        max_depth_mm: number(12)?,
-        max_spindle_load_percent: number(13)?,
-        max_feed_drive_load_percent: number(14)?,
-        max_spindle_power_watts: number(15)?,
-        max_thrust_newtons: number(16)?,
-        max_torque_newton_metres: number(17)?,
+        max_depth_mm: rest(1)?,
+        max_spindle_load_percent: rest(2)?,
+        max_feed_drive_load_percent: rest(3)?,
+        max_spindle_power_watts: rest(4)?,
+        max_thrust_newtons: rest(5)?,
+        max_torque_newton_metres: rest(6)?,
     })
 }
 
@@ -139,20 +152,29 @@ macro_rules! backwards {
 }
 
 // The index of a tool has the machine's own count between machine and cycle.
-const LAST_OF_TOOL: &str = points!(
-    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)
-     AND c.started_at_us >= $4 AND c.started_at_us < $5
-     ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
-);
+macro_rules! last_of_tool {
+    ($columns:ident) => {
+        $columns!(
+            "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)
+             AND c.started_at_us >= $4 AND c.started_at_us < $5
+             ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
+        )
+    };
+}
 
-/// The newest points, oldest of them first.
+/// The newest points, oldest of them first; of a tool's energies nothing else is read.
 pub(super) async fn last_points(
     conn: &mut Conn,
     filter: &CycleFilter,
+    told: PointColumns,
     limit: u32,
 ) -> StoreResult<Vec<CyclePoint>> {
-    let sql = if filter.tool.is_some() { LAST_OF_TOOL } else { of_subject!(backwards, filter) };
+    let sql = match (&filter.tool, told) {
+        (Some(_), PointColumns::Energy) => last_of_tool!(energies),
+        (Some(_), PointColumns::All) => last_of_tool!(points),
+        (None, _) => of_subject!(backwards, filter),
+    };
     let rows: Vec<DbRow> = sqlx::query::<Db>(sql)
         .bind(filter.tool.as_ref().map(ToolId::as_str))
         .bind(filter.machine.as_ref().map(MachineId::as_str))

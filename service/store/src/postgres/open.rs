@@ -65,11 +65,11 @@ impl PostgresStore {
             .acquire_timeout(options.patience)
             // The check below is a ping as well.
             .test_before_acquire(false)
-            .before_acquire(move |conn, _| Box::pin(usable(conn, pooled)))
+            .before_acquire(|conn, _| Box::pin(usable(conn)))
             // A server that was demoted, or is not promoted yet, is asked again until patience ends.
-            .after_connect(move |conn, _| {
+            .after_connect(|conn, _| {
                 Box::pin(async move {
-                    if usable(conn, pooled).await? {
+                    if usable(conn).await? {
                         return Ok(());
                     }
                     Err(sqlx::Error::Protocol("the server is in recovery or read-only".to_owned()))
@@ -91,15 +91,12 @@ impl PostgresStore {
 /// sqlx 0.9.0 may return a connection inside a transaction, whose begin was dropped half-way (sqlx issues 4385 and
 /// 4393). Inside a transaction `now()` is the time of its begin; inside a failed one the question itself fails, and
 /// the connection goes as well. Decisions are read from the primary alone, so a demoted server answers nothing.
-async fn usable(conn: &mut Conn, pooled: bool) -> Result<bool, sqlx::Error> {
+async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
     const ASK: &str = "SELECT now() = statement_timestamp() AS outside,
                               NOT pg_is_in_recovery() AND current_setting('transaction_read_only') = 'off' AS writable";
-    // Outside of a transaction a pooler hands each message round to another server: one message it has to be.
-    let row = if pooled {
-        sqlx::raw_sql(ASK).fetch_one(&mut *conn).await?
-    } else {
-        sqlx::query(ASK).fetch_one(&mut *conn).await?
-    };
+    // One message: with several of them the time of the statement is that of the last and always later than `now()`,
+    // and outside of a transaction a pooler hands each of them round to another server.
+    let row = sqlx::raw_sql(ASK).fetch_one(&mut *conn).await?;
     let (outside, writable): (bool, bool) = (row.try_get("outside")?, row.try_get("writable")?);
     if !outside {
         tracing::error!("a connection came back inside an open transaction and is closed");

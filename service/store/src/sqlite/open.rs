@@ -50,7 +50,8 @@ impl SqliteStore {
         let path = path.as_ref();
         create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
         let connect = settings(path, options.patience);
-        let mut writer = connect.connect().await?;
+        // Of a file that is there already it changes nothing, and readers may not ask for it.
+        let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
         let readers = SqlitePoolOptions::new()
@@ -90,7 +91,6 @@ fn settings(path: &Path, patience: Duration) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
         .create_if_missing(true)
-        .auto_vacuum(SqliteAutoVacuum::Incremental)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
         .busy_timeout(patience)
