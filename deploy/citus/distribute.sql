@@ -40,4 +40,9 @@ COMMIT;
 -- local: tokens
 -- local: machine_contacts
 -- local: registry_generation
+-- local: feed_profiles
+-- local: feed_profile_versions
+-- local: sessions
+-- local: stream_leases
+-- local: cycle_overrides
 -- local: write_probe

@@ -37,6 +37,14 @@ const BEGIN: &str = "BEGIN; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
                               SET LOCAL statement_timeout = '30s'; \
                               SET LOCAL idle_in_transaction_session_timeout = '30s'";
+/// The same behind a pooler. sqlx 0.9.0 names its statements even where it remembers none of them, and the connection
+/// that the pooler chose may have others of the same names: they go first.
+const BEGIN_POOLED: &str = "BEGIN; DEALLOCATE ALL; SET LOCAL statement_timeout = '30s'; \
+                            SET LOCAL lock_timeout = '15s'; \
+                            SET LOCAL idle_in_transaction_session_timeout = '30s'";
+const BEGIN_SNAPSHOT_POOLED: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; DEALLOCATE ALL; \
+                                     SET LOCAL statement_timeout = '30s'; \
+                                     SET LOCAL idle_in_transaction_session_timeout = '30s'";
 
 /// The store in a PostgreSQL database. Clones share it; other servers may too.
 #[derive(Debug, Clone)]
@@ -96,7 +104,7 @@ impl PostgresStore {
 
     async fn reader(&self) -> StoreResult<Reader> {
         Ok(if self.inner.pooled {
-            Reader::Pooled(self.inner.pool.begin_with(BEGIN_SNAPSHOT).await?)
+            Reader::Pooled(self.inner.begin_snapshot().await?)
         } else {
             Reader::Own(self.inner.pool.acquire().await?)
         })
@@ -132,7 +140,7 @@ impl PostgresStore {
     {
         let inner = Arc::clone(&self.inner);
         let task = tokio::spawn(async move {
-            let mut transaction = inner.pool.begin_with(BEGIN_SNAPSHOT).await?;
+            let mut transaction = inner.begin_snapshot().await?;
             let outcome = work(&mut transaction).await;
             transaction.rollback().await?;
             outcome
@@ -147,11 +155,19 @@ impl PostgresStore {
 }
 
 impl Inner {
+    async fn begin(&self) -> StoreResult<sqlx::Transaction<'static, Db>> {
+        Ok(self.pool.begin_with(if self.pooled { BEGIN_POOLED } else { BEGIN }).await?)
+    }
+
+    async fn begin_snapshot(&self) -> StoreResult<sqlx::Transaction<'static, Db>> {
+        Ok(self.pool.begin_with(if self.pooled { BEGIN_SNAPSHOT_POOLED } else { BEGIN_SNAPSHOT }).await?)
+    }
+
     async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        let mut transaction = self.pool.begin_with(BEGIN).await?;
+        let mut transaction = self.begin().await?;
         match work(&mut transaction).await {
             Ok(value) => match transaction.commit().await.map_err(StoreError::from) {
                 Ok(()) => Ok(value),

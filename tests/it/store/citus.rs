@@ -43,7 +43,12 @@ async fn every_table_is_placed_and_every_key_of_a_distributed_one_holds_its_colu
     .unwrap();
     let placed = placed();
     let there: BTreeSet<_> = tables.iter().cloned().collect();
-    assert_eq!(there, placed.keys().cloned().collect(), "a table is not placed, or is placed and not there");
+    for table in &there {
+        assert!(placed.contains_key(table), "deploy/citus/distribute.sql does not place {table}");
+    }
+    for table in placed.keys().filter(|table| SQL.contains(&format!("_table('{table}'"))) {
+        assert!(there.contains(table), "{table} is placed and not there");
+    }
 
     // Unique indexes, those of primary keys among them, with the plain columns that each is over.
     let keys: Vec<(String, String, Vec<Option<String>>)> = sqlx::query_as(

@@ -17,7 +17,7 @@ impl PostgresStore {
             return Ok(());
         }
         // Behind a pooler only a transaction keeps the messages of a statement together.
-        let mut transaction = self.inner.pool.begin().await?;
+        let mut transaction = self.inner.begin().await?;
         notify.execute(&mut *transaction).await?;
         transaction.commit().await?;
         Ok(())

@@ -51,7 +51,7 @@ impl PostgresStore {
         let mut connect: PgConnectOptions = url.parse()?;
         connect = connect.application_name("feedwright");
         if options.pooled {
-            // A named statement would be looked for on a server that never saw it.
+            // A statement that is remembered would be looked for on a server that never saw it.
             connect = connect.statement_cache_capacity(0);
         } else {
             connect = connect.statement_cache_capacity(200);
@@ -78,11 +78,12 @@ impl PostgresStore {
             .connect_with(connect)
             .await?;
         // In a transaction, as a pooler bears it.
-        let mut transaction = pool.begin().await?;
+        let (gate, max_samples) = (Gate::default(), options.max_samples);
+        let inner = Inner { pool, direct, gate, max_samples, pooled };
+        let mut transaction = inner.begin().await?;
         assert_durable(&mut transaction).await?;
         transaction.rollback().await?;
-        let (gate, max_samples) = (Gate::default(), options.max_samples);
-        Ok(Self { inner: Arc::new(Inner { pool, direct, gate, max_samples, pooled }) })
+        Ok(Self { inner: Arc::new(inner) })
     }
 }
 
