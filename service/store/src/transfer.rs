@@ -165,7 +165,8 @@ impl Table {
 
     /// Rows of the next page, after one of so many rows and bytes.
     fn next_page(rows: usize, bytes: usize) -> usize {
-        if rows == 0 { FIRST_PAGE_ROWS } else { (PAGE_BYTES / (bytes / rows).max(1)).clamp(1, PAGE_ROWS) }
+        let row = bytes.checked_div(rows);
+        row.map_or(FIRST_PAGE_ROWS, |row| (PAGE_BYTES / row.max(1)).clamp(1, PAGE_ROWS))
     }
 }
 

@@ -172,7 +172,7 @@ async fn walk(
         let there = target.rows(table, after.as_ref(), until.as_ref(), page.len() + 1).await?;
         let mut there = there.into_iter().peekable();
         let mut missing = Vec::new();
-        for row in page.iter() {
+        for row in &page {
             summing.add(row);
             match there.peek() {
                 Some(found) if table.key_of(found) == table.key_of(row) => {

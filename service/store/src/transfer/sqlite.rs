@@ -64,7 +64,7 @@ fn value(row: &SqliteRow, at: usize, kind: Kind) -> Result<Value, sqlx::Error> {
     })
 }
 
-fn bind<'a>(to: &mut sqlx::query_builder::Separated<'_, Sqlite, &'static str>, value: &'a Value) {
+fn bind(to: &mut sqlx::query_builder::Separated<'_, Sqlite, &'static str>, value: &Value) {
     match value {
         Value::Null => to.push_bind(None::<i64>),
         Value::Whole(value) => to.push_bind(*value),
