@@ -205,7 +205,7 @@ async fn buckets_hold_every_cycle_once_and_gaps_are_no_zeros() {
 async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {
     let app = shop().await;
     for number in 0..30 {
-        let at = format!("2026-05-04T05:{:02}:00Z", number);
+        let at = format!("2026-05-04T05:{number:02}:00Z");
         post(&app, reported(number, &at, 1000.0 + f64::from(number))).await;
     }
     let answer = app.get("/v1/series?tool=T1&last=5&measures=energy_joules,wear_level_ratio").await.json();

@@ -58,5 +58,5 @@ pub(super) async fn get(
 async fn view(state: &AppState, id: &MachineId) -> Result<RetentionView, Problem> {
     let said = state.store.retention(id).await?;
     let drops = state.store.sample_drops(id).await?;
-    Ok(RetentionView::of(said, state.config.retention.samples(), &drops))
+    Ok(RetentionView::of(said.as_ref(), state.config.retention.samples(), &drops))
 }

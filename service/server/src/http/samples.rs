@@ -72,9 +72,8 @@ pub(super) async fn get_samples(
     let wanted = Wanted::of(query)?;
     if wanted.is_all() && format == Format::Json && !wanted.in_rows {
         let _turn = state.exports.turn().await?;
-        let samples = match state.store.cycle_samples(&machine, &id).await? {
-            Some(samples) => samples,
-            None => return Err(missing(&state, &machine, &id).await?),
+        let Some(samples) = state.store.cycle_samples(&machine, &id).await? else {
+            return Err(missing(&state, &machine, &id).await?);
         };
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
         return Ok((vary, Json(SamplesBody::from(&samples))).into_response());

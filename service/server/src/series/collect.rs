@@ -48,11 +48,11 @@ struct Collecting<'a> {
 }
 
 impl Collecting<'_> {
-    fn add(&mut self, key: SeriesKey, bucket: usize, value: f64) -> Result<(), Problem> {
-        if !self.series.contains_key(&key) {
+    fn add(&mut self, key: &SeriesKey, bucket: usize, value: f64) -> Result<(), Problem> {
+        if !self.series.contains_key(key) {
             self.open(key.clone())?;
         }
-        if let Some(series) = self.series.get_mut(&key) {
+        if let Some(series) = self.series.get_mut(key) {
             series.add(bucket, value);
         }
         Ok(())
@@ -77,10 +77,10 @@ impl Collecting<'_> {
         for &measure in self.measures {
             if measure == Measure::Energy {
                 for energy in &point.energy {
-                    self.add(SeriesKey::energy(energy, group), bucket, energy.total_joules)?;
+                    self.add(&SeriesKey::energy(energy, group), bucket, energy.total_joules)?;
                 }
             } else if let Some(value) = measure.of(point) {
-                self.add(SeriesKey::plain(measure, group), bucket, value)?;
+                self.add(&SeriesKey::plain(measure, group), bucket, value)?;
             }
         }
         Ok(())
@@ -154,7 +154,7 @@ pub async fn bucketed(
         let bucket = |at| buckets.of(at).unwrap_or(usize::MAX);
         values.sort_by_key(|value| bucket(value.at));
         for levels::Level { group, at, level } in values {
-            collecting.add(SeriesKey::plain(Measure::WearLevel, &group), bucket(at), level)?;
+            collecting.add(&SeriesKey::plain(Measure::WearLevel, &group), bucket(at), level)?;
         }
     }
     let mut series = collecting.series;

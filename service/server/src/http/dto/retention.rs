@@ -79,16 +79,16 @@ pub struct SampleDropBody {
 impl RetentionView {
     /// What was said for the machine, else the server's settings.
     pub fn of(
-        said: Option<Versioned<SampleRetention>>,
+        said: Option<&Versioned<SampleRetention>>,
         server: SampleRetention,
         drops: &[SampleDrop],
     ) -> Self {
-        let kept = said.as_ref().map_or(server, |said| said.value);
+        let kept = said.map_or(server, |said| said.value);
         Self {
             body: RetentionBody { samples_days: kept.days, samples_bytes: kept.bytes },
             from: if said.is_some() { "machine" } else { "server" },
-            version: said.as_ref().map(|said| said.version),
-            updated_at: said.as_ref().map(|said| time::show(said.updated_at)),
+            version: said.map(|said| said.version),
+            updated_at: said.map(|said| time::show(said.updated_at)),
             dropped: drops.iter().skip(drops.len().saturating_sub(SHOWN)).map(Into::into).collect(),
         }
     }
