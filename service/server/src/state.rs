@@ -1,6 +1,6 @@
 //! What every handler reaches: the store, the clock, the configuration, the metrics and the life of the process.
 
-use crate::auth::FailedAuthentications;
+use crate::auth::{FailedAuthentications, KnownTokens};
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::http::export::Exports;
@@ -41,6 +41,8 @@ pub struct Shared {
     pub exports: Exports,
     /// Who failed to authenticate, how often.
     pub(crate) failed_authentications: FailedAuthentications,
+    /// Tokens that were good a moment ago.
+    pub(crate) known_tokens: KnownTokens,
     /// Whether the database takes writes.
     pub(crate) readiness: Readiness,
 }
@@ -76,6 +78,7 @@ impl AppState {
             jobs: Jobs::default(),
             exports: Exports::default(),
             failed_authentications,
+            known_tokens: KnownTokens::default(),
             readiness,
         }))
     }

@@ -19,7 +19,9 @@ use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
 use crate::locks::Locks;
 use crate::record::DatabaseUsage;
+use crate::registry::Registry;
 use crate::rows::number;
+use crate::slot::Slot;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use reader::Reader;
@@ -60,6 +62,8 @@ struct Inner {
     gate: Gate,
     max_samples: usize,
     pooled: bool,
+    registry: Arc<Registry>,
+    memory: Slot<engine::Memory>,
 }
 
 impl PostgresStore {
@@ -77,6 +81,14 @@ impl PostgresStore {
             })
         })
         .await
+    }
+
+    fn registry(&self) -> &Arc<Registry> {
+        &self.inner.registry
+    }
+
+    fn memory(&self) -> &Slot<engine::Memory> {
+        &self.inner.memory
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {

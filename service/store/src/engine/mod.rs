@@ -11,10 +11,12 @@ mod commit;
 mod cycles;
 mod implement;
 mod machines;
+mod memory;
 mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod registry;
 mod retention;
 mod series;
 mod tokens;
@@ -22,5 +24,7 @@ mod tools;
 mod verify;
 mod watch;
 mod wear;
+
+pub(super) use memory::Memory;
 
 use super::{Conn, Db, Engine, dialect};

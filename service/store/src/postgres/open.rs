@@ -3,6 +3,7 @@
 use super::{Conn, Inner, PostgresStore};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
+use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
 use sqlx::{ConnectOptions, Connection, Row};
@@ -78,8 +79,15 @@ impl PostgresStore {
             .connect_with(connect)
             .await?;
         // In a transaction, as a pooler bears it.
-        let (gate, max_samples) = (Gate::default(), options.max_samples);
-        let inner = Inner { pool, direct, gate, max_samples, pooled };
+        let inner = Inner {
+            pool,
+            direct,
+            gate: Gate::default(),
+            max_samples: options.max_samples,
+            pooled,
+            registry: Arc::default(),
+            memory: Slot::default(),
+        };
         let mut transaction = inner.begin().await?;
         assert_durable(&mut transaction).await?;
         transaction.rollback().await?;
