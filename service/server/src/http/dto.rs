@@ -23,6 +23,8 @@ pub mod profile_evidence;
 pub mod profile_file;
 pub mod quarantine;
 pub mod recommendation;
+pub mod retention;
+pub mod series;
 pub mod text;
 pub mod time;
 pub mod token;

@@ -416,7 +416,7 @@ pub(super) async fn recent(
     tool_type: &str,
     most: u32,
 ) -> StoreResult<Vec<StoredCycle>> {
-    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(super::cycles::LAST_OF_OPERATION)
+    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(super::cycles::LAST_WITH_TOOL_TYPE)
         .bind(operation.as_str())
         .bind(tool_type)
         .bind(i64::from(most))
