@@ -8,7 +8,7 @@ use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
 use crate::rows::{CutRow, CycleRow, FactsRow, Place};
 use feedwright_core::cycle::{Cycle, Flag};
-use feedwright_core::ids::{MachineId, OperationId, RecommendationId, ToolId};
+use feedwright_core::ids::{MachineId, OperationId, REFERENCE_ID_ENDING, RecommendationId, ToolId};
 use feedwright_core::machine::Machine;
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, Question, RecommendSettings, recommend};
@@ -234,11 +234,13 @@ async fn count_tool(
 }
 
 /// A UUIDv7 of the moment: recommendations sort by when they were made.
-pub(super) fn recommendation_id(now: Timestamp) -> StoreResult<RecommendationId> {
+/// One that asks for a reference cycle says so with its end.
+pub(super) fn recommendation_id(now: Timestamp, asks_for_reference: bool) -> StoreResult<RecommendationId> {
     let micros = u64::try_from(now.micros()).unwrap_or(0);
     let nanos = u32::try_from(micros % 1_000_000 * 1000).unwrap_or(0);
     let time = uuid::Timestamp::from_unix(uuid::NoContext, micros / 1_000_000, nanos);
-    crate::rows::id("recommendation_id", &uuid::Uuid::new_v7(time).to_string())
+    let ending = if asks_for_reference { REFERENCE_ID_ENDING } else { "" };
+    crate::rows::id("recommendation_id", &format!("{}{ending}", uuid::Uuid::new_v7(time)))
 }
 
 async fn answer(
@@ -256,20 +258,19 @@ async fn answer(
         .ok_or_else(|| crate::error::StoreError::Damaged { what: "a cycle of no machine".to_owned() })?;
     let operation = registry.operations.get(&cycle.operation);
     let tool_registered = registry.tools.contains(&cycle.tool);
-    let recommendation = IssuedRecommendation {
-        id: recommendation_id(now)?,
-        recommendation: recommend(&Question {
-            now,
-            machine,
-            operation_id: &cycle.operation,
-            operation,
-            tool_id: &cycle.tool,
-            tool_registered,
-            verdict: &verdict,
-            knowledge,
-            settings,
-        }),
-    };
+    let recommendation = recommend(&Question {
+        now,
+        machine,
+        operation_id: &cycle.operation,
+        operation,
+        tool_id: &cycle.tool,
+        tool_registered,
+        verdict: &verdict,
+        knowledge,
+        settings,
+    });
+    let id = recommendation_id(now, recommendation.reference_cycle.is_some())?;
+    let recommendation = IssuedRecommendation { id, recommendation };
     recommendations::issue(conn, &recommendation).await?;
     Ok(Box::new(CycleAnswer {
         summary,

@@ -3,9 +3,9 @@
 use super::{Conn, Db};
 use crate::error::{StoreError, StoreResult};
 use crate::record::IssuedRecommendation;
-use crate::rows::{AdviceBody, RecommendationRow, count, float};
+use crate::rows::{AdviceBody, RecommendationRow, count, float, optional_float};
 use feedwright_core::ids::RecommendationId;
-use feedwright_core::wear::{Level, Remaining};
+use feedwright_core::wear::{Level, LevelBasis, Remaining};
 
 /// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
 const HASH_BYTES: usize = 16;
@@ -31,8 +31,8 @@ pub(super) async fn issue(conn: &mut Conn, issued: &IssuedRecommendation) -> Sto
     sqlx::query::<Db>(
         "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-             data_age_ms)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)",
+             data_age_ms, level_decides, level_value, level_sd)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16)",
     )
     .bind(issued.id.as_str())
     .bind(&hash)
@@ -47,6 +47,9 @@ pub(super) async fn issue(conn: &mut Conn, issued: &IssuedRecommendation) -> Sto
     .bind(remaining_count("remaining_low", |remaining| remaining.low)?)
     .bind(remaining_count("remaining_high", |remaining| remaining.high)?)
     .bind(recommendation.data_age_ms)
+    .bind(level.and_then(|level| level.decides).map(LevelBasis::as_str))
+    .bind(level_float("level_value", |level| level.value)?)
+    .bind(optional_float("level_sd", level.and_then(|level| level.sd))?)
     .execute(&mut *conn)
     .await?;
     Ok(())
@@ -56,7 +59,7 @@ pub(super) async fn get(conn: &mut Conn, id: &RecommendationId) -> StoreResult<O
     let row: Option<RecommendationRow> = sqlx::query_as::<Db, _>(
         "SELECT r.recommendation_id, r.issued_at_us, r.valid_until_us, r.level_as_run, r.level_lowest,
                 r.level_highest, r.level_n, r.level_window, r.remaining_cycles, r.remaining_low, r.remaining_high,
-                r.data_age_ms, a.body
+                r.data_age_ms, r.level_decides, r.level_value, r.level_sd, a.body
          FROM recommendations r JOIN advices a ON a.advice_hash = r.advice_hash
          WHERE r.recommendation_id = $1",
     )
