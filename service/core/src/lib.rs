@@ -16,6 +16,8 @@ pub mod vibratory;
 #[cfg(feature = "std")]
 pub mod cycle;
 #[cfg(feature = "std")]
+pub mod feed;
+#[cfg(feature = "std")]
 pub mod friction;
 #[cfg(feature = "std")]
 pub mod ids;

@@ -26,6 +26,7 @@ mod friction;
 mod health;
 mod jobs;
 mod library;
+mod live;
 mod machines;
 mod operations;
 mod peak_to_peak;

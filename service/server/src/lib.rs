@@ -14,6 +14,7 @@ pub mod http;
 pub mod ingest;
 pub mod jobs;
 pub mod lifecycle;
+pub mod live;
 pub mod metrics;
 mod readiness;
 pub mod replay;

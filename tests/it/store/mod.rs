@@ -1,6 +1,6 @@
 //! Stories of the store, each told to both engines.
 
-mod given;
+pub(crate) mod given;
 
 mod alarms;
 mod alike;

@@ -1,7 +1,7 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, continuity, cycles, edge, friction, health, jobs, library, machines,
+    alarms, audit, calibrations, continuity, cycles, edge, friction, health, jobs, library, live, machines,
     openapi, operations, peak_to_peak, plunge, quarantine, recommendations, tokens, tool_events, tools,
     turning, viewer, wear, what_if,
 };
@@ -182,6 +182,7 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(jobs::get), READ),
         Route::new(routes!(jobs::cancel), READ),
         Route::new(routes!(friction::simulate), READ),
+        Route::new(routes!(live::events), READ),
         Route::new(routes!(what_if::of_cycle), READ),
         Route::new(routes!(what_if::of_many), READ),
         Route::new(routes!(calibrations::fit), ENGINEER),

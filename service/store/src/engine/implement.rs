@@ -6,6 +6,7 @@ use super::{
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
+use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
     ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
@@ -107,6 +108,14 @@ impl Store for Engine {
 
     async fn close(&self) {
         self.shut().await;
+    }
+
+    async fn notify(&self, text: &str) -> StoreResult<()> {
+        self.tell(text).await
+    }
+
+    fn notices(&self) -> Option<Arc<dyn Notices>> {
+        self.ears()
     }
 
     async fn put_machine(

@@ -1,0 +1,13 @@
+//! Feed profiles: the feed over depth that an operation runs, with its limits and how far it holds.
+//!
+//! Source of the idea: R. Stryczek and P. Błaszczak, "Optimal feed rate control strategies for friction drilling", 2020,
+//! section 4.2 (F_Lin, and choosing F_pr from recorded cycles).
+//!
+//! | module | what |
+//! |---|---|
+//! | [`profile`] | a piecewise-linear feed over depth, valid by construction, hashed by content, compared knot by knot |
+//!
+//! A profile says what a control runs. Who drafted it, who approved it and which version is in force belong to the
+//! store.
+
+pub mod profile;
