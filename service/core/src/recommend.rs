@@ -10,7 +10,7 @@ pub use process::{
     TurningNext,
 };
 
-use crate::ids::{MachineId, OperationId, ToolId};
+use crate::ids::{MachineId, OperationId, REFERENCE_ID_ENDING, ToolId};
 use crate::machine::{FeedLimits, Machine};
 use crate::operation::Operation;
 use crate::units::{Process, Timestamp};
@@ -179,6 +179,13 @@ pub struct Recommendation {
     pub reasons: Vec<(String, String)>,
     /// Version of the rules that made it.
     pub law_version: String,
+}
+
+impl Recommendation {
+    /// How its id has to end: a cycle that names it then says by itself whether it was asked for as a reference.
+    pub const fn id_ending(&self) -> &'static str {
+        if self.reference_cycle.is_some() { REFERENCE_ID_ENDING } else { "" }
+    }
 }
 
 /// Recommends what to run next.

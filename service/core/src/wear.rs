@@ -14,6 +14,9 @@ mod trend;
 mod verdict;
 
 #[cfg(test)]
+mod feed_tests;
+
+#[cfg(test)]
 mod tests;
 
 pub use facts::{CycleFacts, OrderKey};

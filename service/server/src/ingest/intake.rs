@@ -215,7 +215,7 @@ impl CycleIntake {
             self.metrics.cycle_energy(process, energy.total_joules);
         }
         if let Some(level) = answer.verdict.level {
-            self.metrics.tool_wear_level(&cycle.machine, level.as_run);
+            self.metrics.tool_wear_level(&cycle.machine, level.value);
         }
     }
 

@@ -8,7 +8,7 @@ use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
 use crate::rows::{CutRow, CycleRow, FactsRow, Place};
 use feedwright_core::cycle::{Cycle, Flag};
-use feedwright_core::ids::{MachineId, OperationId, REFERENCE_ID_ENDING, RecommendationId, ToolId};
+use feedwright_core::ids::{MachineId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::Machine;
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, Question, RecommendSettings, recommend};
@@ -234,12 +234,11 @@ async fn count_tool(
 }
 
 /// A UUIDv7 of the moment: recommendations sort by when they were made.
-/// One that asks for a reference cycle says so with its end.
-pub(super) fn recommendation_id(now: Timestamp, asks_for_reference: bool) -> StoreResult<RecommendationId> {
+/// `ending` as the recommendation wants it.
+pub(super) fn recommendation_id(now: Timestamp, ending: &str) -> StoreResult<RecommendationId> {
     let micros = u64::try_from(now.micros()).unwrap_or(0);
     let nanos = u32::try_from(micros % 1_000_000 * 1000).unwrap_or(0);
     let time = uuid::Timestamp::from_unix(uuid::NoContext, micros / 1_000_000, nanos);
-    let ending = if asks_for_reference { REFERENCE_ID_ENDING } else { "" };
     crate::rows::id("recommendation_id", &format!("{}{ending}", uuid::Uuid::new_v7(time)))
 }
 
@@ -269,7 +268,7 @@ async fn answer(
         knowledge,
         settings,
     });
-    let id = recommendation_id(now, recommendation.reference_cycle.is_some())?;
+    let id = recommendation_id(now, recommendation.id_ending())?;
     let recommendation = IssuedRecommendation { id, recommendation };
     recommendations::issue(conn, &recommendation).await?;
     Ok(Box::new(CycleAnswer {
