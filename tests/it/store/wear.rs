@@ -31,13 +31,7 @@ mod tables {
 
 /// The fold as the book has it: every cycle once, in order, nothing cached.
 fn naive(runs: &[Run], mounted_first: bool, settings: WearSettings) -> Verdict {
-    let settings = FoldSettings {
-        wear: settings,
-        depth_mm: None,
-        spindle_speed_rpm: Some(2400.0),
-        is_friction: true,
-        reference_feed_mm_min: None,
-    };
+    let settings = FoldSettings { wear: settings, ..FoldSettings::of(&operation("O1")) };
     let mut facts: Vec<CycleFacts> = runs
         .iter()
         .map(|run| {
