@@ -269,7 +269,10 @@ fn reference_cycle(
     let limits = &question.machine.limits;
     let feed = question.operation.and_then(Operation::reference_feed_mm_min).or(references.feed_mm_min);
     if feed.is_some_and(|feed| feed > limits.max_mm_min() || feed < limits.min_mm_min()) {
-        say("reference_feed_beyond_limits", "the reference feed is beyond the machine's limits: no reference cycle");
+        say(
+            "reference_feed_beyond_limits",
+            "the reference feed is beyond the machine's limits: no reference cycle",
+        );
         return None;
     }
     say(

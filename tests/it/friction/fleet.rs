@@ -34,8 +34,20 @@ async fn a_simulated_shop_wears_its_tools_out_has_faults_and_is_told_what_to_do(
     let report = simulated(
         &shop,
         &[
-            "--machines", "2", "--cycles", "90", "--life", "40", "--strategy", "f_const", "--seed", "3",
-            "--faults", faults, "--fault-share", "0.12",
+            "--machines",
+            "2",
+            "--cycles",
+            "90",
+            "--life",
+            "40",
+            "--strategy",
+            "f_const",
+            "--seed",
+            "3",
+            "--faults",
+            faults,
+            "--fault-share",
+            "0.12",
         ],
     )
     .await;
@@ -65,8 +77,18 @@ async fn tools_under_the_adaptive_law_are_called_and_changed_in_time() {
     let report = simulated(
         &shop,
         &[
-            "--machines", "3", "--cycles", "260", "--life", "100", "--strategy", "f_ac", "--seed", "5",
-            "--tolerance", "0.15",
+            "--machines",
+            "3",
+            "--cycles",
+            "260",
+            "--life",
+            "100",
+            "--strategy",
+            "f_ac",
+            "--seed",
+            "5",
+            "--tolerance",
+            "0.15",
         ],
     )
     .await;
@@ -93,8 +115,20 @@ async fn broken_tools_and_thicker_sheets_are_noticed() {
     let report = simulated(
         &shop,
         &[
-            "--machines", "1", "--cycles", "70", "--life", "2000", "--strategy", "f_const", "--seed", "8",
-            "--faults", "broken_tool", "--fault-share", "0.03",
+            "--machines",
+            "1",
+            "--cycles",
+            "70",
+            "--life",
+            "2000",
+            "--strategy",
+            "f_const",
+            "--seed",
+            "8",
+            "--faults",
+            "broken_tool",
+            "--fault-share",
+            "0.03",
         ],
     )
     .await;
@@ -106,8 +140,20 @@ async fn broken_tools_and_thicker_sheets_are_noticed() {
     let report = simulated(
         &shop,
         &[
-            "--machines", "1", "--cycles", "70", "--life", "2000", "--strategy", "f_const", "--seed", "8",
-            "--faults", "thickness", "--fault-share", "0.03",
+            "--machines",
+            "1",
+            "--cycles",
+            "70",
+            "--life",
+            "2000",
+            "--strategy",
+            "f_const",
+            "--seed",
+            "8",
+            "--faults",
+            "thickness",
+            "--fault-share",
+            "0.03",
         ],
     )
     .await;

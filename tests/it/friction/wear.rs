@@ -102,7 +102,12 @@ async fn reference_cycles_are_asked_for_only_where_the_operation_wants_them() {
     assert_eq!(shop.put("/v1/operations/O1", &crate::shop::operation()).await.status, 200);
     let answer = shop.cycle("F1", &worn(2, &paper.adaptive, "f_ac", false, 0.0)).await;
     let asked = &answer.body["recommendation"]["reference_cycle"];
-    assert_eq!((&asked["every_cycles"], &asked["feed_mm_min"]), (&json!(50), &json!(140.0)), "{}", answer.text);
+    assert_eq!(
+        (&asked["every_cycles"], &asked["feed_mm_min"]),
+        (&json!(50), &json!(140.0)),
+        "{}",
+        answer.text
+    );
     let again = shop.get("/v1/recommendations?machine=F1&operation=O1&tool=T1").await.body;
     assert_eq!(&again["reference_cycle"], asked, "{again}");
     let id = again["id"].as_str().unwrap();

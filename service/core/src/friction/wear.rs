@@ -69,7 +69,8 @@ pub fn compensate(
     }
     let ratio = level_at_entry * measured / own.total;
     let at_own_feed = Estimate { value: ratio, sd: ratio * own.sd() / own.total };
-    let carried = reference.and_then(|reference| carried(relation, reference, energy, &needed, level_at_entry));
+    let carried =
+        reference.and_then(|reference| carried(relation, reference, energy, &needed, level_at_entry));
     Some(Compensated {
         at_own_feed,
         at_reference_feed: carried.map(|(estimate, _)| estimate),
@@ -163,8 +164,7 @@ mod tests {
     fn at_the_reference_feed_both_ratios_agree() {
         let relation = learned(REFERENCE_MM_MIN, FeedSource::Programmed);
         let energy = hole(REFERENCE_MM_MIN, 0.08, 0.0);
-        let found =
-            compensate(&relation, Some(Reference::Feed(REFERENCE_MM_MIN)), &energy, 1.0).unwrap();
+        let found = compensate(&relation, Some(Reference::Feed(REFERENCE_MM_MIN)), &energy, 1.0).unwrap();
         for ratio in [found.at_own_feed.value, found.at_reference_feed.unwrap().value] {
             assert!((ratio - 1.08).abs() < 0.01, "{found:?}");
         }

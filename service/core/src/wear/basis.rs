@@ -117,9 +117,7 @@ impl ToolFold {
         let reference = if varies_feed(key.key.strategy) {
             let measured = self.keys.iter().find(|other| other.is_reference_of(key));
             let measured = measured.and_then(|other| other.relation.as_ref());
-            measured
-                .map(Reference::Measured)
-                .or_else(|| key.reference_feed_mm_min.map(Reference::Feed))
+            measured.map(Reference::Measured).or_else(|| key.reference_feed_mm_min.map(Reference::Feed))
         } else {
             None
         };
@@ -256,10 +254,8 @@ impl ToolFold {
         let window = last(&memory.compensated, self.window);
         let middle = |values: Vec<(f64, f64)>| {
             let (ratios, sds): (Vec<f64>, Vec<f64>) = values.into_iter().unzip();
-            (!ratios.is_empty()).then(|| Estimate {
-                value: median(&ratios),
-                sd: median(&sds).hypot(median_error(&ratios)),
-            })
+            (!ratios.is_empty())
+                .then(|| Estimate { value: median(&ratios), sd: median(&sds).hypot(median_error(&ratios)) })
         };
         let references = self.by_references();
         FeedEvidence {
@@ -276,8 +272,7 @@ impl ToolFold {
 
     /// Whether the true level may be at the limit although the compensated one is not known to be.
     pub(super) fn may_be_worn(&self) -> bool {
-        self.by_compensation()
-            .is_some_and(|found| found.level + 2.0 * found.sd.unwrap_or(0.0) >= WORN_LEVEL)
+        self.by_compensation().is_some_and(|found| found.level + 2.0 * found.sd.unwrap_or(0.0) >= WORN_LEVEL)
     }
 
     /// Reference cycles: asked for where the feed varies and compensation would not tell the end of a life precisely.

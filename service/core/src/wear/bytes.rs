@@ -1,14 +1,14 @@
 //! The fold's state as bytes, for the store's cache: bit for bit, versioned, and refused when damaged.
 
-use super::facts::OrderKey;
 use super::basis::{CompensatedRatio, FeedMemory, KEPT_RATIOS};
+use super::facts::OrderKey;
 use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold};
 use super::key::{Baseline, Change, KeyState, Measured, Usual};
 use super::trend::TrendPoints;
 use super::verdict::{BaselineKey, Exclusion};
 use crate::cycle::ProfileVersion;
-use crate::ids::{CycleId, MachineId, OperationId, ProfileId};
 use crate::friction::relation::Relation;
+use crate::ids::{CycleId, MachineId, OperationId, ProfileId};
 use crate::summary::{DepthDigest, EnergyBasis, relation_config};
 use crate::units::{Strategy, Timestamp};
 

@@ -81,7 +81,10 @@ impl CycleFacts {
             fall_depth_mm: summary.spindle_load_fall_depth_mm,
             operator_override_percent: summary.operator_override_percent,
             digest: summary.digest.clone(),
-            asked_as_reference: cycle.recommendation.as_ref().is_some_and(RecommendationId::asks_for_reference),
+            asked_as_reference: cycle
+                .recommendation
+                .as_ref()
+                .is_some_and(RecommendationId::asks_for_reference),
             coverage: summary.coverage,
             flags: summary.flags,
         }

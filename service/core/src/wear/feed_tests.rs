@@ -135,7 +135,11 @@ fn a_slower_feed_is_no_wear() {
     let verdict = life.fold.verdict();
     let level = verdict.level.unwrap();
     assert!(level.as_run > 1.07, "{level:?}");
-    assert_eq!((level.decides, verdict.state), (Some(LevelBasis::FeedCompensated), ToolState::Good), "{level:?}");
+    assert_eq!(
+        (level.decides, verdict.state),
+        (Some(LevelBasis::FeedCompensated), ToolState::Good),
+        "{level:?}"
+    );
     assert!((level.value - 1.0).abs() < 2.0 * level.sd.unwrap() + 0.01, "{level:?}");
     assert!(says(&verdict, "decided_by_compensation"));
 }
@@ -187,7 +191,10 @@ fn an_adaptive_law_is_masked_until_reference_cycles_decide() {
             1..=4 => assert!(due),
             20 => {
                 let references = verdict.feed.references.unwrap();
-                assert!(references.learnt && references.due_in > 0 && references.count == 6, "{references:?}");
+                assert!(
+                    references.learnt && references.due_in > 0 && references.count == 6,
+                    "{references:?}"
+                );
             }
             60 => {
                 assert_eq!(verdict.state, ToolState::Good, "{:?}", verdict.reasons);
@@ -211,7 +218,8 @@ fn references_that_nobody_runs_any_more_stop_deciding() {
     let mut life = Life::new(Some(10));
     for _ in 0..60 {
         let due = life.due();
-        let (strategy, feed) = if due { (Strategy::FConst, REFERENCE_MM_MIN) } else { (Strategy::FAc, 350.0) };
+        let (strategy, feed) =
+            if due { (Strategy::FConst, REFERENCE_MM_MIN) } else { (Strategy::FAc, 350.0) };
         life.with(Some(strategy), &hole(|_| feed, 0.0), |cycle| cycle.digest = None);
     }
     assert_eq!(life.fold.verdict().state, ToolState::Good);
@@ -235,7 +243,11 @@ fn a_program_far_from_the_reference_feed_is_masked_and_not_called_good_when_it_m
         life.run(Some(Strategy::FLin), &hole(|depth| 250.0 + 30.0 * depth, 0.001 * f64::from(k)));
     }
     let verdict = life.fold.verdict();
-    assert_eq!((verdict.state, verdict.feed.masked), (ToolState::Unknown, Some(Masked::ByFeed)), "{verdict:?}");
+    assert_eq!(
+        (verdict.state, verdict.feed.masked),
+        (ToolState::Unknown, Some(Masked::ByFeed)),
+        "{verdict:?}"
+    );
     assert_eq!(verdict.level.unwrap().decides, None);
     let carried = verdict.feed.at_reference_feed.unwrap();
     assert!((carried.value - 1.08).abs() < 2.0 * carried.sd, "{carried:?}");
@@ -246,10 +258,14 @@ fn a_program_far_from_the_reference_feed_is_masked_and_not_called_good_when_it_m
 fn a_reference_cycle_is_known_by_its_strategy_or_by_the_advice_that_it_followed() {
     let constant = hole(|_| REFERENCE_MM_MIN, 0.0);
     let fast = hole(|depth| 250.0 + 30.0 * depth, 0.0);
-    let cycle = |strategy, profile, asked| CycleFacts { asked_as_reference: asked, ..facts(1, strategy, profile) };
+    let cycle =
+        |strategy, profile, asked| CycleFacts { asked_as_reference: asked, ..facts(1, strategy, profile) };
     assert!(cycle(Some(Strategy::FConst), &constant, false).is_reference());
     assert!(cycle(None, &constant, true).is_reference());
-    assert!(cycle(Some(Strategy::FLin), &constant, true).is_reference(), "what ran counts, not the program's name");
+    assert!(
+        cycle(Some(Strategy::FLin), &constant, true).is_reference(),
+        "what ran counts, not the program's name"
+    );
     assert!(!cycle(None, &constant, false).is_reference(), "nobody asked for it");
     assert!(!cycle(Some(Strategy::FAc), &fast, true).is_reference(), "the advice was named and not followed");
     let reported = CycleFacts { digest: None, ..cycle(Some(Strategy::FAc), &fast, true) };

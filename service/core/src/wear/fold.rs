@@ -3,8 +3,8 @@
 //! Nothing here looks ahead: a cycle whose meaning only the next ones can tell is held, and counted or left out
 //! when they have come. So the state after a cycle depends on the cycles up to it and on nothing else.
 
-use super::facts::{CycleFacts, OrderKey};
 use super::basis::{FeedMemory, varies_feed};
+use super::facts::{CycleFacts, OrderKey};
 use super::key::{Change, HELD_DIGESTS, KeyState, Look, Measured, Usual};
 use super::trend::TrendPoints;
 use super::verdict::{BaselineKey, Exclusion, ExclusionCounts};

@@ -4,9 +4,7 @@ use super::WARNING_LEVEL;
 use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::remaining;
-use super::verdict::{
-    BaselineEvidence, Exclusion, LevelBasis, Masked, SecondIndicators, ToolState, Verdict,
-};
+use super::verdict::{BaselineEvidence, Exclusion, LevelBasis, Masked, SecondIndicators, ToolState, Verdict};
 use crate::summary::PeakShift;
 use crate::units::{Strategy, Timestamp};
 

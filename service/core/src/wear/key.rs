@@ -2,8 +2,8 @@
 
 use super::facts::CycleFacts;
 use super::verdict::{BaselineKey, Exclusion};
-use crate::ids::{CycleId, MachineId};
 use crate::friction::relation::{FeedSource, Per, Relation};
+use crate::ids::{CycleId, MachineId};
 use crate::operation::WearSettings;
 use crate::summary::{DepthDigest, median, relation_config};
 use crate::units::Strategy;

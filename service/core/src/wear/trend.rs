@@ -1,7 +1,7 @@
 //! Trend of the ratios over a tool's life, from a bounded number of points.
 
-use super::verdict::{Remaining, Trend};
 use super::WORN_LEVEL;
+use super::verdict::{Remaining, Trend};
 use crate::summary::median;
 
 /// Points kept; when there are more, neighbours are merged and each stands for twice as many cycles.
@@ -100,11 +100,7 @@ fn clamp_index(place: f64, len: usize) -> usize {
 }
 
 /// Cycles until the level reaches 1.10; `None` where the trend does not surely rise.
-pub(super) fn remaining(
-    points: &TrendPoints,
-    trend: &Trend,
-    (level, n): (f64, usize),
-) -> Option<Remaining> {
+pub(super) fn remaining(points: &TrendPoints, trend: &Trend, (level, n): (f64, usize)) -> Option<Remaining> {
     if trend.slope_low <= 0.0 {
         return None;
     }

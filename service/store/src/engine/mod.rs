@@ -17,6 +17,7 @@ mod quarantine;
 mod recommendations;
 mod tokens;
 mod tools;
+mod watch;
 mod wear;
 
 use super::{Conn, Db, Engine, dialect};

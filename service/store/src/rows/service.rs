@@ -55,9 +55,7 @@ impl AdviceBody {
             tool_state: recommendation.tool_state.as_str().to_owned(),
             quality: recommendation.quality.as_str().to_owned(),
             process_advice: recommendation.process_advice.as_ref().map(Into::into),
-            reference_cycle: recommendation
-                .reference_cycle
-                .map(|asked| (asked.every, asked.feed_mm_min)),
+            reference_cycle: recommendation.reference_cycle.map(|asked| (asked.every, asked.feed_mm_min)),
             reasons: recommendation.reasons.clone(),
             law_version: recommendation.law_version.clone(),
         }

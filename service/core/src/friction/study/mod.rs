@@ -171,7 +171,9 @@ impl LifeStudy {
             between("exploration", *factor, 0.1, 5.0)?;
         }
         between("wear_rate_sd", params.wear_rate_sd, 0.0, 0.5)?;
-        if params.horizon_cycles / params.thin > MOST_DRILLED_CYCLES || params.new_cycles > MOST_DRILLED_CYCLES {
+        if params.horizon_cycles / params.thin > MOST_DRILLED_CYCLES
+            || params.new_cycles > MOST_DRILLED_CYCLES
+        {
             let text = format!("a life would drill more than {MOST_DRILLED_CYCLES} cycles; thin more");
             return Err(Invalid::new("thin", InvalidCode::OutOfRange, text));
         }
@@ -210,8 +212,11 @@ impl LifeStudy {
             Ok::<_, Invalid>(Ready { word, strategy: strategy.clone(), hole, explored })
         };
         let reference = ready(units::Strategy::FConst, &params.reference)?;
-        let strategies =
-            params.strategies.iter().map(|(word, strategy)| ready(*word, strategy)).collect::<Result<_, _>>()?;
+        let strategies = params
+            .strategies
+            .iter()
+            .map(|(word, strategy)| ready(*word, strategy))
+            .collect::<Result<_, _>>()?;
         Ok(Self { params, twin: twin.clone(), bins, unit_life, reference, strategies })
     }
 

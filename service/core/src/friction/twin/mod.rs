@@ -35,5 +35,5 @@ pub use axis::{AxisLimits, AxisState, LONGEST_LATENCY_IPO};
 pub use config::{MachineRatings, Material, NoiseLevels, Sheet, ToolGeometry, TwinParams, WearEffect};
 pub use cycle::{CycleFigures, CycleSample, CycleSetup, Peak};
 pub use model::{Twin, TwinInput, TwinOutput, TwinState};
-pub use prepared::PreparedHole;
 pub use paper::{PAPER_END_DEPTH_MM, PAPER_SPINDLE_RPM, PaperStrategies, paper_params, typical_noise};
+pub use prepared::PreparedHole;

@@ -120,10 +120,8 @@ impl Twin {
                 }
             }
             let soft = 1.0 / (1.0 + hot / material.softening_k);
-            let torque_nm = strength
-                * f64::max(1.0 + fluctuation, 0.0)
-                * soft
-                * (step.new_nm + wear * step.worn_nm);
+            let torque_nm =
+                strength * f64::max(1.0 + fluctuation, 0.0) * soft * (step.new_nm + wear * step.worn_nm);
             hot = keep * hot + gain * torque_nm * step.omega;
             let joules = per_nm * (torque_nm + step.spin_up_nm + reading_nm);
             for (bin, share) in step.bins {

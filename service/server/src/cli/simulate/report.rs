@@ -95,7 +95,11 @@ impl Report {
         ensure!(overdue == 0, "{overdue} tools were overdue before anybody called them worn");
         let wear = self.wear_at_change().context("no tool was called worn: drill more cycles")?;
         let off = (wear.median - 1.0).abs();
-        ensure!(off <= tolerance, "tools are changed at {:.2} times the limit's wear by the median", wear.median);
+        ensure!(
+            off <= tolerance,
+            "tools are changed at {:.2} times the limit's wear by the median",
+            wear.median
+        );
         Ok(())
     }
 

@@ -1,8 +1,8 @@
 //! The verdict on a tool as JSON.
 
 use crate::http::dto::time;
-use feedwright_core::summary::EnergyBasis;
 use feedwright_core::friction::relation::Estimate;
+use feedwright_core::summary::EnergyBasis;
 use feedwright_core::wear::{
     BaselineEvidence, Exclusion, FeedEvidence, Level, LevelBasis, Masked, ReferenceCycles, Remaining, Trend,
     Verdict,
