@@ -154,12 +154,15 @@ impl ToolFold {
         let by_run = |basis| Decision { basis, level: as_run, sd: None, n: self.window().len() };
         let current = self.current_key();
         let strategy = current.and_then(|key| key.key.strategy);
-        let compensated = self.by_compensation().filter(|found| found.sd.is_some_and(|sd| sd <= ENOUGH_SD));
+        if !self.feeds.varied && strategy.is_some() {
+            return Some(by_run(Some(LevelBasis::AsRun)));
+        }
+        let known = |found: &Decision| found.sd.is_some_and(|sd| sd <= ENOUGH_SD);
         if !self.feeds.varied {
-            let decides = compensated.filter(|_| strategy.is_none());
+            let decides = self.by_compensation().filter(known);
             return Some(decides.unwrap_or_else(|| by_run(Some(LevelBasis::AsRun))));
         }
-        if let Some(found) = self.by_references().or(compensated) {
+        if let Some(found) = self.by_references().or_else(|| self.by_compensation().filter(known)) {
             return Some(found);
         }
         // Programs whose depth nobody sampled can only be judged as they were run.
@@ -176,13 +179,12 @@ impl ToolFold {
     /// What keeps the wear from being told, where something does.
     pub(super) fn masked(&self) -> Option<Masked> {
         let strategy = self.current_key().and_then(|key| key.key.strategy);
-        let told = self.decision().is_some_and(|decision| {
-            matches!(decision.basis, Some(LevelBasis::FeedCompensated | LevelBasis::ReferenceCycles))
-        });
-        match strategy {
-            Some(Strategy::FAc) if !told => Some(Masked::ByControl),
-            _ if self.decision().is_some_and(|decision| decision.basis.is_none()) => Some(Masked::ByFeed),
-            _ => None,
+        let decision = self.decision();
+        match decision.and_then(|decision| decision.basis) {
+            Some(LevelBasis::FeedCompensated | LevelBasis::ReferenceCycles) => None,
+            _ if strategy == Some(Strategy::FAc) => Some(Masked::ByControl),
+            None if decision.is_some() => Some(Masked::ByFeed),
+            Some(LevelBasis::AsRun) | None => None,
         }
     }
 
