@@ -15,9 +15,13 @@ mod notice;
 mod postgres;
 mod precondition;
 mod record;
+mod registry;
 mod rows;
+mod slot;
 mod sqlite;
 mod store;
+pub mod transfer;
+pub mod wire;
 mod work;
 
 pub use error::{StoreError, StoreResult};

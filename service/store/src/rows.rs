@@ -6,10 +6,11 @@ mod cycle;
 mod facts;
 mod library;
 mod registry;
+mod saved;
 mod service;
 
 pub(crate) use advice::ProcessAdviceBody;
-pub(crate) use cut::{CutRow, EdgeCycleRow};
+pub(crate) use cut::{CutRow, EdgeCycleRow, ReportedCutRow};
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
 pub(crate) use library::{ModelRow, content_json, setup_json};
@@ -17,6 +18,7 @@ pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
     tool_json,
 };
+pub(crate) use saved::{ADVICE_HASH_BYTES, IssuedRow, SavedWear};
 pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
 
 use crate::error::{StoreError, StoreResult};

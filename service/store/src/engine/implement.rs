@@ -2,15 +2,16 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, tokens, tools, watch, wear,
+    recommendations, registry, retention, series, tokens, tools, verify, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage,
-    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
-    QuarantineEntry, Round, RowNumber, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
+    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, PointColumns,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
     WatchSettings, WearCheck,
 };
 use crate::store::Store;
@@ -25,11 +26,27 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::sync::Arc;
 
+/// Machines that are read at a time.
+const MACHINES_PAGE: u32 = 100;
+
 /// One change in one transaction, in a task that nobody can cancel.
 macro_rules! write {
     ($engine:ident, |$conn:ident| $body:expr) => {
         $engine.write(move |$conn| Box::pin(async move { $body })).await
     };
+}
+
+/// As `write!`, of what is registered: begins the next generation, and this server forgets the one before.
+macro_rules! register {
+    ($engine:ident, |$conn:ident| $body:expr) => {{
+        let outcome = write!($engine, |$conn| {
+            let outcome = $body?;
+            registry::changed($conn).await?;
+            Ok(outcome)
+        });
+        $engine.registry().forget();
+        outcome
+    }};
 }
 
 /// Reads that belong together, in one snapshot.
@@ -51,14 +68,24 @@ impl Engine {
         let mut attempt = 1;
         loop {
             let cycles = Arc::clone(group);
-            let outcome = write!(self, |conn| commit::group(conn, &cycles, now, settings).await);
+            let registry = Arc::clone(self.registry());
+            let mut memory = self.memory().take();
+            let outcome = write!(self, |conn| {
+                let known = (&*registry, &mut memory);
+                let answers = commit::group(conn, &cycles, now, settings, known).await?;
+                Ok((answers, memory))
+            });
             match outcome {
+                Ok((answers, memory)) => {
+                    self.memory().put(memory);
+                    return Ok(answers);
+                }
                 Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))
                     if attempt < dialect::COMMIT_ATTEMPTS =>
                 {
                     attempt += 1;
                 }
-                outcome => return outcome,
+                Err(error) => return Err(error),
             }
         }
     }
@@ -141,7 +168,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| machines::put(conn, &machine, expects, &actor, now).await)
+        register!(self, |conn| machines::put(conn, &machine, expects, &actor, now).await)
     }
 
     async fn machine(&self, id: &MachineId) -> StoreResult<Option<Versioned<Machine>>> {
@@ -160,7 +187,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
+        register!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
     }
 
     async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
@@ -179,7 +206,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<StoredToolEvent>> {
         let (tool, actor) = (tool.clone(), actor.clone());
-        write!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
+        register!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
     }
 
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
@@ -194,7 +221,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
+        register!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
     }
 
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {
@@ -213,7 +240,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| models::put(conn, &model, expects, &actor, now).await)
+        register!(self, |conn| models::put(conn, &model, expects, &actor, now).await)
     }
 
     async fn model(&self, kind: ModelKind, id: &ModelId) -> StoreResult<Option<Versioned<Model>>> {
@@ -237,7 +264,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<Calibration>> {
         let (machine, actor) = (machine.clone(), actor.clone());
-        write!(self, |conn| machines::calibrate(conn, &machine, calibration, &actor, now).await)
+        register!(self, |conn| machines::calibrate(conn, &machine, calibration, &actor, now).await)
     }
 
     async fn calibrations(
@@ -258,6 +285,20 @@ impl Store for Engine {
         snapshot!(self, |conn| machines::surroundings(conn, &machine, &operation, &tool).await)
     }
 
+    async fn recent_surroundings(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Option<(Surroundings, i64)>> {
+        if let Some(known) = self.registry().around(machine, operation, tool) {
+            return Ok(Some(known));
+        }
+        let names = (machine.clone(), operation.clone(), tool.clone());
+        let registry = Arc::clone(self.registry());
+        snapshot!(self, |conn| registry::around(conn, &registry, (&names.0, &names.1, &names.2)).await)
+    }
+
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
         cycles::get(&mut *self.reader().await?, machine, id).await
     }
@@ -269,6 +310,101 @@ impl Store for Engine {
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {
         cycles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
+        cycles::last(&mut *self.reader().await?, filter, limit).await
+    }
+
+    async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>> {
+        series::points(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_points(
+        &self,
+        filter: &CycleFilter,
+        told: PointColumns,
+        limit: u32,
+    ) -> StoreResult<Vec<CyclePoint>> {
+        series::last_points(&mut *self.reader().await?, filter, told, limit).await
+    }
+
+    async fn levels(
+        &self,
+        tool: &ToolId,
+        from: Timestamp,
+        to: Timestamp,
+        limit: u32,
+    ) -> StoreResult<Vec<LevelPoint>> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| series::levels(conn, &tool, from, to, limit).await)
+    }
+
+    async fn retention(&self, machine: &MachineId) -> StoreResult<Option<Versioned<SampleRetention>>> {
+        retention::get(&mut *self.reader().await?, machine).await
+    }
+
+    async fn put_retention(
+        &self,
+        machine: &MachineId,
+        retention: SampleRetention,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<PutOutcome>> {
+        let (machine, actor) = (machine.clone(), actor.clone());
+        write!(self, |conn| retention::put(conn, &machine, retention, expects, &actor, now).await)
+    }
+
+    async fn sample_drops(&self, machine: &MachineId) -> StoreResult<Vec<SampleDrop>> {
+        retention::drops(&mut *self.reader().await?, machine).await
+    }
+
+    async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>> {
+        let (mut decided, mut after) = (Vec::new(), None);
+        loop {
+            let page = self.machines(Page { after: after.take(), limit: MACHINES_PAGE }).await?;
+            for machine in &page {
+                let id = machine.value.id.clone();
+                let horizon = snapshot!(self, |conn| {
+                    let said = retention::get(conn, &id).await?;
+                    let kept = said.map_or(otherwise, |said| said.value);
+                    retention::horizon(conn, &id, kept, now).await
+                })?;
+                let id = machine.value.id.clone();
+                if let Some((before, reason)) = horizon {
+                    let made = write!(self, |conn| retention::decide(conn, &id, before, reason, now).await)?;
+                    decided.extend(made);
+                }
+            }
+            match page.last() {
+                Some(last) if page.len() == MACHINES_PAGE as usize => after = Some(last.value.id.clone()),
+                _ => return Ok(decided),
+            }
+        }
+    }
+
+    async fn drop_some(&self, most: u32, now: Timestamp) -> StoreResult<Dropped> {
+        let whole = write!(self, |conn| retention::drop_partition(conn, now).await)?;
+        if whole.more {
+            return Ok(whole);
+        }
+        let dropped = write!(self, |conn| retention::delete_some(conn, most).await)?;
+        let freed = self.give_back().await?;
+        Ok(Dropped { more: dropped.more || freed, ..dropped })
+    }
+
+    async fn make_room(&self, now: Timestamp) -> StoreResult<()> {
+        write!(self, |conn| dialect::make_room(conn, now).await)
+    }
+
+    async fn check_cycles(&self, after: Option<&(MachineId, CycleId)>, limit: u32) -> StoreResult<CheckPage> {
+        let (after, max_samples) = (after.cloned(), self.max_samples());
+        snapshot!(self, |conn| verify::page(conn, after.as_ref(), limit, max_samples).await)
+    }
+
+    async fn check_tables(&self) -> StoreResult<Vec<StoreFault>> {
+        snapshot!(self, |conn| verify::tables(conn).await)
     }
 
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {
@@ -287,7 +423,7 @@ impl Store for Engine {
             };
             let tool = next.clone();
             let (rows, different) = if repair {
-                write!(self, |conn| check::tool(conn, &tool, true).await)?
+                register!(self, |conn| check::tool(conn, &tool, true).await)?
             } else {
                 snapshot!(self, |conn| check::tool(conn, &tool, false).await)?
             };
