@@ -124,11 +124,11 @@ async fn broken_tools_and_thicker_sheets_are_noticed() {
             "--strategy",
             "f_const",
             "--seed",
-            "8",
+            "2",
             "--faults",
             "broken_tool",
             "--fault-share",
-            "0.03",
+            "0.06",
         ],
     )
     .await;
@@ -145,15 +145,15 @@ async fn broken_tools_and_thicker_sheets_are_noticed() {
             "--cycles",
             "70",
             "--life",
-            "2000",
+            "150",
             "--strategy",
             "f_const",
             "--seed",
-            "8",
+            "2",
             "--faults",
             "thickness",
             "--fault-share",
-            "0.03",
+            "0.06",
         ],
     )
     .await;

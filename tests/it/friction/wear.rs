@@ -8,6 +8,17 @@ use serde_json::{Value, json};
 /// Wear at the limit, in units of the model's wear law.
 const LIMIT: f64 = 1.1;
 
+/// Changes the operation, whatever its version.
+async fn change_operation(shop: &Shop, wear: Option<&Value>) -> crate::shop::Answer {
+    let mut operation = crate::shop::operation();
+    if let Some(wear) = wear {
+        operation["wear"] = wear.clone();
+    }
+    let version = shop.get("/v1/operations/O1").await.body["version"].clone();
+    let request = shop.client.put(shop.url("/v1/operations/O1")).header("if-match", format!("\"{version}\""));
+    shop.send(request.json(&operation)).await
+}
+
 async fn shop() -> Shop {
     let shop = Shop::open().await;
     model_machine(&shop).await;
@@ -15,10 +26,9 @@ async fn shop() -> Shop {
                                  "r_squared": 1, "residual_spread": 0}});
     let answer = shop.post("/v1/machines/F1/calibrations", &line).await;
     assert_eq!(answer.status, 201, "{}", answer.text);
-    let mut operation = crate::shop::operation();
-    operation["wear"] = json!({"baseline_cycles": 6, "window_cycles": 5, "reference_every_cycles": 4,
-                               "reference_feed_mm_min": 110});
-    let answer = shop.put("/v1/operations/O1", &operation).await;
+    let wear = json!({"baseline_cycles": 6, "window_cycles": 5, "reference_every_cycles": 4,
+                      "reference_feed_mm_min": 110});
+    let answer = change_operation(&shop, Some(&wear)).await;
     assert_eq!(answer.status, 200, "{}", answer.text);
     shop
 }
@@ -89,9 +99,8 @@ async fn a_tool_under_the_adaptive_law_is_called_in_time_and_alike_in_any_order_
 async fn reference_cycles_are_asked_for_only_where_the_operation_wants_them() {
     let shop = shop().await;
     let paper = PaperStrategies::new().unwrap();
-    let mut operation = crate::shop::operation();
-    operation["wear"] = json!({"reference_every_cycles": null});
-    assert_eq!(shop.put("/v1/operations/O1", &operation).await.status, 200);
+    let never = json!({"reference_every_cycles": null});
+    assert_eq!(change_operation(&shop, Some(&never)).await.status, 200);
     let stored = shop.get("/v1/operations/O1").await.body;
     assert_eq!(stored["wear"]["reference_every_cycles"], Value::Null, "{stored}");
     let answer = shop.cycle("F1", &worn(1, &paper.adaptive, "f_ac", false, 0.0)).await;
@@ -99,7 +108,7 @@ async fn reference_cycles_are_asked_for_only_where_the_operation_wants_them() {
     assert_eq!(answer.body["wear"]["feed"]["references"], Value::Null);
     assert_eq!(answer.body["wear"]["feed"]["masked"], "by_control");
     // Left out, it is asked for every fifty cycles; a new tool begins with them.
-    assert_eq!(shop.put("/v1/operations/O1", &crate::shop::operation()).await.status, 200);
+    assert_eq!(change_operation(&shop, None).await.status, 200);
     let answer = shop.cycle("F1", &worn(2, &paper.adaptive, "f_ac", false, 0.0)).await;
     let asked = &answer.body["recommendation"]["reference_cycle"];
     assert_eq!(
@@ -119,9 +128,7 @@ async fn reference_cycles_are_asked_for_only_where_the_operation_wants_them() {
         (json!({"reference_feed_mm_min": 0}), "wear.reference_feed_mm_min"),
         (json!({"reference_feed_mm_min": 1e9}), "wear.reference_feed_mm_min"),
     ] {
-        let mut operation = crate::shop::operation();
-        operation["wear"] = wear.clone();
-        let answer = shop.put("/v1/operations/O1", &operation).await;
+        let answer = change_operation(&shop, Some(&wear)).await;
         assert_eq!((answer.status, &answer.body["errors"][0]["path"]), (422, &json!(path)), "{wear}");
     }
 }

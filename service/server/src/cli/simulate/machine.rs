@@ -145,6 +145,11 @@ impl SimulatedMachine {
         self.wear / WORN
     }
 
+    /// What is said of wear follows from the life: another life is another operation.
+    fn operation(&self) -> String {
+        format!("sim-bushing-{}", self.plan.life)
+    }
+
     fn tool(&self) -> String {
         format!("sim-tool-{}", self.plan.number)
     }
@@ -184,7 +189,7 @@ impl SimulatedMachine {
             "spindle_speed_rpm": PAPER_SPINDLE_RPM,
             "wear": wear_settings(self.plan.life, self.plan.reference.program.feed_at(0.0)),
         });
-        must(office, Method::PUT, "/v1/operations/sim-bushing", &operation).await?;
+        must(office, Method::PUT, &format!("/v1/operations/{}", self.operation()), &operation).await?;
         self.event(office, "mounted_new", "the simulation begins").await
     }
 
@@ -238,8 +243,9 @@ impl SimulatedMachine {
     /// Asks what to run next, as a machine does before its first cycle with a tool.
     async fn ask(&mut self, shop: &Clients) -> anyhow::Result<()> {
         let path = format!(
-            "/v1/recommendations?machine={}&operation=sim-bushing&tool={}",
+            "/v1/recommendations?machine={}&operation={}&tool={}",
             self.plan.name(),
+            self.operation(),
             self.tool()
         );
         let answer = shop.own.get(&path).await?;
@@ -299,7 +305,7 @@ impl SimulatedMachine {
         };
         Ok(json!({
             "cycle_id": format!("{}-{:06}", self.plan.begin.micros(), self.drilled + 1),
-            "tool": self.tool(), "operation": "sim-bushing", "seq": self.drilled + 1,
+            "tool": self.tool(), "operation": self.operation(), "seq": self.drilled + 1,
             "started_at": time::show(self.now()), "strategy": word.as_str(),
             "recommendation_id": self.advice.as_ref().map(|(id, _)| id),
             "spindle_speed_rpm": PAPER_SPINDLE_RPM,
