@@ -145,7 +145,8 @@ fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
                 None => unknown("a control law hides the tool's wear and its cycle time is not known"),
             }
         }
-        (_, Some(level)) => Ok(level.as_run),
+        // The level that decides, and never a lower one than the energy as run already shows.
+        (_, Some(level)) => Ok(level.value.max(level.as_run)),
     }
 }
 
