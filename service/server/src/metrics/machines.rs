@@ -108,7 +108,7 @@ impl MachineMetrics {
     pub(super) fn verdict(&self, machine: &MachineId, verdict: &Verdict) {
         self.labelled(machine, |_| {
             // A tool that is being learnt has no level: that of the one before it must not stay.
-            set(&self.wear_level, machine, verdict.level.map(|level| level.as_run));
+            set(&self.wear_level, machine, verdict.level.map(|level| level.value));
             #[expect(clippy::cast_precision_loss, reason = "a count of cycles")]
             set(&self.remaining_cycles, machine, verdict.remaining.map(|left| left.cycles as f64));
         });
