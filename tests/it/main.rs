@@ -9,3 +9,4 @@ mod processes;
 mod recordings;
 mod shop;
 mod store;
+mod stream;

@@ -73,6 +73,8 @@ enum Command {
     Token(token::Arguments),
     /// Prints the description of the API (OpenAPI).
     Openapi,
+    /// Prints the description of the machines' streams (AsyncAPI).
+    Asyncapi,
     /// Asks a running service whether it is ready; for containers.
     Healthcheck(healthcheck::Arguments),
     /// Drives a running server with a shop of simulated friction drills, and prints what became of it.
@@ -90,6 +92,7 @@ pub async fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Config => config::run(&cli.settings),
         Command::Token(arguments) => token::run(&cli.settings, arguments).await,
         Command::Openapi => openapi::run(),
+        Command::Asyncapi => openapi::run_asyncapi(),
         Command::Healthcheck(arguments) => healthcheck::run(&cli.settings, arguments).await,
         Command::Simulate(arguments) => simulate::run(&cli.settings, arguments).await,
         Command::Twin(arguments) => twin::run(arguments).await,

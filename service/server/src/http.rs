@@ -32,6 +32,7 @@ mod operations;
 mod peak_to_peak;
 mod plunge;
 mod quarantine;
+mod stream;
 mod tokens;
 mod tool_events;
 mod tools;

@@ -20,4 +20,5 @@ mod readiness;
 pub mod replay;
 pub mod server;
 pub mod state;
+pub mod stream;
 pub mod what_if;

@@ -9,8 +9,8 @@ use feedwright_core::units::Process;
 use feedwright_store::AlarmKind;
 use http::{Method, StatusCode};
 use prometheus::{
-    Gauge, GaugeVec, Histogram, HistogramOpts, HistogramVec, IntCounterVec, IntGauge, IntGaugeVec, Opts,
-    Registry, TextEncoder,
+    Gauge, GaugeVec, Histogram, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge,
+    IntGaugeVec, Opts, Registry, TextEncoder,
 };
 use std::collections::HashSet;
 use std::sync::{Mutex, PoisonError};
@@ -62,6 +62,9 @@ pub struct Metrics {
     http_seconds: HistogramVec,
     alarms_open: IntGaugeVec,
     connections: IntGauge,
+    streams_open: IntGauge,
+    stream_samples: IntCounter,
+    stream_refusals: IntCounterVec,
     /// Cycles that wait for the writer.
     pub ingest_queue_depth: IntGauge,
     /// Most cycles that may wait for the writer.
@@ -147,6 +150,18 @@ impl Metrics {
             )?,
             alarms_open,
             connections: gauge("feedwright_http_connections", "Open connections")?,
+            streams_open: gauge("feedwright_streams_open", "Open streams of machines")?,
+            stream_samples: {
+                let counter =
+                    IntCounter::new("feedwright_stream_samples_total", "Samples answered over streams")?;
+                registry.register(Box::new(counter.clone()))?;
+                counter
+            },
+            stream_refusals: counters(
+                "feedwright_stream_refusals_total",
+                "Messages of streams that were refused or could not be read, by code",
+                &["code"],
+            )?,
             ingest_queue_depth: gauge("feedwright_ingest_queue_depth", "Cycles that wait for the writer")?,
             ingest_queue_capacity: gauge(
                 "feedwright_ingest_queue_capacity",
@@ -207,6 +222,21 @@ impl Metrics {
     /// Sets how many alarms of a kind are open.
     pub fn alarms_open(&self, kind: AlarmKind, open: i64) {
         self.alarms_open.with_label_values(&[kind.as_str()]).set(open);
+    }
+
+    /// Open streams.
+    pub(crate) const fn streams_open(&self) -> &IntGauge {
+        &self.streams_open
+    }
+
+    /// Counts samples that were answered.
+    pub(crate) fn stream_samples(&self, count: usize) {
+        self.stream_samples.inc_by(count as u64);
+    }
+
+    /// Counts a message that was refused; `code` is one of ours.
+    pub(crate) fn stream_refusal(&self, code: &'static str) {
+        self.stream_refusals.with_label_values(&[code]).inc();
     }
 
     /// Open connections.

@@ -50,9 +50,11 @@
 mod column;
 mod frame;
 mod hash;
+mod overrides;
 
 pub use frame::{decode_samples, encode_samples};
 pub use hash::content_hash;
+pub use overrides::{decode_overrides, encode_overrides};
 
 use crate::record::EncodedCycle;
 use feedwright_core::cycle::Cycle;

@@ -9,4 +9,5 @@ mod models;
 mod registry;
 mod replicas;
 mod service;
+mod streams;
 mod wear;

@@ -2,8 +2,8 @@
 
 use super::{
     alarms, audit, calibrations, continuity, cycles, edge, friction, health, jobs, library, live, machines,
-    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, tokens, tool_events, tools,
-    turning, viewer, wear, what_if,
+    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, stream, tokens, tool_events,
+    tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -183,6 +183,8 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(jobs::cancel), READ),
         Route::new(routes!(friction::simulate), READ),
         Route::new(routes!(live::events), READ),
+        Route::new(routes!(stream::open), OWN),
+        Route::new(routes!(stream::overrides), READ_OR_OWN),
         Route::new(routes!(what_if::of_cycle), READ),
         Route::new(routes!(what_if::of_many), READ),
         Route::new(routes!(calibrations::fit), ENGINEER),

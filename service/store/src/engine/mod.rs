@@ -15,6 +15,7 @@ mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod streams;
 mod tokens;
 mod tools;
 mod wear;
