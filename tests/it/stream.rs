@@ -1,7 +1,7 @@
 //! Machines' streams over real sockets, with a client of the tests' own.
 
 mod breaks;
-mod client;
+pub(crate) mod client;
 mod cycles;
 mod doors;
 mod processes;

@@ -21,4 +21,5 @@ pub mod replay;
 pub mod server;
 pub mod state;
 pub mod stream;
+pub mod watch;
 pub mod what_if;

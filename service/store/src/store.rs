@@ -3,10 +3,10 @@
 use crate::error::StoreResult;
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, CycleOverrides,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, CycleOverrides, DatabaseUsage,
     IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
-    QuarantineEntry, RowNumber, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
-    Versioned, WearCheck,
+    QuarantineEntry, Round, RowNumber, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
+    Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
@@ -35,6 +35,17 @@ pub trait Store: Send + Sync + 'static {
 
     /// Proves that the database takes writes, by one.
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
+
+    /// One round of the watch: notes when machines were `heard` of, raises and clears what only a look around can tell
+    /// (silence, a quarantine that fills up), and says what was found.
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round>;
+    /// What the database occupies and how many of its connections are in use.
+    async fn usage(&self) -> StoreResult<DatabaseUsage>;
 
     /// Ends after everything handed in is committed; later calls fail.
     async fn close(&self);

@@ -10,4 +10,5 @@ mod registry;
 mod replicas;
 mod service;
 mod streams;
+mod watch;
 mod wear;

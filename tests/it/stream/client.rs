@@ -12,30 +12,30 @@ use tokio_tungstenite::tungstenite::{self, Message};
 /// Longer than anything here takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// 2026-05-04T06:00:00Z: when the cycles of the stories began, by their machine's clock.
-pub(super) const STARTED: &str = "2026-05-04T06:00:00Z";
+pub(crate) const STARTED: &str = "2026-05-04T06:00:00Z";
 
-pub(super) struct Machine {
+pub(crate) struct Machine {
     socket: WebSocketStream<TcpStream>,
     n: u32,
 }
 
 /// What came: a text answer, a binary one, or the end.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Came {
+pub(crate) enum Came {
     Text(Value),
     Binary(Vec<u8>),
     Closed(Option<u16>),
 }
 
 /// Status and problem code of a refused upgrade.
-pub(super) type Refused = (u16, String);
+pub(crate) type Refused = (u16, String);
 
 impl Machine {
-    pub(super) async fn connect(served: &Served, token: &str) -> Self {
+    pub(crate) async fn connect(served: &Served, token: &str) -> Self {
         Self::open(served, "M1", token, "feedwright.v1", &[]).await.expect("the stream opens")
     }
 
-    pub(super) async fn open(
+    pub(crate) async fn open(
         served: &Served,
         machine: &str,
         token: &str,
@@ -66,12 +66,12 @@ impl Machine {
         }
     }
 
-    pub(super) async fn send(&mut self, message: Message) {
+    pub(crate) async fn send(&mut self, message: Message) {
         self.socket.send(message).await.unwrap();
     }
 
     /// What comes next, past pings.
-    pub(super) async fn came(&mut self) -> Came {
+    pub(crate) async fn came(&mut self) -> Came {
         loop {
             let next = tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("an answer comes");
             return match next {
@@ -85,7 +85,7 @@ impl Machine {
     }
 
     /// Sends a message with the next number; the answer, which names it.
-    pub(super) async fn ask(&mut self, mut message: Value) -> Value {
+    pub(crate) async fn ask(&mut self, mut message: Value) -> Value {
         self.n += 1;
         message["n"] = self.n.into();
         self.send(Message::Text(message.to_string().into())).await;
@@ -99,7 +99,7 @@ impl Machine {
     }
 
     /// Sends text as it is; the answer.
-    pub(super) async fn ask_text(&mut self, text: &str) -> Value {
+    pub(crate) async fn ask_text(&mut self, text: &str) -> Value {
         self.send(Message::Text(text.into())).await;
         match self.came().await {
             Came::Text(answer) => answer,
@@ -107,7 +107,7 @@ impl Machine {
         }
     }
 
-    pub(super) async fn start(&mut self, id: &str, change: Value) -> Value {
+    pub(crate) async fn start(&mut self, id: &str, change: Value) -> Value {
         let mut message = json!({
             "type": "start", "cycle_id": id, "tool": "T1", "operation": "O1",
             "started_at": STARTED, "sent_at": STARTED, "period_ms": 10.0,
@@ -127,30 +127,30 @@ impl Machine {
     }
 
     /// Samples `from..to` of the story's load.
-    pub(super) async fn samples(&mut self, from: u64, to: u64) -> Value {
+    pub(crate) async fn samples(&mut self, from: u64, to: u64) -> Value {
         let message = samples(from, to);
         self.ask(message).await
     }
 
-    pub(super) async fn end(&mut self, samples: u64) -> Value {
+    pub(crate) async fn end(&mut self, samples: u64) -> Value {
         self.ask(json!({"type": "end", "samples": samples})).await
     }
 
     /// The connection breaks: no close frame, no farewell.
-    pub(super) fn break_off(self) {
+    pub(crate) fn break_off(self) {
         drop(self);
     }
 }
 
 /// Depth and loads of sample `n`: low enough at first, too high later.
-pub(super) fn sample(n: u64) -> (f64, f64, f64) {
+pub(crate) fn sample(n: u64) -> (f64, f64, f64) {
     #[expect(clippy::cast_precision_loss, reason = "a few hundred")]
     let n = n as f64;
     let tenths = |value: f64| (value * 10.0).round() / 10.0;
     ((n * 0.02 * 1000.0).round() / 1000.0, tenths(12.0 + 0.9 * n), tenths(6.0 + 0.2 * n))
 }
 
-pub(super) fn samples(from: u64, to: u64) -> Value {
+pub(crate) fn samples(from: u64, to: u64) -> Value {
     let column = |value: fn((f64, f64, f64)) -> f64| (from..to).map(|n| value(sample(n))).collect::<Vec<_>>();
     json!({
         "type": "samples", "first": from, "depth_mm": column(|s| s.0),
@@ -159,7 +159,7 @@ pub(super) fn samples(from: u64, to: u64) -> Value {
 }
 
 /// The same as one frame of the binary encoding: 3, 1 and 1 decimals.
-pub(super) fn frame(n: u32, from: u64, to: u64) -> Vec<u8> {
+pub(crate) fn frame(n: u32, from: u64, to: u64) -> Vec<u8> {
     let mut bytes = vec![0x01, 0];
     bytes.extend(u16::try_from(to - from).unwrap().to_le_bytes());
     bytes.extend(n.to_le_bytes());
@@ -176,12 +176,12 @@ pub(super) fn frame(n: u32, from: u64, to: u64) -> Vec<u8> {
     bytes
 }
 
-pub(super) fn codes(reasons: &Value) -> Vec<&str> {
+pub(crate) fn codes(reasons: &Value) -> Vec<&str> {
     reasons.as_array().unwrap().iter().map(|code| code.as_str().unwrap()).collect()
 }
 
 /// What a post of the same cycle would be.
-pub(super) fn posted(id: &str, to: u64) -> Value {
+pub(crate) fn posted(id: &str, to: u64) -> Value {
     let mut columns = samples(0, to);
     let columns = columns.as_object_mut().unwrap();
     columns.remove("type");

@@ -2,16 +2,16 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, streams, tokens, tools, wear,
+    recommendations, streams, tokens, tools, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, CycleOverrides,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, CycleOverrides, DatabaseUsage,
     IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
-    QuarantineEntry, RowNumber, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
-    Versioned, WearCheck,
+    QuarantineEntry, Round, RowNumber, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
+    Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -105,6 +105,20 @@ impl Store for Engine {
             .await?;
             Ok(())
         })
+    }
+
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round> {
+        let settings = settings.clone();
+        write!(self, |conn| watch::round(conn, &heard, &settings, now).await)
+    }
+
+    async fn usage(&self) -> StoreResult<DatabaseUsage> {
+        self.measure().await
     }
 
     async fn close(&self) {

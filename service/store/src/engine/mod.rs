@@ -18,6 +18,7 @@ mod recommendations;
 mod streams;
 mod tokens;
 mod tools;
+mod watch;
 mod wear;
 
 use super::{Conn, Db, Engine, dialect};
