@@ -84,6 +84,8 @@ enum Command {
     Check(check::Arguments),
     /// Copies everything from one database into another, checked by sums.
     Copy(copy::Arguments),
+    /// Prints the description of the machines' streams (AsyncAPI).
+    Asyncapi,
     /// Asks a running service whether it is ready; for containers.
     Healthcheck(healthcheck::Arguments),
     /// Drives a running server with a shop of simulated friction drills, and prints what became of it.
@@ -105,6 +107,7 @@ pub async fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Restore(arguments) => backup::restore(&cli.settings, arguments).await,
         Command::Check(arguments) => check::run(&cli.settings, arguments).await,
         Command::Copy(arguments) => copy::run(&cli.settings, arguments).await,
+        Command::Asyncapi => openapi::run_asyncapi(),
         Command::Healthcheck(arguments) => healthcheck::run(&cli.settings, arguments).await,
         Command::Simulate(arguments) => simulate::run(&cli.settings, arguments).await,
         Command::Twin(arguments) => twin::run(arguments).await,

@@ -22,6 +22,7 @@ pub mod retention;
 pub mod series;
 pub mod server;
 pub mod state;
+pub mod stream;
 pub mod table;
 pub mod watch;
 pub mod what_if;

@@ -84,6 +84,9 @@ pub struct Metrics {
     refused_tokens: IntCounterVec,
     alarms_open: IntGaugeVec,
     connections: IntGauge,
+    streams_open: IntGauge,
+    stream_samples: IntCounter,
+    stream_refusals: IntCounterVec,
     ready: IntGauge,
     last_round: Gauge,
     registered_machines: IntGauge,
@@ -164,6 +167,14 @@ impl Metrics {
                 "Time from the request's head to the answer's head",
                 &["route", "method"],
                 &ANSWER_SECONDS,
+            )?,
+            streams_open: new.int_gauge("feedwright_streams_open", "Open streams of machines")?,
+            stream_samples: new
+                .counter("feedwright_stream_samples_total", "Samples answered over streams")?,
+            stream_refusals: new.counters(
+                "feedwright_stream_refusals_total",
+                "Messages of streams that were refused or could not be read, by code",
+                &["code"],
             )?,
             refused_tokens: new.counters(
                 "feedwright_authentication_failures_total",
@@ -332,6 +343,21 @@ impl Metrics {
     pub(crate) fn disk(&self, size: u64, available: u64) {
         self.disk_size.with_label_values(&["data"]).set(float(size));
         self.disk_available.with_label_values(&["data"]).set(float(available));
+    }
+
+    /// Open streams.
+    pub(crate) const fn streams_open(&self) -> &IntGauge {
+        &self.streams_open
+    }
+
+    /// Counts samples that were answered.
+    pub(crate) fn stream_samples(&self, count: usize) {
+        self.stream_samples.inc_by(count as u64);
+    }
+
+    /// Counts a message that was refused; `code` is one of ours.
+    pub(crate) fn stream_refusal(&self, code: &'static str) {
+        self.stream_refusals.with_label_values(&[code]).inc();
     }
 
     /// Open connections.

@@ -85,6 +85,7 @@ impl Server {
         };
         crate::retention::start(&state);
         crate::live::start(&state);
+        crate::stream::start(&state);
         crate::watch::start(&state);
         let acceptor = Acceptor::new(state.clone());
         acceptor.accept(listener, http::router(state.clone()));

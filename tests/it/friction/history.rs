@@ -70,7 +70,10 @@ async fn the_cycles_own_feed_gives_the_cycle_back_and_a_faster_one_a_shorter_cyc
     assert_eq!(as_profile.body, answer.body, "{}", as_profile.text);
     let many = shop.post("/v1/what-if", &json!({"filter": {"machine": "F1"}, "question": profile})).await;
     assert_eq!(many.status, 200, "{}", many.text);
-    assert!(number(&many.body["predicted"]["mean_duration_s"]) < number(&many.body["happened"]["mean_duration_s"]));
+    assert!(
+        number(&many.body["predicted"]["mean_duration_s"])
+            < number(&many.body["happened"]["mean_duration_s"])
+    );
 
     let law = json!({"control": {"law": {"set_feed_drive_percent": 20, "set_spindle_percent": 20}},
                      "limits": {"spindle_percent": 40}});

@@ -160,6 +160,7 @@ fn set(
         Some(Value::Integer(_)) => {
             text.parse().map(Value::Integer).map_err(|_| "must be a whole number".to_owned())
         }
+        Some(Value::Float(_)) => text.parse().map(Value::Float).map_err(|_| "must be a number".to_owned()),
         Some(_) => Ok(Value::String(text.to_owned())),
     };
     match (leaf, parsed) {

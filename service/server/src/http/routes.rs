@@ -1,7 +1,10 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, continuity, cycles, edge, feed_profiles, friction, health, jobs, library, live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence, profile_files, profile_optimise, quarantine, recommendations, retention, samples, series, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
+    alarms, audit, calibrations, continuity, cycles, edge, feed_profiles, friction, health, jobs, library,
+    live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence, profile_files,
+    profile_optimise, quarantine, recommendations, retention, samples, series, stream, summaries, tokens,
+    tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -189,6 +192,8 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(jobs::cancel), READ),
         Route::new(routes!(friction::simulate), READ),
         Route::new(routes!(live::events), READ),
+        Route::new(routes!(stream::open), OWN),
+        Route::new(routes!(stream::overrides), READ_OR_OWN),
         Route::new(routes!(what_if::of_cycle), READ),
         Route::new(routes!(what_if::of_many), READ),
         Route::new(routes!(calibrations::fit), ENGINEER),
