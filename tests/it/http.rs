@@ -10,4 +10,6 @@ mod quarantine;
 mod registry;
 mod service;
 mod sockets;
+mod tls;
 mod tokens;
+mod traces;

@@ -20,5 +20,7 @@ mod readiness;
 pub mod replay;
 pub mod server;
 pub mod state;
+pub mod telemetry;
+pub mod tls;
 pub mod watch;
 pub mod what_if;

@@ -40,8 +40,8 @@ pub struct Telemetry {
 impl Telemetry {
     /// Begins to write lines to standard error, so that standard output holds only what was asked for, and to send
     /// traces where that is configured.
-    pub fn begin(log: &LogConfig, traces: &TracesConfig) -> anyhow::Result<Self> {
-        let provider = if traces.is_on() { Some(provider(traces)?) } else { None };
+    pub fn begin(log: &LogConfig, traces: Option<&TracesConfig>) -> anyhow::Result<Self> {
+        let provider = traces.filter(|traces| traces.is_on()).map(provider).transpose()?;
         let lines = tracing_subscriber::fmt::layer()
             .with_writer(std::io::stderr)
             .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()));

@@ -39,6 +39,7 @@ struct Round {
 }
 
 fn main() {
+    feedwright_server::tls::use_ring();
     let with_peers = std::env::args().any(|argument| argument == "--peers");
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
     let cycles = Arc::new(data::cycles(CYCLES + ALONE));
