@@ -25,7 +25,7 @@ POSTGRES = os.environ["FEEDWRIGHT_TEST_POSTGRES"]
 # Firing without a waiting time, and each from another source: an alarm, the watch's round, a counter.
 MUST_FIRE = {"FeedwrightToolWorn", "FeedwrightMachineSilent", "FeedwrightCyclesRejected",
              "FeedwrightCertificateExpiring"}
-PATIENCE_S = 90
+PATIENCE_S = 180
 
 
 def fail(why):
@@ -47,8 +47,16 @@ def get(url, token=None):
 def send(method, url, token, body):
     headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
     request = urllib.request.Request(url, json.dumps(body).encode(), headers, method=method)
-    with urllib.request.urlopen(request, timeout=30) as answer:
-        return json.loads(answer.read())
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            with urllib.request.urlopen(request, timeout=60) as answer:
+                return json.loads(answer.read())
+        except urllib.error.HTTPError as error:
+            # "Come again", as an adapter does on a busy machine.
+            if error.code != 503 or time.monotonic() > end:
+                fail(f"{method} {url}: {error.code} {error.read().decode()}")
+            time.sleep(float(error.headers.get("Retry-After", 1)))
 
 
 def wait(what, ready):
@@ -387,9 +395,10 @@ def main():
             running.append(watch.process)
             wait(lambda: "Prometheus does not scrape", lambda: watch.up() == 2)
             fleet = plant.simulate()
+            running.append(fleet)
             plant.wear_out()
             plant.refuse()
-            if fleet.wait(timeout=240):
+            if fleet.wait(timeout=400):
                 fail("the simulated fleet stopped")
             check_metrics(plant)
             check_metrics(cell)

@@ -16,7 +16,8 @@ use feedwright_store::{AlarmKind, DatabaseUsage, Round};
 use http::{Method, StatusCode};
 use machines::MachineMetrics;
 use prometheus::{
-    Gauge, GaugeVec, Histogram, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Registry, TextEncoder,
+    Gauge, GaugeVec, Histogram, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Registry,
+    TextEncoder,
 };
 use registrar::Registrar;
 use std::time::Duration;

@@ -115,7 +115,10 @@ impl Certificates {
     pub(crate) fn acceptor(self: &Arc<Self>) -> Result<TlsAcceptor, TlsError> {
         let builder = ServerConfig::builder_with_provider(self.provider.clone())
             .with_safe_default_protocol_versions()
-            .map_err(|error| TlsError::Unusable { certificate: self.files.0.clone(), why: error.to_string() })?;
+            .map_err(|error| TlsError::Unusable {
+                certificate: self.files.0.clone(),
+                why: error.to_string(),
+            })?;
         let mut config = builder.with_no_client_auth().with_cert_resolver(self.clone());
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         Ok(TlsAcceptor::from(Arc::new(config)))
@@ -178,7 +181,8 @@ fn pair(
     provider: &CryptoProvider,
 ) -> Result<Pair, TlsError> {
     // The parser's errors may quote what it read.
-    let unreadable = |path: &PathBuf, why: &str| TlsError::Unreadable { path: path.clone(), why: why.to_owned() };
+    let unreadable =
+        |path: &PathBuf, why: &str| TlsError::Unreadable { path: path.clone(), why: why.to_owned() };
     let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&contents.certificate).collect();
     let chain = chain.map_err(|_| unreadable(&files.0, "it is no PEM"))?;
     let Some(own) = chain.first() else { return Err(unreadable(&files.0, "it holds no certificate")) };

@@ -100,12 +100,7 @@ async fn connect(address: SocketAddr, trusted: &[&Identity]) -> std::io::Result<
 }
 
 /// A whole answer over a connection of its own.
-async fn ask(
-    address: SocketAddr,
-    trusted: &[&Identity],
-    path: &str,
-    head: &str,
-) -> std::io::Result<String> {
+async fn ask(address: SocketAddr, trusted: &[&Identity], path: &str, head: &str) -> std::io::Result<String> {
     let mut stream = connect(address, trusted).await?;
     let request = format!("GET {path} HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n{head}\r\n");
     stream.write_all(request.as_bytes()).await?;

@@ -104,17 +104,22 @@ async fn a_request_is_a_span_of_its_callers_trace_and_a_line_of_the_log_and_neit
     let put = client.put(format!("http://{address}/v1/machines/M1")).bearer_auth(&admin).json(&machine());
     let put = put.header("x-request-id", "cell-7").header("traceparent", format!("00-{TRACE}-{CALLER}-01"));
     let answer = put.send().await.unwrap();
-    assert_eq!((answer.status().as_u16(), &answer.headers()["x-request-id"]), (201, &"cell-7".parse().unwrap()));
+    assert_eq!(
+        (answer.status().as_u16(), &answer.headers()["x-request-id"]),
+        (201, &"cell-7".parse().unwrap())
+    );
     let cycle = json!({"cycle_id": "c1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T06:00:00Z",
                        "reported": {"energy_joules": 2000}});
-    let posted = client.post(format!("http://{address}/v1/machines/M1/cycles")).bearer_auth(&admin).json(&cycle);
+    let posted =
+        client.post(format!("http://{address}/v1/machines/M1/cycles")).bearer_auth(&admin).json(&cycle);
     assert_eq!(posted.send().await.unwrap().status().as_u16(), 201);
     let made = client.post(format!("http://{address}/v1/tokens")).bearer_auth(&admin);
     let made: Value =
         made.json(&json!({"name": "MES", "role": "viewer"})).send().await.unwrap().json().await.unwrap();
     let made = made["token"].as_str().unwrap().to_owned();
     let refused = format!("fwt_{}_{}_01234567", "0".repeat(24), "7a".repeat(32));
-    let denied = client.get(format!("http://{address}/v1/machines")).bearer_auth(&refused).send().await.unwrap();
+    let denied =
+        client.get(format!("http://{address}/v1/machines")).bearer_auth(&refused).send().await.unwrap();
     assert_eq!(denied.status().as_u16(), 401);
 
     let pid = child.id().unwrap().to_string();
