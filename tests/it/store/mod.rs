@@ -2,6 +2,8 @@
 
 pub(crate) mod given;
 
+pub(crate) use given::{Given, shop};
+
 mod alarms;
 mod alike;
 mod cycles;

@@ -11,13 +11,17 @@ mod commit;
 mod cycles;
 mod implement;
 mod machines;
+mod memory;
 mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod registry;
 mod tokens;
 mod tools;
 mod watch;
 mod wear;
+
+pub(super) use memory::Memory;
 
 use super::{Conn, Db, Engine, dialect};
