@@ -29,6 +29,8 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// Listener and its bounds.
     pub server: ServerConfig,
+    /// TLS on the API's listener.
+    pub tls: TlsConfig,
     /// The database.
     pub database: DatabaseConfig,
     /// Bounds of what is taken in and given out.
@@ -47,6 +49,8 @@ pub struct Config {
     pub live: LiveConfig,
     /// The metrics' own listener.
     pub metrics: MetricsConfig,
+    /// Traces.
+    pub traces: TracesConfig,
     /// Logging.
     pub log: LogConfig,
     /// Every leaf as it is printed, with where it came from.
@@ -95,6 +99,42 @@ impl ServerConfig {
     /// Time for a shutdown.
     pub const fn shutdown_timeout(&self) -> Duration {
         Duration::from_millis(self.shutdown_timeout_ms)
+    }
+}
+
+/// TLS on the API's listener.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsConfig {
+    /// Certificate chain, PEM; empty: plain HTTP.
+    pub certificate: PathBuf,
+    /// Private key, PEM.
+    pub key: PathBuf,
+    /// Time for a handshake, ms.
+    pub handshake_timeout_ms: u64,
+    /// Time between two looks at the files, ms.
+    pub reload_interval_ms: u64,
+}
+
+impl TlsConfig {
+    /// Whether the API speaks TLS itself: cookies are `Secure` then, and addresses begin with `https`.
+    pub fn is_on(&self) -> bool {
+        !self.certificate.as_os_str().is_empty()
+    }
+
+    /// What the API's addresses begin with.
+    pub fn scheme(&self) -> &'static str {
+        if self.is_on() { "https" } else { "http" }
+    }
+
+    /// Time for a handshake.
+    pub const fn handshake_timeout(&self) -> Duration {
+        Duration::from_millis(self.handshake_timeout_ms)
+    }
+
+    /// Time between two looks at the files.
+    pub const fn reload_interval(&self) -> Duration {
+        Duration::from_millis(self.reload_interval_ms)
     }
 }
 
@@ -406,6 +446,26 @@ pub struct MetricsConfig {
     pub listen: Option<SocketAddr>,
 }
 
+/// Traces.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TracesConfig {
+    /// The collector's address; empty: no traces.
+    pub endpoint: String,
+    /// Headers that it asks for. They hold secrets, so they print hidden.
+    #[serde(deserialize_with = "secret")]
+    pub headers: SecretString,
+    /// Share of the requests that are traced, %.
+    pub sample_percent: u32,
+}
+
+impl TracesConfig {
+    /// Whether traces are sent.
+    pub const fn is_on(&self) -> bool {
+        !self.endpoint.is_empty()
+    }
+}
+
 /// Logging.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -497,17 +557,30 @@ impl Config {
             }
         };
         let allowed = self.server.allow_plain_http_on_public_address;
-        for (path, address) in
-            [("server.listen", Some(self.server.listen)), ("metrics.listen", self.metrics.listen)]
-        {
+        for (path, address, is_tls) in [
+            ("server.listen", Some(self.server.listen), self.tls.is_on()),
+            ("metrics.listen", self.metrics.listen, false),
+        ] {
             must(
-                address.is_none_or(|address| allowed || address.ip().is_loopback()),
+                address.is_none_or(|address| allowed || is_tls || address.ip().is_loopback()),
                 path,
                 "other machines reach this address and plain HTTP would show tokens and data to the network; \
-                 listen on 127.0.0.1 or ::1, or set server.allow_plain_http_on_public_address where TLS is \
-                 ended by something in front",
+                 set tls.certificate and tls.key, or listen on 127.0.0.1 or ::1, or set \
+                 server.allow_plain_http_on_public_address where TLS is ended by something in front",
             );
         }
+        must(
+            self.tls.is_on() != self.tls.key.as_os_str().is_empty(),
+            "tls.key",
+            "certificate and key belong together: set both or neither",
+        );
+        let endpoint = &self.traces.endpoint;
+        must(
+            endpoint.is_empty() || endpoint.starts_with("http://") || endpoint.starts_with("https://"),
+            "traces.endpoint",
+            "must be empty or begin with http:// or https://",
+        );
+        must(self.traces.sample_percent <= 100, "traces.sample_percent", "0 to 100");
         for (path, url) in
             [("database.url", &self.database.url), ("database.direct_url", &self.database.direct_url)]
         {
@@ -522,6 +595,8 @@ impl Config {
             ("server.header_read_timeout_ms", self.server.header_read_timeout_ms, 600_000),
             ("server.body_stall_timeout_ms", self.server.body_stall_timeout_ms, 600_000),
             ("server.body_read_timeout_ms", self.server.body_read_timeout_ms, 3_600_000),
+            ("tls.handshake_timeout_ms", self.tls.handshake_timeout_ms, 600_000),
+            ("tls.reload_interval_ms", self.tls.reload_interval_ms, 86_400_000),
             ("server.shutdown_timeout_ms", self.server.shutdown_timeout_ms, 600_000),
             ("retention.interval_ms", self.retention.interval_ms, 366 * 86_400_000),
             ("retention.step_cycles", u64::from(self.retention.step_cycles), 10_000),

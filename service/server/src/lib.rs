@@ -24,5 +24,7 @@ pub mod server;
 pub mod state;
 pub mod stream;
 pub mod table;
+pub mod telemetry;
+pub mod tls;
 pub mod watch;
 pub mod what_if;

@@ -98,6 +98,9 @@ pub struct Metrics {
     database_wal_bytes: IntGaugeVec,
     database_connections: IntGaugeVec,
     database_max_connections: IntGauge,
+    certificate_not_after: GaugeVec,
+    certificate_reloads: IntCounterVec,
+    handshakes_failed: IntCounter,
     disk_size: GaugeVec,
     disk_available: GaugeVec,
     /// Cycles that wait for the writer.
@@ -216,6 +219,20 @@ impl Metrics {
             )?,
             database_max_connections: new
                 .int_gauge("feedwright_database_max_connections", "Most of these connections")?,
+            certificate_not_after: new.gauges(
+                "feedwright_tls_certificate_not_after_timestamp_seconds",
+                "When the certificate in force ends; absent without TLS",
+                &["listener"],
+            )?,
+            certificate_reloads: new.counters(
+                "feedwright_tls_reloads_total",
+                "Certificates that were read again, by whether they were taken over",
+                &["outcome"],
+            )?,
+            handshakes_failed: new.counter(
+                "feedwright_tls_handshake_failures_total",
+                "Connections that ended before or in the TLS handshake",
+            )?,
             disk_size: new.gauges(
                 "feedwright_disk_size_bytes",
                 "File system that holds the data directory; absent where there is none",
@@ -257,6 +274,9 @@ impl Metrics {
         }
         for reason in ["cycle_conflict", "invalid_content", "out_of_range"] {
             metrics.cycles_quarantined.with_label_values(&[reason]);
+        }
+        for outcome in ["taken_over", "failed"] {
+            metrics.certificate_reloads.with_label_values(&[outcome]);
         }
         for reason in REFUSALS {
             metrics.refused_tokens.with_label_values(&[reason]);
@@ -358,6 +378,25 @@ impl Metrics {
     /// Counts a message that was refused; `code` is one of ours.
     pub(crate) fn stream_refusal(&self, code: &'static str) {
         self.stream_refusals.with_label_values(&[code]).inc();
+    }
+
+    /// Sets when the certificate in force ends, since 1970.
+    pub(crate) fn certificate(&self, not_after: Option<Duration>) {
+        match not_after {
+            Some(end) => self.certificate_not_after.with_label_values(&["api"]).set(end.as_secs_f64()),
+            None => drop(self.certificate_not_after.remove_label_values(&["api"])),
+        }
+    }
+
+    /// Counts a certificate that was read again.
+    pub(crate) fn certificate_reloaded(&self, taken_over: bool) {
+        let outcome = if taken_over { "taken_over" } else { "failed" };
+        self.certificate_reloads.with_label_values(&[outcome]).inc();
+    }
+
+    /// Counts a connection that ended before its TLS handshake did.
+    pub(crate) fn handshake_failed(&self) {
+        self.handshakes_failed.inc();
     }
 
     /// Open connections.
