@@ -13,5 +13,7 @@ mod registry;
 mod replicas;
 mod service;
 mod sockets;
+mod tls;
 mod tokens;
+mod traces;
 mod transfers;

@@ -41,6 +41,7 @@ mod quarantine;
 mod retention;
 mod samples;
 mod series;
+mod stream;
 mod summaries;
 mod tokens;
 mod tool_events;

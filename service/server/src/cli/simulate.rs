@@ -93,10 +93,7 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     );
     let url = match &arguments.server {
         Some(url) => url.clone(),
-        None => {
-            let listen = settings.load(Vec::new())?.server.listen;
-            format!("http://{}", super::healthcheck::reachable(listen))
-        }
+        None => super::healthcheck::own_url(&settings.load(Vec::new())?),
     };
     let office = Client::new(&url, Some(arguments.token.clone()), PATIENCE)?;
     let until = match &arguments.until {

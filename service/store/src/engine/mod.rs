@@ -20,6 +20,7 @@ mod recommendations;
 mod registry;
 mod retention;
 mod series;
+mod streams;
 mod tokens;
 mod tools;
 mod verify;
