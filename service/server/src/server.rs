@@ -93,6 +93,7 @@ impl Server {
             (Some(listener), Some(asked)) => Some(address(listener, asked)?),
             _ => None,
         };
+        crate::retention::start(&state);
         crate::live::start(&state);
         crate::watch::start(&state);
         if let Some(certificates) = &certificates {

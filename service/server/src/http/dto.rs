@@ -19,6 +19,8 @@ pub mod peak_to_peak;
 pub mod plunge;
 pub mod quarantine;
 pub mod recommendation;
+pub mod retention;
+pub mod series;
 pub mod text;
 pub mod time;
 pub mod token;

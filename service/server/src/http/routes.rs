@@ -2,8 +2,8 @@
 
 use super::{
     alarms, audit, calibrations, continuity, cycles, edge, friction, health, jobs, library, live, machines,
-    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, tokens, tool_events, tools,
-    turning, viewer, wear, what_if,
+    openapi, operations, peak_to_peak, plunge, quarantine, recommendations, retention, samples, series,
+    summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -127,6 +127,8 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(machines::put), ENGINEER),
         Route::new(routes!(machines::get), READ_OR_OWN),
         Route::new(routes!(machines::list), READ),
+        Route::new(routes!(retention::put), ENGINEER),
+        Route::new(routes!(retention::get), READ),
         Route::new(routes!(calibrations::add), ENGINEER),
         Route::new(routes!(calibrations::list), READ),
         Route::new(routes!(tools::put), ENGINEER),
@@ -154,8 +156,10 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(cycles::post_cycle), OWN).takes_cycles(),
         Route::new(routes!(cycles::post_batch), OWN).takes_cycles(),
         Route::new(routes!(cycles::get_cycle), READ_OR_OWN),
-        Route::new(routes!(cycles::get_samples), READ_OR_OWN),
+        Route::new(routes!(samples::get_samples), READ_OR_OWN),
         Route::new(routes!(cycles::list_cycles), READ),
+        Route::new(routes!(summaries::get_summaries), READ),
+        Route::new(routes!(series::get_series), READ),
         Route::new(routes!(wear::get_wear), READ),
         Route::new(routes!(wear::get_history), READ),
         Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),

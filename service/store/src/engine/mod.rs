@@ -17,8 +17,11 @@ mod operations;
 mod quarantine;
 mod recommendations;
 mod registry;
+mod retention;
+mod series;
 mod tokens;
 mod tools;
+mod verify;
 mod watch;
 mod wear;
 
