@@ -24,6 +24,10 @@ no-std:
 test *ARGUMENTS:
     tests/run {{ARGUMENTS}}
 
+# pandas and pyarrow read what is served
+reading:
+    tests/reading
+
 # Deployment: lint, prometheus, package and watched, or the parts that are named
 deploy *PARTS:
     tests/deploy/run {{PARTS}}
