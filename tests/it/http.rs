@@ -2,12 +2,16 @@
 
 mod app;
 pub(crate) mod commands;
+mod feed_profiles;
 mod lists;
 mod matrix;
 mod openapi;
 mod problems;
 mod quarantine;
+mod reading;
 mod registry;
+mod replicas;
 mod service;
 mod sockets;
 mod tokens;
+mod transfers;

@@ -1,8 +1,9 @@
 //! What every handler reaches: the store, the clock, the configuration, the metrics and the life of the process.
 
-use crate::auth::FailedAuthentications;
+use crate::auth::{FailedAuthentications, KnownTokens};
 use crate::clock::Clock;
 use crate::config::Config;
+use crate::http::export::Exports;
 use crate::ingest::intake::CycleIntake;
 use crate::jobs::Jobs;
 use crate::lifecycle::Lifecycle;
@@ -36,8 +37,12 @@ pub struct Shared {
     pub live: Arc<Live>,
     /// Long computations.
     pub jobs: Jobs,
+    /// Large answers under way.
+    pub exports: Exports,
     /// Who failed to authenticate, how often.
     pub(crate) failed_authentications: FailedAuthentications,
+    /// Tokens that were good a moment ago.
+    pub(crate) known_tokens: KnownTokens,
     /// Whether the database takes writes.
     pub(crate) readiness: Readiness,
 }
@@ -71,7 +76,9 @@ impl AppState {
             lifecycle,
             live,
             jobs: Jobs::default(),
+            exports: Exports::default(),
             failed_authentications,
+            known_tokens: KnownTokens::default(),
             readiness,
         }))
     }

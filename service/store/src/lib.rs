@@ -8,6 +8,7 @@
 pub mod codec;
 mod error;
 mod fault;
+mod feed_profile;
 mod gate;
 mod history;
 mod locks;
@@ -15,12 +16,17 @@ mod notice;
 mod postgres;
 mod precondition;
 mod record;
+mod registry;
 mod rows;
+mod slot;
 mod sqlite;
 mod store;
+pub mod transfer;
+pub mod wire;
 mod work;
 
 pub use error::{StoreError, StoreResult};
+pub use feed_profile::*;
 pub use notice::{Listener, Notice, Notices};
 pub use postgres::{PostgresOptions, PostgresStore};
 pub use record::*;

@@ -1,16 +1,21 @@
 //! The trait that both engines implement.
 
 use crate::error::StoreResult;
+use crate::feed_profile::{
+    Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
+};
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage,
-    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
-    QuarantineEntry, Round, RowNumber, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
+    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, PointColumns,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
     WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
-use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
+use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::feed::choose::ActiveProfile;
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, RecommendSettings};
@@ -119,6 +124,61 @@ pub trait Store: Send + Sync + 'static {
     /// What the process of an operation needs to know, with this tool: library entry and what the edge has cut.
     async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge>;
 
+    /// Drafts a version of a feed profile: the first of a new line, the next of a line for the same operation, tool
+    /// type and wear band. The same content is kept once. `Conflict` where the line or its subject is another.
+    async fn draft_profile(
+        &self,
+        id: &ProfileId,
+        new: NewProfileVersion,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Drafted>;
+    /// Moves a feed profile along its way; `None` where the line or the version does not exist. The precondition is
+    /// on the line's revision, so that of two moves at once one is refused.
+    async fn move_profile(
+        &self,
+        id: &ProfileId,
+        what: ProfileMove,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<FeedProfile>>;
+    /// One feed profile.
+    async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>>;
+    /// Feed profiles by id.
+    async fn feed_profiles(
+        &self,
+        filter: &FeedProfileFilter,
+        page: Page<ProfileId>,
+    ) -> StoreResult<Vec<FeedProfile>>;
+    /// One version of a feed profile.
+    async fn profile_version(
+        &self,
+        id: &ProfileId,
+        version: u32,
+    ) -> StoreResult<Option<StoredProfileVersion>>;
+    /// Versions of a feed profile, oldest first.
+    async fn profile_versions(
+        &self,
+        id: &ProfileId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<StoredProfileVersion>>;
+    /// Active versions for an operation and the type of a tool.
+    async fn active_profiles(
+        &self,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Vec<ActiveProfile>>;
+    /// The last `most` cycles that ran a version, oldest first.
+    async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>>;
+    /// The last `most` cycles of an operation with tools of a type, oldest first.
+    async fn recent_cycles(
+        &self,
+        operation: &OperationId,
+        tool_type: &str,
+        most: u32,
+    ) -> StoreResult<Vec<StoredCycle>>;
+
     /// Adds a version of a machine's fitted lines (its `version` is assigned here); `None` where the machine is not
     /// registered.
     async fn add_calibration(
@@ -143,12 +203,66 @@ pub trait Store: Send + Sync + 'static {
         tool: &ToolId,
     ) -> StoreResult<Option<Surroundings>>;
 
+    /// As [`Store::surroundings`], from memory where it is there: as of a moment ago, with the generation of the
+    /// registry that it belongs to. For a [`NewCycle`], whose commit looks again.
+    async fn recent_surroundings(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Option<(Surroundings, i64)>>;
+
     /// One cycle without its samples.
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>>;
     /// One cycle's samples; `None` where there are none (any more).
     async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>>;
     /// Cycles in the order of `(started_at, machine, cycle)`.
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>>;
+
+    /// The newest cycles, in the order of `(started_at, machine, cycle)`.
+    async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>>;
+    /// What cycles amounted to, in the order of `(started_at, machine, cycle)`.
+    async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>>;
+    /// The newest of them, oldest first. Cycles that began at the same time stand in the order of their tool.
+    async fn last_points(
+        &self,
+        filter: &CycleFilter,
+        told: PointColumns,
+        limit: u32,
+    ) -> StoreResult<Vec<CyclePoint>>;
+    /// How worn a tool was after each cycle that began within `from` to `to` (exclusive), at most `limit`.
+    async fn levels(
+        &self,
+        tool: &ToolId,
+        from: Timestamp,
+        to: Timestamp,
+        limit: u32,
+    ) -> StoreResult<Vec<LevelPoint>>;
+
+    /// How long a machine's samples are kept, where that was said.
+    async fn retention(&self, machine: &MachineId) -> StoreResult<Option<Versioned<SampleRetention>>>;
+    /// Says how long a machine's samples are kept; `None` where it is not registered.
+    async fn put_retention(
+        &self,
+        machine: &MachineId,
+        retention: SampleRetention,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<PutOutcome>>;
+    /// What was decided to drop of a machine's samples, oldest decision first.
+    async fn sample_drops(&self, machine: &MachineId) -> StoreResult<Vec<SampleDrop>>;
+    /// Decides for every machine which samples are to go; `otherwise` holds where a machine has no say of its own.
+    async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>>;
+    /// Drops some of the samples that decisions name, `most` cycles in one short transaction, or one whole partition.
+    async fn drop_some(&self, most: u32, now: Timestamp) -> StoreResult<Dropped>;
+    /// Makes room for what comes: the partitions of the months ahead.
+    async fn make_room(&self, now: Timestamp) -> StoreResult<()>;
+
+    /// Checks the cycles after that key with their samples and hashes. Reads only.
+    async fn check_cycles(&self, after: Option<&(MachineId, CycleId)>, limit: u32) -> StoreResult<CheckPage>;
+    /// Checks the tables as a whole. Reads only, but all of them.
+    async fn check_tables(&self) -> StoreResult<Vec<StoreFault>>;
 
     /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;

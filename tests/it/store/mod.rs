@@ -2,12 +2,19 @@
 
 pub(crate) mod given;
 
+pub(crate) use given::{Given, shop};
+
 mod alarms;
 mod alike;
+mod citus;
 mod cycles;
+mod feed_profiles;
 mod models;
+mod operations;
 mod registry;
 mod replicas;
+mod retention;
 mod service;
+mod transfer;
 mod watch;
 mod wear;

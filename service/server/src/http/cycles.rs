@@ -2,10 +2,11 @@
 
 use super::body::{media_type, read, unsupported};
 use super::cursor::{List, Paging};
-use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost, SamplesBody};
+use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost};
 use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
+use crate::ingest::body::is_frame;
 use crate::ingest::content::{ContentError, Encoding, decompress};
 use crate::ingest::intake::{Accepted, Refused};
 use crate::state::AppState;
@@ -14,9 +15,10 @@ use axum::extract::{Request, State};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
-use feedwright_store::CycleFilter;
+use feedwright_store::{CycleFilter, wire};
 use http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use utoipa::IntoParams;
 
 /// Lines of a batch that are under way at once: about one commit's worth, so that live posts find room in between.
@@ -26,8 +28,8 @@ const BATCH_WINDOW: usize = 64;
 #[utoipa::path(
     post, path = "/v1/machines/{machine}/cycles", tag = "cycles",
     params(("machine" = String, Path, description = "The machine that ran it")),
-    request_body(content = CyclePost, content_type = "application/json",
-        description = "One cycle; `Content-Encoding: gzip` and `zstd` are accepted"),
+    request_body(content((CyclePost = "application/json"), (String = "application/vnd.feedwright.cycle")),
+        description = "One cycle, as JSON or in the binary form; `Content-Encoding: gzip` and `zstd` are accepted"),
     responses(
         (status = 201, description = "New, and durably stored", body = CycleAnswerBody),
         (status = 200, description = "The same content was stored before", body = CycleAnswerBody),
@@ -47,7 +49,7 @@ pub async fn post_cycle(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let json = decoded_body(&state, request, "application/json").await?;
+    let (_, json) = decoded_body(&state, request, "application/json").await?;
     // The client may hang up; what was taken in goes on to its commit all the same.
     let intake = state.intake.clone();
     let accepting = async move { intake.accept(&machine, json, Refused::ToQuarantine).await };
@@ -57,15 +59,16 @@ pub async fn post_cycle(
     Ok((status, Json(CycleAnswerBody::of(&accepted))).into_response())
 }
 
-/// Posts many cycles, one JSON document per line; an outcome per line is answered, in the same order.
+/// Posts many cycles, a JSON document per line or a binary frame after the other; an outcome per line is answered.
 ///
+/// Outcomes come in the order of the lines or frames.
 /// A line that fails fails alone. A machine may forget its copy of every line whose outcome is `stored`, `known` or
 /// `quarantined`.
 #[utoipa::path(
     post, path = "/v1/machines/{machine}/cycles/batch", tag = "cycles",
     params(("machine" = String, Path, description = "The machine that ran them")),
-    request_body(content = String, content_type = "application/x-ndjson",
-        description = "One cycle per line, as for a single post; gzip and zstd are accepted"),
+    request_body(content((String = "application/x-ndjson"), (String = "application/vnd.feedwright.cycle")),
+        description = "One cycle per line or frame, as for a single post; gzip and zstd are accepted"),
     responses(
         (status = 200, description = "An outcome per line, NDJSON", body = BatchOutcome,
             content_type = "application/x-ndjson"),
@@ -79,12 +82,16 @@ pub async fn post_batch(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let text = decoded_body(&state, request, "application/x-ndjson").await?;
+    let (form, body) = decoded_body(&state, request, "application/x-ndjson").await?;
     if state.store.machine(&machine).await?.is_none() {
         let detail = format!("there is no machine `{machine}`");
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
     }
-    let lines = lines_of(&text, state.config.limits.batch_lines)?;
+    let most = state.config.limits.batch_lines;
+    let lines = match form {
+        Form::Json => lines_of(&body, most)?,
+        Form::Binary => frames_of(&body, most)?,
+    };
     let mut answer = Vec::with_capacity(128 * lines.len());
     for window in lines.chunks(BATCH_WINDOW) {
         let bodies = window.iter().map(|(_, line)| line.clone()).collect();
@@ -119,26 +126,12 @@ pub async fn get_cycle(
 ) -> Result<Json<CycleBody>, Problem> {
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
-    Ok(Json((&stored).into()))
-}
-
-/// The samples of one cycle, as they were posted.
-#[utoipa::path(
-    get, path = "/v1/machines/{machine}/cycles/{cycle_id}/samples", tag = "cycles",
-    params(("machine" = String, Path, description = "Its machine"), ("cycle_id" = String, Path, description = "Its id")),
-    responses(
-        (status = 200, description = "The samples", body = SamplesBody),
-        (status = 404, description = "There is no such cycle, or no samples of it", body = ProblemDocument<'static>),
-    )
-)]
-pub async fn get_samples(
-    State(state): State<AppState>,
-    PathId(machine): PathId<MachineId>,
-    PathId(id): PathId<CycleId>,
-) -> Result<Json<SamplesBody>, Problem> {
-    let samples = state.store.cycle_samples(&machine, &id).await?;
-    let samples = samples.ok_or_else(|| Problem::not_found("cycle with samples", id.as_str()))?;
-    Ok(Json((&samples).into()))
+    let body = CycleBody::from(&stored);
+    if !stored.samples_are_gone() {
+        return Ok(Json(body));
+    }
+    let drops = state.store.sample_drops(&machine).await?;
+    Ok(Json(body.tell_drops(&stored, &drops)))
 }
 
 /// Filters of a list of cycles.
@@ -182,10 +175,22 @@ pub async fn list_cycles(
     );
     let paging = Paging::new(&state, scope, query.limit, query.cursor.as_deref())?;
     let rows = state.store.cycles(&filter, paging.page()).await?;
+    // One question per machine, and only where something is gone.
+    let mut drops = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.samples_are_gone()) {
+        let machine = &row.cycle.machine;
+        if !drops.contains_key(machine) {
+            drops.insert(machine.clone(), state.store.sample_drops(machine).await?);
+        }
+    }
+    let view = |row: feedwright_store::StoredCycle| {
+        let drops = drops.get(&row.cycle.machine).map(Vec::as_slice).unwrap_or_default();
+        CycleBody::from(&row).tell_drops(&row, drops)
+    };
     let key = |row: &feedwright_store::StoredCycle| {
         (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone())
     };
-    Ok(Json(paging.list(rows, key, |row| (&row).into())))
+    Ok(Json(paging.list(rows, key, view)))
 }
 
 impl CyclesQuery {
@@ -201,14 +206,37 @@ impl CyclesQuery {
     }
 }
 
-/// Reads a body of that media type, decompressed within its bounds.
-async fn decoded_body(state: &AppState, request: Request, kind: &'static str) -> Result<Bytes, Problem> {
-    let limits = state.config.limits;
-    let encoding = encoding_of(request.headers(), kind)?;
+/// Form of a body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    Json,
+    Binary,
+}
+
+/// Reads a body of that media type or the binary one, decompressed within its bounds.
+async fn decoded_body(
+    state: &AppState,
+    request: Request,
+    kind: &'static str,
+) -> Result<(Form, Bytes), Problem> {
+    let (form, encoding) = encoding_of(request.headers(), kind)?;
     let bytes = read(request, state).await?;
-    if encoding == Encoding::Identity {
-        return Ok(bytes);
+    let body = if encoding == Encoding::Identity { bytes } else { decoded(state, encoding, bytes).await? };
+    // The body itself says which form it has; a header that says otherwise is a mistake to be told.
+    match (form, is_frame(&body)) {
+        (Form::Binary, false) if !body.is_empty() => {
+            Err(Problem::bad_request("malformed_cycle", "the body is no cycle: it does not begin with FWC"))
+        }
+        (Form::Json, true) => Err(Problem::bad_request(
+            "malformed_json",
+            format!("the body is no JSON but binary: send it as {}", wire::MEDIA_TYPE),
+        )),
+        _ => Ok((form, body)),
     }
+}
+
+async fn decoded(state: &AppState, encoding: Encoding, bytes: Bytes) -> Result<Bytes, Problem> {
+    let limits = state.config.limits;
     let unpack = move || decompress(encoding, bytes.to_vec(), limits.decoded_bytes);
     let unpacked =
         tokio::task::spawn_blocking(unpack).await.map_err(|error| Problem::internal(error.to_string()))?;
@@ -224,18 +252,42 @@ async fn decoded_body(state: &AppState, request: Request, kind: &'static str) ->
     })
 }
 
-fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<Encoding, Problem> {
-    match (media_type(headers).as_deref(), kind) {
-        (Some(given), wanted) if given == wanted => {}
+fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encoding), Problem> {
+    let form = match (media_type(headers).as_deref(), kind) {
+        (Some(wire::MEDIA_TYPE), _) => Form::Binary,
+        (Some(given), wanted) if given == wanted => Form::Json,
         (
             Some("application/jsonl" | "application/jsonlines" | "application/ndjson"),
             "application/x-ndjson",
-        ) => {}
-        (_, "application/json") => return Err(unsupported("send a cycle as application/json")),
-        _ => return Err(unsupported("send a batch as application/x-ndjson")),
-    }
+        ) => Form::Json,
+        (_, "application/json") => {
+            return Err(unsupported("send a cycle as application/json or application/vnd.feedwright.cycle"));
+        }
+        _ => {
+            return Err(unsupported(
+                "send a batch as application/x-ndjson or application/vnd.feedwright.cycle",
+            ));
+        }
+    };
     let header = headers.get(header::CONTENT_ENCODING).map(|value| value.to_str().unwrap_or("?"));
-    Encoding::parse(header).ok_or_else(|| unsupported("the content encoding must be gzip or zstd, or none"))
+    let encoding = Encoding::parse(header)
+        .ok_or_else(|| unsupported("the content encoding must be gzip or zstd, or none"))?;
+    Ok((form, encoding))
+}
+
+/// The frames of a binary batch with their numbers. What follows a frame that is torn is part of it: it is refused with
+/// it, and its sender keeps it.
+fn frames_of(body: &Bytes, most: usize) -> Result<Vec<(usize, Bytes)>, Problem> {
+    let frames = wire::frames(body, most).ok_or_else(|| too_many(most))?;
+    Ok(frames.into_iter().enumerate().map(|(index, frame)| (index + 1, body.slice_ref(frame))).collect())
+}
+
+fn too_many(most: usize) -> Problem {
+    Problem::new(
+        StatusCode::PAYLOAD_TOO_LARGE,
+        "too_many_lines",
+        format!("a batch may hold at most {most} cycles; nothing of it was taken"),
+    )
 }
 
 /// The lines with their numbers, empty ones left out.
@@ -246,11 +298,7 @@ fn lines_of(text: &Bytes, most: usize) -> Result<Vec<(usize, Bytes)>, Problem> {
             continue;
         }
         if lines.len() == most {
-            return Err(Problem::new(
-                StatusCode::PAYLOAD_TOO_LARGE,
-                "too_many_lines",
-                format!("a batch may hold at most {most} cycles; nothing of it was taken"),
-            ));
+            return Err(too_many(most));
         }
         lines.push((index + 1, text.slice_ref(line)));
     }

@@ -3,44 +3,8 @@
 use super::{Conn, Db};
 use crate::error::StoreResult;
 use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
-use crate::rows::{CycleRow, CycleWithSamples, cycle_columns};
+use crate::rows::{CycleWithSamples, cycle_columns};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
-
-macro_rules! insert_sql {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
-        concat!(
-            "INSERT INTO cycles (", insert_sql!(@list $(stringify!($column),)*), ") VALUES (",
-            insert_sql!(@list $($placeholder,)*),
-            ") ON CONFLICT (machine_id, cycle_id) DO NOTHING"
-        )
-    };
-    (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
-}
-
-const INSERT: &str = cycle_columns!(insert_sql);
-
-/// Inserts a cycle; `false` where one of its key is stored already.
-pub(super) async fn insert(conn: &mut Conn, row: &CycleRow) -> StoreResult<bool> {
-    let query = sqlx::query::<Db>(INSERT);
-    macro_rules! bind {
-        ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(&row.$column))* };
-    }
-    let done = cycle_columns!(bind).execute(&mut *conn).await?;
-    Ok(done.rows_affected() == 1)
-}
-
-pub(super) async fn insert_samples(conn: &mut Conn, row: &CycleRow, block: &[u8]) -> StoreResult<()> {
-    sqlx::query::<Db>(
-        "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ($1, $2, $3, $4)",
-    )
-    .bind(&row.machine_id)
-    .bind(row.received_at_us)
-    .bind(&row.cycle_id)
-    .bind(block)
-    .execute(&mut *conn)
-    .await?;
-    Ok(())
-}
 
 macro_rules! select_sql {
     ($($column:ident: $type:ty = $placeholder:literal,)*) => {
@@ -157,4 +121,64 @@ pub(super) async fn list(
         .fetch_all(&mut *conn)
         .await?;
     rows.iter().map(CycleWithSamples::stored).collect()
+}
+
+/// The last cycles that ran version `$2` of profile `$1`, newest first.
+pub(super) const LAST_OF_PROFILE: &str = select!(
+    "WHERE c.profile_id = $1 AND c.profile_version = $2
+     ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $3"
+);
+
+/// The last cycles of operation `$1` with tools of type `$2`, newest first.
+pub(super) const LAST_WITH_TOOL_TYPE: &str = select!(
+    "JOIN tools t ON t.tool_id = c.tool_id WHERE c.operation_id = $1 AND t.tool_type = $2
+     ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $3"
+);
+
+macro_rules! newest {
+    ($driver:literal) => {
+        select!(
+            "WHERE ",
+            $driver,
+            " AND c.started_at_us >= $4 AND c.started_at_us < $5
+              ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $6"
+        )
+    };
+}
+
+const LAST_OF_TOOL: &str = newest!(
+    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+const LAST_OF_MACHINE: &str = newest!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+const LAST_OF_OPERATION: &str = newest!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND c.operation_id = $3"
+);
+const LAST_OF_ALL: &str = newest!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+
+/// The newest cycles, oldest of them first.
+pub(super) async fn last(conn: &mut Conn, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
+    let sql = match filter {
+        CycleFilter { tool: Some(_), .. } => LAST_OF_TOOL,
+        CycleFilter { machine: Some(_), .. } => LAST_OF_MACHINE,
+        CycleFilter { operation: Some(_), .. } => LAST_OF_OPERATION,
+        _ => LAST_OF_ALL,
+    };
+    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(sql)
+        .bind(filter.tool.as_ref().map(ToolId::as_str))
+        .bind(filter.machine.as_ref().map(MachineId::as_str))
+        .bind(filter.operation.as_ref().map(OperationId::as_str))
+        .bind(filter.from.map_or(i64::MIN, |from| from.micros()))
+        .bind(filter.to.map_or(i64::MAX, |to| to.micros()))
+        .bind(i64::from(limit))
+        .fetch_all(&mut *conn)
+        .await?;
+    rows.iter().rev().map(CycleWithSamples::stored).collect()
 }

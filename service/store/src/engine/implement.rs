@@ -1,22 +1,27 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, tokens, tools, watch, wear,
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, machines, models, operations,
+    quarantine, recommendations, registry, retention, series, tokens, tools, verify, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
+use crate::feed_profile::{
+    Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
+};
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage,
-    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
-    QuarantineEntry, Round, RowNumber, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
+    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, PointColumns,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
     WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
-use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
+use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::feed::choose::ActiveProfile;
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, RecommendSettings};
@@ -25,11 +30,27 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::sync::Arc;
 
+/// Machines that are read at a time.
+const MACHINES_PAGE: u32 = 100;
+
 /// One change in one transaction, in a task that nobody can cancel.
 macro_rules! write {
     ($engine:ident, |$conn:ident| $body:expr) => {
         $engine.write(move |$conn| Box::pin(async move { $body })).await
     };
+}
+
+/// As `write!`, of what is registered: begins the next generation, and this server forgets the one before.
+macro_rules! register {
+    ($engine:ident, |$conn:ident| $body:expr) => {{
+        let outcome = write!($engine, |$conn| {
+            let outcome = $body?;
+            registry::changed($conn).await?;
+            Ok(outcome)
+        });
+        $engine.registry().forget();
+        outcome
+    }};
 }
 
 /// Reads that belong together, in one snapshot.
@@ -51,14 +72,24 @@ impl Engine {
         let mut attempt = 1;
         loop {
             let cycles = Arc::clone(group);
-            let outcome = write!(self, |conn| commit::group(conn, &cycles, now, settings).await);
+            let registry = Arc::clone(self.registry());
+            let mut memory = self.memory().take();
+            let outcome = write!(self, |conn| {
+                let known = (&*registry, &mut memory);
+                let answers = commit::group(conn, &cycles, now, settings, known).await?;
+                Ok((answers, memory))
+            });
             match outcome {
+                Ok((answers, memory)) => {
+                    self.memory().put(memory);
+                    return Ok(answers);
+                }
                 Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))
                     if attempt < dialect::COMMIT_ATTEMPTS =>
                 {
                     attempt += 1;
                 }
-                outcome => return outcome,
+                Err(error) => return Err(error),
             }
         }
     }
@@ -141,7 +172,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| machines::put(conn, &machine, expects, &actor, now).await)
+        register!(self, |conn| machines::put(conn, &machine, expects, &actor, now).await)
     }
 
     async fn machine(&self, id: &MachineId) -> StoreResult<Option<Versioned<Machine>>> {
@@ -160,7 +191,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
+        register!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
     }
 
     async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
@@ -179,7 +210,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<StoredToolEvent>> {
         let (tool, actor) = (tool.clone(), actor.clone());
-        write!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
+        register!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
     }
 
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
@@ -194,7 +225,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
+        register!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
     }
 
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {
@@ -213,7 +244,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| models::put(conn, &model, expects, &actor, now).await)
+        register!(self, |conn| models::put(conn, &model, expects, &actor, now).await)
     }
 
     async fn model(&self, kind: ModelKind, id: &ModelId) -> StoreResult<Option<Versioned<Model>>> {
@@ -229,6 +260,78 @@ impl Store for Engine {
         snapshot!(self, |conn| models::knowledge(conn, Some(&operation), &tool).await)
     }
 
+    async fn draft_profile(
+        &self,
+        id: &ProfileId,
+        new: NewProfileVersion,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Drafted> {
+        let (id, actor) = (id.clone(), actor.clone());
+        write!(self, |conn| feed_profiles::draft(conn, &id, &new, &actor, now).await)
+    }
+
+    async fn move_profile(
+        &self,
+        id: &ProfileId,
+        what: ProfileMove,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<FeedProfile>> {
+        let (id, actor) = (id.clone(), actor.clone());
+        write!(self, |conn| feed_profiles::advance(conn, &id, what, expects, &actor, now).await)
+    }
+
+    async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>> {
+        feed_profiles::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn feed_profiles(
+        &self,
+        filter: &FeedProfileFilter,
+        page: Page<ProfileId>,
+    ) -> StoreResult<Vec<FeedProfile>> {
+        feed_profiles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn profile_version(
+        &self,
+        id: &ProfileId,
+        version: u32,
+    ) -> StoreResult<Option<StoredProfileVersion>> {
+        feed_profiles::version(&mut *self.reader().await?, id, version).await
+    }
+
+    async fn profile_versions(
+        &self,
+        id: &ProfileId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<StoredProfileVersion>> {
+        feed_profiles::versions(&mut *self.reader().await?, id, &page).await
+    }
+
+    async fn active_profiles(
+        &self,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Vec<ActiveProfile>> {
+        feed_profiles::active(&mut *self.reader().await?, operation, tool).await
+    }
+
+    async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>> {
+        feed_profiles::cycles(&mut *self.reader().await?, ran, most).await
+    }
+
+    async fn recent_cycles(
+        &self,
+        operation: &OperationId,
+        tool_type: &str,
+        most: u32,
+    ) -> StoreResult<Vec<StoredCycle>> {
+        feed_profiles::recent(&mut *self.reader().await?, operation, tool_type, most).await
+    }
+
     async fn add_calibration(
         &self,
         machine: &MachineId,
@@ -237,7 +340,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<Calibration>> {
         let (machine, actor) = (machine.clone(), actor.clone());
-        write!(self, |conn| machines::calibrate(conn, &machine, calibration, &actor, now).await)
+        register!(self, |conn| machines::calibrate(conn, &machine, calibration, &actor, now).await)
     }
 
     async fn calibrations(
@@ -258,6 +361,20 @@ impl Store for Engine {
         snapshot!(self, |conn| machines::surroundings(conn, &machine, &operation, &tool).await)
     }
 
+    async fn recent_surroundings(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Option<(Surroundings, i64)>> {
+        if let Some(known) = self.registry().around(machine, operation, tool) {
+            return Ok(Some(known));
+        }
+        let names = (machine.clone(), operation.clone(), tool.clone());
+        let registry = Arc::clone(self.registry());
+        snapshot!(self, |conn| registry::around(conn, &registry, (&names.0, &names.1, &names.2)).await)
+    }
+
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
         cycles::get(&mut *self.reader().await?, machine, id).await
     }
@@ -269,6 +386,101 @@ impl Store for Engine {
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {
         cycles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
+        cycles::last(&mut *self.reader().await?, filter, limit).await
+    }
+
+    async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>> {
+        series::points(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_points(
+        &self,
+        filter: &CycleFilter,
+        told: PointColumns,
+        limit: u32,
+    ) -> StoreResult<Vec<CyclePoint>> {
+        series::last_points(&mut *self.reader().await?, filter, told, limit).await
+    }
+
+    async fn levels(
+        &self,
+        tool: &ToolId,
+        from: Timestamp,
+        to: Timestamp,
+        limit: u32,
+    ) -> StoreResult<Vec<LevelPoint>> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| series::levels(conn, &tool, from, to, limit).await)
+    }
+
+    async fn retention(&self, machine: &MachineId) -> StoreResult<Option<Versioned<SampleRetention>>> {
+        retention::get(&mut *self.reader().await?, machine).await
+    }
+
+    async fn put_retention(
+        &self,
+        machine: &MachineId,
+        retention: SampleRetention,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<PutOutcome>> {
+        let (machine, actor) = (machine.clone(), actor.clone());
+        write!(self, |conn| retention::put(conn, &machine, retention, expects, &actor, now).await)
+    }
+
+    async fn sample_drops(&self, machine: &MachineId) -> StoreResult<Vec<SampleDrop>> {
+        retention::drops(&mut *self.reader().await?, machine).await
+    }
+
+    async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>> {
+        let (mut decided, mut after) = (Vec::new(), None);
+        loop {
+            let page = self.machines(Page { after: after.take(), limit: MACHINES_PAGE }).await?;
+            for machine in &page {
+                let id = machine.value.id.clone();
+                let horizon = snapshot!(self, |conn| {
+                    let said = retention::get(conn, &id).await?;
+                    let kept = said.map_or(otherwise, |said| said.value);
+                    retention::horizon(conn, &id, kept, now).await
+                })?;
+                let id = machine.value.id.clone();
+                if let Some((before, reason)) = horizon {
+                    let made = write!(self, |conn| retention::decide(conn, &id, before, reason, now).await)?;
+                    decided.extend(made);
+                }
+            }
+            match page.last() {
+                Some(last) if page.len() == MACHINES_PAGE as usize => after = Some(last.value.id.clone()),
+                _ => return Ok(decided),
+            }
+        }
+    }
+
+    async fn drop_some(&self, most: u32, now: Timestamp) -> StoreResult<Dropped> {
+        let whole = write!(self, |conn| retention::drop_partition(conn, now).await)?;
+        if whole.more {
+            return Ok(whole);
+        }
+        let dropped = write!(self, |conn| retention::delete_some(conn, most).await)?;
+        let freed = self.give_back().await?;
+        Ok(Dropped { more: dropped.more || freed, ..dropped })
+    }
+
+    async fn make_room(&self, now: Timestamp) -> StoreResult<()> {
+        write!(self, |conn| dialect::make_room(conn, now).await)
+    }
+
+    async fn check_cycles(&self, after: Option<&(MachineId, CycleId)>, limit: u32) -> StoreResult<CheckPage> {
+        let (after, max_samples) = (after.cloned(), self.max_samples());
+        snapshot!(self, |conn| verify::page(conn, after.as_ref(), limit, max_samples).await)
+    }
+
+    async fn check_tables(&self) -> StoreResult<Vec<StoreFault>> {
+        snapshot!(self, |conn| verify::tables(conn).await)
     }
 
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {
@@ -287,7 +499,7 @@ impl Store for Engine {
             };
             let tool = next.clone();
             let (rows, different) = if repair {
-                write!(self, |conn| check::tool(conn, &tool, true).await)?
+                register!(self, |conn| check::tool(conn, &tool, true).await)?
             } else {
                 snapshot!(self, |conn| check::tool(conn, &tool, false).await)?
             };

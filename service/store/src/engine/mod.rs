@@ -9,15 +9,23 @@ mod audit;
 mod check;
 mod commit;
 mod cycles;
+mod feed_profiles;
 mod implement;
 mod machines;
+mod memory;
 mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod registry;
+mod retention;
+mod series;
 mod tokens;
 mod tools;
+mod verify;
 mod watch;
 mod wear;
+
+pub(super) use memory::Memory;
 
 use super::{Conn, Db, Engine, dialect};
