@@ -9,5 +9,6 @@ mod problems;
 mod quarantine;
 mod registry;
 mod service;
+mod sessions;
 mod sockets;
 mod tokens;

@@ -4,6 +4,7 @@ mod advice;
 mod cut;
 mod cycle;
 mod facts;
+mod fleet;
 mod library;
 mod registry;
 mod service;
@@ -12,6 +13,7 @@ pub(crate) use advice::ProcessAdviceBody;
 pub(crate) use cut::{CutRow, EdgeCycleRow};
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
+pub(crate) use fleet::FleetCycleRow;
 pub(crate) use library::{ModelRow, content_json, setup_json};
 pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,

@@ -2,9 +2,9 @@
 
 use crate::error::StoreResult;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
-    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, FleetRow, IssuedRecommendation,
+    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
+    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
@@ -32,6 +32,13 @@ pub trait Store: Send + Sync + 'static {
 
     /// Proves that the database takes writes, by one.
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
+
+    /// The fleet at a glance: machines by id, each with its newest `recent` cycles, the verdict on the tool it ran last
+    /// and its open alarms, all of one moment.
+    async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>>;
+
+    /// One machine of the fleet; `None` where it is not registered.
+    async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>>;
 
     /// Ends after everything handed in is committed; later calls fail.
     async fn close(&self);
@@ -189,4 +196,11 @@ pub trait Store: Send + Sync + 'static {
     /// Revokes a token; `None` where there is none of that id.
     async fn revoke_token(&self, id: &str, actor: &Actor, now: Timestamp)
     -> StoreResult<Option<TokenRecord>>;
+
+    /// Keeps a browser's session; of one token at most `most` are kept, the newest.
+    async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()>;
+    /// The session of that hash with its token, over or not, revoked or not.
+    async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>>;
+    /// Ends a session; `false` where there is none of that hash.
+    async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool>;
 }

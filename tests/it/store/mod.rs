@@ -1,5 +1,6 @@
 //! Stories of the store, each told to both engines.
 
+mod fleet;
 mod given;
 
 mod alarms;

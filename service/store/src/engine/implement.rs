@@ -1,15 +1,15 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, tokens, tools, wear,
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, fleet, machines, models, operations,
+    quarantine, recommendations, sessions, tokens, tools, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, IssuedRecommendation, Model,
-    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, FleetRow, IssuedRecommendation,
+    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
+    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -103,6 +103,15 @@ impl Store for Engine {
             .await?;
             Ok(())
         })
+    }
+
+    async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>> {
+        snapshot!(self, |conn| fleet::list(conn, &page, recent).await)
+    }
+
+    async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>> {
+        let machine = machine.clone();
+        snapshot!(self, |conn| fleet::one(conn, &machine, recent).await)
     }
 
     async fn close(&self) {
@@ -355,5 +364,19 @@ impl Store for Engine {
     ) -> StoreResult<Option<TokenRecord>> {
         let (id, actor) = (id.to_owned(), actor.clone());
         write!(self, |conn| tokens::revoke(conn, &id, &actor, now).await)
+    }
+
+    async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()> {
+        let actor = actor.clone();
+        write!(self, |conn| sessions::begin(conn, &session, most, &actor).await)
+    }
+
+    async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>> {
+        sessions::by_hash(&mut *self.reader().await?, hash).await
+    }
+
+    async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool> {
+        let (hash, actor) = (*hash, actor.clone());
+        write!(self, |conn| sessions::end(conn, &hash, &actor, now).await)
     }
 }
