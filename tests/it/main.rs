@@ -4,6 +4,7 @@
 
 mod friction;
 mod http;
+mod live;
 mod processes;
 mod recordings;
 mod shop;

@@ -33,6 +33,8 @@ pub struct Config {
     pub quarantine: QuarantineConfig,
     /// How long recommendations and data stay good.
     pub recommendation: RecommendationConfig,
+    /// The live view.
+    pub live: LiveConfig,
     /// The metrics' own listener.
     pub metrics: MetricsConfig,
     /// Logging.
@@ -171,6 +173,27 @@ impl RecommendationConfig {
     }
 }
 
+/// The live view.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LiveConfig {
+    /// Readers at a time.
+    pub readers: usize,
+    /// Events kept for readers that come back.
+    pub history_events: usize,
+    /// A comment is sent where nothing else was for so long, ms.
+    pub heartbeat_ms: u64,
+    /// A running cycle's samples are shown at most so often, ms.
+    pub sample_interval_ms: u64,
+}
+
+impl LiveConfig {
+    /// A comment is sent where nothing else was for so long.
+    pub const fn heartbeat(&self) -> Duration {
+        Duration::from_millis(self.heartbeat_ms)
+    }
+}
+
 /// The metrics' own listener.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -279,6 +302,8 @@ impl Config {
             ("server.body_stall_timeout_ms", self.server.body_stall_timeout_ms, 600_000),
             ("server.body_read_timeout_ms", self.server.body_read_timeout_ms, 3_600_000),
             ("server.shutdown_timeout_ms", self.server.shutdown_timeout_ms, 600_000),
+            ("live.heartbeat_ms", self.live.heartbeat_ms, 600_000),
+            ("live.sample_interval_ms", self.live.sample_interval_ms, 60_000),
             ("quarantine.entries", self.quarantine.entries, 10_000_000),
             ("quarantine.bytes", self.quarantine.bytes, 1 << 40),
             ("recommendation.validity_ms", self.recommendation.validity_ms.max(0).unsigned_abs(), 86_400_000),
@@ -299,6 +324,8 @@ impl Config {
             ("limits.queue_length", self.limits.queue_length, 1_000_000),
             ("limits.group_size", self.limits.group_size, 10_000),
             ("limits.metric_machines", self.limits.metric_machines, 10_000),
+            ("live.readers", self.live.readers, 10_000),
+            ("live.history_events", self.live.history_events, 1_000_000),
         ] {
             must((1..=most).contains(&value), path, &format!("1 to {most}"));
         }

@@ -28,6 +28,8 @@ mod friction;
 mod health;
 mod jobs;
 mod library;
+mod life;
+mod live;
 mod machines;
 mod operations;
 mod peak_to_peak;

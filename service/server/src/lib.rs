@@ -15,6 +15,7 @@ pub mod http;
 pub mod ingest;
 pub mod jobs;
 pub mod lifecycle;
+pub mod live;
 pub mod metrics;
 mod readiness;
 pub mod replay;

@@ -83,6 +83,7 @@ impl Server {
             (Some(listener), Some(asked)) => Some(address(listener, asked)?),
             _ => None,
         };
+        crate::live::start(&state);
         let acceptor = Acceptor::new(state.clone());
         acceptor.accept(listener, http::router(state.clone()));
         if let Some(listener) = metrics_listener {

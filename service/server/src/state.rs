@@ -6,6 +6,7 @@ use crate::config::Config;
 use crate::ingest::intake::CycleIntake;
 use crate::jobs::Jobs;
 use crate::lifecycle::Lifecycle;
+use crate::live::Live;
 use crate::metrics::Metrics;
 use crate::readiness::Readiness;
 use feedwright_store::{Store, StoreError, StoreResult};
@@ -31,6 +32,8 @@ pub struct Shared {
     pub intake: Arc<CycleIntake>,
     /// Tasks that outlive their request, and the state of the process.
     pub lifecycle: Lifecycle,
+    /// What is shown to those who watch.
+    pub live: Arc<Live>,
     /// Long computations.
     pub jobs: Jobs,
     /// Who failed to authenticate, how often.
@@ -58,6 +61,7 @@ impl AppState {
     ) -> Self {
         let failed_authentications = FailedAuthentications::new(config.server.failed_auth_per_minute);
         let readiness = Readiness::default();
+        let live = intake.live().clone();
         Self(Arc::new(Shared {
             config,
             store,
@@ -65,6 +69,7 @@ impl AppState {
             metrics,
             intake,
             lifecycle,
+            live,
             jobs: Jobs::default(),
             failed_authentications,
             readiness,

@@ -11,6 +11,7 @@ mod fault;
 mod gate;
 mod history;
 mod locks;
+mod notice;
 mod postgres;
 mod precondition;
 mod record;
@@ -20,6 +21,7 @@ mod store;
 mod work;
 
 pub use error::{StoreError, StoreResult};
+pub use notice::{Listener, Notice, Notices};
 pub use postgres::{PostgresOptions, PostgresStore};
 pub use record::*;
 pub use sqlite::{SqliteOptions, SqliteStore};

@@ -8,6 +8,7 @@ mod dialect;
 #[path = "engine/mod.rs"]
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
+mod notice;
 mod open;
 
 pub use open::PostgresOptions;
@@ -19,6 +20,7 @@ use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use sqlx::PgPool;
 use sqlx::pool::PoolConnection;
+use sqlx::postgres::PgConnectOptions;
 use std::sync::Arc;
 
 type Db = sqlx::Postgres;
@@ -41,6 +43,8 @@ pub struct PostgresStore {
 #[derive(Debug)]
 struct Inner {
     pool: PgPool,
+    /// The server itself, past any pooler.
+    direct: PgConnectOptions,
     gate: Gate,
     max_samples: usize,
 }
@@ -60,6 +64,10 @@ impl PostgresStore {
             })
         })
         .await
+    }
+
+    fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {
+        Some(Arc::new(notice::Direct(self.inner.direct.clone())))
     }
 
     fn max_samples(&self) -> usize {

@@ -10,7 +10,7 @@ use feedwright_core::summary::{CycleSummary, EnergyBasis};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Strategy, Timestamp};
-use feedwright_core::wear::Verdict;
+use feedwright_core::wear::{CycleFacts, Exclusion, Verdict};
 use std::sync::Arc;
 
 /// A value with the version that its ETag names, counted from 1.
@@ -228,6 +228,26 @@ pub struct FleetCycle {
     pub energy: Option<(EnergyBasis, f64)>,
     /// Fingerprint of the ratings and fitted lines that it rests on: energies of another do not compare.
     pub energy_scale: i64,
+}
+
+/// The cycles of a tool's current life, each with what became of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ToolLife {
+    /// The verdict after all of them.
+    pub verdict: Verdict,
+    /// Cycles of this life that came before the first one here.
+    pub before: u64,
+    /// The newest cycles, in the order of the fold.
+    pub cycles: Vec<LifeCycle>,
+}
+
+/// A cycle as the fold saw it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LifeCycle {
+    /// What the fold needed of it.
+    pub facts: CycleFacts,
+    /// Why it was not counted; `None` for a counted cycle and for one that later cycles have yet to settle.
+    pub excluded: Option<Exclusion>,
 }
 
 /// Hash over the canonical decoded content of a cycle .

@@ -50,6 +50,16 @@ impl SqliteStore {
         self.inner.checkpoints.wal_pages()
     }
 
+    /// Nobody else serves this file.
+    #[expect(clippy::unused_async, reason = "the other engine's waits for its server")]
+    async fn tell(&self, _text: &str) -> StoreResult<()> {
+        Ok(())
+    }
+
+    fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {
+        None
+    }
+
     fn max_samples(&self) -> usize {
         self.inner.max_samples
     }

@@ -1,10 +1,11 @@
 //! The trait that both engines implement.
 
 use crate::error::StoreResult;
+use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, FleetRow, IssuedRecommendation,
     Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, ToolLife, Versioned, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
@@ -15,6 +16,7 @@ use feedwright_core::recommend::{Knowledge, RecommendSettings};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
+use std::sync::Arc;
 
 /// The store. Every method that changes something returns after its durable commit, and writes its audit line
 /// in the same transaction. Futures of mutating methods must not be dropped half-way: callers spawn them.
@@ -42,6 +44,11 @@ pub trait Store: Send + Sync + 'static {
 
     /// Ends after everything handed in is committed; later calls fail.
     async fn close(&self);
+
+    /// Tells the other servers on this database; no change, and lost where nobody listens. At most 7 999 bytes.
+    async fn notify(&self, text: &str) -> StoreResult<()>;
+    /// Where to listen to the other servers; `None` where the store is one server's alone.
+    fn notices(&self) -> Option<Arc<dyn Notices>>;
 
     /// Registers or changes a machine.
     async fn put_machine(
@@ -140,6 +147,8 @@ pub trait Store: Send + Sync + 'static {
 
     /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
+    /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
+    async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair`.
     async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck>;
 

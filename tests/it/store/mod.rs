@@ -1,7 +1,7 @@
 //! Stories of the store, each told to both engines.
 
 mod fleet;
-mod given;
+pub(crate) mod given;
 
 mod alarms;
 mod alike;

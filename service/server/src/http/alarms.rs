@@ -76,5 +76,6 @@ async fn open_overloads(state: &AppState, machine: MachineId) -> Result<Vec<RowN
 async fn acknowledge_one(state: &AppState, caller: &Caller, id: RowNumber) -> Result<Alarm, Problem> {
     let (actor, now) = (caller.actor(), state.clock.now());
     let alarm = state.commit(|store| async move { store.acknowledge_alarm(id, &actor, now).await }).await?;
+    state.live.alarms_may_have_changed();
     alarm.ok_or_else(|| Problem::not_found("alarm", &id.to_string()))
 }

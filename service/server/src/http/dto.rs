@@ -14,6 +14,7 @@ pub mod fleet;
 pub mod friction;
 pub mod job;
 pub mod library;
+pub mod life;
 pub mod machine;
 pub mod mirror;
 pub mod operation;

@@ -2,7 +2,7 @@
 
 use super::{
     alarms, audit, calibrations, continuity, course, cycles, edge, fleet, friction, health, jobs, library,
-    machines, openapi, operations, peak_to_peak, plunge, quarantine, recommendations, session, tokens,
+    life, live, machines, openapi, operations, peak_to_peak, plunge, quarantine, recommendations, session, tokens,
     tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
@@ -175,6 +175,7 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(course::get), READ_OR_OWN),
         Route::new(routes!(wear::get_wear), READ),
         Route::new(routes!(wear::get_history), READ),
+        Route::new(routes!(life::get), READ),
         Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
         Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
         Route::new(routes!(library::put_turning), ENGINEER),
@@ -199,6 +200,7 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(jobs::get), READ),
         Route::new(routes!(jobs::cancel), READ),
         Route::new(routes!(friction::simulate), READ),
+        Route::new(routes!(live::events), READ),
         Route::new(routes!(what_if::of_cycle), READ),
         Route::new(routes!(what_if::of_many), READ),
         Route::new(routes!(calibrations::fit), ENGINEER),

@@ -6,6 +6,7 @@ use crate::clock::Clock;
 use crate::config::Config;
 use crate::http::problem::Problem;
 use crate::lifecycle::Lifecycle;
+use crate::live::{Event, Live};
 use crate::metrics::{CycleOutcome, Metrics};
 use bytes::Bytes;
 use feedwright_core::cycle::{Cycle, Flag};
@@ -55,6 +56,7 @@ pub struct CycleIntake {
     store: Arc<dyn Store>,
     clock: Clock,
     metrics: Arc<Metrics>,
+    live: Arc<Live>,
     max_samples: usize,
     bounds: QuarantineBounds,
     writer: RwLock<Option<WriterHandle>>,
@@ -98,11 +100,17 @@ impl CycleIntake {
             store: store.clone(),
             clock: clock.clone(),
             metrics: metrics.clone(),
+            live: Live::new(&config.live),
             max_samples: config.limits.samples_per_cycle,
             bounds: config.quarantine.bounds(),
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
         }
+    }
+
+    /// The view that is told of every cycle stored here.
+    pub(crate) const fn live(&self) -> &Arc<Live> {
+        &self.live
     }
 
     /// Everything before the queue: reading, summary, blocks and hash.
@@ -181,9 +189,10 @@ impl CycleIntake {
     }
 
     fn observe(&self, result: &Result<Accepted, Problem>) {
-        let Accepted { cycle, new, answer } = match result {
+        let accepted = match result {
             Ok(accepted) => accepted,
             Err(problem) if problem.members.contains_key("quarantine_id") => {
+                self.live.alarms_may_have_changed();
                 self.metrics.cycle(CycleOutcome::Quarantined);
                 return;
             }
@@ -192,12 +201,15 @@ impl CycleIntake {
                 return;
             }
         };
+        let Accepted { cycle, new, answer } = accepted;
         self.metrics.recommendation(answer.recommendation.recommendation.action);
         if !new {
             self.metrics.cycle(CycleOutcome::Duplicate);
             return;
         }
         self.metrics.cycle(CycleOutcome::Accepted);
+        self.live.publish(Event::cycle(accepted));
+        self.live.alarms_may_have_changed();
         if let Some(energy) = answer.summary.best_energy() {
             let process = cycle.process.or(answer.recommendation.recommendation.process);
             self.metrics.cycle_energy(process, energy.total_joules);

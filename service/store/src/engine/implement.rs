@@ -1,15 +1,16 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, fleet, machines, models, operations,
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, fleet, life, machines, models, operations,
     quarantine, recommendations, sessions, tokens, tools, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
+use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, FleetRow, IssuedRecommendation,
     Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned, WearCheck,
+    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, ToolLife, Versioned, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -116,6 +117,14 @@ impl Store for Engine {
 
     async fn close(&self) {
         self.shut().await;
+    }
+
+    async fn notify(&self, text: &str) -> StoreResult<()> {
+        self.tell(text).await
+    }
+
+    fn notices(&self) -> Option<Arc<dyn Notices>> {
+        self.ears()
     }
 
     async fn put_machine(
@@ -259,6 +268,11 @@ impl Store for Engine {
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {
         let tool = tool.clone();
         snapshot!(self, |conn| wear::verdict(conn, &tool).await)
+    }
+
+    async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| life::of(conn, &tool, most).await)
     }
 
     async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck> {

@@ -11,6 +11,7 @@ mod commit;
 mod cycles;
 mod fleet;
 mod implement;
+mod life;
 mod machines;
 mod models;
 mod operations;

@@ -42,7 +42,7 @@ impl PostgresStore {
     /// Connects to the database at `url`, refuses one that cannot be written durably, and migrates it under a lock.
     pub async fn open(url: &str, options: PostgresOptions) -> StoreResult<Self> {
         let direct: PgConnectOptions = options.direct.as_deref().unwrap_or(url).parse()?;
-        let mut migrating = direct.application_name("feedwright migrations").connect().await?;
+        let mut migrating = direct.clone().application_name("feedwright migrations").connect().await?;
         assert_durable(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
         MIGRATIONS.run(&mut migrating).await.map_err(|error| StoreError::Database(Box::new(error)))?;
@@ -66,7 +66,8 @@ impl PostgresStore {
         let mut conn = pool.acquire().await?;
         assert_durable(&mut conn).await?;
         drop(conn);
-        Ok(Self { inner: Arc::new(Inner { pool, gate: Gate::default(), max_samples: options.max_samples }) })
+        let gate = Gate::default();
+        Ok(Self { inner: Arc::new(Inner { pool, direct, gate, max_samples: options.max_samples }) })
     }
 }
 

@@ -54,15 +54,14 @@ export const may = (who, route) => who.may.includes(route);
 
 /** A long computation answers 202 with a job: waits for it, and gives what it found. */
 export async function computed(path, body, { signal, progress } = {}) {
-  let answer = await ask("POST", path, { body, signal });
-  while (answer.status === 202) {
-    const job = answer.body;
-    const seen = await ask("GET", `/v1/jobs/${job.id}`, { signal });
-    if (seen.body.state === "failed" || seen.body.state === "cancelled") throw new ApiError(500, { code: seen.body.state, detail: seen.body.state });
-    progress?.(seen.body);
-    if (seen.body.state !== "done") await new Promise((wake) => setTimeout(wake, 250));
-    answer = await ask("POST", path, { body, signal });
+  const answer = await ask("POST", path, { body, signal });
+  if (answer.status !== 202) return answer.body;
+  for (;;) {
+    const job = await get(`/v1/jobs/${answer.body.id}`, { signal });
+    if (job.state === "done") return job.result;
+    if (job.state === "failed" || job.state === "cancelled") throw new ApiError(500, { code: job.state, detail: job.state });
+    progress?.(job);
+    await new Promise((wake) => setTimeout(wake, 300));
   }
-  return answer.body;
 }
 export const segment = encodeURIComponent;

@@ -141,7 +141,7 @@ function draw(u, c, row, stages) {
     limit(u, c, set, `L_set ${num(set, set % 1 ? 1 : 0)}${NB}%`, { shift: close ? (other > set ? 8 : -8) : 0 });
     if (other != null) limit(u, c, other, t("cycle.whatIfLimit", { value: `${num(other, other % 1 ? 1 : 0)}${NB}%` }), { color: "--sig-reference", shift: close ? (other > set ? -8 : 8) : 0 });
     for (const one of mine) {
-      const middleX = X(u, (placeX(one.from) + placeX(one.to)) / 2), top = Y(u, set) - 14 * k, seconds = (one.to.time_ms - one.from.time_ms) / 1000;
+      const middleX = X(u, (placeX(one.from) + placeX(one.to)) / 2), top = Math.max(u.bbox.top + 11 * k, Math.min(Y(u, set) - 14 * k, Y(u, one.highest_percent) - 4 * k)), seconds = (one.to.time_ms - one.from.time_ms) / 1000;
       if (middleX < u.bbox.left || middleX > u.bbox.left + u.bbox.width) continue;
       c.fillStyle = token("--act"); c.beginPath(); c.moveTo(middleX - 4.5 * k, top - 7 * k); c.lineTo(middleX + 4.5 * k, top - 7 * k); c.lineTo(middleX, top); c.closePath(); c.fill();
       c.font = `600 ${12 * k}px ${FONT}`; c.textAlign = "left"; c.textBaseline = "middle";

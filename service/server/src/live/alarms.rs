@@ -1,0 +1,80 @@
+//! Alarms as they come and go: the open ones, compared with those that were open before.
+//!
+//! Alarms are raised and cleared in the store's transactions, by any server and by the command line. So they are not
+//! told by who raised them but found by looking, at once when something may have changed and now and then anyway.
+
+use super::event::Event;
+use crate::state::AppState;
+use feedwright_store::{Alarm, AlarmFilter, Page, StoreResult};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::time::{Instant, sleep_until, timeout};
+
+/// Looks at most so often.
+const LEAST_INTERVAL: Duration = Duration::from_millis(200);
+/// Looks at least so often: other servers and commands raise alarms too.
+const MOST_INTERVAL: Duration = Duration::from_secs(5);
+/// Open alarms read at a time.
+const PAGE: u32 = 1000;
+/// Open alarms that are followed; a shop with more knows that there are many.
+const MOST: usize = 10_000;
+
+type Open = BTreeMap<i64, Alarm>;
+
+/// Watches until the server stops.
+pub(super) async fn watch(state: AppState) {
+    let mut shown: Option<Open> = None;
+    loop {
+        let looked = Instant::now();
+        // A task that no select drops half-way; a failure is the store's to report, the next look finds the same.
+        match open(&state).await {
+            Ok(open) => {
+                if let Some(shown) = &shown {
+                    tell(&state, shown, &open);
+                }
+                shown = Some(open);
+            }
+            Err(error) => tracing::debug!(%error, "open alarms cannot be read"),
+        }
+        let due = async {
+            // The deadline bounds how long a change waits when nobody says that there is one.
+            let _ = timeout(MOST_INTERVAL, state.live.alarms_due.notified()).await;
+            sleep_until(looked + LEAST_INTERVAL).await;
+        };
+        tokio::select! {
+            () = due => {}
+            () = state.lifecycle.stopping() => return,
+        }
+    }
+}
+
+async fn open(state: &AppState) -> StoreResult<Open> {
+    let filter = AlarmFilter { open: Some(true), ..AlarmFilter::default() };
+    let mut found = Open::new();
+    let mut after = None;
+    while found.len() < MOST {
+        let page = state.store.alarms(&filter, Page { after, limit: PAGE }).await?;
+        let Some(last) = page.last() else { break };
+        after = Some(last.id);
+        found.extend(page.into_iter().map(|alarm| (alarm.id, alarm)));
+    }
+    Ok(found)
+}
+
+fn tell(state: &AppState, before: &Open, now: &Open) {
+    // Each server looks by itself: nothing here is told to the others.
+    for (id, alarm) in now {
+        match before.get(id) {
+            None => state.live.show(Event::alarm("raised", alarm.clone())),
+            Some(known) if known.acknowledged.is_none() && alarm.acknowledged.is_some() => {
+                state.live.show(Event::alarm("acknowledged", alarm.clone()));
+            }
+            Some(_) => {}
+        }
+    }
+    for (id, alarm) in before {
+        if !now.contains_key(id) {
+            state.live.show(Event::alarm_cleared(alarm));
+        }
+    }
+}

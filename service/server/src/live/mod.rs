@@ -1,0 +1,136 @@
+//! What happens now, for people who watch: machines, cycles and alarms, in a sequence that a reader can resume.
+//!
+//! Everything that is published gets the next number and stands in a bounded history. A reader has a position in it
+//! and nothing else: one that is too slow falls out of the history and is told the gap; it costs nobody else anything.
+//! Samples of running cycles are shown thinned and have no number: they are gone when they are gone.
+//! Servers on one PostgreSQL tell each other ([`replicas`]); each numbers what it shows by itself, so a position of
+//! another server, or of this one before its restart, is answered by a gap. What is decided never comes from here.
+
+mod alarms;
+mod event;
+mod history;
+mod reader;
+mod replicas;
+
+pub use event::{Event, Kind, MachineState};
+pub use reader::{Position, Reader};
+
+use crate::config::LiveConfig;
+use crate::state::AppState;
+use history::{History, Shown};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, broadcast, mpsc, watch};
+
+/// Samples of running cycles that wait for one reader; thinned to a few a second, this is many seconds.
+const SAMPLES_KEPT: usize = 256;
+/// Events that wait to be told to other servers.
+const OUTBOX: usize = 1024;
+/// Machines whose present state is remembered; a plant has hundreds.
+const MOST_MACHINES: usize = 10_000;
+
+/// The live view of one server.
+pub struct Live {
+    config: LiveConfig,
+    /// Names this run of the server in positions.
+    boot: String,
+    history: Mutex<History>,
+    newest: watch::Sender<u64>,
+    samples: broadcast::Sender<Arc<Shown>>,
+    machines: Mutex<BTreeMap<String, serde_json::Value>>,
+    outbox: mpsc::Sender<Event>,
+    outgoing: Mutex<Option<mpsc::Receiver<Event>>>,
+    /// Whether there are other servers that might want to know.
+    told: std::sync::atomic::AtomicBool,
+    untold: AtomicU64,
+    alarms_due: Notify,
+    readers: Arc<Semaphore>,
+}
+
+impl Live {
+    /// A view that nobody has told anything yet.
+    pub fn new(config: &LiveConfig) -> Arc<Self> {
+        let (outbox, outgoing) = mpsc::channel(OUTBOX);
+        Arc::new(Self {
+            config: *config,
+            boot: uuid::Uuid::now_v7().simple().to_string(),
+            history: Mutex::new(History::new(config.history_events)),
+            newest: watch::channel(0).0,
+            samples: broadcast::channel(SAMPLES_KEPT).0,
+            machines: Mutex::default(),
+            outbox,
+            outgoing: Mutex::new(Some(outgoing)),
+            told: false.into(),
+            untold: AtomicU64::new(0),
+            alarms_due: Notify::new(),
+            readers: Arc::new(Semaphore::new(config.readers)),
+        })
+    }
+
+    /// The bounds it was made with.
+    pub const fn config(&self) -> &LiveConfig {
+        &self.config
+    }
+
+    /// Shows an event to the readers of this server and of the others.
+    pub fn publish(&self, event: Event) {
+        if self.told.load(Ordering::Relaxed) && self.outbox.try_send(event.clone()).is_err() {
+            self.untold.fetch_add(1, Ordering::Relaxed);
+        }
+        self.show(event);
+    }
+
+    /// Shows an event to the readers of this server.
+    fn show(&self, event: Event) {
+        if event.kind == Kind::Sample {
+            // Fails where nobody watches.
+            let _ = self.samples.send(Arc::new(Shown { number: None, event }));
+            return;
+        }
+        if event.kind == Kind::Machine {
+            self.remember(&event);
+        }
+        let mut history = self.history.lock().unwrap_or_else(PoisonError::into_inner);
+        let number = history.add(event);
+        self.newest.send_replace(number);
+    }
+
+    fn remember(&self, event: &Event) {
+        let Some(machine) = &event.machine else { return };
+        let mut machines = self.machines.lock().unwrap_or_else(PoisonError::into_inner);
+        if event.data["state"] == MachineState::Disconnected.as_str() {
+            machines.remove(machine);
+        } else if machines.contains_key(machine) || machines.len() < MOST_MACHINES {
+            machines.insert(machine.clone(), event.data.clone());
+        }
+    }
+
+    /// The machines that are connected now, by their last event.
+    fn machines(&self) -> Vec<serde_json::Value> {
+        self.machines.lock().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
+    }
+
+    /// Whether somebody watches samples: otherwise none need be thinned and shown.
+    pub fn samples_are_watched(&self) -> bool {
+        self.samples.receiver_count() > 0 || self.told.load(Ordering::Relaxed)
+    }
+
+    /// Has the open alarms compared with those that were shown, soon.
+    pub fn alarms_may_have_changed(&self) {
+        self.alarms_due.notify_one();
+    }
+
+    /// A place for one more reader; `None` where all are taken.
+    fn place(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.readers).try_acquire_owned().ok()
+    }
+}
+
+/// Begins to watch alarms, and to tell and to listen to other servers.
+pub fn start(state: &AppState) {
+    let watching = alarms::watch(state.clone());
+    state.lifecycle.spawn(watching);
+    let linked = replicas::link(state.clone());
+    state.lifecycle.spawn(linked);
+}

@@ -1,0 +1,151 @@
+//! Servers on one PostgreSQL tell each other what they show.
+//!
+//! Notifications go out in groups, on a connection of their own and outside every transaction that stores cycles:
+//! they would serialise its commits. What does not fit or is not delivered shows as a gap, never as silence.
+
+use super::Live;
+use super::event::{Event, Kind};
+use crate::state::AppState;
+use feedwright_store::{Notice, Notices};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+use tokio::sync::mpsc;
+use tokio::time::sleep;
+
+/// How long events are gathered before they are told.
+const GATHER: Duration = Duration::from_millis(50);
+/// PostgreSQL takes notifications below 8000 bytes.
+const MOST_BYTES: usize = 7_800;
+/// Waits so long after the connection for listening could not be made.
+const RETRY: Duration = Duration::from_secs(2);
+
+#[derive(Serialize, Deserialize)]
+struct Told {
+    from: String,
+    lost: u64,
+    events: Vec<ToldEvent>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct ToldEvent {
+    kind: String,
+    machine: Option<String>,
+    data: Value,
+}
+
+/// Tells and listens until the server stops; ends at once where the store is this server's alone.
+pub(super) async fn link(state: AppState) {
+    let Some(notices) = state.store.notices() else { return };
+    let outgoing = state.live.outgoing.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let Some(outgoing) = outgoing else { return };
+    state.live.told.store(true, Ordering::Relaxed);
+    tokio::select! {
+        () = tell(&state, outgoing) => {}
+        () = listen(&state.live, &*notices) => {}
+        () = state.lifecycle.stopping() => {}
+    }
+}
+
+async fn tell(state: &AppState, mut outgoing: mpsc::Receiver<Event>) {
+    while let Some(first) = outgoing.recv().await {
+        sleep(GATHER).await;
+        let mut waiting = vec![first];
+        while let Ok(event) = outgoing.try_recv() {
+            waiting.push(event);
+        }
+        for (text, events) in packed(&state.live, waiting) {
+            let store = state.store.clone();
+            // In a task of its own: the select above may be dropped, a query may not.
+            let sent = state.lifecycle.spawn(async move { store.notify(&text).await }).await;
+            if !matches!(sent, Ok(Ok(()))) {
+                tracing::debug!(events, "other servers could not be told");
+                state.live.untold.fetch_add(events, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+/// Notifications of bounded size, each with the number of its events.
+fn packed(live: &Live, events: Vec<Event>) -> Vec<(String, u64)> {
+    let mut texts = Vec::new();
+    let mut told = Told { from: live.boot.clone(), lost: 0, events: Vec::new() };
+    let mut bytes = 0;
+    for event in events {
+        let event =
+            ToldEvent { kind: event.kind.as_str().to_owned(), machine: event.machine, data: event.data };
+        let size = serde_json::to_string(&event).map_or(usize::MAX, |text| text.len() + 1);
+        // The frame around the events: a name, a count and brackets.
+        let frame = 100;
+        if size > MOST_BYTES - frame {
+            told.lost += 1;
+            continue;
+        }
+        if bytes + size > MOST_BYTES - frame {
+            finish(live, &mut told, &mut texts);
+            bytes = 0;
+        }
+        bytes += size;
+        told.events.push(event);
+    }
+    finish(live, &mut told, &mut texts);
+    texts
+}
+
+fn finish(live: &Live, told: &mut Told, texts: &mut Vec<(String, u64)>) {
+    told.lost += live.untold.swap(0, Ordering::Relaxed);
+    if let Ok(text) = serde_json::to_string(told) {
+        texts.push((text, told.events.len() as u64 + told.lost));
+    }
+    told.events.clear();
+    told.lost = 0;
+}
+
+async fn listen(live: &Live, notices: &dyn Notices) {
+    let mut was_listening = false;
+    loop {
+        match notices.listen().await {
+            Ok(mut listener) => {
+                if was_listening {
+                    live.show(Event::gap("replicas_unheard", None));
+                }
+                was_listening = true;
+                loop {
+                    match listener.next().await {
+                        Ok(Notice::Text(text)) => hear(live, &text),
+                        Ok(Notice::Missed) => live.show(Event::gap("replicas_unheard", None)),
+                        Err(error) => {
+                            tracing::warn!(%error, "other servers cannot be heard");
+                            break;
+                        }
+                    }
+                }
+            }
+            Err(error) => tracing::warn!(%error, "other servers cannot be heard"),
+        }
+        sleep(RETRY).await;
+    }
+}
+
+fn hear(live: &Live, text: &str) {
+    let Ok(told) = serde_json::from_str::<Told>(text) else {
+        live.show(Event::gap("replica_not_understood", None));
+        return;
+    };
+    if told.from == live.boot {
+        return;
+    }
+    live.alarms_may_have_changed();
+    if told.lost > 0 {
+        live.show(Event::gap("replica_lost_some", Some(told.lost)));
+    }
+    for ToldEvent { kind, machine, data } in told.events {
+        match Kind::parse(&kind) {
+            Some(kind) => live.show(Event { kind, machine, data }),
+            // A newer server may tell of more than this one knows.
+            None => tracing::debug!(kind, "an event of a kind that is not known"),
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The live view, read over real sockets as a page reads it.
+
+mod reader;
+mod served;
+mod shown;
+
+pub(crate) use served::Served;

@@ -1,0 +1,76 @@
+//! Server-Sent Events as a reader gets them.
+
+use super::Served;
+use serde_json::Value;
+use std::time::Duration;
+
+/// Longer than anything here takes on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Told {
+    pub(super) name: String,
+    pub(super) id: Option<String>,
+    pub(super) data: Value,
+}
+
+pub(super) struct Reader {
+    response: reqwest::Response,
+    text: String,
+    pub(super) comments: usize,
+}
+
+impl Reader {
+    pub(super) async fn open(served: &Served, query: &str, last: Option<&str>) -> Self {
+        let mut request =
+            served.client.get(served.url(&format!("/v1/live{query}"))).bearer_auth(&served.token);
+        if let Some(last) = last {
+            request = request.header("last-event-id", last);
+        }
+        let response = request.send().await.unwrap();
+        assert_eq!(response.status(), 200);
+        assert_eq!(response.headers()["content-type"], "text/event-stream");
+        Self { response, text: String::new(), comments: 0 }
+    }
+
+    /// The next event; `None` where the server ended the view.
+    pub(super) async fn next(&mut self) -> Option<Told> {
+        loop {
+            if let Some((block, rest)) = self.text.split_once("\n\n") {
+                let (block, rest) = (block.to_owned(), rest.to_owned());
+                self.text = rest;
+                if block.starts_with(':') {
+                    self.comments += 1;
+                    continue;
+                }
+                return Some(read(&block));
+            }
+            let chunk = tokio::time::timeout(PATIENCE, self.response.chunk()).await.expect("something comes");
+            match chunk {
+                Ok(Some(bytes)) => self.text.push_str(std::str::from_utf8(&bytes).unwrap()),
+                _ => return None,
+            }
+        }
+    }
+
+    /// The next event of that name, skipping others.
+    pub(super) async fn next_of(&mut self, name: &str) -> Told {
+        loop {
+            let told = self.next().await.expect("the view goes on");
+            if told.name == name {
+                return told;
+            }
+        }
+    }
+}
+
+fn read(block: &str) -> Told {
+    let field = |name: &str| {
+        block.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(": ").map(str::to_owned))
+    };
+    Told {
+        name: field("event").unwrap(),
+        id: field("id"),
+        data: serde_json::from_str(&field("data").unwrap()).unwrap(),
+    }
+}

@@ -1,0 +1,115 @@
+//! What is shown, and to whom.
+
+use super::Served;
+use super::reader::Reader;
+use crate::store::given::Given;
+use serde_json::json;
+
+#[tokio::test]
+async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing_one() {
+    let served = Served::start(&[("live.heartbeat_ms", "50")]).await;
+    served.with_a_shop().await;
+    let mut reader = Reader::open(&served, "", None).await;
+    let state = reader.next().await.unwrap();
+    assert_eq!((state.name.as_str(), &state.data), ("state", &json!({"machines": []})));
+
+    let answer = served.post_cycle("c1", 20.0).await;
+    let cycle = reader.next_of("cycle").await;
+    for field in ["machine", "cycle_id", "received_at"] {
+        assert_eq!(cycle.data[field], answer[field], "{field}");
+    }
+    assert_eq!(cycle.data["tool_state"], answer["wear"]["state"]);
+
+    // A load above 400 % raises an overload, and acknowledging it clears it.
+    served.post_cycle("c2", 500.0).await;
+    let raised = reader.next_of("alarm").await;
+    assert_eq!(
+        (&raised.data["change"], &raised.data["alarm"]["kind"]),
+        (&json!("raised"), &json!("overload"))
+    );
+    let (status, _) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
+    assert_eq!(status, 200);
+    let cleared = reader.next_of("alarm").await;
+    assert_eq!(
+        (&cleared.data["change"], &cleared.data["alarm"]["id"]),
+        (&json!("cleared"), &raised.data["alarm"]["id"])
+    );
+
+    // From the first cycle on, everything again in the same order, by either way to ask.
+    let last = cycle.id.unwrap();
+    for (query, header) in [(String::new(), Some(last.as_str())), (format!("?after={last}"), None)] {
+        let mut again = Reader::open(&served, &query, header).await;
+        assert_eq!(again.next().await.unwrap().name, "state");
+        assert_eq!(again.next_of("cycle").await.data["cycle_id"], "c2");
+        assert_eq!(again.next_of("alarm").await, raised);
+        assert_eq!(again.next_of("alarm").await, cleared);
+    }
+    // Another machine's reader is told none of it.
+    let mut other = Reader::open(&served, &format!("?machine=M2&after={last}"), None).await;
+    assert_eq!(other.next().await.unwrap().name, "state");
+    served.server.shutdown().await.unwrap();
+    assert_eq!(other.next().await, None, "a shutdown ends the view, and nothing of M1 was told");
+}
+
+#[tokio::test]
+async fn what_is_not_kept_any_more_is_a_gap_and_so_is_another_servers_position() {
+    let served = Served::start(&[("live.history_events", "2"), ("live.readers", "3")]).await;
+    served.with_a_shop().await;
+    let mut reader = Reader::open(&served, "", None).await;
+    let start = reader.next().await.unwrap().id.unwrap();
+    for n in 1..=5 {
+        served.post_cycle(&format!("c{n}"), 20.0).await;
+    }
+    let mut late = Reader::open(&served, "", Some(&start)).await;
+    assert_eq!(late.next().await.unwrap().name, "state");
+    let gap = late.next().await.unwrap();
+    assert_eq!((gap.name.as_str(), &gap.data), ("gap", &json!({"reason": "reader_too_slow", "missed": 3})));
+    assert_eq!(late.next_of("cycle").await.data["cycle_id"], "c4");
+
+    let mut stranger = Reader::open(&served, "", Some("0192f0c17e1d7cc398c4dc0c0c07398f-1")).await;
+    let gap = stranger.next().await.unwrap();
+    assert_eq!((gap.name.as_str(), &gap.data["reason"]), ("gap", &json!("other_server")));
+    // A machine is no reader; and the fourth reader finds no place.
+    let machine = served.machine_token("M1").await;
+    let asked = served.client.get(served.url("/v1/live")).bearer_auth(machine).send().await.unwrap();
+    assert_eq!(asked.status(), 403);
+    let (status, problem) = served.send("GET", "/v1/live", None).await;
+    assert_eq!((status, &problem["code"]), (503, &json!("too_many_readers")));
+    drop(stranger);
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_one_server_stores_is_shown_by_another_on_the_same_database() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let url = given.address();
+    let settings = [("database.url", url.as_str())];
+    let dir = tempfile::TempDir::new().unwrap();
+    let here = Served::start_in(dir.path(), None, &settings).await;
+    here.with_a_shop().await;
+    let there = Served::start_in(dir.path(), Some(&here.token), &settings).await;
+    let mut reader = Reader::open(&there, "", None).await;
+    assert_eq!(reader.next().await.unwrap().name, "state");
+    // Until the other one listens, what is told is lost: the first cycle that arrives proves that it does.
+    let mut posted = 0;
+    let shown = loop {
+        posted += 1;
+        here.post_cycle(&format!("c{posted}"), 500.0).await;
+        let next = tokio::time::timeout(std::time::Duration::from_millis(500), reader.next_of("cycle")).await;
+        if let Ok(shown) = next {
+            break shown;
+        }
+        assert!(posted < 40, "nothing arrives");
+    };
+    assert_eq!(shown.data["machine"], "M1");
+    let open = here.get("/v1/alarms?open=true").await;
+    assert_eq!(open["items"].as_array().unwrap().len(), 1, "{open}");
+    here.send("POST", "/v1/machines/M1/acknowledge", None).await;
+    let told = reader.next_of("alarm").await;
+    assert_eq!(told.data["alarm"]["kind"], "overload");
+    there.server.shutdown().await.unwrap();
+    here.server.shutdown().await.unwrap();
+    given.done().await;
+}
