@@ -5,7 +5,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { promisify } from "node:util";
 
-const BINARY = new URL("../../target/debug/feedwright", import.meta.url).pathname;
+const BINARY = process.env.FEEDWRIGHT_BINARY ?? new URL("../../target/debug/feedwright", import.meta.url).pathname;
 const run = promisify(execFile);
 
 export class Shop {
@@ -13,6 +13,8 @@ export class Shop {
     const shop = new Shop();
     shop.dir = await mkdtemp(join(tmpdir(), "feedwright-browser-"));
     shop.server = spawn(BINARY, ["--data-dir", shop.dir, "--set", "server.listen=127.0.0.1:0", "--set", "log.level=warn", "serve"]);
+    process.once("exit", () => shop.server.kill("SIGKILL"));
+    for (const signal of ["SIGINT", "SIGTERM"]) process.once(signal, () => process.exit(1));
     shop.log = "";
     for (const stream of [shop.server.stdout, shop.server.stderr]) stream.on("data", (text) => { shop.log += text; });
     shop.address = `http://${await shop.listening()}`;

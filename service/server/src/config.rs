@@ -8,8 +8,9 @@ mod layers;
 
 pub use layers::{ConfigError, Origin, Sources};
 
+use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::RecommendSettings;
-use feedwright_store::QuarantineBounds;
+use feedwright_store::{QuarantineBounds, WatchSettings};
 use secrecy::{ExposeSecret, SecretString};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
@@ -33,6 +34,8 @@ pub struct Config {
     pub quarantine: QuarantineConfig,
     /// How long recommendations and data stay good.
     pub recommendation: RecommendationConfig,
+    /// How often the watch looks around, and when it alarms.
+    pub watch: WatchConfig,
     /// The live view.
     pub live: LiveConfig,
     /// The metrics' own listener.
@@ -173,6 +176,40 @@ impl RecommendationConfig {
     }
 }
 
+/// How often the watch looks around, and when it alarms.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WatchConfig {
+    /// Time between two rounds, ms.
+    pub interval_ms: u64,
+    /// A machine without a cycle for so long is silent, ms; 0: never.
+    pub machine_silent_after_ms: i64,
+    /// Machines with a limit of their own, ms.
+    #[serde(deserialize_with = "limits_by_machine")]
+    pub machine_silent_after_ms_by_machine: BTreeMap<MachineId, i64>,
+    /// The quarantine alarms when it is filled to this share, %.
+    pub quarantine_warning_percent: u32,
+}
+
+impl WatchConfig {
+    /// Time between two rounds.
+    pub const fn interval(&self) -> Duration {
+        Duration::from_millis(self.interval_ms)
+    }
+
+    /// The settings as the store takes them.
+    pub fn settings(&self, quarantine: QuarantineBounds) -> WatchSettings {
+        let limit = |ms: i64| (ms > 0).then_some(ms);
+        let own = self.machine_silent_after_ms_by_machine.iter();
+        WatchSettings {
+            silent_after_ms: limit(self.machine_silent_after_ms),
+            silent_after_ms_by_machine: own.map(|(machine, &ms)| (machine.clone(), limit(ms))).collect(),
+            quarantine,
+            quarantine_warning_ratio: f64::from(self.quarantine_warning_percent) / 100.0,
+        }
+    }
+}
+
 /// The live view.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -233,6 +270,24 @@ fn address_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SocketAd
         return Ok(None);
     }
     text.parse().map(Some).map_err(serde::de::Error::custom)
+}
+
+/// `M1=900000, M2=0`.
+fn limits_by_machine<'de, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<MachineId, i64>, D::Error> {
+    let text = String::deserialize(from)?;
+    let mut limits = BTreeMap::new();
+    for part in text.split(',').map(str::trim).filter(|part| !part.is_empty()) {
+        let limit = part.split_once('=').and_then(|(machine, ms)| {
+            Some((MachineId::try_from(machine.trim()).ok()?, ms.trim().parse::<i64>().ok()?))
+        });
+        let Some((machine, ms)) = limit else {
+            return Err(serde::de::Error::custom(format!("`{part}` is not MACHINE=MILLISECONDS")));
+        };
+        if limits.insert(machine, ms).is_some() {
+            return Err(serde::de::Error::custom(format!("`{part}` names a machine a second time")));
+        }
+    }
+    Ok(limits)
 }
 
 impl Config {
@@ -336,6 +391,26 @@ impl Config {
             (1..=100_000).contains(&self.server.failed_auth_per_minute),
             "server.failed_auth_per_minute",
             "1 to 100000",
+        );
+        let watch = &self.watch;
+        must((100..=3_600_000).contains(&watch.interval_ms), "watch.interval_ms", "100 to 3600000");
+        let silences = watch.machine_silent_after_ms_by_machine.values();
+        for (path, ms) in [("watch.machine_silent_after_ms", watch.machine_silent_after_ms)]
+            .into_iter()
+            .chain(silences.map(|&ms| ("watch.machine_silent_after_ms_by_machine", ms)))
+        {
+            // Shorter, and a replica that was handed the cycle could not have told the others yet.
+            let least = i64::try_from(watch.interval_ms).unwrap_or(i64::MAX).saturating_mul(2);
+            must(
+                ms == 0 || (least..=366 * 86_400_000).contains(&ms),
+                path,
+                &format!("0, or {least} (twice watch.interval_ms) to {}", 366_i64 * 86_400_000),
+            );
+        }
+        must(
+            (1..=100).contains(&watch.quarantine_warning_percent),
+            "watch.quarantine_warning_percent",
+            "1 to 100",
         );
         let directives = tracing_subscriber::EnvFilter::try_new(&self.log.level);
         must(directives.is_ok(), "log.level", "must be a level or directives");

@@ -22,4 +22,5 @@ pub mod replay;
 pub mod server;
 pub mod state;
 pub mod ui;
+pub mod watch;
 pub mod what_if;

@@ -1,19 +1,24 @@
 //! Metrics as Prometheus scrapes them: base units, ratios, and labels that are constants, matched routes or
 //! registered machines; never a cycle, a tool or anything a client typed.
 //!
-//! A new metric is a field of [`Metrics`] and a line in [`Metrics::new`].
+//! A new metric is a field of [`Metrics`] and a line in [`Metrics::new`]; one with a machine's label belongs to
+//! [`machines`], which bounds how many machines have one. What is shop-wide (alarms, silence, quarantine) is told by
+//! every replica alike: rules take the maximum over instances, never the sum.
+
+mod machines;
+mod registrar;
 
 use feedwright_core::ids::MachineId;
-use feedwright_core::recommend::Action;
-use feedwright_core::units::Process;
-use feedwright_store::AlarmKind;
+use feedwright_core::recommend::Recommendation;
+use feedwright_core::units::{Process, Timestamp};
+use feedwright_core::wear::Verdict;
+use feedwright_store::{AlarmKind, DatabaseUsage, Round};
 use http::{Method, StatusCode};
+use machines::MachineMetrics;
 use prometheus::{
-    Gauge, GaugeVec, Histogram, HistogramOpts, HistogramVec, IntCounterVec, IntGauge, IntGaugeVec, Opts,
-    Registry, TextEncoder,
+    Gauge, GaugeVec, Histogram, HistogramVec, IntCounterVec, IntGauge, IntGaugeVec, Registry, TextEncoder,
 };
-use std::collections::HashSet;
-use std::sync::{Mutex, PoisonError};
+use registrar::Registrar;
 use std::time::Duration;
 
 /// Bounds of commit times: an fsync takes about a millisecond on a good disk, and seconds on a bad day.
@@ -24,6 +29,19 @@ const GROUP_SIZES: [f64; 10] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256
 const ENERGIES: [f64; 12] = [10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6, 1e7];
 /// Bounds of answer times.
 const ANSWER_SECONDS: [f64; 12] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0];
+/// Why cycles are refused and not kept, as problem codes; they stand at 0 from the start, since the rate of a series
+/// that appears with its first event misses that event. A code that is not here is counted all the same.
+const REJECTIONS: [&str; 6] = [
+    "malformed_json",
+    "unknown_machine",
+    "queue_full",
+    "quarantine_full",
+    "shutting_down",
+    "database_unavailable",
+];
+/// Why a token is refused, as problem codes.
+const REFUSALS: [&str; 5] =
+    ["token_missing", "token_malformed", "token_unknown", "token_revoked", "too_many_failed_authentications"];
 
 /// What became of a cycle that was taken in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,17 +69,30 @@ impl CycleOutcome {
 /// The metrics, in a registry of their own.
 pub struct Metrics {
     registry: Registry,
+    machines: MachineMetrics,
     cycles: IntCounterVec,
     cycles_rejected: IntCounterVec,
+    cycles_quarantined: IntCounterVec,
     cycle_energy: HistogramVec,
-    tool_wear_level: GaugeVec,
-    machines: Mutex<HashSet<MachineId>>,
-    most_machines: usize,
     recommendations: IntCounterVec,
     http_requests: IntCounterVec,
     http_seconds: HistogramVec,
+    refused_tokens: IntCounterVec,
     alarms_open: IntGaugeVec,
     connections: IntGauge,
+    ready: IntGauge,
+    last_round: Gauge,
+    registered_machines: IntGauge,
+    quarantine_entries: IntGauge,
+    quarantine_max_entries: IntGauge,
+    quarantine_bytes: IntGauge,
+    quarantine_max_bytes: IntGauge,
+    database_bytes: IntGauge,
+    database_wal_bytes: IntGaugeVec,
+    database_connections: IntGaugeVec,
+    database_max_connections: IntGauge,
+    disk_size: GaugeVec,
+    disk_available: GaugeVec,
     /// Cycles that wait for the writer.
     pub ingest_queue_depth: IntGauge,
     /// Most cycles that may wait for the writer.
@@ -75,94 +106,113 @@ pub struct Metrics {
 impl Metrics {
     /// Registers every metric. At most `most_machines` machines get a label.
     pub fn new(most_machines: usize) -> Result<Self, prometheus::Error> {
-        let registry = Registry::new();
-        let counters = |name: &str, help: &str, labels: &[&str]| {
-            let counters = IntCounterVec::new(Opts::new(name, help), labels)?;
-            registry.register(Box::new(counters.clone()))?;
-            Ok::<_, prometheus::Error>(counters)
-        };
-        let histograms = |name: &str, help: &str, labels: &[&str], bounds: &[f64]| {
-            let histograms =
-                HistogramVec::new(HistogramOpts::new(name, help).buckets(bounds.to_vec()), labels)?;
-            registry.register(Box::new(histograms.clone()))?;
-            Ok::<_, prometheus::Error>(histograms)
-        };
-        let histogram = |name: &str, help: &str, bounds: &[f64]| {
-            let histogram = Histogram::with_opts(HistogramOpts::new(name, help).buckets(bounds.to_vec()))?;
-            registry.register(Box::new(histogram.clone()))?;
-            Ok::<_, prometheus::Error>(histogram)
-        };
-        let gauge = |name: &str, help: &str| {
-            let gauge = IntGauge::new(name, help)?;
-            registry.register(Box::new(gauge.clone()))?;
-            Ok::<_, prometheus::Error>(gauge)
-        };
-        let build = Gauge::with_opts(
-            Opts::new("feedwright_build_info", "1, labelled with the version of the build")
-                .const_label("version", env!("CARGO_PKG_VERSION")),
+        let new = Registrar::default();
+        new.constant(
+            "feedwright_build_info",
+            "1, labelled with the version of the build",
+            &[("version", env!("CARGO_PKG_VERSION"))],
         )?;
-        build.set(1.0);
-        registry.register(Box::new(build))?;
-        let tool_wear_level = GaugeVec::new(
-            Opts::new(
-                "feedwright_tool_wear_level_ratio",
-                "Energy of the tool that ran last on the machine over its energy when new; worn at 1.10",
-            ),
-            &["machine"],
-        )?;
-        registry.register(Box::new(tool_wear_level.clone()))?;
-        let alarms_open = IntGaugeVec::new(Opts::new("feedwright_alarms_open", "Open alarms"), &["kind"])?;
-        registry.register(Box::new(alarms_open.clone()))?;
+        new.process()?;
         let metrics = Self {
-            cycles: counters("feedwright_cycles_total", "Cycles taken in, by outcome", &["outcome"])?,
-            cycles_rejected: counters(
+            machines: MachineMetrics::new(&new, most_machines)?,
+            cycles: new.counters("feedwright_cycles_total", "Cycles taken in, by outcome", &["outcome"])?,
+            cycles_rejected: new.counters(
                 "feedwright_cycles_rejected_total",
                 "Cycles that were refused and not kept, by problem code",
                 &["reason"],
             )?,
-            cycle_energy: histograms(
+            cycles_quarantined: new.counters(
+                "feedwright_cycles_quarantined_total",
+                "Cycles that went to quarantine, by problem code",
+                &["reason"],
+            )?,
+            cycle_energy: new.histograms(
                 "feedwright_cycle_energy_joules",
                 "Energy of accepted cycles",
                 &["process"],
                 &ENERGIES,
             )?,
-            tool_wear_level,
-            machines: Mutex::default(),
-            most_machines,
-            recommendations: counters(
+            recommendations: new.counters(
                 "feedwright_recommendations_total",
                 "Recommendations handed out, by action",
                 &["action"],
             )?,
-            http_requests: counters(
+            http_requests: new.counters(
                 "feedwright_http_requests_total",
                 "Answered requests",
                 &["route", "method", "status"],
             )?,
-            http_seconds: histograms(
+            http_seconds: new.histograms(
                 "feedwright_http_request_duration_seconds",
                 "Time from the request's head to the answer's head",
                 &["route", "method"],
                 &ANSWER_SECONDS,
             )?,
-            alarms_open,
-            connections: gauge("feedwright_http_connections", "Open connections")?,
-            ingest_queue_depth: gauge("feedwright_ingest_queue_depth", "Cycles that wait for the writer")?,
-            ingest_queue_capacity: gauge(
-                "feedwright_ingest_queue_capacity",
-                "Most cycles that may wait for the writer",
+            refused_tokens: new.counters(
+                "feedwright_authentication_failures_total",
+                "Requests without a valid token, by problem code",
+                &["reason"],
             )?,
-            commit_seconds: histogram(
+            alarms_open: new.int_gauges("feedwright_alarms_open", "Open alarms", &["kind"])?,
+            connections: new.int_gauge("feedwright_http_connections", "Open connections")?,
+            ready: new.int_gauge(
+                "feedwright_ready",
+                "1 while the database takes writes, proven by one at the watch's last round",
+            )?,
+            last_round: new.gauge(
+                "feedwright_watch_last_round_timestamp_seconds",
+                "When the watch last looked at machines, quarantine and alarms",
+            )?,
+            registered_machines: new.int_gauge(
+                "feedwright_machines",
+                "Registered machines; those beyond limits.metric_machines have no series of their own",
+            )?,
+            quarantine_entries: new.int_gauge("feedwright_quarantine_entries", "Unsettled entries")?,
+            quarantine_max_entries: new
+                .int_gauge("feedwright_quarantine_max_entries", "Most unsettled entries")?,
+            quarantine_bytes: new
+                .int_gauge("feedwright_quarantine_size_bytes", "Unsettled bodies as they are kept")?,
+            quarantine_max_bytes: new
+                .int_gauge("feedwright_quarantine_max_size_bytes", "Most bytes of unsettled bodies")?,
+            database_bytes: new
+                .int_gauge("feedwright_database_size_bytes", "Size of the database, without SQLite's log")?,
+            database_wal_bytes: new.int_gauges(
+                "feedwright_database_wal_size_bytes",
+                "Write-ahead log at the last checkpoint; SQLite only",
+                &["engine"],
+            )?,
+            database_connections: new.int_gauges(
+                "feedwright_database_connections",
+                "Open connections of this process to the database that read, and on PostgreSQL write",
+                &["state"],
+            )?,
+            database_max_connections: new
+                .int_gauge("feedwright_database_max_connections", "Most of these connections")?,
+            disk_size: new.gauges(
+                "feedwright_disk_size_bytes",
+                "File system that holds the data directory; absent where there is none",
+                &["directory"],
+            )?,
+            disk_available: new.gauges(
+                "feedwright_disk_available_bytes",
+                "What of it this process may still use",
+                &["directory"],
+            )?,
+            ingest_queue_depth: new
+                .int_gauge("feedwright_ingest_queue_depth", "Cycles that wait for the writer")?,
+            ingest_queue_capacity: new
+                .int_gauge("feedwright_ingest_queue_capacity", "Most cycles that may wait for the writer")?,
+            commit_seconds: new.histogram(
                 "feedwright_commit_seconds",
                 "Time of a durable commit",
                 &COMMIT_SECONDS,
             )?,
-            commit_group_size: histogram(
+            commit_group_size: new.histogram(
                 "feedwright_commit_group_size",
                 "Cycles in one commit",
                 &GROUP_SIZES,
             )?,
-            registry,
+            registry: new.into_registry(),
         };
         // A series that exists from the start can be alerted on; one that appears with the first event cannot.
         for outcome in CycleOutcome::ALL {
@@ -171,15 +221,32 @@ impl Metrics {
         for kind in AlarmKind::ALL {
             metrics.alarms_open.with_label_values(&[kind.as_str()]);
         }
+        for reason in REJECTIONS {
+            metrics.cycles_rejected.with_label_values(&[reason]);
+        }
+        for reason in ["cycle_conflict", "invalid_content", "out_of_range"] {
+            metrics.cycles_quarantined.with_label_values(&[reason]);
+        }
+        for reason in REFUSALS {
+            metrics.refused_tokens.with_label_values(&[reason]);
+        }
         Ok(metrics)
     }
 
-    /// Counts a cycle.
-    pub fn cycle(&self, outcome: CycleOutcome) {
+    /// Counts a cycle of a registered machine.
+    pub fn cycle(&self, machine: &MachineId, outcome: CycleOutcome) {
         self.cycles.with_label_values(&[outcome.as_str()]).inc();
+        self.machines.cycle(machine, outcome.as_str());
     }
 
-    /// Counts a cycle that was refused and not kept; `code` is the problem's.
+    /// Counts a cycle that went to quarantine; `code` is the problem's.
+    pub fn cycle_quarantined(&self, machine: &MachineId, code: &'static str) {
+        self.cycle(machine, CycleOutcome::Quarantined);
+        self.cycles_quarantined.with_label_values(&[code]).inc();
+    }
+
+    /// Counts a cycle that was refused and not kept; `code` is the problem's. Its machine is what a client said and
+    /// gets no label for it.
     pub fn cycle_rejected(&self, code: &'static str) {
         self.cycles_rejected.with_label_values(&[code]).inc();
     }
@@ -190,23 +257,61 @@ impl Metrics {
         self.cycle_energy.with_label_values(&[process]).observe(joules);
     }
 
-    /// Sets the level of the tool that ran last on a registered machine.
-    pub fn tool_wear_level(&self, machine: &MachineId, ratio: f64) {
-        let mut known = self.machines.lock().unwrap_or_else(PoisonError::into_inner);
-        if known.contains(machine) || known.len() < self.most_machines {
-            known.insert(machine.clone());
-            self.tool_wear_level.with_label_values(&[machine.as_str()]).set(ratio);
-        }
+    /// Takes the verdict on the tool that ran last on a registered machine.
+    pub fn verdict(&self, machine: &MachineId, verdict: &Verdict) {
+        self.machines.verdict(machine, verdict);
     }
 
     /// Counts a recommendation that was handed out.
-    pub fn recommendation(&self, action: Action) {
-        self.recommendations.with_label_values(&[action.as_str()]).inc();
+    pub fn recommendation(&self, recommendation: &Recommendation) {
+        self.recommendations.with_label_values(&[recommendation.action.as_str()]).inc();
+        self.machines.recommendation(recommendation);
     }
 
-    /// Sets how many alarms of a kind are open.
-    pub fn alarms_open(&self, kind: AlarmKind, open: i64) {
-        self.alarms_open.with_label_values(&[kind.as_str()]).set(open);
+    /// Counts a request without a valid token; `code` is the problem's.
+    pub(crate) fn refused_token(&self, code: &'static str) {
+        self.refused_tokens.with_label_values(&[code]).inc();
+    }
+
+    /// Sets whether the database takes writes.
+    pub(crate) fn ready(&self, ready: bool) {
+        self.ready.set(i64::from(ready));
+    }
+
+    /// Takes what a round of the watch found.
+    pub(crate) fn round(&self, found: &Round, now: Timestamp) {
+        for kind in AlarmKind::ALL {
+            let of_kind = found.alarms.iter().filter(|alarms| alarms.kind == kind);
+            self.alarms_open.with_label_values(&[kind.as_str()]).set(whole(of_kind.map(|of| of.open).sum()));
+        }
+        let quarantine = &found.quarantine;
+        self.quarantine_entries.set(whole(quarantine.entries));
+        self.quarantine_bytes.set(whole(quarantine.bytes));
+        self.quarantine_max_entries.set(whole(quarantine.bounds.entries));
+        self.quarantine_max_bytes.set(whole(quarantine.bounds.bytes));
+        self.registered_machines.set(whole(found.machines.len() as u64));
+        self.machines.round(found);
+        self.last_round.set(seconds(now));
+    }
+
+    /// Sets what the database occupies.
+    pub(crate) fn database(&self, usage: &DatabaseUsage) {
+        self.database_bytes.set(whole(usage.bytes));
+        if let Some(bytes) = usage.wal_bytes {
+            self.database_wal_bytes.with_label_values(&["sqlite"]).set(whole(bytes));
+        }
+        let connections = |state, of: u32| {
+            self.database_connections.with_label_values(&[state]).set(i64::from(of));
+        };
+        connections("in_use", usage.connections_in_use);
+        connections("idle", usage.connections_idle);
+        self.database_max_connections.set(i64::from(usage.connections_max));
+    }
+
+    /// Sets the file system of the data directory, bytes.
+    pub(crate) fn disk(&self, size: u64, available: u64) {
+        self.disk_size.with_label_values(&["data"]).set(float(size));
+        self.disk_available.with_label_values(&["data"]).set(float(available));
     }
 
     /// Open connections.
@@ -239,4 +344,18 @@ impl Metrics {
     pub(crate) fn text(&self) -> Result<String, prometheus::Error> {
         TextEncoder::new().encode_to_string(&self.registry.gather())
     }
+}
+
+fn whole(count: u64) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a size in a chart")]
+fn float(bytes: u64) -> f64 {
+    bytes as f64
+}
+
+#[expect(clippy::cast_precision_loss, reason = "microseconds of this century fit")]
+fn seconds(at: Timestamp) -> f64 {
+    at.micros() as f64 / 1e6
 }

@@ -84,6 +84,7 @@ impl Server {
             _ => None,
         };
         crate::live::start(&state);
+        crate::watch::start(&state);
         let acceptor = Acceptor::new(state.clone());
         acceptor.accept(listener, http::router(state.clone()));
         if let Some(listener) = metrics_listener {

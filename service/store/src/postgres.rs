@@ -16,6 +16,8 @@ pub use open::PostgresOptions;
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
 use crate::locks::Locks;
+use crate::record::DatabaseUsage;
+use crate::rows::number;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use sqlx::PgPool;
@@ -64,6 +66,21 @@ impl PostgresStore {
             })
         })
         .await
+    }
+
+    async fn measure(&self) -> StoreResult<DatabaseUsage> {
+        let bytes: i64 = sqlx::query_scalar("SELECT pg_database_size(current_database())")
+            .fetch_one(&mut *self.reader().await?)
+            .await?;
+        let pool = &self.inner.pool;
+        let idle = u32::try_from(pool.num_idle()).unwrap_or(u32::MAX);
+        Ok(DatabaseUsage {
+            bytes: number("bytes", bytes)?,
+            wal_bytes: None,
+            connections_in_use: pool.size().saturating_sub(idle),
+            connections_idle: idle,
+            connections_max: pool.options().get_max_connections(),
+        })
     }
 
     fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {

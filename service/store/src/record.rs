@@ -11,6 +11,7 @@ use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_core::wear::{CycleFacts, Exclusion, Verdict};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// A value with the version that its ETag names, counted from 1.
@@ -466,6 +467,96 @@ pub struct Alarm {
     pub cleared_at: Option<Timestamp>,
     /// By whom and when it was acknowledged.
     pub acknowledged: Option<(String, Timestamp)>,
+}
+
+/// What the watch goes by.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WatchSettings {
+    /// A machine that posts no cycle for so long is silent, ms; `None`: never.
+    pub silent_after_ms: Option<i64>,
+    /// Machines with a limit of their own.
+    pub silent_after_ms_by_machine: BTreeMap<MachineId, Option<i64>>,
+    /// Bounds of the quarantine.
+    pub quarantine: QuarantineBounds,
+    /// The quarantine alarms when it is filled to this share, 0 to 1.
+    pub quarantine_warning_ratio: f64,
+}
+
+impl WatchSettings {
+    /// The limit of one machine, ms.
+    pub fn silent_after_ms(&self, machine: &MachineId) -> Option<i64> {
+        self.silent_after_ms_by_machine.get(machine).copied().unwrap_or(self.silent_after_ms)
+    }
+}
+
+/// What one round of the watch found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Round {
+    /// Every registered machine, by id.
+    pub machines: Vec<MachineContact>,
+    /// The quarantine.
+    pub quarantine: QuarantineFill,
+    /// Open alarms, counted; kinds without any are left out.
+    pub alarms: Vec<OpenAlarms>,
+}
+
+/// When a machine was last heard of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MachineContact {
+    /// The machine.
+    pub machine: MachineId,
+    /// When a cycle of it last arrived, whatever became of it; `None` where none ever did.
+    pub last_cycle_at: Option<Timestamp>,
+    /// Its limit, ms; `None`: it is never silent.
+    pub silent_after_ms: Option<i64>,
+    /// Whether it is beyond its limit.
+    pub is_silent: bool,
+}
+
+/// How full the quarantine is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QuarantineFill {
+    /// Unsettled entries.
+    pub entries: u64,
+    /// Bytes of their bodies as they are kept.
+    pub bytes: u64,
+    /// The most of both.
+    pub bounds: QuarantineBounds,
+}
+
+impl QuarantineFill {
+    /// How full it is by the bound that is nearer, 0 to 1.
+    #[expect(clippy::cast_precision_loss, reason = "a share for a person and a threshold")]
+    pub fn ratio(&self) -> f64 {
+        let share = |of: u64, most: u64| of as f64 / most.max(1) as f64;
+        share(self.entries, self.bounds.entries).max(share(self.bytes, self.bounds.bytes))
+    }
+}
+
+/// Open alarms of one kind and machine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OpenAlarms {
+    /// Their kind.
+    pub kind: AlarmKind,
+    /// The machine they concern.
+    pub machine: Option<MachineId>,
+    /// How many there are.
+    pub open: u64,
+}
+
+/// What the database occupies and how busy it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DatabaseUsage {
+    /// Size of the database, bytes; SQLite's without its write-ahead log.
+    pub bytes: u64,
+    /// SQLite's write-ahead log, bytes; `None` for a server, whose own watch it is.
+    pub wal_bytes: Option<u64>,
+    /// Connections of this process that are in use.
+    pub connections_in_use: u32,
+    /// Connections of this process that are open and idle.
+    pub connections_idle: u32,
+    /// Most connections of this process.
+    pub connections_max: u32,
 }
 
 /// Which alarms a list asks for.

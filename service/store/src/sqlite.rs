@@ -14,6 +14,8 @@ pub use open::SqliteOptions;
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
+use crate::record::DatabaseUsage;
+use crate::rows::number;
 use crate::work::Work;
 use checkpoint::Checkpoints;
 use sqlx::pool::PoolConnection;
@@ -48,6 +50,23 @@ impl SqliteStore {
     /// Pages of the write-ahead log at the last checkpoint: what a watchdog looks at.
     pub fn wal_pages(&self) -> u64 {
         self.inner.checkpoints.wal_pages()
+    }
+
+    async fn measure(&self) -> StoreResult<DatabaseUsage> {
+        let mut reader = self.reader().await?;
+        let pages: i64 = sqlx::query_scalar("PRAGMA page_count").fetch_one(&mut *reader).await?;
+        let page_bytes: i64 = sqlx::query_scalar("PRAGMA page_size").fetch_one(&mut *reader).await?;
+        drop(reader);
+        let page_bytes: u64 = number("page_size", page_bytes)?;
+        let readers = &self.inner.readers;
+        let idle = u32::try_from(readers.num_idle()).unwrap_or(u32::MAX);
+        Ok(DatabaseUsage {
+            bytes: number::<u64>("page_count", pages)?.saturating_mul(page_bytes),
+            wal_bytes: Some(self.wal_pages().saturating_mul(page_bytes)),
+            connections_in_use: readers.size().saturating_sub(idle),
+            connections_idle: idle,
+            connections_max: readers.options().get_max_connections(),
+        })
     }
 
     /// Nobody else serves this file.

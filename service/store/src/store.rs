@@ -3,9 +3,10 @@
 use crate::error::StoreResult;
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, FleetRow, IssuedRecommendation,
-    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, ToolLife, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage, FleetRow,
+    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
+    QuarantineEntry, Round, RowNumber, SessionRecord, StoredCycle, StoredToolEvent, Surroundings,
+    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
@@ -41,6 +42,17 @@ pub trait Store: Send + Sync + 'static {
 
     /// One machine of the fleet; `None` where it is not registered.
     async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>>;
+
+    /// One round of the watch: notes when machines were `heard` of, raises and clears what only a look around can tell
+    /// (silence, a quarantine that fills up), and says what was found.
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round>;
+    /// What the database occupies and how many of its connections are in use.
+    async fn usage(&self) -> StoreResult<DatabaseUsage>;
 
     /// Ends after everything handed in is committed; later calls fail.
     async fn close(&self);

@@ -93,7 +93,7 @@ impl App {
         let dir = TempDir::new().unwrap();
         let config = config(&dir, settings);
         let database = database::open(&config).await.unwrap();
-        let metrics = Arc::new(Metrics::new(10).unwrap());
+        let metrics = Arc::new(Metrics::new(config.limits.metric_machines).unwrap());
         let clock = Clock::fixed(NOW);
         let store = database.store.clone();
         let lifecycle = Lifecycle::default();

@@ -48,6 +48,9 @@ async fn metrics_name_routes_and_never_what_was_asked_for() {
         "feedwright_cycles_total{outcome=\"duplicate\"} 0",
         "feedwright_cycles_total{outcome=\"quarantined\"} 0",
         "feedwright_alarms_open{kind=\"overload\"} 0",
+        "feedwright_cycles_rejected_total{reason=\"malformed_json\"} 0",
+        "feedwright_authentication_failures_total{reason=\"token_revoked\"} 0",
+        "process_start_time_seconds ",
         "feedwright_ingest_queue_depth 0",
         "# TYPE feedwright_commit_seconds histogram",
         "# TYPE feedwright_commit_group_size histogram",
@@ -56,6 +59,44 @@ async fn metrics_name_routes_and_never_what_was_asked_for() {
     ] {
         assert!(text.contains(line), "{line} is not in\n{text}");
     }
+}
+
+#[tokio::test]
+async fn a_round_of_the_watch_fills_what_no_request_asks_about() {
+    let app = App::with(&[
+        ("watch.machine_silent_after_ms_by_machine", "M1=900000"),
+        ("watch.machine_silent_after_ms", "0"),
+        ("limits.metric_machines", "2"),
+    ])
+    .await;
+    for machine in ["M1", "M2", "M3"] {
+        assert_eq!(app.put(&format!("/v1/machines/{machine}"), super::app::machine()).await.status, 201);
+    }
+    feedwright_server::watch::round(&app.state).await.unwrap();
+    let text = String::from_utf8(app.get("/metrics").await.body).unwrap();
+    for line in [
+        "feedwright_ready 1",
+        "feedwright_machines 3",
+        "feedwright_machine_silence_limit_seconds{machine=\"M1\"} 900\n",
+        "feedwright_machine_silent{machine=\"M1\"} 0",
+        "feedwright_machine_alarms_open{kind=\"worn\",machine=\"M2\"} 0",
+        "feedwright_machine_cycles_total{machine=\"M2\",outcome=\"accepted\"} 0",
+        "feedwright_quarantine_entries 0",
+        "feedwright_quarantine_max_entries 10000",
+        "feedwright_quarantine_max_size_bytes 1073741824",
+        "feedwright_database_size_bytes ",
+        "feedwright_database_wal_size_bytes{engine=\"sqlite\"} ",
+        "feedwright_database_connections{state=\"in_use\"} ",
+        "feedwright_disk_available_bytes{directory=\"data\"} ",
+        "feedwright_watch_last_round_timestamp_seconds 1777874400\n",
+    ] {
+        assert!(text.contains(line), "{line} is not in\n{text}");
+    }
+    // Never heard of, never silent; and no more machines than are allowed a label.
+    assert!(!text.contains("feedwright_machine_last_cycle_timestamp_seconds{"), "{text}");
+    assert!(!text.contains("silence_limit_seconds{machine=\"M2\"}"), "{text}");
+    let labelled = ["M1", "M2", "M3"].map(|machine| text.contains(&format!("machine=\"{machine}\"")));
+    assert_eq!(labelled, [true, true, false]);
 }
 
 #[tokio::test]

@@ -188,7 +188,13 @@ async fn prometheus_sees_what_happened() {
         "feedwright_cycles_total{outcome=\"duplicate\"} 1",
         "feedwright_cycles_total{outcome=\"quarantined\"} 1",
         "feedwright_cycles_rejected_total{reason=\"malformed_json\"} 1",
+        "feedwright_cycles_quarantined_total{reason=\"cycle_conflict\"} 1",
+        "feedwright_machine_cycles_total{machine=\"M1\",outcome=\"accepted\"} 6",
+        "feedwright_machine_cycles_total{machine=\"M1\",outcome=\"quarantined\"} 1",
         "feedwright_tool_wear_level_ratio{machine=\"M1\"} 1",
+        // Half past six, by the shop's clock: the first recommendation.
+        "feedwright_machine_recommendation_neutral_since_timestamp_seconds{machine=\"M1\",reason=\"no_profile\"} \
+         1777876200",
         "feedwright_recommendations_total{action=\"run\"} 7",
         "feedwright_cycle_energy_joules_count{process=\"friction\"} 6",
         "route=\"/v1/machines/{machine}/cycles\"",
@@ -196,4 +202,10 @@ async fn prometheus_sees_what_happened() {
         assert!(text.contains(line), "{line} is missing in:\n{text}");
     }
     assert!(!text.contains("T1"), "no tool serial is a label");
+    // A new tool has no level yet: that of the old one goes.
+    let changed = json!({"kind": "changed", "at": "2026-05-04T06:10:00Z", "reason": "story"});
+    assert_eq!(shop.post("/v1/tools/T1/events", &changed).await.status, 201);
+    shop.cycle("M1", &reported(61, 1000.0)).await;
+    let text = shop.get("/metrics").await.text;
+    assert!(!text.contains("feedwright_tool_wear_level_ratio{"), "{text}");
 }

@@ -10,4 +10,5 @@ mod models;
 mod registry;
 mod replicas;
 mod service;
+mod watch;
 mod wear;

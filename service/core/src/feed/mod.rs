@@ -6,8 +6,12 @@
 //! | module | what |
 //! |---|---|
 //! | [`profile`] | a piecewise-linear feed over depth, valid by construction, hashed by content, compared knot by knot |
+//! | [`optimise`] | the fastest profile that keeps the set loads, learned from recorded cycles |
+//! | [`study`] | how good the optimiser is on process models that it does not know |
 //!
 //! A profile says what a control runs. Who drafted it, who approved it and which version is in force belong to the
 //! store.
 
+pub mod optimise;
 pub mod profile;
+pub mod study;

@@ -93,7 +93,12 @@ pub async fn authorise(
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0.ip());
     let caller = match authenticate(&state, request.method(), request.headers(), peer).await {
         Ok(caller) => caller,
-        Err(problem) => return problem.into_response(),
+        Err(problem) => {
+            if problem.status == StatusCode::UNAUTHORIZED || problem.status == StatusCode::TOO_MANY_REQUESTS {
+                state.metrics.refused_token(problem.code);
+            }
+            return problem.into_response();
+        }
     };
     if !roles.contains(&caller.role) {
         let detail = format!("the role {} may not do this", caller.role.as_str());

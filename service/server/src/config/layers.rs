@@ -266,6 +266,16 @@ mod tests {
                 None,
                 "recommendation.validity_ms: 1 to",
             ),
+            (
+                vec![("FEEDWRIGHT__WATCH__MACHINE_SILENT_AFTER_MS", "20000")],
+                None,
+                "watch.machine_silent_after_ms: 0, or 30000",
+            ),
+            (
+                vec![("FEEDWRIGHT__WATCH__MACHINE_SILENT_AFTER_MS_BY_MACHINE", "M1=900000, M 2=0")],
+                None,
+                "watch.machine_silent_after_ms_by_machine: `M 2=0` is not MACHINE=MILLISECONDS",
+            ),
             (vec![("FEEDWRIGHT__DATABASE__URL", "mysql://x")], None, "database.url: must be empty or begin"),
         ] {
             let error = load(&environment, file).unwrap_err();

@@ -67,7 +67,7 @@ pub async fn get_recommendation(
     let id = RecommendationId::parse("id", &uuid::Uuid::now_v7().to_string())?;
     let issued = IssuedRecommendation { id, recommendation: advice };
     let body = (&issued).into();
-    state.metrics.recommendation(issued.recommendation.action);
+    state.metrics.recommendation(&issued.recommendation);
     state.commit(|store| async move { store.issue_recommendation(&issued).await }).await?;
     Ok(Json(body))
 }

@@ -2,8 +2,8 @@
 
 use super::{
     alarms, audit, calibrations, continuity, course, cycles, edge, fleet, friction, health, jobs, library,
-    life, live, machines, openapi, operations, peak_to_peak, plunge, quarantine, recommendations, session, tokens,
-    tool_events, tools, turning, viewer, wear, what_if,
+    life, live, machines, openapi, operations, peak_to_peak, plunge, quarantine, recommendations, session,
+    tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;

@@ -8,6 +8,7 @@ use crate::http::problem::Problem;
 use crate::lifecycle::Lifecycle;
 use crate::live::{Event, Live};
 use crate::metrics::{CycleOutcome, Metrics};
+use crate::watch::Heard;
 use bytes::Bytes;
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::MachineId;
@@ -59,6 +60,7 @@ pub struct CycleIntake {
     live: Arc<Live>,
     max_samples: usize,
     bounds: QuarantineBounds,
+    heard: Heard,
     writer: RwLock<Option<WriterHandle>>,
     writing: Mutex<Option<JoinHandle<()>>>,
 }
@@ -103,9 +105,21 @@ impl CycleIntake {
             live: Live::new(&config.live),
             max_samples: config.limits.samples_per_cycle,
             bounds: config.quarantine.bounds(),
+            heard: Heard::default(),
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
         }
+    }
+
+    /// Machines that were heard of since the watch's last round.
+    pub(crate) const fn heard(&self) -> &Heard {
+        &self.heard
+    }
+
+    /// Sets the metric of the queue to what waits now.
+    pub(crate) fn measure(&self) {
+        let depth = self.writer().map_or(0, |writer| writer.depth());
+        self.metrics.ingest_queue_depth.set(i64::try_from(depth).unwrap_or(i64::MAX));
     }
 
     /// The view that is told of every cycle stored here.
@@ -145,9 +159,6 @@ impl CycleIntake {
     /// Everything after the queue: what the commit came to.
     async fn settle(&self, ready: Ready, answered: Answered, refused: Refused) -> Result<Accepted, Problem> {
         let outcome = answered.await.map_err(|_| closing())?;
-        if let Ok(writer) = self.writer() {
-            self.metrics.ingest_queue_depth.set(i64::try_from(writer.depth()).unwrap_or(i64::MAX));
-        }
         let cycle = ready.cycle.cycle;
         match outcome? {
             Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
@@ -188,12 +199,15 @@ impl CycleIntake {
             .map_err(|error| Problem::internal(format!("parsing a cycle failed: {error}")))
     }
 
-    fn observe(&self, result: &Result<Accepted, Problem>) {
+    fn observe(&self, machine: &MachineId, refused: Refused, result: &Result<Accepted, Problem>) {
+        // What an engineer takes out of quarantine says nothing about the machine.
+        let heard = refused == Refused::ToQuarantine;
         let accepted = match result {
             Ok(accepted) => accepted,
             Err(problem) if problem.members.contains_key("quarantine_id") => {
                 self.live.alarms_may_have_changed();
-                self.metrics.cycle(CycleOutcome::Quarantined);
+                self.heard.note(machine, self.clock.now());
+                self.metrics.cycle_quarantined(machine, problem.code);
                 return;
             }
             Err(problem) => {
@@ -202,21 +216,22 @@ impl CycleIntake {
             }
         };
         let Accepted { cycle, new, answer } = accepted;
-        self.metrics.recommendation(answer.recommendation.recommendation.action);
+        if heard {
+            self.heard.note(machine, self.clock.now());
+        }
+        self.metrics.recommendation(&answer.recommendation.recommendation);
         if !new {
-            self.metrics.cycle(CycleOutcome::Duplicate);
+            self.metrics.cycle(machine, CycleOutcome::Duplicate);
             return;
         }
-        self.metrics.cycle(CycleOutcome::Accepted);
+        self.metrics.cycle(machine, CycleOutcome::Accepted);
         self.live.publish(Event::cycle(accepted));
         self.live.alarms_may_have_changed();
         if let Some(energy) = answer.summary.best_energy() {
             let process = cycle.process.or(answer.recommendation.recommendation.process);
             self.metrics.cycle_energy(process, energy.total_joules);
         }
-        if let Some(level) = answer.verdict.level {
-            self.metrics.tool_wear_level(&cycle.machine, level.as_run);
-        }
+        self.metrics.verdict(machine, &answer.verdict);
     }
 
     /// Keeps a refused body in quarantine, so that its machine may forget it, and names it in the problem.
@@ -269,7 +284,7 @@ impl CycleIntake {
             }
             Err(problem) => Err(problem),
         };
-        self.observe(&result);
+        self.observe(machine, refused, &result);
         result
     }
 
@@ -289,7 +304,7 @@ impl CycleIntake {
             self.settle(ready, answered, refused).await
         });
         let results = join_all(settled).await;
-        results.iter().for_each(|result| self.observe(result));
+        results.iter().for_each(|result| self.observe(machine, refused, result));
         results
     }
 

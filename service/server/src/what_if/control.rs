@@ -134,7 +134,8 @@ pub fn predict(
     let other = asked.control(&cycle, around, &own).map_err(refused)?;
     let answer = what_if(&cycle.core(), &learned.relations, &asked.axis, &asked.limits, &own, &other);
     let answer = answer.map_err(refused)?;
-    let course = asked.samples.then(|| predicted_course(&cycle.core(), &learned.relations, &asked.axis, &other));
+    let course =
+        asked.samples.then(|| predicted_course(&cycle.core(), &learned.relations, &asked.axis, &other));
     let course = course.transpose().map_err(refused)?;
     Ok(Prediction { stored, cycle, learned, answer, course })
 }

@@ -2,7 +2,8 @@
 //!
 //! Worn, broken suspected and conditions changed follow the verdict on the tool: raised with it, cleared with it.
 //! An overload stays open until someone acknowledges it, whatever runs later: a crash is looked at, not outrun.
-//! A machine's quarantine alarm is open as long as an entry of it is unsettled.
+//! A machine's quarantine alarm is open as long as an entry of it is unsettled. Silence, and a quarantine that fills up
+//! (an alarm of no machine), are raised and cleared by the round in `watch`.
 
 use super::{Conn, Db, audit};
 use crate::error::StoreResult;
@@ -115,6 +116,19 @@ pub(super) async fn clear_of_machine(
     )
     .bind(kind.as_str())
     .bind(machine.as_str())
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+/// Clears the open alarm of a kind that concerns neither a machine nor a tool.
+pub(super) async fn clear_of_shop(conn: &mut Conn, kind: AlarmKind, now: Timestamp) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "UPDATE alarms SET cleared_at_us = $2
+         WHERE kind = $1 AND machine_id IS NULL AND tool_id IS NULL AND cleared_at_us IS NULL",
+    )
+    .bind(kind.as_str())
     .bind(now.micros())
     .execute(&mut *conn)
     .await?;

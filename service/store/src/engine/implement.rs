@@ -2,15 +2,16 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, fleet, life, machines, models, operations,
-    quarantine, recommendations, sessions, tokens, tools, wear,
+    quarantine, recommendations, sessions, tokens, tools, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, FleetRow, IssuedRecommendation,
-    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, RowNumber,
-    SessionRecord, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, ToolLife, Versioned, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage, FleetRow,
+    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
+    QuarantineEntry, Round, RowNumber, SessionRecord, StoredCycle, StoredToolEvent, Surroundings,
+    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -113,6 +114,20 @@ impl Store for Engine {
     async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>> {
         let machine = machine.clone();
         snapshot!(self, |conn| fleet::one(conn, &machine, recent).await)
+    }
+
+    async fn watch(
+        &self,
+        heard: Vec<(MachineId, Timestamp)>,
+        settings: &WatchSettings,
+        now: Timestamp,
+    ) -> StoreResult<Round> {
+        let settings = settings.clone();
+        write!(self, |conn| watch::round(conn, &heard, &settings, now).await)
+    }
+
+    async fn usage(&self) -> StoreResult<DatabaseUsage> {
+        self.measure().await
     }
 
     async fn close(&self) {

@@ -20,6 +20,7 @@ mod recommendations;
 mod sessions;
 mod tokens;
 mod tools;
+mod watch;
 mod wear;
 
 use super::{Conn, Db, Engine, dialect};

@@ -33,3 +33,10 @@ pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_ve
 
 /// A lost connection, a restart or a deadlock's victim: the second attempt finds by key what the first one kept.
 pub(super) const COMMIT_ATTEMPTS: u32 = 3;
+
+/// Notes when machines were last heard of, out of `[[machine, microseconds], …]`, in the order of their keys.
+pub(super) const NOTE_CONTACTS: &str = "INSERT INTO machine_contacts (machine_id, last_cycle_at_us)
+     SELECT heard.value->>0, (heard.value->>1)::BIGINT FROM jsonb_array_elements($1::JSONB) AS heard (value)
+     ORDER BY 1
+     ON CONFLICT (machine_id) DO UPDATE
+     SET last_cycle_at_us = GREATEST(machine_contacts.last_cycle_at_us, excluded.last_cycle_at_us)";

@@ -16,3 +16,9 @@ pub(super) const WEAR_OF_TOOL_LOCKED: &str =
 
 /// A failed commit is never tried again: after a failed fsync the pages may be gone.
 pub(super) const COMMIT_ATTEMPTS: u32 = 1;
+
+/// Notes when machines were last heard of, out of `[[machine, microseconds], …]`.
+pub(super) const NOTE_CONTACTS: &str = "INSERT INTO machine_contacts (machine_id, last_cycle_at_us)
+     SELECT json_extract(value, '$[0]'), json_extract(value, '$[1]') FROM json_each($1) WHERE TRUE
+     ON CONFLICT (machine_id) DO UPDATE
+     SET last_cycle_at_us = MAX(machine_contacts.last_cycle_at_us, excluded.last_cycle_at_us)";

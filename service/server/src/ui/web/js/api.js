@@ -7,7 +7,8 @@ export class ApiError extends Error {
   }
 }
 
-const signInFrom = () => { if (document.body.dataset.page !== "sign-in") location.replace(`/sign-in?next=${encodeURIComponent(location.pathname + location.search)}`); };
+/** The session is over: on to the sign-in, and back again from there. The page is left, so nothing of it goes on. */
+const signInFrom = () => { location.replace(`/sign-in?next=${encodeURIComponent(location.pathname + location.search)}`); return new Promise(() => {}); };
 
 /** Asks; gives `{ body, etag }`. */
 export async function ask(method, path, { body, signal, etag, headers = {}, text = false } = {}) {
@@ -24,7 +25,7 @@ export async function ask(method, path, { body, signal, etag, headers = {}, text
     try { problem = await answer.json(); } catch { /* not ours: the status has to do */ }
     problem.request_id ||= answer.headers.get("x-request-id");
     problem.retryAfter = answer.headers.get("retry-after");
-    if (answer.status === 401) signInFrom();
+    if (answer.status === 401 && document.body.dataset.page !== "sign-in") await signInFrom();
     throw new ApiError(answer.status, problem);
   }
   const content = answer.status === 204 ? null : text ? await answer.text() : await answer.json();

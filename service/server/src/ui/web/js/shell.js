@@ -5,7 +5,7 @@ import { ask, may, session } from "./api.js";
 import { language, setLanguage, t } from "./text.js";
 
 const pages = [
-  ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"], ["profile", "/profile", "profile"],
+  ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"],
   ["next", "/next", "advice"], ["studies", "/studies", "studies", "wide"], ["settings", "/settings", "more", "wide"],
 ];
 const name = () => document.body.dataset.page;
@@ -29,6 +29,7 @@ export function shell(title) {
       <span class="who" id="who"></span>
       <button class="btn quiet" id="language" lang="${language === "de" ? "en" : "de"}" aria-label="${t("app.languageLabel")}">${t("app.language")}</button>
       <button class="btn quiet" id="theme" aria-label="${t("app.theme")}">${icon("sun")}</button>
+      <a class="btn quiet phone-only" href="/settings" aria-label="${t("nav.settings")}" title="${t("nav.settings")}">${icon("more")}</a>
       <button class="btn quiet" id="sign-out" aria-label="${t("sign.out")}" title="${t("sign.out")}" hidden>${icon("out")}</button>
     </div></header>`);
   document.body.prepend(bar);
@@ -37,7 +38,6 @@ export function shell(title) {
   $("#language").addEventListener("click", () => setLanguage(language === "de" ? "en" : "de"));
   $("#sign-out").addEventListener("click", async () => { try { await ask("DELETE", "/v1/session"); } finally { location.replace("/sign-in"); } });
   matchMedia("print").addEventListener("change", redraw);
-  // The phone's bar has five places; the rest is behind the brand's row, so it has to be reachable from there too.
   return session().then((who) => {
     $("#who").textContent = `${who.name}, ${t(`role.${who.role}`)}`;
     $("#sign-out").hidden = who.expires_at == null;

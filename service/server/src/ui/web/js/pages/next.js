@@ -39,7 +39,7 @@ const sentence = (text) => { const first = text.charAt(0).toUpperCase() + text.s
 const ofTool = new Set(["good", "warning", "worn", "learning", "undercut", "conditions_changed", "level_outdated", "level_carried_over", "no_new_tool_baseline", "masked_by_control", "cycle_time_risen", "speed_changed", "no_cycles", "data_stale", "tool_unregistered"]);
 function reasonLink(one, code) {
   if (ofTool.has(code)) return html`<a href="/tool?id=${segment(one.tool)}">${t("nav.tool")}</a>`;
-  if (code.startsWith("no_profile") || code.includes("profile")) return html`<a href="/profile?operation=${segment(one.operation)}">${t("nav.profile")}</a>`;
+  if (code.startsWith("no_profile") || code.includes("profile")) return html`<a href="/settings#operations">${t("set.operations")}</a>`;
   return html`<a href="/settings#operations">${t("set.operations")}</a>`;
 }
 function evidence(one, code) {

@@ -55,11 +55,11 @@ function build() {
   const values = counted.map((one) => one[1]);
   const outside = life.excluded.map((why, i) => why && life.energy_ratio[i] != null ? [numberOf(i), (life.energy_ratio[i] - 1) * 100, why] : null).filter(Boolean);
   const low = Math.min(-3.6, Math.floor(Math.min(0, ...values.length ? [quantile(values, 0.002)] : [0])) - 1), high = Math.max(12.8, Math.ceil(Math.max(0, ...values.length ? [quantile(values, 0.998)] : [0])) + 1);
-  const marks = events.map((event, i) => ({ ...event, n: i + 1, at: cycleAt(event.at) })).filter((event) => event.at >= first);
+  const begins = events.findLastIndex((event) => event.kind !== "conditions_confirmed"), marks = events.map((event, i) => ({ ...event, n: i + 1, at: cycleAt(event.at) })).filter((event, i) => i >= begins && event.at >= first);
   const pinned = (u, c) => { for (const one of marks) vline(u, c, one.at, { color: "--ink-3", dash: [1, 3] }); vline(u, c, now, { color: "--ink-2" }); };
   const right = phone() ? 12 : 128;
   if (counted.length || outside.length) plots.push(chart($("#energy"), {
-    height: phone() ? 330 : 392, pad: [phone() ? 26 : 42, right, 0, 0], axisX: true, xr, range: () => [low, high], ysplits: () => splits(low, high), left: 44, zoom: false, yvals: (u, list) => list.map((value) => value === 0 ? "0" : signed(value)), xvals: (u, list) => list.map((value) => value < 0 || value % 1 ? "" : num(value)),
+    height: phone() ? 330 : 392, pad: [phone() ? 26 : 42, right, 0, 0], axisX: true, xr, range: () => [low, high], ysplits: () => { const step = high - low > 40 ? 10 : high - low > 22 ? 5 : 2, list = []; for (let value = Math.ceil(low / step) * step; value <= high; value += step) list.push(value); return list; }, left: 44, zoom: false, yvals: (u, list) => list.map((value) => value === 0 ? "0" : signed(value)), xvals: (u, list) => list.map((value) => value < 0 || value % 1 ? "" : num(value)),
     aria: t("tool.chartAria", { level: here == null ? t("unknown") : shownLevel(here), left: wear.remaining ? t("tool.chartLeft", { low: rounded(wear.remaining.low), high: rounded(wear.remaining.high) }) : t("tool.chartNoLeft") }),
     front: (u, c) => {
       const k = dpr();
@@ -180,7 +180,7 @@ function frame() {
     <aside class="stack" aria-label="${t("tool.about")}">
       <section class="panel"><header><h2>${t("nav.tool")}</h2></header><div class="body"><dl class="facts" id="facts"></dl></div></section>
       <section class="panel"><header><h2>${t("tool.excluded")}</h2><span class="end small" id="out"></span></header><div class="body"><p class="small muted">${t("tool.excludedText")}</p><table class="tight"><thead class="sr"><tr><th scope="col">${t("tool.mark")}</th><th scope="col">${t("tool.reason")}</th><th scope="col">${t("tool.cycles")}</th></tr></thead><tbody id="excluded"></tbody></table><p class="small muted" id="excluded-none" hidden>${t("tool.excludedNone")}</p></div></section>
-      <section class="panel"><header><h2>${t("tool.events")}</h2></header><div class="body"><table class="tight versions"><thead class="sr"><tr><th scope="col">${t("tool.no")}</th><th scope="col">${t("tool.event")}</th><th scope="col">${t("tool.day")}</th></tr></thead><tbody id="events"></tbody></table><p class="small muted" id="events-none" hidden>${t("tool.eventsNone")}</p></div></section>
+      <section class="panel"><header><h2>${t("tool.events")}</h2></header><div class="body"><table class="tight"><thead class="sr"><tr><th scope="col">${t("tool.no")}</th><th scope="col">${t("tool.event")}</th><th scope="col">${t("tool.day")}</th></tr></thead><tbody id="events"></tbody></table><p class="small muted" id="events-none" hidden>${t("tool.eventsNone")}</p></div></section>
     </aside></div>`);
   const point = (event) => { const why = event.target.closest?.("tr")?.dataset.why ?? null; if (why !== hover) { hover = why; plots[0]?.redraw(false); } };
   for (const kind of ["pointerover", "focusin"]) $("#excluded").addEventListener(kind, point);

@@ -1,0 +1,137 @@
+//! Recorded cycles as the optimiser takes them, and why one is not used.
+
+use crate::friction::error::{Invalid, InvalidCode};
+use crate::friction::filter::FilterWeights;
+use crate::friction::relation::FeedSource;
+
+/// Most samples of one cycle that are looked at; more are refused, not cut.
+pub const MOST_SAMPLES: usize = 200_000;
+
+/// Most cycles that are learned from: the latest ones.
+pub const MOST_CYCLES: usize = 40;
+
+/// What the recorded loads went through before they were recorded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum LoadSignal {
+    /// As the drive reports them.
+    Raw,
+    /// Filtered by Stryczek & Błaszczak 2020, Eq. 1: late by w_i/w_a samples.
+    Filtered(FilterWeights),
+    /// Late by this many seconds against depth and feed.
+    Delayed(f64),
+}
+
+/// One recorded cycle: columns of equal length, a row per sample. A value that is missing is NaN.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedCycle {
+    /// Which cycle, for reports.
+    pub id: String,
+    /// The operation that it drilled.
+    pub operation: String,
+    /// Place in the order of time; the cycle with the largest is the latest. Equal ones are ordered by id.
+    pub order: i64,
+    /// Whether it ran to its end; of one that did not, the way it made is used.
+    pub completed: bool,
+    /// Who chose the feed: where a law did, load and feed are tied by the law and the slope is not learned.
+    pub source: FeedSource,
+    /// Wear when it ran, as energy over that of the new tool; `None` where nobody knows.
+    pub wear_ratio: Option<f64>,
+    /// What the loads went through.
+    pub signal: LoadSignal,
+    /// Time, s.
+    pub time_s: Vec<f64>,
+    /// Tip depth below first contact, mm; negative in the air.
+    pub depth_mm: Vec<f64>,
+    /// Actual feed, mm/min, override included; `None` takes it from depth and time.
+    pub feed_mm_min: Option<Vec<f64>>,
+    /// Feed-drive load, percent.
+    pub feed_drive_percent: Vec<f64>,
+    /// Spindle load, percent.
+    pub spindle_percent: Vec<f64>,
+}
+
+/// Why a cycle was not learned from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SkipReason {
+    /// It drilled another operation.
+    OtherOperation,
+    /// Its columns differ in length.
+    LengthMismatch,
+    /// More samples than are looked at.
+    TooManySamples,
+    /// Too few usable samples in contact.
+    TooShort,
+    /// Feed column and depth over time disagree, as mm/s taken for mm/min would.
+    FeedContradictsDepth,
+    /// The loads never rise above idle: nothing was drilled.
+    NoLoad,
+    /// Its loads are far from what the other cycles show at the same feed.
+    Outlier,
+    /// Older than the cycles that are learned from.
+    TooOld,
+    /// The same cycle again.
+    Duplicate,
+}
+
+impl SkipReason {
+    /// The stable code.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::OtherOperation => "other_operation",
+            Self::LengthMismatch => "length_mismatch",
+            Self::TooManySamples => "too_many_samples",
+            Self::TooShort => "too_short",
+            Self::FeedContradictsDepth => "feed_contradicts_depth",
+            Self::NoLoad => "no_load",
+            Self::Outlier => "outlier",
+            Self::TooOld => "too_old",
+            Self::Duplicate => "duplicate",
+        }
+    }
+}
+
+/// A cycle that was not learned from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Skipped {
+    /// Which cycle.
+    pub id: String,
+    /// Why.
+    pub reason: SkipReason,
+}
+
+impl RecordedCycle {
+    pub(super) fn check(&self, operation: &str) -> Result<(), SkipReason> {
+        if self.operation != operation {
+            return Err(SkipReason::OtherOperation);
+        }
+        let len = self.time_s.len();
+        let fits = self.depth_mm.len() == len
+            && self.feed_drive_percent.len() == len
+            && self.spindle_percent.len() == len
+            && self.feed_mm_min.as_ref().is_none_or(|feed| feed.len() == len);
+        if !fits {
+            return Err(SkipReason::LengthMismatch);
+        }
+        if len > MOST_SAMPLES {
+            return Err(SkipReason::TooManySamples);
+        }
+        Ok(())
+    }
+}
+
+/// The refusal of an optimisation for which there is nothing to learn from.
+pub(super) fn nothing_usable(skipped: &[Skipped]) -> Invalid {
+    let first = skipped.first().map_or_else(
+        || "no cycle was given".to_owned(),
+        |one| {
+            format!(
+                "none of {} cycles is usable, the first ({}) because: {}",
+                skipped.len(),
+                one.id,
+                one.reason.as_str()
+            )
+        },
+    );
+    Invalid::new("cycles", InvalidCode::NotIdentifiable, first)
+}

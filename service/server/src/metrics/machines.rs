@@ -1,0 +1,173 @@
+//! Metrics that carry a machine's label: only registered machines, and at most `limits.metric_machines` of them.
+
+use super::registrar::Registrar;
+use super::seconds;
+use feedwright_core::ids::MachineId;
+use feedwright_core::recommend::{NEUTRAL_OVERRIDE_PERCENT, Recommendation};
+use feedwright_core::units::Timestamp;
+use feedwright_core::wear::Verdict;
+use feedwright_store::{AlarmKind, Round};
+use prometheus::{GaugeVec, IntCounterVec, IntGaugeVec};
+use std::collections::HashMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Reasons of a recommendation that leaves the feed as it is, the one that someone can do something about first; what
+/// is none of these is "other".
+const NEUTRAL_REASONS: [&str; 5] =
+    ["data_stale", "tool_unregistered", "operation_unregistered", "no_programmed_feed", "no_profile"];
+
+/// What is remembered of a machine that has a label.
+#[derive(Default)]
+struct Known {
+    /// Since when its recommendations leave the feed as it is, and why.
+    neutral: Option<(Timestamp, &'static str)>,
+}
+
+pub(super) struct MachineMetrics {
+    known: Mutex<HashMap<MachineId, Known>>,
+    most: usize,
+    cycles: IntCounterVec,
+    wear_level: GaugeVec,
+    remaining_cycles: GaugeVec,
+    last_cycle: GaugeVec,
+    silence_limit: GaugeVec,
+    silent: IntGaugeVec,
+    alarms_open: IntGaugeVec,
+    neutral_since: GaugeVec,
+}
+
+impl MachineMetrics {
+    pub(super) fn new(new: &Registrar, most: usize) -> Result<Self, prometheus::Error> {
+        let machine = &["machine"];
+        Ok(Self {
+            known: Mutex::default(),
+            most,
+            cycles: new.counters(
+                "feedwright_machine_cycles_total",
+                "Cycles taken in of a machine, by outcome",
+                &["machine", "outcome"],
+            )?,
+            wear_level: new.gauges(
+                "feedwright_tool_wear_level_ratio",
+                "Energy of the tool that ran last on the machine over its energy when new; worn at 1.10",
+                machine,
+            )?,
+            remaining_cycles: new.gauges(
+                "feedwright_tool_remaining_cycles",
+                "Cycles that the tool that ran last on the machine is expected to last; absent where unknown",
+                machine,
+            )?,
+            last_cycle: new.gauges(
+                "feedwright_machine_last_cycle_timestamp_seconds",
+                "When a cycle of the machine last arrived, by the server's clock",
+                machine,
+            )?,
+            silence_limit: new.gauges(
+                "feedwright_machine_silence_limit_seconds",
+                "After so long without a cycle the machine is silent; absent where it never is",
+                machine,
+            )?,
+            silent: new.int_gauges(
+                "feedwright_machine_silent",
+                "1 where the machine posted before and has been silent for longer than its limit",
+                machine,
+            )?,
+            alarms_open: new.int_gauges(
+                "feedwright_machine_alarms_open",
+                "Open alarms that concern the machine, or a tool that last ran on it",
+                &["machine", "kind"],
+            )?,
+            neutral_since: new.gauges(
+                "feedwright_machine_recommendation_neutral_since_timestamp_seconds",
+                "Since when every recommendation that this process made for the machine leaves the feed as it is",
+                &["machine", "reason"],
+            )?,
+        })
+    }
+
+    /// What is known of a machine, where it has a label or there is room for one more.
+    fn labelled<T>(&self, machine: &MachineId, run: impl FnOnce(&mut Known) -> T) -> Option<T> {
+        let mut known: MutexGuard<'_, HashMap<MachineId, Known>> =
+            self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if !known.contains_key(machine) {
+            if known.len() >= self.most {
+                return None;
+            }
+            known.insert(machine.clone(), Known::default());
+            for outcome in super::CycleOutcome::ALL {
+                self.cycles.with_label_values(&[machine.as_str(), outcome.as_str()]);
+            }
+        }
+        known.get_mut(machine).map(run)
+    }
+
+    pub(super) fn cycle(&self, machine: &MachineId, outcome: &str) {
+        self.labelled(machine, |_| self.cycles.with_label_values(&[machine.as_str(), outcome]).inc());
+    }
+
+    pub(super) fn verdict(&self, machine: &MachineId, verdict: &Verdict) {
+        self.labelled(machine, |_| {
+            // A tool that is being learnt has no level: that of the one before it must not stay.
+            set(&self.wear_level, machine, verdict.level.map(|level| level.as_run));
+            #[expect(clippy::cast_precision_loss, reason = "a count of cycles")]
+            set(&self.remaining_cycles, machine, verdict.remaining.map(|left| left.cycles as f64));
+        });
+    }
+
+    pub(super) fn recommendation(&self, recommendation: &Recommendation) {
+        let is_neutral = recommendation.override_percent == NEUTRAL_OVERRIDE_PERCENT;
+        let machine = &recommendation.machine;
+        self.labelled(machine, |known| {
+            let now = is_neutral.then(|| {
+                let since = known.neutral.map_or(recommendation.issued_at, |(since, _)| since);
+                (since, reason(recommendation))
+            });
+            if known.neutral == now {
+                return;
+            }
+            if let Some((_, before)) = known.neutral {
+                // It is there: it was set when it became known.
+                let _ = self.neutral_since.remove_label_values(&[machine.as_str(), before]);
+            }
+            if let Some((since, reason)) = now {
+                self.neutral_since.with_label_values(&[machine.as_str(), reason]).set(seconds(since));
+            }
+            known.neutral = now;
+        });
+    }
+
+    pub(super) fn round(&self, found: &Round) {
+        for contact in &found.machines {
+            let machine = &contact.machine;
+            let labelled = self.labelled(machine, |_| {
+                set(&self.last_cycle, machine, contact.last_cycle_at.map(seconds));
+                #[expect(clippy::cast_precision_loss, reason = "a limit of at most a year")]
+                set(&self.silence_limit, machine, contact.silent_after_ms.map(|ms| ms as f64 / 1e3));
+                self.silent.with_label_values(&[machine.as_str()]).set(i64::from(contact.is_silent));
+            });
+            if labelled.is_none() {
+                continue;
+            }
+            let of_machine = || found.alarms.iter().filter(|alarms| alarms.machine.as_ref() == Some(machine));
+            for kind in AlarmKind::ALL {
+                let open = of_machine().find(|alarms| alarms.kind == kind).map_or(0, |alarms| alarms.open);
+                let gauge = self.alarms_open.with_label_values(&[machine.as_str(), kind.as_str()]);
+                gauge.set(super::whole(open));
+            }
+        }
+    }
+}
+
+/// Sets a gauge, or takes it away where there is nothing to say.
+fn set(gauges: &GaugeVec, machine: &MachineId, value: Option<f64>) {
+    match value {
+        Some(value) => gauges.with_label_values(&[machine.as_str()]).set(value),
+        // Nothing is to be removed where it was never set.
+        None => drop(gauges.remove_label_values(&[machine.as_str()])),
+    }
+}
+
+fn reason(recommendation: &Recommendation) -> &'static str {
+    let has = |code: &str| recommendation.reasons.iter().any(|(reason, _)| reason == code);
+    NEUTRAL_REASONS.into_iter().find(|code| has(code)).unwrap_or("other")
+}

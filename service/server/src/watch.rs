@@ -1,0 +1,103 @@
+//! The watchman: a round every few seconds over what no request asks about. Which machines fell silent, how full
+//! quarantine, disk and database are, which alarms stand; into the store's alarms and into the metrics.
+//!
+//! Several replicas make the same round on one database: each notes the machines that it heard of, and whoever comes
+//! first raises an alarm, once.
+
+use crate::state::AppState;
+use feedwright_core::ids::MachineId;
+use feedwright_core::units::Timestamp;
+use feedwright_store::{StoreError, StoreResult};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+/// Machines that were heard of since the last round, with when.
+#[derive(Debug, Default)]
+pub struct Heard(Mutex<BTreeMap<MachineId, Timestamp>>);
+
+impl Heard {
+    /// Notes that a cycle of a registered machine arrived, whatever becomes of it.
+    pub fn note(&self, machine: &MachineId, at: Timestamp) {
+        let mut heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        match heard.get_mut(machine) {
+            Some(last) => *last = at.max(*last),
+            None => drop(heard.insert(machine.clone(), at)),
+        }
+    }
+
+    fn take(&self) -> Vec<(MachineId, Timestamp)> {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner)).into_iter().collect()
+    }
+
+    /// Puts back what a failed round could not note.
+    fn restore(&self, taken: &[(MachineId, Timestamp)]) {
+        for (machine, at) in taken {
+            self.note(machine, *at);
+        }
+    }
+}
+
+/// Makes rounds until the shutdown begins.
+pub(crate) fn start(state: &AppState) {
+    let state = state.clone();
+    // A task of the lifecycle: shutdown waits for the round under way, and only the waiting between two is cut short.
+    state.lifecycle.clone().spawn(async move {
+        let mut ticks = tokio::time::interval(state.config.watch.interval());
+        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                _ = ticks.tick() => {}
+                () = state.lifecycle.stopping() => break,
+            }
+            if let Err(error) = round(&state).await {
+                tracing::warn!(%error, "the watch could not make its round");
+            }
+        }
+        // What was heard of last is not lost with the process.
+        if let Err(error) = round(&state).await {
+            tracing::warn!(%error, "the watch could not make its last round");
+        }
+    });
+}
+
+/// One round.
+pub async fn round(state: &AppState) -> StoreResult<()> {
+    state.metrics.ready(state.ready().await.is_ok());
+    disk(state).await;
+    match state.store.usage().await {
+        Ok(usage) => state.metrics.database(&usage),
+        Err(error) => tracing::warn!(%error, "the database's size is not known"),
+    }
+    let heard = state.intake.heard().take();
+    let settings = state.config.watch.settings(state.config.quarantine.bounds());
+    let (now, taken) = (state.clock.now(), heard.clone());
+    let found = match state.store.watch(heard, &settings, now).await {
+        Ok(found) => found,
+        Err(error) => {
+            state.intake.heard().restore(&taken);
+            if let StoreError::NotWritable(source) = &error {
+                state.lifecycle.fail(&format!("the database does not take writes: {source}"));
+            }
+            return Err(error);
+        }
+    };
+    state.metrics.round(&found, now);
+    state.intake.live().alarms_may_have_changed();
+    Ok(())
+}
+
+/// How full the file system of the data directory is; a service that keeps its data on a server has none.
+async fn disk(state: &AppState) {
+    let path = state.config.data_dir.clone();
+    let sized = tokio::task::spawn_blocking(move || sizes(&path)).await;
+    if let Ok(Some((size, available))) = sized {
+        state.metrics.disk(size, available);
+    }
+}
+
+/// Bytes of the file system that holds `path`, and of them those that this process may still use.
+fn sizes(path: &Path) -> Option<(u64, u64)> {
+    let found = rustix::fs::statvfs(path).ok()?;
+    Some((found.f_blocks.saturating_mul(found.f_frsize), found.f_bavail.saturating_mul(found.f_frsize)))
+}

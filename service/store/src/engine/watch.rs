@@ -1,0 +1,139 @@
+//! What a watchman finds on his round: who was heard of, who is silent, how full the quarantine is, what alarms.
+//!
+//! A round is one transaction. Silence and a quarantine that fills up are the two alarms that no event raises, so the
+//! round raises and clears them.
+
+use super::{Conn, Db, alarms, dialect};
+use crate::error::StoreResult;
+use crate::record::{
+    AlarmKind, MachineContact, OpenAlarms, QuarantineBounds, QuarantineFill, Round, WatchSettings,
+};
+use crate::rows::{id, number, word};
+use feedwright_core::ids::MachineId;
+use feedwright_core::units::Timestamp;
+use serde_json::json;
+
+/// Most machines that a round looks at.
+const MOST_MACHINES: i64 = 10_000;
+/// The quarantine's alarm is cleared when it has emptied to this share of the share that raised it.
+const CLEARED_AT: f64 = 0.8;
+
+#[derive(sqlx::FromRow)]
+struct ContactRow {
+    machine_id: String,
+    last_cycle_at_us: Option<i64>,
+    silent_since_us: Option<i64>,
+}
+
+pub(super) async fn round(
+    conn: &mut Conn,
+    heard: &[(MachineId, Timestamp)],
+    settings: &WatchSettings,
+    now: Timestamp,
+) -> StoreResult<Round> {
+    note(conn, heard).await?;
+    let machines = silence(conn, settings, now).await?;
+    let quarantine = quarantine(conn, settings, now).await?;
+    Ok(Round { machines, quarantine, alarms: open_alarms(conn).await? })
+}
+
+async fn note(conn: &mut Conn, heard: &[(MachineId, Timestamp)]) -> StoreResult<()> {
+    if heard.is_empty() {
+        return Ok(());
+    }
+    let heard: Vec<_> = heard.iter().map(|(machine, at)| (machine.as_str(), at.micros())).collect();
+    sqlx::query::<Db>(dialect::NOTE_CONTACTS).bind(json!(heard).to_string()).execute(&mut *conn).await?;
+    Ok(())
+}
+
+/// Every machine with when it was last heard of; a machine that never sent a cycle is not silent.
+async fn silence(
+    conn: &mut Conn,
+    settings: &WatchSettings,
+    now: Timestamp,
+) -> StoreResult<Vec<MachineContact>> {
+    let rows: Vec<ContactRow> = sqlx::query_as::<Db, _>(
+        "SELECT m.machine_id, c.last_cycle_at_us, a.raised_at_us AS silent_since_us
+         FROM machines m
+         LEFT JOIN machine_contacts c ON c.machine_id = m.machine_id
+         LEFT JOIN alarms a ON a.machine_id = m.machine_id AND a.kind = 'machine_silent' AND a.tool_id IS NULL
+             AND a.cleared_at_us IS NULL
+         ORDER BY m.machine_id LIMIT $1",
+    )
+    .bind(MOST_MACHINES)
+    .fetch_all(&mut *conn)
+    .await?;
+    let mut machines = Vec::with_capacity(rows.len());
+    for row in rows {
+        let machine: MachineId = id("machine_id", &row.machine_id)?;
+        let last_cycle_at = row.last_cycle_at_us.map(Timestamp::from_micros);
+        let limit = settings.silent_after_ms(&machine);
+        let is_silent = last_cycle_at.zip(limit).is_some_and(|(last, limit)| now.millis_since(last) > limit);
+        match (is_silent, row.silent_since_us, limit) {
+            (true, None, Some(limit)) => {
+                let message = format!("machine {machine}: no cycle for more than {}", minutes(limit));
+                alarms::raise(conn, AlarmKind::MachineSilent, Some(&machine), None, &message, now).await?;
+            }
+            (false, Some(_), _) => {
+                alarms::clear_of_machine(conn, AlarmKind::MachineSilent, &machine, now).await?;
+            }
+            _ => {}
+        }
+        machines.push(MachineContact { machine, last_cycle_at, silent_after_ms: limit, is_silent });
+    }
+    Ok(machines)
+}
+
+fn minutes(ms: i64) -> String {
+    if ms % 60_000 == 0 { format!("{} min", ms / 60_000) } else { format!("{} s", ms / 1000) }
+}
+
+async fn quarantine(
+    conn: &mut Conn,
+    settings: &WatchSettings,
+    now: Timestamp,
+) -> StoreResult<QuarantineFill> {
+    let (entries, bytes): (i64, i64) = sqlx::query_as::<Db, _>(
+        "SELECT COUNT(*), CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine
+         WHERE settled_at_us IS NULL",
+    )
+    .fetch_one(&mut *conn)
+    .await?;
+    let fill = QuarantineFill {
+        entries: number("entries", entries)?,
+        bytes: number("bytes", bytes)?,
+        bounds: settings.quarantine,
+    };
+    let ratio = fill.ratio();
+    if ratio >= settings.quarantine_warning_ratio {
+        let QuarantineBounds { entries, bytes } = settings.quarantine;
+        let message = format!(
+            "the quarantine is filled to {:.0} % ({} of {entries} entries, {} of {bytes} bytes): settle entries \
+             before it is full and machines have to keep their cycles",
+            ratio * 100.0,
+            fill.entries,
+            fill.bytes
+        );
+        alarms::raise(conn, AlarmKind::Quarantine, None, None, &message, now).await?;
+    } else if ratio < CLEARED_AT * settings.quarantine_warning_ratio {
+        alarms::clear_of_shop(conn, AlarmKind::Quarantine, now).await?;
+    }
+    Ok(fill)
+}
+
+async fn open_alarms(conn: &mut Conn) -> StoreResult<Vec<OpenAlarms>> {
+    let rows: Vec<(String, Option<String>, i64)> = sqlx::query_as::<Db, _>(
+        "SELECT kind, machine_id, COUNT(*) FROM alarms WHERE cleared_at_us IS NULL
+         GROUP BY kind, machine_id ORDER BY kind, machine_id",
+    )
+    .fetch_all(&mut *conn)
+    .await?;
+    let alarms = rows.iter().map(|(kind, machine, open)| {
+        Ok(OpenAlarms {
+            kind: word("kind", kind, AlarmKind::parse)?,
+            machine: machine.as_deref().map(|machine| id("machine_id", machine)).transpose()?,
+            open: number("count", *open)?,
+        })
+    });
+    alarms.collect()
+}

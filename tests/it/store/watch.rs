@@ -1,0 +1,181 @@
+//! The watch: who is silent, how full the quarantine is, and what Grafana reads.
+
+use super::given::{Given, Run, at, engineer, machine, shop, stored, stories};
+use feedwright_core::ids::MachineId;
+use feedwright_core::units::Timestamp;
+use feedwright_store::{
+    Alarm, AlarmFilter, AlarmKind, OpenAlarms, Page, Precondition, QuarantineBounds, QuarantineEntry, Store,
+    WatchSettings,
+};
+use sqlx::{Connection, PgConnection};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+stories!(
+    a_machine_that_falls_silent_alarms_until_it_posts_again,
+    a_quarantine_that_fills_up_alarms_before_it_is_full,
+    usage_tells_sizes_and_connections
+);
+
+fn id(text: &str) -> MachineId {
+    text.try_into().unwrap()
+}
+
+fn settings() -> WatchSettings {
+    WatchSettings {
+        silent_after_ms: Some(600_000),
+        silent_after_ms_by_machine: BTreeMap::from([(id("M2"), Some(60_000)), (id("M3"), None)]),
+        quarantine: QuarantineBounds { entries: 10, bytes: 1_000_000 },
+        quarantine_warning_ratio: 0.5,
+    }
+}
+
+async fn open(store: &dyn Store) -> Vec<Alarm> {
+    let filter = AlarmFilter { open: Some(true), ..AlarmFilter::default() };
+    store.alarms(&filter, Page { after: None, limit: 100 }).await.unwrap()
+}
+
+async fn silent(store: &dyn Store, heard: &[(&str, Timestamp)], now: Timestamp) -> Vec<String> {
+    let heard = heard.iter().map(|&(machine, at)| (id(machine), at)).collect();
+    let round = store.watch(heard, &settings(), now).await.unwrap();
+    let ids: Vec<_> = round.machines.iter().map(|contact| contact.machine.as_str()).collect();
+    assert_eq!(ids, ["M1", "M2", "M3"], "every registered machine, by id");
+    let silent = round.machines.into_iter().filter(|contact| contact.is_silent);
+    silent.map(|contact| contact.machine.as_str().to_owned()).collect()
+}
+
+async fn a_machine_that_falls_silent_alarms_until_it_posts_again(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    for name in ["M2", "M3"] {
+        store.put_machine(machine(name), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+    }
+    let never: [String; 0] = [];
+    assert_eq!(silent(&*store, &[], at(1_000_000)).await, never, "who never spoke is not silent");
+    let all = [("M1", at(1_000_000)), ("M2", at(1_000_000)), ("M3", at(1_000_000))];
+    assert_eq!(silent(&*store, &all, at(1_000_060)).await, never, "at its limit it is not beyond it");
+    assert_eq!(silent(&*store, &[], at(1_000_061)).await, ["M2"], "it has a limit of its own");
+    assert_eq!(silent(&*store, &[], at(1_000_601)).await, ["M1", "M2"], "M3 is never silent");
+    let alarms = open(&*store).await;
+    let told: Vec<_> = alarms.iter().map(|alarm| (alarm.kind, alarm.message.as_str())).collect();
+    assert_eq!(
+        told,
+        [
+            (AlarmKind::MachineSilent, "machine M2: no cycle for more than 1 min"),
+            (AlarmKind::MachineSilent, "machine M1: no cycle for more than 10 min"),
+        ]
+    );
+    assert_eq!((alarms[0].raised_at, alarms[0].machine.clone()), (at(1_000_061), Some(id("M2"))));
+    assert_eq!(silent(&*store, &[], at(1_000_700)).await, ["M1", "M2"]);
+    assert_eq!(open(&*store).await, alarms, "once, however many rounds are made");
+
+    // What another replica heard earlier does not push the clock back.
+    assert_eq!(silent(&*store, &[("M1", at(1_000_700))], at(1_000_710)).await, ["M2"]);
+    assert_eq!(silent(&*store, &[("M1", at(1_000_100))], at(1_000_720)).await, ["M2"]);
+    let round = store.watch(vec![], &settings(), at(1_000_720)).await.unwrap();
+    assert_eq!(round.machines[0].last_cycle_at, Some(at(1_000_700)));
+    assert_eq!(
+        round.alarms,
+        [OpenAlarms { kind: AlarmKind::MachineSilent, machine: Some(id("M2")), open: 1 }]
+    );
+    let mut off = settings();
+    off.silent_after_ms_by_machine.insert(id("M2"), None);
+    store.watch(vec![], &off, at(1_000_730)).await.unwrap();
+    assert_eq!(open(&*store).await, [], "a machine that is not watched any more is not silent");
+    stored(&*store, &Run::nth(1)).await;
+}
+
+fn entry(n: usize) -> QuarantineEntry {
+    QuarantineEntry {
+        id: format!("q{n}"),
+        machine: id("M1"),
+        cycle: None,
+        received_at: at(5),
+        code: "out_of_range".to_owned(),
+        problem: "{}".to_owned(),
+        content_type: "application/json".to_owned(),
+        settled: None,
+        size: 1,
+    }
+}
+
+async fn a_quarantine_that_fills_up_alarms_before_it_is_full(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let of_shop = async |now| -> Vec<String> {
+        let round = store.watch(vec![], &settings(), now).await.unwrap();
+        assert_eq!(round.quarantine.bounds, settings().quarantine);
+        let alarms = open(&*store).await.into_iter().filter(|alarm| alarm.machine.is_none());
+        alarms.map(|alarm| format!("{} {}", round.quarantine.entries, alarm.message)).collect()
+    };
+    let none: [String; 0] = [];
+    for n in 0..4 {
+        store.quarantine(entry(n), vec![u8::try_from(n).unwrap()], settings().quarantine).await.unwrap();
+    }
+    assert_eq!(of_shop(at(10)).await, none);
+    store.quarantine(entry(4), vec![4], settings().quarantine).await.unwrap();
+    let told = of_shop(at(20)).await;
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(told[0].starts_with("5 the quarantine is filled to 50 % (5 of 10 entries, "), "{told:?}");
+    assert_eq!(of_shop(at(30)).await.len(), 1);
+    for n in 0..2 {
+        let id = format!("q{n}");
+        assert!(store.settle_quarantine(&id, "discarded", &engineer(), at(40)).await.unwrap());
+    }
+    let of_machine = open(&*store).await.iter().filter(|alarm| alarm.machine.is_some()).count();
+    assert_eq!(of_machine, 1, "the machine's own stays while entries of it wait");
+    assert_eq!(of_shop(at(50)).await, none, "3 of 10 is below 0.8 of the half");
+}
+
+async fn usage_tells_sizes_and_connections(store: Arc<dyn Store>) {
+    let usage = store.usage().await.unwrap();
+    assert!(usage.bytes > 0, "{usage:?}");
+    assert!(usage.connections_max >= 4, "{usage:?}");
+    assert!(usage.connections_in_use + usage.connections_idle <= usage.connections_max, "{usage:?}");
+}
+
+/// The views hold what the cycle holds; SQLite has none.
+#[tokio::test]
+async fn the_views_for_dashboards_tell_what_is_stored() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    let answer = stored(&*store, &Run::nth(1)).await;
+    let energy = answer.summary.best_energy().unwrap();
+    store.watch(vec![(id("M1"), at(63))], &settings(), at(64)).await.unwrap();
+    store.quarantine(entry(1), b"body".to_vec(), settings().quarantine).await.unwrap();
+    let mut conn = PgConnection::connect(&given.address()).await.unwrap();
+    let cycle: (String, f64, String, f64, f64) = sqlx::query_as(
+        "SELECT tool_id, energy_joules, energy_basis, duration_seconds,
+                extract(epoch FROM started_at)::DOUBLE PRECISION
+         FROM grafana_cycles WHERE machine_id = 'M1'",
+    )
+    .fetch_one(&mut conn)
+    .await
+    .unwrap();
+    let duration = answer.summary.duration_ms.unwrap() / 1e3;
+    #[expect(clippy::cast_precision_loss, reason = "a time of this century")]
+    let started = at(60).micros() as f64 / 1e6;
+    let basis = energy.basis.as_str().to_owned();
+    assert_eq!(cycle, ("T1".to_owned(), energy.total_joules, basis, duration, started));
+    let machine: (i64, i64) =
+        sqlx::query_as("SELECT last_cycle_at_us, open_alarms FROM grafana_machines WHERE machine_id = 'M1'")
+            .fetch_one(&mut conn)
+            .await
+            .unwrap();
+    assert_eq!(machine, (at(63).micros(), 1));
+    let tool: (i64, String) =
+        sqlx::query_as("SELECT cycles_folded, last_machine_id FROM grafana_tools WHERE tool_id = 'T1'")
+            .fetch_one(&mut conn)
+            .await
+            .unwrap();
+    assert_eq!(tool, (1, "M1".to_owned()));
+    let waiting: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM grafana_quarantine WHERE NOT is_settled")
+        .fetch_one(&mut conn)
+        .await
+        .unwrap();
+    assert_eq!(waiting, 1);
+    conn.close().await.unwrap();
+    drop(store);
+    given.done().await;
+}
