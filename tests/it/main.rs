@@ -3,6 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "helpers of stories are part of the stories")]
 
 mod friction;
+mod fuzz;
+mod hang_ups;
 mod http;
 mod live;
 mod processes;

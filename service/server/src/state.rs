@@ -1,6 +1,6 @@
 //! What every handler reaches: the store, the clock, the configuration, the metrics and the life of the process.
 
-use crate::auth::FailedAuthentications;
+use crate::auth::{FailedAuthentications, KnownTokens};
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::ingest::intake::CycleIntake;
@@ -38,6 +38,8 @@ pub struct Shared {
     pub jobs: Jobs,
     /// Who failed to authenticate, how often.
     pub(crate) failed_authentications: FailedAuthentications,
+    /// Tokens that were good a moment ago.
+    pub(crate) known_tokens: KnownTokens,
     /// Whether the database takes writes.
     pub(crate) readiness: Readiness,
 }
@@ -72,6 +74,7 @@ impl AppState {
             live,
             jobs: Jobs::default(),
             failed_authentications,
+            known_tokens: KnownTokens::default(),
             readiness,
         }))
     }

@@ -28,34 +28,59 @@
 //! column: u8 form, then per value i64 m (forms 0..=9) or u64 bits (form 255)
 //! ```
 //!
-//! # Block format v1
+//! # Block format v2
 //!
 //! ```text
-//! "FB"  u8 version = 1
+//! "FB"  u8 version = 2
 //! varint samples per column       1 ..= the reader's limit
 //! u8 number of blocks             1 ..= 17
 //! u8 0, f64 bits of the period    or  u8 1: the first block holds the times
 //! per block, times first, then channels in ascending code:
 //!   u8 channel code (0: times)
-//!   u8 form | 0x80 where the payload is a zstd frame; form 0..=9 or 15 for exact bits
-//!   varint plain length           varint stored length, where compressed
-//!   payload
+//!   u8 form
+//!   form 0..=9:     varint length, payload of a decimal column
+//!   form 15:        varint length, the bits byte plane by byte plane: all lowest bytes first
+//!   form 15 | 0x80: varint plain length, varint stored length, the same as a zstd frame
 //! u64 first eight bytes of blake3 over everything before
 //! ```
 //!
-//! The plain payload of forms 0..=9 is a varint each: zig-zag of the first `m`, then of each difference to the one
-//! before. Of form 15 it is the bits, byte plane by byte plane: all lowest bytes first. Varints are LEB128.
-//! A payload is compressed (zstd level 1) only where that makes it shorter.
+//! The payload of a decimal column is `u8 predictor | coder`, the first `m` as a zig-zag varint (LEB128), for the Rice
+//! coder `u8` bits of a usual residual, and then for each other `m` how far it is off its prediction, zig-zag:
+//!
+//! * predictors, over the values before, `a` the newest; until enough of them are there it is `a`: 0: `a` · 1: `2a − b` ·
+//!   2: `(a + b) >> 1` · 3: `(3(a + b) − (c + d)) >> 2`
+//! * coder 0x00, Rice: with parameter `k` the quotient by 2^k as ones and a zero, then `k` bits; 24 ones are followed by
+//!   64 bits. `k` is the bit length of 3/4 of the running mean, see `rice.rs`. Bits fill bytes from the top.
+//! * coder 0x10, an adaptive binary range coder, see `range.rs`, taken where a mean residual is no more than 1.5.
+//!
+//! # Block format v1
+//!
+//! It is still read. It differs in its version and in form 0..=9, which was like form 15, with 0x80 for zstd, over a
+//! zig-zag varint of the first `m` and of each difference to the one before.
 
 mod column;
 mod frame;
 mod hash;
+mod predict;
+mod range;
+mod rice;
 
+pub(crate) use column::decimal;
+#[cfg(test)]
+pub(crate) use frame::tests::cycle as cycle_of_every_field;
 pub use frame::{decode_samples, encode_samples};
 pub use hash::content_hash;
 
 use crate::record::EncodedCycle;
 use feedwright_core::cycle::Cycle;
+
+/// The smallest scale at which all values are decimals, with their integers; `None` where there is none.
+pub(crate) fn canonical_column(values: &[f64]) -> Option<(u8, Vec<i64>)> {
+    match column::Column::of(values) {
+        column::Column::Decimal { scale, values } => Some((scale, values)),
+        column::Column::Exact(_) => None,
+    }
+}
 
 /// Makes the content hash and the sample blocks of a cycle.
 pub fn encode(cycle: &Cycle) -> EncodedCycle {

@@ -72,12 +72,17 @@ impl<'a> Walk<'a> {
     pub(crate) fn into_fold(self) -> ToolFold {
         self.fold
     }
+}
 
-    /// The verdict after the last cycle and every event that followed it.
-    pub(crate) fn verdict(mut self) -> Verdict {
-        for event in &self.events[self.next..] {
-            self.fold.event(event.kind);
+/// The verdict after the last cycle and every event that followed it; `events` in the order of their places.
+pub(crate) fn verdict_after(fold: &ToolFold, events: &[PlacedEvent]) -> Verdict {
+    let next = fold.last().map(Place::of).map_or(0, |last| events.partition_point(|e| e.place <= last));
+    match &events[next..] {
+        [] => fold.verdict(),
+        following => {
+            let mut fold = fold.clone();
+            following.iter().for_each(|event| fold.event(event.kind));
+            fold.verdict()
         }
-        self.fold.verdict()
     }
 }

@@ -15,9 +15,12 @@ mod notice;
 mod postgres;
 mod precondition;
 mod record;
+mod registry;
 mod rows;
+mod slot;
 mod sqlite;
 mod store;
+pub mod wire;
 mod work;
 
 pub use error::{StoreError, StoreResult};

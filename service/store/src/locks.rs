@@ -5,7 +5,8 @@
 //! Everyone takes shared locks first, then exclusive ones, each in ascending order: no two can wait for each other.
 //! The one exception, a changed operation, holds its own name while it asks for tools; cycles ask in that order too.
 
-use feedwright_core::ids::{OperationId, ToolId};
+use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use std::collections::BTreeSet;
 
 /// Names to lock until the end of the transaction.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -46,13 +47,24 @@ impl Locks {
         Self::subject("operation", id.as_str())
     }
 
-    /// What a group of cycles needs: its operations stay as they are, its tools are folded by nobody else.
+    /// Several tools alone.
+    pub(crate) fn tools<'a>(tools: impl IntoIterator<Item = &'a ToolId>) -> Self {
+        Self::group([], [], tools)
+    }
+
+    /// What a group of cycles needs: its machines and operations stay as they are, its tools are folded by nobody
+    /// else.
     pub(crate) fn group<'a>(
+        machines: impl IntoIterator<Item = &'a MachineId>,
         operations: impl IntoIterator<Item = &'a OperationId>,
         tools: impl IntoIterator<Item = &'a ToolId>,
     ) -> Self {
+        let machines = machines.into_iter().map(MachineId::as_str).collect::<BTreeSet<_>>();
+        let operations = operations.into_iter().map(OperationId::as_str).collect::<BTreeSet<_>>();
+        let shared = machines.into_iter().map(|id| key("machine", id));
+        let shared = shared.chain(operations.into_iter().map(|id| key("operation", id)));
         Self {
-            shared: ascending(operations.into_iter().map(|id| key("operation", id.as_str())).collect()),
+            shared: ascending(shared.collect()),
             exclusive: ascending(tools.into_iter().map(|id| key("tool", id.as_str())).collect()),
         }
     }

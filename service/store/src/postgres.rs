@@ -17,7 +17,9 @@ use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
 use crate::locks::Locks;
 use crate::record::DatabaseUsage;
+use crate::registry::Registry;
 use crate::rows::number;
+use crate::slot::Slot;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
 use sqlx::PgPool;
@@ -49,6 +51,8 @@ struct Inner {
     direct: PgConnectOptions,
     gate: Gate,
     max_samples: usize,
+    registry: Arc<Registry>,
+    memory: Slot<engine::Memory>,
 }
 
 impl PostgresStore {
@@ -66,6 +70,14 @@ impl PostgresStore {
             })
         })
         .await
+    }
+
+    fn registry(&self) -> &Arc<Registry> {
+        &self.inner.registry
+    }
+
+    fn memory(&self) -> &Slot<engine::Memory> {
+        &self.inner.memory
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {

@@ -265,6 +265,9 @@ pub struct NewCycle {
     pub encoded: EncodedCycle,
     /// Its summary.
     pub summary: CycleSummary,
+    /// Generation of the registry that the summary rests on: where another one is in force at the commit, the summary
+    /// is made again. `None` where it stands as it is.
+    pub generation: Option<i64>,
 }
 
 /// What the codec makes of a cycle.

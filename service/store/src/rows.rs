@@ -7,6 +7,7 @@ mod facts;
 mod fleet;
 mod library;
 mod registry;
+mod saved;
 mod service;
 
 pub(crate) use advice::ProcessAdviceBody;
@@ -19,6 +20,7 @@ pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
     tool_json,
 };
+pub(crate) use saved::{ADVICE_HASH_BYTES, IssuedRow, SavedWear};
 pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
 
 use crate::error::{StoreError, StoreResult};

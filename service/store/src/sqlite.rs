@@ -15,7 +15,9 @@ pub use open::SqliteOptions;
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
 use crate::record::DatabaseUsage;
+use crate::registry::Registry;
 use crate::rows::number;
+use crate::slot::Slot;
 use crate::work::Work;
 use checkpoint::Checkpoints;
 use sqlx::pool::PoolConnection;
@@ -44,12 +46,22 @@ struct Inner {
     refused: AtomicBool,
     checkpoints: Checkpoints,
     max_samples: usize,
+    registry: Arc<Registry>,
+    memory: Slot<engine::Memory>,
 }
 
 impl SqliteStore {
     /// Pages of the write-ahead log at the last checkpoint: what a watchdog looks at.
     pub fn wal_pages(&self) -> u64 {
         self.inner.checkpoints.wal_pages()
+    }
+
+    fn registry(&self) -> &Arc<Registry> {
+        &self.inner.registry
+    }
+
+    fn memory(&self) -> &Slot<engine::Memory> {
+        &self.inner.memory
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {

@@ -150,6 +150,15 @@ pub trait Store: Send + Sync + 'static {
         tool: &ToolId,
     ) -> StoreResult<Option<Surroundings>>;
 
+    /// As [`Store::surroundings`], from memory where it is there: as of a moment ago, with the generation of the
+    /// registry that it belongs to. For a [`NewCycle`], whose commit looks again.
+    async fn recent_surroundings(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Option<(Surroundings, i64)>>;
+
     /// One cycle without its samples.
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>>;
     /// One cycle's samples; `None` where there are none (any more).

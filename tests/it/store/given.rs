@@ -127,6 +127,21 @@ impl Given {
         }
     }
 
+    /// Sessions of PostgreSQL that are inside a transaction and do nothing; 0 where there is no server.
+    pub(crate) async fn open_transactions(&self) -> i64 {
+        if !self.is_postgres() {
+            return 0;
+        }
+        let mut conn = PgConnection::connect(&self.address()).await.unwrap();
+        sqlx::query_scalar(
+            "SELECT count(*) FROM pg_stat_activity
+             WHERE datname = current_database() AND state LIKE 'idle in transaction%'",
+        )
+        .fetch_one(&mut conn)
+        .await
+        .unwrap()
+    }
+
     async fn sqlite_tables(&self) -> SqliteConnection {
         let Place::File(folder) = &self.place else { unreachable!("only a file has these") };
         let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("cell.sqlite3"));
@@ -310,7 +325,13 @@ pub(crate) fn new_cycle(cycle: Cycle) -> NewCycle {
     let context = Context { machine: &machine, calibration: None, operation: Some(&operation) };
     let summary = summarise(&cycle, context);
     let encoded = codec::encode(&cycle);
-    NewCycle { received_at: cycle.started_at.plus_millis(3000), cycle: Arc::new(cycle), encoded, summary }
+    NewCycle {
+        received_at: cycle.started_at.plus_millis(3000),
+        cycle: Arc::new(cycle),
+        encoded,
+        summary,
+        generation: None,
+    }
 }
 
 /// Commits a group at the usual settings.

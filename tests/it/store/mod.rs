@@ -3,6 +3,8 @@
 mod fleet;
 pub(crate) mod given;
 
+pub(crate) use given::{Given, shop};
+
 mod alarms;
 mod alike;
 mod cycles;

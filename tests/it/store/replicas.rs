@@ -1,7 +1,12 @@
 //! Several servers on one PostgreSQL: what one stores, the others know.
 
-use super::given::{Given, Run, at, commit, engineer, operation, shop, stored, tool};
-use feedwright_store::{Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Store};
+use super::given::{Given, Run, at, commit, engineer, event, machine, operation, shop, stored, tool};
+use feedwright_core::cycle::Flag;
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::tool::ToolEventKind;
+use feedwright_store::{
+    Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Store,
+};
 use std::sync::Arc;
 
 async fn replica(given: &Given) -> Arc<dyn Store> {
@@ -97,5 +102,58 @@ async fn a_read_only_server_is_refused() {
     let address = format!("{}?options=-c%20default_transaction_read_only=on", given.address());
     let refused = PostgresStore::open(&address, PostgresOptions::default()).await;
     assert!(matches!(refused, Err(feedwright_store::StoreError::NotWritable(_))), "{:?}", refused.err());
+    given.done().await;
+}
+
+#[tokio::test]
+async fn a_change_at_one_server_is_in_force_at_the_next_commit_of_another() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let (store, other) = (given.store(), replica(&given).await);
+    shop(&*store).await;
+    // The first cycles fill this server's memory: machine, operation, tool and fold.
+    let before = stored(&*store, &Run::nth(1)).await;
+    stored(&*store, &Run::nth(2)).await;
+    let weaker = feedwright_core::machine::Machine {
+        spindle: feedwright_core::machine::SpindleRating {
+            rated_power_watts: Some(5_000.0),
+            ..machine("M1").spindle
+        },
+        ..machine("M1")
+    };
+    other.put_machine(weaker, Precondition::Version(1), &engineer(), at(300)).await.unwrap();
+    other.put_tool(tool("T2"), Precondition::Absent, &engineer(), at(300)).await.unwrap();
+    let event = event(ToolEventKind::MountedNew, at(150));
+    other.add_tool_event(&"T1".try_into().unwrap(), event, &engineer(), at(300)).await.unwrap().unwrap();
+
+    let (_, generation) = store
+        .recent_surroundings(&"M1".try_into().unwrap(), &"O1".try_into().unwrap(), &"T1".try_into().unwrap())
+        .await
+        .unwrap()
+        .unwrap();
+    let late = NewCycle { generation: Some(generation), ..Run::nth(3).new_cycle() };
+    let new_tool = Run { tool: "T2".to_owned(), ..Run::nth(4) };
+    let unregistered = NewCycle { generation: Some(generation), ..new_tool.new_cycle() };
+    let answers = store.commit_cycles(vec![late, unregistered], at(400), RecommendSettings::default()).await;
+    let answers: Vec<_> = answers
+        .into_iter()
+        .map(|answer| match answer.unwrap() {
+            Committed::Stored(answer) => answer,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    let joules = |answer: &feedwright_store::CycleAnswer| answer.summary.best_energy().unwrap().total_joules;
+    assert!((joules(&answers[0]) * 2.0 - joules(&before)).abs() < 1e-9, "half the rating, half the energy");
+    assert_eq!((answers[0].verdict.life, answers[0].verdict.cycles), (2, 1), "mounted before it");
+    assert!(
+        answers[1].registered && answers[1].summary.flags.iter().all(|flag| flag != Flag::ToolUnregistered)
+    );
+
+    // The fold itself: what another server counted is not counted over.
+    assert_eq!(stored(&*other, &Run::nth(5)).await.verdict.cycles, 2);
+    assert_eq!(stored(&*store, &Run::nth(6)).await.verdict.cycles, 3);
+    assert_eq!(store.check_wear(false).await.unwrap().different, vec![]);
+    other.close().await;
     given.done().await;
 }

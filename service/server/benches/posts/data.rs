@@ -1,12 +1,15 @@
 //! The data: cycles of a drilling shop, quantised as a control gives them, with noise.
 
+use feedwright_core::units::Timestamp;
+use feedwright_server::ingest::body;
+use feedwright_store::wire;
 use std::fmt::Write;
 use std::path::Path;
 
 /// Machines of the shop; each has its own tool.
-const MACHINES: usize = 40;
+pub(crate) const MACHINES: usize = 40;
 /// 2026-05-04T06:00:00Z in milliseconds.
-const MORNING_MS: u64 = 1_777_874_400_000;
+pub(crate) const MORNING_MS: u64 = 1_777_874_400_000;
 
 /// One cycle, as columns of text that already has the control's digits.
 pub(crate) struct Cycle {
@@ -25,6 +28,19 @@ impl Cycle {
     /// Samples in each column.
     pub(crate) fn samples(&self) -> usize {
         self.columns[0].1.len()
+    }
+
+    /// The body of a post in the binary form.
+    pub(crate) fn frame(&self) -> Vec<u8> {
+        let now = Timestamp::from_micros(i64::MAX / 2);
+        let machine = self.machine.as_str().try_into().expect("an id");
+        let cycle = body::decode(&machine, self.json().as_bytes(), 10_000, now).expect("a cycle");
+        wire::encode(&cycle)
+    }
+
+    /// The same cycle at another machine, under another id, at another time.
+    pub(crate) fn again(&self, machine: &str, id: String, started_ms: u64) -> Self {
+        Self { machine: machine.to_owned(), id, started_ms, columns: self.columns.clone() }
     }
 
     /// The body of a post.
@@ -130,7 +146,7 @@ pub(crate) fn cycles(count: usize) -> Vec<Cycle> {
 }
 
 /// Registers machines, tools and the operation, so that wear and recommendations are computed in earnest.
-pub(crate) async fn register(client: &reqwest::Client, address: &str, token: &str) {
+pub(crate) async fn register(client: &reqwest::Client, address: &str, token: &str, machines: usize) {
     let put = |path: String, body: serde_json::Value| {
         let request = client.put(format!("{address}{path}")).bearer_auth(token).json(&body);
         async move {
@@ -138,7 +154,7 @@ pub(crate) async fn register(client: &reqwest::Client, address: &str, token: &st
             assert_eq!(answer.status().as_u16(), 201, "{:?}", answer.text().await);
         }
     };
-    for machine in 0..MACHINES {
+    for machine in 0..machines {
         let body = serde_json::json!({
             "name": format!("machine {machine}"), "control": "sinumerik-840d", "ipo_period_ms": 10,
             "spindle": {"reference": "rated_power", "rated_power_watts": 7000},

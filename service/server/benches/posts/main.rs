@@ -1,12 +1,17 @@
 //! What one-cycle posts cost, beside the peers on the same data in the same run.
 //!
-//! `cargo bench -p feedwright-server --bench posts` measures Feedwright alone; with `-- --peers` it starts
-//! VictoriaMetrics and InfluxDB too (Debian's packages `victoria-metrics` and `influxdb`) and prints ratios.
-//! It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
+//! `cargo bench -p feedwright-server --bench posts` measures Feedwright alone, with JSON and with the binary form; with
+//! `-- --peers` it starts VictoriaMetrics and InfluxDB too (Debian's packages `victoria-metrics` and `influxdb`) and
+//! prints ratios; behind `tests/postgres` it also reads cycles out of rows of PostgreSQL.
+//! `-- --weekend` replays 96,000 cycles of 200 machines while others post live; `-- --growth 10000000` tells what so
+//! many cycles do to the cost of the next one. It never judges: absolute figures of a shared machine are noise, ratios
+//! of one run are the result.
 
 mod data;
+mod growth;
 mod peers;
 mod process;
+mod weekend;
 
 use data::Cycle;
 use process::Running;
@@ -32,55 +37,99 @@ struct Round {
     alone_p50: f64,
     /// 99th percentile of it, s.
     alone_p99: f64,
+    /// Median time of reading one whole cycle, s.
+    read_p50: f64,
     /// Resident memory after the round, bytes.
     resident: f64,
     /// Bytes on disk per value after the round.
     bytes_per_value: f64,
 }
 
+/// Something that takes cycles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum System {
+    Json,
+    Binary,
+    VictoriaMetrics,
+    InfluxDb,
+    PostgresRows,
+}
+
+impl System {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Json => "feedwright",
+            Self::Binary => "feedwright, binary form",
+            Self::VictoriaMetrics => "victoria-metrics",
+            Self::InfluxDb => "influxdb",
+            Self::PostgresRows => "postgresql, a row per sample",
+        }
+    }
+}
+
 fn main() {
-    let with_peers = std::env::args().any(|argument| argument == "--peers");
+    let arguments: Vec<String> = std::env::args().collect();
+    let given = |name: &str| arguments.iter().position(|argument| argument == name);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+    if given("--weekend").is_some() {
+        return runtime.block_on(weekend::replay());
+    }
+    if let Some(at) = given("--growth") {
+        let cycles = arguments.get(at + 1).and_then(|text| text.parse().ok());
+        return runtime.block_on(growth::grow(cycles.expect("--growth CYCLES")));
+    }
     let cycles = Arc::new(data::cycles(CYCLES + ALONE));
     let values: usize = cycles[..CYCLES].iter().map(Cycle::values).sum();
     println!(
         "{CYCLES} cycles, {values} values, {CLIENTS} clients; {ALONE} cycles alone; {ROUNDS} rounds, median (min–max)"
     );
-    let mut rounds: Vec<(&str, Vec<Round>)> = vec![("feedwright", Vec::new())];
-    if with_peers {
-        rounds.push(("victoria-metrics", Vec::new()));
-        rounds.push(("influxdb", Vec::new()));
+    let mut systems = vec![System::Json, System::Binary];
+    if given("--peers").is_some() {
+        systems.extend([System::VictoriaMetrics, System::InfluxDb]);
+        if std::env::var_os("FEEDWRIGHT_TEST_POSTGRES").is_some() {
+            systems.push(System::PostgresRows);
+        }
     }
+    let mut rounds: Vec<(System, Vec<Round>)> =
+        systems.into_iter().map(|system| (system, Vec::new())).collect();
     // Round by round, not system by system: what drifts on the machine drifts for all of them.
     for _ in 0..ROUNDS {
-        for (name, done) in &mut rounds {
-            let round = match *name {
-                "feedwright" => runtime.block_on(feedwright(&cycles)),
-                "victoria-metrics" => runtime.block_on(peers::victoria_metrics(&cycles)),
-                _ => runtime.block_on(peers::influxdb(&cycles)),
+        for (system, done) in &mut rounds {
+            let round = match system {
+                System::Json => runtime.block_on(feedwright(&cycles, &JSON)),
+                System::Binary => runtime.block_on(feedwright(&cycles, &BINARY)),
+                System::VictoriaMetrics => runtime.block_on(peers::victoria_metrics(&cycles)),
+                System::InfluxDb => runtime.block_on(peers::influxdb(&cycles)),
+                System::PostgresRows => runtime.block_on(peers::postgres_rows(&cycles)),
             };
             done.push(round);
         }
     }
-    for (name, done) in &rounds {
-        println!("\n{name}");
+    for (system, done) in &rounds {
+        println!("\n{}", system.name());
         show("  million values per server-CPU-second", done, |round| round.values_per_cpu_second / 1e6);
         show("  one cycle alone, p50 ms", done, |round| round.alone_p50 * 1e3);
         show("  one cycle alone, p99 ms", done, |round| round.alone_p99 * 1e3);
+        show("  one whole cycle read, p50 ms", done, |round| round.read_p50 * 1e3);
         show("  resident MiB", done, |round| round.resident / f64::from(1 << 20));
         show("  bytes per value on disk", done, |round| round.bytes_per_value);
     }
-    let ours = rounds[0].1.clone();
-    for (name, theirs) in &rounds[1..] {
-        println!("\nfeedwright × {name}, pair by pair");
-        for (what, of) in [
-            ("  values per server-CPU-second", (|round| round.values_per_cpu_second) as fn(&Round) -> f64),
-            ("  one cycle alone, p50", |round| round.alone_p50),
-            ("  resident memory", |round| round.resident),
-            ("  bytes per value on disk", |round| round.bytes_per_value),
-        ] {
-            let ratios: Vec<f64> = ours.iter().zip(theirs).map(|(our, their)| of(our) / of(their)).collect();
-            print_spread(what, ratios);
+    for ours in 0..2 {
+        for (system, theirs) in &rounds[2..] {
+            println!("\n{} × {}, pair by pair", rounds[ours].0.name(), system.name());
+            for (what, of) in [
+                (
+                    "  values per server-CPU-second",
+                    (|round| round.values_per_cpu_second) as fn(&Round) -> f64,
+                ),
+                ("  one cycle alone, p50", |round| round.alone_p50),
+                ("  one whole cycle read, p50", |round| round.read_p50),
+                ("  resident memory", |round| round.resident),
+                ("  bytes per value on disk", |round| round.bytes_per_value),
+            ] {
+                let pairs = rounds[ours].1.iter().zip(theirs);
+                print_spread(what, pairs.map(|(our, their)| of(our) / of(their)).collect());
+            }
         }
     }
 }
@@ -90,28 +139,39 @@ fn show(what: &str, rounds: &[Round], of: impl Fn(&Round) -> f64) {
 }
 
 fn print_spread(what: &str, mut values: Vec<f64>) {
+    if values.iter().any(|value| !value.is_finite()) {
+        return;
+    }
     values.sort_by(f64::total_cmp);
     println!("{what}: {:.3} ({:.3}–{:.3})", values[values.len() / 2], values[0], values[values.len() - 1]);
 }
 
+/// A form of body.
+struct Form {
+    media_type: &'static str,
+    body: fn(&Cycle) -> Vec<u8>,
+}
+
+const JSON: Form = Form { media_type: "application/json", body: |cycle| cycle.json().into_bytes() };
+const BINARY: Form = Form { media_type: feedwright_store::wire::MEDIA_TYPE, body: Cycle::frame };
+
 /// One round of Feedwright: a server of its own on SQLite, everything switched on.
-async fn feedwright(cycles: &Arc<Vec<Cycle>>) -> Round {
+async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
     let dir = tempfile::tempdir().expect("a directory");
     let server = Running::feedwright(dir.path()).await;
     let client = reqwest::Client::new();
-    data::register(&client, &server.address, &server.token).await;
-    let (cpu, values) = (server.cpu_seconds(), AtomicUsize::new(0));
+    data::register(&client, &server.address, &server.token, data::MACHINES).await;
+    let bodies: Arc<Vec<Vec<u8>>> = Arc::new(cycles.iter().map(form.body).collect());
     let next = Arc::new(AtomicUsize::new(0));
-    let values = Arc::new(values);
+    let cpu = server.cpu_seconds();
     let posters = (0..CLIENTS).map(|_| {
-        let (client, cycles, next, values) = (client.clone(), cycles.clone(), next.clone(), values.clone());
-        let (address, token) = (server.address.clone(), server.token.clone());
+        let (client, cycles, bodies, next) = (client.clone(), cycles.clone(), bodies.clone(), next.clone());
+        let (address, token, media_type) = (server.address.clone(), server.token.clone(), form.media_type);
         tokio::spawn(async move {
             loop {
                 let index = next.fetch_add(1, Ordering::Relaxed);
                 let Some(cycle) = cycles[..CYCLES].get(index) else { return };
-                post(&client, &address, &token, cycle).await;
-                values.fetch_add(cycle.values(), Ordering::Relaxed);
+                post(&client, &address, &token, cycle, media_type, bodies[index].clone()).await;
             }
         })
     });
@@ -120,39 +180,65 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>) -> Round {
     }
     let spent = server.cpu_seconds() - cpu;
     let mut alone = Vec::with_capacity(ALONE);
-    for cycle in &cycles[CYCLES..] {
+    for (cycle, body) in cycles.iter().zip(bodies.iter()).skip(CYCLES) {
+        let body = body.clone();
         let begun = Instant::now();
-        post(&client, &server.address, &server.token, cycle).await;
+        post(&client, &server.address, &server.token, cycle, form.media_type, body).await;
         alone.push(begun.elapsed());
+    }
+    let mut reads = Vec::with_capacity(ALONE);
+    for cycle in &cycles[..ALONE] {
+        let url = format!("{}/v1/machines/{}/cycles/{}/samples", server.address, cycle.machine, cycle.id);
+        let begun = Instant::now();
+        let answer = client.get(url).bearer_auth(&server.token).send().await.expect("an answer");
+        assert_eq!(answer.status().as_u16(), 200);
+        let text = answer.bytes().await.expect("a whole answer");
+        reads.push(begun.elapsed());
+        assert!(text.len() > cycle.values(), "a whole cycle");
     }
     let resident = server.resident_bytes();
     server.stop().await;
     let stored: usize = cycles.iter().map(Cycle::values).sum();
-    round(values.load(Ordering::Relaxed), spent, alone, resident, data::size_of(dir.path()), stored)
+    let values = cycles[..CYCLES].iter().map(Cycle::values).sum();
+    round(values, spent, (alone, reads), resident, data::size_of(dir.path()), stored)
 }
 
-async fn post(client: &reqwest::Client, address: &str, token: &str, cycle: &Cycle) {
+async fn post(
+    client: &reqwest::Client,
+    address: &str,
+    token: &str,
+    cycle: &Cycle,
+    media_type: &str,
+    body: Vec<u8>,
+) {
     let url = format!("{address}/v1/machines/{}/cycles", cycle.machine);
-    let request = client.post(url).bearer_auth(token).header("content-type", "application/json");
-    let answer = request.body(cycle.json()).send().await.expect("an answer");
+    let request = client.post(url).bearer_auth(token).header("content-type", media_type);
+    let answer = request.body(body).send().await.expect("an answer");
     assert_eq!(answer.status().as_u16(), 201, "{:?}", answer.text().await);
     answer.bytes().await.expect("a whole answer");
+}
+
+/// The median of times, s.
+fn median(times: &mut [Duration]) -> f64 {
+    times.sort();
+    times.get(times.len() / 2).map_or(f64::NAN, Duration::as_secs_f64)
 }
 
 #[expect(clippy::cast_precision_loss, reason = "figures for a table")]
 fn round(
     values: usize,
     cpu: f64,
-    mut alone: Vec<Duration>,
+    (mut alone, mut reads): (Vec<Duration>, Vec<Duration>),
     resident: u64,
     bytes: u64,
     stored: usize,
 ) -> Round {
-    alone.sort();
+    let alone_p50 = median(&mut alone);
     Round {
         values_per_cpu_second: values as f64 / cpu,
-        alone_p50: alone[alone.len() / 2].as_secs_f64(),
-        alone_p99: alone[alone.len() * 99 / 100].as_secs_f64(),
+        alone_p50,
+        alone_p99: alone.get(alone.len() * 99 / 100).map_or(f64::NAN, Duration::as_secs_f64),
+        read_p50: median(&mut reads),
         resident: resident as f64,
         bytes_per_value: bytes as f64 / stored as f64,
     }

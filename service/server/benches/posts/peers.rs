@@ -2,7 +2,8 @@
 
 use super::data::{Cycle, size_of};
 use super::process::{Running, free_port};
-use super::{ALONE, CYCLES, Round, round};
+use super::{ALONE, CYCLES, Round, median, round};
+use sqlx::{Connection, Executor, PgConnection};
 use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
@@ -21,7 +22,26 @@ pub(crate) async fn victoria_metrics(cycles: &Arc<Vec<Cycle>>) -> Round {
     command.arg(format!("-httpListenAddr=127.0.0.1:{port}")).arg("-retentionPeriod=100y");
     let server = Running::program(command, port, "/health").await;
     let written = import(&server, "/api/v1/import", cycles, json_lines, dir.path()).await;
+    let client = reqwest::Client::new();
+    // What came last is searchable only after a flush.
+    client.get(format!("{}/internal/force_flush", server.address)).send().await.expect("an answer");
+    let mut reads = Vec::with_capacity(ALONE);
+    for cycle in &cycles[..ALONE] {
+        let end = cycle.started_ms + 10 * (cycle.samples() as u64 - 1);
+        let url = format!(
+            "{}/api/v1/export?match[]={{machine=\"{}\"}}&start={:.3}&end={:.3}",
+            server.address,
+            cycle.machine,
+            seconds(cycle.started_ms),
+            seconds(end)
+        );
+        let begun = Instant::now();
+        let answer = client.get(url).send().await.expect("an answer").bytes().await.expect("a whole answer");
+        reads.push(begun.elapsed());
+        assert!(answer.len() > cycle.values(), "a whole cycle");
+    }
     server.stop().await;
+    let written = Round { read_p50: median(&mut reads), ..written };
     Round { bytes_per_value: bytes_per_value(dir.path(), cycles), ..written }
 }
 
@@ -48,6 +68,72 @@ pub(crate) async fn influxdb(cycles: &Arc<Vec<Cycle>>) -> Round {
     let written = import(&server, "/write?db=shop&precision=ms", cycles, line_protocol, dir.path()).await;
     server.stop().await;
     Round { bytes_per_value: bytes_per_value(dir.path(), cycles), ..written }
+}
+
+/// Milliseconds as seconds.
+#[expect(clippy::cast_precision_loss, reason = "far below 2^53")]
+fn seconds(ms: u64) -> f64 {
+    ms as f64 / 1e3
+}
+
+/// A time and eight values.
+type SampleRow = (i64, f64, f64, f64, f64, f64, f64, f64, f64);
+
+/// A row per sample in PostgreSQL, filled by COPY; only what reading a cycle costs, and what it takes on disk.
+pub(crate) async fn postgres_rows(cycles: &Arc<Vec<Cycle>>) -> Round {
+    let address = std::env::var("FEEDWRIGHT_TEST_POSTGRES").expect("behind tests/postgres");
+    let mut server = PgConnection::connect(&address).await.expect("the server of tests/postgres");
+    server.execute("DROP TABLE IF EXISTS samples").await.expect("a fresh table");
+    server
+        .execute(
+            "CREATE TABLE samples (machine TEXT, at BIGINT, a FLOAT8, b FLOAT8, c FLOAT8, d FLOAT8, e FLOAT8,
+                 f FLOAT8, g FLOAT8, h FLOAT8)",
+        )
+        .await
+        .expect("a fresh table");
+    for bulk in cycles.chunks(BULK) {
+        let mut copy = server.copy_in_raw("COPY samples FROM STDIN").await.expect("a copy");
+        let mut text = String::new();
+        for cycle in bulk {
+            for index in 0..cycle.samples() {
+                let _ = write!(text, "{}\t{}", cycle.machine, cycle.started_ms + 10 * index as u64);
+                for (_, values) in &cycle.columns {
+                    let _ = write!(text, "\t{}", values[index]);
+                }
+                text.push('\n');
+            }
+        }
+        copy.send(text.as_bytes()).await.expect("rows");
+        copy.finish().await.expect("rows");
+    }
+    server.execute("CREATE INDEX samples_by_machine ON samples (machine, at)").await.expect("an index");
+    server.execute("VACUUM ANALYZE samples").await.expect("statistics");
+    let mut reads = Vec::with_capacity(ALONE);
+    for cycle in &cycles[..ALONE] {
+        let end = cycle.started_ms + 10 * (cycle.samples() as u64 - 1);
+        let begun = Instant::now();
+        let rows: Vec<SampleRow> = sqlx::query_as(
+            "SELECT at, a, b, c, d, e, f, g, h FROM samples WHERE machine = $1 AND at BETWEEN $2 AND $3 ORDER BY at",
+        )
+        .bind(&cycle.machine)
+        .bind(i64::try_from(cycle.started_ms).expect("a time"))
+        .bind(i64::try_from(end).expect("a time"))
+        .fetch_all(&mut server)
+        .await
+        .expect("rows");
+        reads.push(begun.elapsed());
+        assert_eq!(rows.len(), cycle.samples(), "a whole cycle");
+    }
+    let bytes: i64 = sqlx::query_scalar("SELECT pg_total_relation_size('samples')")
+        .fetch_one(&mut server)
+        .await
+        .expect("a size");
+    server.execute("DROP TABLE samples").await.expect("removed");
+    let values: usize = cycles.iter().map(Cycle::values).sum();
+    let nothing = Round { read_p50: median(&mut reads), ..round(0, f64::NAN, (vec![], vec![]), 0, 0, 1) };
+    #[expect(clippy::cast_precision_loss, reason = "figures for a table")]
+    let bytes_per_value = bytes as f64 / values as f64;
+    Round { bytes_per_value, resident: f64::NAN, ..nothing }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "figures for a table")]
@@ -87,7 +173,7 @@ async fn import(
         alone.push(begun.elapsed());
     }
     let stored: usize = cycles.iter().map(Cycle::values).sum();
-    round(values, spent, alone, server.resident_bytes(), size_of(dir), stored)
+    round(values, spent, (alone, Vec::new()), server.resident_bytes(), size_of(dir), stored)
 }
 
 fn json_lines(cycles: &[Cycle]) -> String {

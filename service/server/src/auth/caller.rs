@@ -13,6 +13,7 @@ use feedwright_store::{Actor, Role, TokenRecord};
 use http::request::Parts;
 use http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use std::net::{IpAddr, SocketAddr};
+use std::time::Instant;
 use subtle::ConstantTimeEq;
 
 /// Who calls. Only [`authorise`] makes one, so a handler that can name the caller has been authorised.
@@ -148,6 +149,12 @@ pub(crate) async fn authenticate_token(
         return Err(failed(state, peer, "token_malformed", "this is no token of this service"));
     };
     let hash = token.hash();
+    let began = match state.known_tokens.get(&hash, Instant::now()) {
+        Ok(record) if record.id == token.id() => return Ok(record),
+        Ok(_) => return Err(failed(state, peer, "token_unknown", "the token is not known")),
+        Err(began) => began,
+    };
+    let looked_up = Instant::now();
     let known = state.store.token_by_hash(&hash).await?;
     let record = known.filter(|known| bool::from(known.hash.ct_eq(&hash)) && known.id == token.id());
     match record {
@@ -155,7 +162,11 @@ pub(crate) async fn authenticate_token(
         Some(TokenRecord { revoked_at: Some(_), .. }) => {
             Err(failed(state, peer, "token_revoked", "the token was revoked"))
         }
-        Some(record) => Ok(record),
+        Some(record) => {
+            // From before it was read: its life counts from what was true then.
+            state.known_tokens.keep(&record, began, looked_up);
+            Ok(record)
+        }
     }
 }
 

@@ -6,6 +6,7 @@ use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost, Sam
 use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
+use crate::ingest::body::is_frame;
 use crate::ingest::content::{ContentError, Encoding, decompress};
 use crate::ingest::intake::{Accepted, Refused};
 use crate::state::AppState;
@@ -14,7 +15,7 @@ use axum::extract::{Request, State};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
-use feedwright_store::CycleFilter;
+use feedwright_store::{CycleFilter, wire};
 use http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -26,8 +27,8 @@ const BATCH_WINDOW: usize = 64;
 #[utoipa::path(
     post, path = "/v1/machines/{machine}/cycles", tag = "cycles",
     params(("machine" = String, Path, description = "The machine that ran it")),
-    request_body(content = CyclePost, content_type = "application/json",
-        description = "One cycle; `Content-Encoding: gzip` and `zstd` are accepted"),
+    request_body(content((CyclePost = "application/json"), (String = "application/vnd.feedwright.cycle")),
+        description = "One cycle, as JSON or in the binary form; `Content-Encoding: gzip` and `zstd` are accepted"),
     responses(
         (status = 201, description = "New, and durably stored", body = CycleAnswerBody),
         (status = 200, description = "The same content was stored before", body = CycleAnswerBody),
@@ -47,7 +48,7 @@ pub async fn post_cycle(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let json = decoded_body(&state, request, "application/json").await?;
+    let (_, json) = decoded_body(&state, request, "application/json").await?;
     // The client may hang up; what was taken in goes on to its commit all the same.
     let intake = state.intake.clone();
     let accepting = async move { intake.accept(&machine, json, Refused::ToQuarantine).await };
@@ -57,15 +58,16 @@ pub async fn post_cycle(
     Ok((status, Json(CycleAnswerBody::of(&accepted))).into_response())
 }
 
-/// Posts many cycles, one JSON document per line; an outcome per line is answered, in the same order.
+/// Posts many cycles, a JSON document per line or a binary frame after the other; an outcome per line is answered.
 ///
+/// Outcomes come in the order of the lines or frames.
 /// A line that fails fails alone. A machine may forget its copy of every line whose outcome is `stored`, `known` or
 /// `quarantined`.
 #[utoipa::path(
     post, path = "/v1/machines/{machine}/cycles/batch", tag = "cycles",
     params(("machine" = String, Path, description = "The machine that ran them")),
-    request_body(content = String, content_type = "application/x-ndjson",
-        description = "One cycle per line, as for a single post; gzip and zstd are accepted"),
+    request_body(content((String = "application/x-ndjson"), (String = "application/vnd.feedwright.cycle")),
+        description = "One cycle per line or frame, as for a single post; gzip and zstd are accepted"),
     responses(
         (status = 200, description = "An outcome per line, NDJSON", body = BatchOutcome,
             content_type = "application/x-ndjson"),
@@ -79,12 +81,16 @@ pub async fn post_batch(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let text = decoded_body(&state, request, "application/x-ndjson").await?;
+    let (form, body) = decoded_body(&state, request, "application/x-ndjson").await?;
     if state.store.machine(&machine).await?.is_none() {
         let detail = format!("there is no machine `{machine}`");
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
     }
-    let lines = lines_of(&text, state.config.limits.batch_lines)?;
+    let most = state.config.limits.batch_lines;
+    let lines = match form {
+        Form::Json => lines_of(&body, most)?,
+        Form::Binary => frames_of(&body, most)?,
+    };
     let mut answer = Vec::with_capacity(128 * lines.len());
     for window in lines.chunks(BATCH_WINDOW) {
         let bodies = window.iter().map(|(_, line)| line.clone()).collect();
@@ -201,14 +207,37 @@ impl CyclesQuery {
     }
 }
 
-/// Reads a body of that media type, decompressed within its bounds.
-async fn decoded_body(state: &AppState, request: Request, kind: &'static str) -> Result<Bytes, Problem> {
-    let limits = state.config.limits;
-    let encoding = encoding_of(request.headers(), kind)?;
+/// Form of a body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    Json,
+    Binary,
+}
+
+/// Reads a body of that media type or the binary one, decompressed within its bounds.
+async fn decoded_body(
+    state: &AppState,
+    request: Request,
+    kind: &'static str,
+) -> Result<(Form, Bytes), Problem> {
+    let (form, encoding) = encoding_of(request.headers(), kind)?;
     let bytes = read(request, state).await?;
-    if encoding == Encoding::Identity {
-        return Ok(bytes);
+    let body = if encoding == Encoding::Identity { bytes } else { decoded(state, encoding, bytes).await? };
+    // The body itself says which form it has; a header that says otherwise is a mistake to be told.
+    match (form, is_frame(&body)) {
+        (Form::Binary, false) if !body.is_empty() => {
+            Err(Problem::bad_request("malformed_cycle", "the body is no cycle: it does not begin with FWC"))
+        }
+        (Form::Json, true) => Err(Problem::bad_request(
+            "malformed_json",
+            format!("the body is no JSON but binary: send it as {}", wire::MEDIA_TYPE),
+        )),
+        _ => Ok((form, body)),
     }
+}
+
+async fn decoded(state: &AppState, encoding: Encoding, bytes: Bytes) -> Result<Bytes, Problem> {
+    let limits = state.config.limits;
     let unpack = move || decompress(encoding, bytes.to_vec(), limits.decoded_bytes);
     let unpacked =
         tokio::task::spawn_blocking(unpack).await.map_err(|error| Problem::internal(error.to_string()))?;
@@ -224,18 +253,42 @@ async fn decoded_body(state: &AppState, request: Request, kind: &'static str) ->
     })
 }
 
-fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<Encoding, Problem> {
-    match (media_type(headers).as_deref(), kind) {
-        (Some(given), wanted) if given == wanted => {}
+fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encoding), Problem> {
+    let form = match (media_type(headers).as_deref(), kind) {
+        (Some(wire::MEDIA_TYPE), _) => Form::Binary,
+        (Some(given), wanted) if given == wanted => Form::Json,
         (
             Some("application/jsonl" | "application/jsonlines" | "application/ndjson"),
             "application/x-ndjson",
-        ) => {}
-        (_, "application/json") => return Err(unsupported("send a cycle as application/json")),
-        _ => return Err(unsupported("send a batch as application/x-ndjson")),
-    }
+        ) => Form::Json,
+        (_, "application/json") => {
+            return Err(unsupported("send a cycle as application/json or application/vnd.feedwright.cycle"));
+        }
+        _ => {
+            return Err(unsupported(
+                "send a batch as application/x-ndjson or application/vnd.feedwright.cycle",
+            ));
+        }
+    };
     let header = headers.get(header::CONTENT_ENCODING).map(|value| value.to_str().unwrap_or("?"));
-    Encoding::parse(header).ok_or_else(|| unsupported("the content encoding must be gzip or zstd, or none"))
+    let encoding = Encoding::parse(header)
+        .ok_or_else(|| unsupported("the content encoding must be gzip or zstd, or none"))?;
+    Ok((form, encoding))
+}
+
+/// The frames of a binary batch with their numbers. What follows a frame that is torn is part of it: it is refused with
+/// it, and its sender keeps it.
+fn frames_of(body: &Bytes, most: usize) -> Result<Vec<(usize, Bytes)>, Problem> {
+    let frames = wire::frames(body, most).ok_or_else(|| too_many(most))?;
+    Ok(frames.into_iter().enumerate().map(|(index, frame)| (index + 1, body.slice_ref(frame))).collect())
+}
+
+fn too_many(most: usize) -> Problem {
+    Problem::new(
+        StatusCode::PAYLOAD_TOO_LARGE,
+        "too_many_lines",
+        format!("a batch may hold at most {most} cycles; nothing of it was taken"),
+    )
 }
 
 /// The lines with their numbers, empty ones left out.
@@ -246,11 +299,7 @@ fn lines_of(text: &Bytes, most: usize) -> Result<Vec<(usize, Bytes)>, Problem> {
             continue;
         }
         if lines.len() == most {
-            return Err(Problem::new(
-                StatusCode::PAYLOAD_TOO_LARGE,
-                "too_many_lines",
-                format!("a batch may hold at most {most} cycles; nothing of it was taken"),
-            ));
+            return Err(too_many(most));
         }
         lines.push((index + 1, text.slice_ref(line)));
     }

@@ -56,6 +56,9 @@ pub(super) async fn revoke(
 ) -> Result<axum::Json<TokenView>, Problem> {
     let (actor, now) = (caller.actor(), state.clock.now());
     let wanted = id.clone();
-    let revoked = state.commit(|store| async move { store.revoke_token(&wanted, &actor, now).await }).await?;
+    let revoked = state.commit(|store| async move { store.revoke_token(&wanted, &actor, now).await }).await;
+    // Whatever the outcome: where it is not known, the token may be revoked.
+    state.known_tokens.forget();
+    let revoked = revoked?;
     revoked.map(|token| axum::Json(token.into())).ok_or_else(|| Problem::not_found("token", &id))
 }

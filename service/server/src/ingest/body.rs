@@ -1,7 +1,11 @@
 //! The JSON body of a cycle, to a checked [`Cycle`], with the path of whatever is wrong.
 //!
-//! The fast way is one pass of `serde_json`. Only what it refuses is looked at again: once with the path of the
-//! field, and once by [`super::scan`], which tells a document that is JSON but for NaN from one that is no JSON.
+//! The usual body is read in one pass by [`reader`]; anything else by `serde_json`, with the same outcome. Only what
+//! that refuses is looked at again: once with the path of the field, and once by [`super::scan`], which tells a
+//! document that is JSON but for NaN from one that is no JSON.
+
+mod frame;
+mod reader;
 
 use super::number::{Number, Numbers};
 use super::scan;
@@ -12,6 +16,7 @@ use feedwright_core::cycle::{
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::{Process, Strategy, Timestamp};
+use feedwright_store::wire;
 use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
@@ -24,7 +29,9 @@ pub const CLOCK_AHEAD_MS: i64 = 10 * 60 * 1000;
 pub enum BodyError {
     /// It is no JSON: answered 400, nothing is kept.
     Malformed(String),
-    /// It is JSON, but no cycle that could have been run: answered 422 and kept in quarantine.
+    /// It is no frame of the binary form: answered 400, nothing is kept.
+    MalformedFrame(&'static str),
+    /// It is read, but no cycle that could have been run: answered 422 and kept in quarantine.
     Invalid(Vec<Violation>),
 }
 
@@ -34,13 +41,13 @@ impl BodyError {
     }
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Body {
     cycle_id: String,
     tool: String,
     operation: String,
-    started_at: String,
+    started_at: Started,
     seq: Option<u64>,
     process: Option<String>,
     strategy: Option<String>,
@@ -53,14 +60,27 @@ struct Body {
     reported: Option<ReportedBody>,
 }
 
-#[derive(Deserialize)]
+/// When a cycle began: JSON has a text, the binary form the time itself.
+#[derive(Debug)]
+enum Started {
+    Text(String),
+    At(Timestamp),
+}
+
+impl<'de> Deserialize<'de> for Started {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer).map(Self::Text)
+    }
+}
+
+#[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ProfileBody {
     id: String,
     version: u32,
 }
 
-#[derive(Deserialize, Default)]
+#[derive(Debug, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
 struct ReportedBody {
     energy_joules: Option<Number>,
@@ -78,7 +98,7 @@ struct ReportedBody {
     edge_wear_mm: Option<Number>,
 }
 
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct SamplesBody {
     period_ms: Option<f64>,
     time_ms: Option<Vec<f64>>,
@@ -152,16 +172,35 @@ impl<'de> Deserialize<'de> for SamplesBody {
     }
 }
 
-/// Decodes one cycle's JSON body.
+/// Decodes one cycle's body: the binary form where it begins as that does, else JSON, which never does.
 ///
 /// `now` is the server's clock; a cycle that begins more than [`CLOCK_AHEAD_MS`] after it is refused.
 pub fn decode(
+    machine: &MachineId,
+    body: &[u8],
+    max_samples: usize,
+    now: Timestamp,
+) -> Result<Cycle, BodyError> {
+    let body = if is_frame(body) { frame::read(body, max_samples)? } else { parse(body)? };
+    checked(machine, body, max_samples, now)
+}
+
+/// Whether a body is of the binary form.
+pub fn is_frame(body: &[u8]) -> bool {
+    body.starts_with(&wire::MAGIC[..3])
+}
+
+/// As [`decode`], by serde alone: what the fast reader is held against.
+pub fn decode_by_serde(
     machine: &MachineId,
     json: &[u8],
     max_samples: usize,
     now: Timestamp,
 ) -> Result<Cycle, BodyError> {
-    let body: Body = parse(json)?;
+    checked(machine, parse_by_serde(json)?, max_samples, now)
+}
+
+fn checked(machine: &MachineId, body: Body, max_samples: usize, now: Timestamp) -> Result<Cycle, BodyError> {
     let mut wrong = Vec::new();
     let draft = draft(machine, body, max_samples, now, &mut wrong);
     match draft {
@@ -171,15 +210,22 @@ pub fn decode(
 }
 
 /// The cycle id of a body that is otherwise refused, for the quarantine's list.
-pub fn cycle_id_of(json: &[u8]) -> Option<String> {
+pub fn cycle_id_of(body: &[u8]) -> Option<String> {
+    if is_frame(body) {
+        return wire::read(body, usize::MAX).ok().map(|post| post.cycle_id);
+    }
     #[derive(Deserialize)]
     struct OnlyId {
         cycle_id: String,
     }
-    serde_json::from_slice::<OnlyId>(json).ok().map(|body| body.cycle_id)
+    serde_json::from_slice::<OnlyId>(body).ok().map(|body| body.cycle_id)
 }
 
 fn parse(json: &[u8]) -> Result<Body, BodyError> {
+    reader::read(json).map_or_else(|| parse_by_serde(json), Ok)
+}
+
+fn parse_by_serde(json: &[u8]) -> Result<Body, BodyError> {
     let error = match serde_json::from_slice(json) {
         Ok(body) => return Ok(body),
         Err(error) => error,
@@ -241,7 +287,7 @@ fn draft(
     let id = keep(CycleId::parse("cycle_id", &body.cycle_id), wrong);
     let tool = keep(ToolId::parse("tool", &body.tool), wrong);
     let operation = keep(OperationId::parse("operation", &body.operation), wrong);
-    let started_at = keep(started_at(&body.started_at, now), wrong);
+    let started_at = keep(started_at(body.started_at, now), wrong);
     let process = word("process", body.process.as_deref(), Process::parse, wrong);
     let strategy = word("strategy", body.strategy.as_deref(), Strategy::parse, wrong);
     let outcome = word("outcome", body.outcome.as_deref(), Outcome::parse, wrong);
@@ -309,8 +355,16 @@ fn word<T>(
     parsed
 }
 
-fn started_at(text: &str, now: Timestamp) -> Result<Timestamp, Violation> {
-    let at = time::read("started_at", text)?;
+fn started_at(started: Started, now: Timestamp) -> Result<Timestamp, Violation> {
+    let at = match started {
+        Started::Text(text) => time::read("started_at", &text)?,
+        // Within what a text could have said.
+        Started::At(at) => {
+            time::read("started_at", &time::show(at)).ok().filter(|shown| *shown == at).ok_or_else(|| {
+                Violation::new("started_at", "invalid_timestamp", "must be within the years -9999 to 9999")
+            })?
+        }
+    };
     if at.millis_since(now) > CLOCK_AHEAD_MS {
         return Err(Violation::new(
             "started_at",

@@ -15,16 +15,20 @@ use feedwright_core::ids::MachineId;
 use feedwright_core::summary::{Context, summarise};
 use feedwright_core::units::Timestamp;
 use feedwright_store::{
-    Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, codec,
+    Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, codec, wire,
 };
 use futures_util::future::join_all;
 use http::StatusCode;
 use std::sync::{Arc, RwLock};
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, Semaphore};
 use tokio::task::JoinHandle;
 
 /// Bodies larger than this are parsed off the threads that serve connections.
 const PARSED_ASIDE_BYTES: usize = 256 * 1024;
+
+/// Windows of batches that are read, summed up and encoded at once. When a weekend comes back, every machine of a plant
+/// replays at the same moment: live posts must find a processor all the same.
+const BATCHES_PREPARED: usize = 2;
 
 /// A cycle that is durably stored, with what its machine is told.
 #[derive(Debug)]
@@ -63,6 +67,7 @@ pub struct CycleIntake {
     heard: Heard,
     writer: RwLock<Option<WriterHandle>>,
     writing: Mutex<Option<JoinHandle<()>>>,
+    preparing: Semaphore,
 }
 
 /// What the writer tells metrics and the life of the process.
@@ -108,6 +113,7 @@ impl CycleIntake {
             heard: Heard::default(),
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
+            preparing: Semaphore::new(BATCHES_PREPARED),
         }
     }
 
@@ -135,6 +141,9 @@ impl CycleIntake {
             Err(BodyError::Malformed(why)) => {
                 return Err(Problem::bad_request("malformed_json", format!("the body is no JSON: {why}")));
             }
+            Err(BodyError::MalformedFrame(why)) => {
+                return Err(Problem::bad_request("malformed_cycle", format!("the body is no cycle: {why}")));
+            }
             Err(BodyError::Invalid(violations)) => {
                 if self.store.machine(machine).await?.is_none() {
                     return Err(unknown_machine(machine));
@@ -142,7 +151,8 @@ impl CycleIntake {
                 return Err(self.refuse(machine, json, Problem::invalid(violations), refused).await);
             }
         };
-        let Some(around) = self.store.surroundings(machine, &cycle.operation, &cycle.tool).await? else {
+        let around = self.store.recent_surroundings(machine, &cycle.operation, &cycle.tool).await?;
+        let Some((around, generation)) = around else {
             return Err(unknown_machine(machine));
         };
         let context = Context {
@@ -153,7 +163,8 @@ impl CycleIntake {
         let mut summary = summarise(&cycle, context);
         summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
         let encoded = codec::encode(&cycle);
-        Ok(Ready { cycle: NewCycle { cycle, received_at: now, encoded, summary }, json })
+        let generation = Some(generation);
+        Ok(Ready { cycle: NewCycle { cycle, received_at: now, encoded, summary, generation }, json })
     }
 
     /// Everything after the queue: what the commit came to.
@@ -246,7 +257,8 @@ impl CycleIntake {
             received_at: self.clock.now(),
             code: problem.errors.first().map_or(problem.code, |error| error.code).to_owned(),
             problem: problem.document(None),
-            content_type: "application/json".to_owned(),
+            content_type: if body::is_frame(&json) { wire::MEDIA_TYPE } else { "application/json" }
+                .to_owned(),
             settled: None,
             size: json.len() as u64,
         };
@@ -267,7 +279,7 @@ impl CycleIntake {
 }
 
 impl CycleIntake {
-    /// Takes one cycle's JSON body in. Returns after its durable commit. A full queue refuses it at once.
+    /// Takes one cycle's body in, JSON or binary. Returns after its durable commit. A full queue refuses it at once.
     pub async fn accept(
         &self,
         machine: &MachineId,
@@ -293,7 +305,15 @@ impl CycleIntake {
     pub async fn accept_all(&self, machine: &MachineId, lines: Vec<Bytes>) -> Vec<Result<Accepted, Problem>> {
         let refused = Refused::ToQuarantine;
         let mut waiting = Vec::with_capacity(lines.len());
-        for ready in join_all(lines.into_iter().map(|json| self.prepare(machine, json, refused))).await {
+        let mut prepared = Vec::with_capacity(lines.len());
+        let turn = self.preparing.acquire().await;
+        for json in lines {
+            prepared.push(self.prepare(machine, json, refused).await);
+            // Between two cycles whoever posts live may have the thread.
+            tokio::task::yield_now().await;
+        }
+        drop(turn);
+        for ready in prepared {
             waiting.push(match ready {
                 Ok(ready) => self.enqueue_patiently(ready).await,
                 Err(problem) => Err(problem),

@@ -28,12 +28,17 @@ impl Column {
         // Each scale passed over was refused by a value, so the one found is the smallest.
         'scale: while scale <= MAX_SCALE {
             let mut integers = Vec::with_capacity(values.len());
-            for &value in values {
-                match integer(value, scale) {
-                    Some(integer) => integers.push(integer),
-                    None => {
-                        scale = next_scale(value, scale + 1);
-                        continue 'scale;
+            for values in values.chunks(AT_ONCE) {
+                if extend_at_once(&mut integers, values, scale) {
+                    continue;
+                }
+                for &value in values {
+                    match integer(value, scale) {
+                        Some(integer) => integers.push(integer),
+                        None => {
+                            scale = next_scale(value, scale + 1);
+                            continue 'scale;
+                        }
                     }
                 }
             }
@@ -52,13 +57,38 @@ impl Column {
     }
 }
 
+/// Values that are tried together.
+const AT_ONCE: usize = 64;
+/// 1.5 × 2^52: what is added to it is rounded to an integer, which then stands in its low bits.
+const ROUNDER: f64 = 6_755_399_441_055_744.0;
+/// 2^49. Below, the product of a decimal with its power of ten is within 1/8 of its integer, so that ties, which
+/// [`ROUNDER`] rounds otherwise than [`integer`], belong to no decimal.
+const ROUNDED_LIMIT: f64 = 562_949_953_421_312.0;
+
+/// Appends the integers of `values`, where all of them are decimals of that scale and below [`ROUNDED_LIMIT`]; else
+/// nothing. The same integers as those of [`integer`], without a branch per value.
+fn extend_at_once(integers: &mut Vec<i64>, values: &[f64], scale: u8) -> bool {
+    let (begin, power) = (integers.len(), POWERS[usize::from(scale)]);
+    let mut all = true;
+    integers.extend(values.iter().map(|&value| {
+        let scaled = value * power;
+        let shifted = scaled + ROUNDER;
+        all &= scaled.abs() < ROUNDED_LIMIT && ((shifted - ROUNDER) / power).to_bits() == value.to_bits();
+        shifted.to_bits().wrapping_sub(ROUNDER.to_bits()).cast_signed()
+    }));
+    if !all {
+        integers.truncate(begin);
+    }
+    all
+}
+
 /// The first scale from `scale` on that `value` fits; beyond [`MAX_SCALE`] where none does.
 fn next_scale(value: f64, scale: u8) -> u8 {
     (scale..=MAX_SCALE).find(|&scale| integer(value, scale).is_some()).unwrap_or(MAX_SCALE + 1)
 }
 
 #[expect(clippy::cast_precision_loss, reason = "integers of the canonical form are below 2^53")]
-pub(super) fn decimal(integer: i64, scale: u8) -> f64 {
+pub(crate) fn decimal(integer: i64, scale: u8) -> f64 {
     integer as f64 / POWERS[usize::from(scale)]
 }
 
@@ -122,6 +152,33 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn many_at_once_are_the_same_as_one_by_one(
+            values in prop::collection::vec(
+                prop_oneof![
+                    any::<f64>(),
+                    (-(1_i64 << 53)..(1_i64 << 53), 0_u8..=9).prop_map(|(m, scale)| decimal(m, scale)),
+                    (-(1_i64 << 40)..(1_i64 << 40), 0_u8..=9).prop_map(|(m, scale)| decimal(m, scale)),
+                    (-1_000_i64..1_000).prop_map(|m| decimal(m, 0) + 0.5),
+                    Just(-0.0),
+                ],
+                1..4,
+            ),
+            scale in 0_u8..=9,
+        ) {
+            let mut integers = Vec::new();
+            if extend_at_once(&mut integers, &values, scale) {
+                let one_by_one: Option<Vec<i64>> = values.iter().map(|&value| integer(value, scale)).collect();
+                prop_assert_eq!(Some(integers), one_by_one);
+            } else {
+                prop_assert!(integers.is_empty());
+                let fits = |value: &f64| integer(*value, scale).is_some_and(|_| {
+                    (value * POWERS[usize::from(scale)]).abs() < ROUNDED_LIMIT
+                });
+                prop_assert!(!values.iter().all(fits));
+            }
+        }
+
         #[test]
         fn every_column_comes_back_to_the_bit(values in prop::collection::vec(any::<f64>(), 1..50)) {
             let back = Column::of(&values).into_values();

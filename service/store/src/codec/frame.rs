@@ -1,11 +1,16 @@
-//! Block format v1: writing, and reading that trusts nothing.
+//! Block format: writing version 2, and reading both versions, which trusts nothing.
 
 use super::column::{Column, Columns, MAX_SCALE, Time};
+use super::predict::{Predictor, Restored, unzigzag, zigzag};
+use super::range::{RangeReader, RangeWriter};
+use super::rice::{self, BitReader, BitWriter};
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::cycle::{Channel, Samples, TimeBase};
 use std::cell::RefCell;
 
-const MAGIC: [u8; 3] = *b"FB\x01";
+const MAGIC: [u8; 2] = *b"FB";
+const FIRST: u8 = 1;
+const SECOND: u8 = 2;
 const EXACT: u8 = 15;
 const COMPRESSED: u8 = 0x80;
 const TIMES: u8 = 0;
@@ -22,7 +27,13 @@ thread_local! {
     static DECOMPRESSOR: RefCell<Option<zstd::bulk::Decompressor<'static>>> = const { RefCell::new(None) };
 }
 
-/// Writes samples in block format v1.
+/// How residuals are written: the high half of a column's first byte, its predictor being the low one.
+const RICE: u8 = 0;
+const RANGE: u8 = 0x10;
+/// Residuals, zig-zag, below this mean go to the range coder: a Rice code spends a bit on each, however sure it is.
+const SURE: f64 = 1.5;
+
+/// Writes samples in block format v2.
 pub fn encode_samples(samples: &Samples) -> Vec<u8> {
     encode_columns(&Columns::of(samples))
 }
@@ -30,6 +41,7 @@ pub fn encode_samples(samples: &Samples) -> Vec<u8> {
 pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
     let mut out = Vec::with_capacity(64 + columns.len * columns.channels.len());
     out.extend_from_slice(&MAGIC);
+    out.push(SECOND);
     put_varint(&mut out, columns.len as u64);
     let stamps = usize::from(matches!(columns.time, Time::Stamps(_)));
     out.push(u8::try_from(columns.channels.len() + stamps).unwrap_or(u8::MAX));
@@ -59,24 +71,57 @@ fn checksum(bytes: &[u8]) -> [u8; CHECKSUM] {
 }
 
 fn put_block(out: &mut Vec<u8>, code: u8, column: &Column) {
-    let (form, plain) = match column {
-        Column::Decimal { scale, values } => (*scale, deltas(values)),
-        Column::Exact(bits) => (EXACT, planes(bits)),
-    };
     out.push(code);
-    match compress(&plain).filter(|packed| packed.len() < plain.len()) {
+    match column {
+        Column::Decimal { scale, values } => {
+            let packed = residuals(values);
+            out.push(*scale);
+            put_varint(out, packed.len() as u64);
+            out.extend_from_slice(&packed);
+        }
+        Column::Exact(bits) => put_exact(out, &planes(bits)),
+    }
+}
+
+fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
+    match compress(plain).filter(|packed| packed.len() < plain.len()) {
         Some(packed) => {
-            out.push(form | COMPRESSED);
+            out.push(EXACT | COMPRESSED);
             put_varint(out, plain.len() as u64);
             put_varint(out, packed.len() as u64);
             out.extend_from_slice(&packed);
         }
         None => {
-            out.push(form);
+            out.push(EXACT);
             put_varint(out, plain.len() as u64);
-            out.extend_from_slice(&plain);
+            out.extend_from_slice(plain);
         }
     }
+}
+
+/// The payload of a decimal column: how it is coded, its first value, and how far each other one is off.
+fn residuals(values: &[i64]) -> Vec<u8> {
+    let (Some(&first), predictor) = (values.first(), Predictor::best(values)) else {
+        return Vec::new();
+    };
+    let mut residuals = Vec::new();
+    predictor.residuals(values, &mut residuals);
+    #[expect(clippy::cast_precision_loss, reason = "a mean to choose by")]
+    let sure = residuals.iter().fold(0_u64, |sum, &residual| sum.saturating_add(residual)) as f64
+        <= SURE * residuals.len() as f64;
+    let mut out = Vec::with_capacity(16 + values.len());
+    out.push(predictor as u8 | if sure { RANGE } else { RICE });
+    put_varint(&mut out, zigzag(first));
+    if sure {
+        let mut writer = RangeWriter::after(out);
+        residuals.iter().for_each(|&residual| writer.put(residual));
+        return writer.finish();
+    }
+    let bits = rice::usual_bits(&residuals);
+    out.push(bits);
+    let (mut writer, mut parameter) = (BitWriter::after(out), rice::Parameter::new(bits));
+    residuals.iter().for_each(|&residual| writer.rice(residual, &mut parameter));
+    writer.finish()
 }
 
 /// `None` where zstd fails, which it does for want of memory only: the block is then stored as it is.
@@ -87,18 +132,6 @@ fn compress(plain: &[u8]) -> Option<Vec<u8>> {
         }
         slot.as_mut()?.compress(plain).ok()
     })
-}
-
-fn deltas(values: &[i64]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(values.len() * 2);
-    let mut before = 0_i64;
-    for &value in values {
-        // Both are below 2^53: the difference cannot overflow.
-        let delta = value - before;
-        put_varint(&mut out, ((delta << 1) ^ (delta >> 63)).cast_unsigned());
-        before = value;
-    }
-    out
 }
 
 fn planes(bits: &[u64]) -> Vec<u8> {
@@ -118,7 +151,7 @@ fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Reads block format v1. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
+/// Reads block formats v1 and v2. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
 /// than that many values per channel whatever the bytes claim.
 pub fn decode_samples(bytes: &[u8], max_samples: usize) -> StoreResult<Samples> {
     read(bytes, max_samples).map_err(|what| StoreError::Damaged { what: format!("sample block: {what}") })
@@ -136,7 +169,11 @@ fn read(bytes: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
 fn read_body(body: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
     let mut input = Input(body);
     if input.take(MAGIC.len())? != MAGIC {
-        return Err("not block format v1");
+        return Err("not a sample block");
+    }
+    let version = input.byte()?;
+    if version != FIRST && version != SECOND {
+        return Err("not block format v1 or v2");
     }
     let len = input.length()?;
     if len == 0 || len > max_samples {
@@ -155,14 +192,14 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
             if input.byte()? != TIMES {
                 return Err("times are missing");
             }
-            (TimeBase::Stamps { time_ms: input.column(len)?.into_values() }, blocks - 1)
+            (TimeBase::Stamps { time_ms: input.column(version, len)?.into_values() }, blocks - 1)
         }
         _ => return Err("unknown time base"),
     };
     let mut columns = Vec::with_capacity(channels);
     for _ in 0..channels {
         let channel = Channel::from_code(input.byte()?).ok_or("unknown channel")?;
-        columns.push((channel, input.column(len)?.into_values()));
+        columns.push((channel, input.column(version, len)?.into_values()));
     }
     if !input.0.is_empty() {
         return Err("trailing bytes");
@@ -203,13 +240,17 @@ impl<'a> Input<'a> {
         usize::try_from(self.varint()?).map_err(|_| "length overflows")
     }
 
-    fn column(&mut self, len: usize) -> Result<Column, &'static str> {
+    fn column(&mut self, version: u8, len: usize) -> Result<Column, &'static str> {
         let form = self.byte()?;
+        if version == SECOND && form <= MAX_SCALE {
+            let stored = self.length()?;
+            return restored(self.take(stored)?, len, form);
+        }
         let (compressed, form) = (form & COMPRESSED != 0, form & !COMPRESSED);
         let plain_length = self.length()?;
         // `len` is within the reader's limit, and so is every allocation below.
         let fits = match form {
-            0..=MAX_SCALE => (len..=len * MAX_VARINT).contains(&plain_length),
+            0..=MAX_SCALE if version == FIRST => (len..=len * MAX_VARINT).contains(&plain_length),
             EXACT => plain_length == len * 8,
             _ => return Err("unknown form"),
         };
@@ -241,14 +282,47 @@ fn decompress(packed: &[u8], plain_length: usize) -> Result<Vec<u8>, &'static st
     })
 }
 
+/// A decimal column of version 2. `len` is within the reader's limit.
+fn restored(packed: &[u8], len: usize, scale: u8) -> Result<Column, &'static str> {
+    let mut input = Input(packed);
+    let coding = input.byte()?;
+    let predictor = Predictor::from_code(coding & 0x0f).ok_or("unknown predictor")?;
+    let first = unzigzag(input.varint()?);
+    let mut restored = Restored::new(predictor, first);
+    let mut values = Vec::with_capacity(len);
+    values.push(first);
+    let ended = match coding & 0xf0 {
+        RICE => {
+            let bits = input.byte()?;
+            let mut parameter = rice::Parameter::of(bits).ok_or("unknown parameter")?;
+            let mut reader = BitReader::new(input.0);
+            for _ in 1..len {
+                let residual = reader.rice(&mut parameter).ok_or("a column ends early")?;
+                values.push(restored.next(residual));
+            }
+            reader.is_at_end()
+        }
+        RANGE => {
+            let mut reader = RangeReader::new(input.0);
+            for _ in 1..len {
+                let residual = reader.next().ok_or("a column ends early")?;
+                values.push(restored.next(residual));
+            }
+            reader.is_at_end()
+        }
+        _ => return Err("unknown coding"),
+    };
+    if ended { Ok(Column::Decimal { scale, values }) } else { Err("trailing bytes in a column") }
+}
+
+/// A decimal column of version 1.
 fn undeltas(plain: &[u8], len: usize, scale: u8) -> Result<Column, &'static str> {
     let mut input = Input(plain);
     let mut values = Vec::with_capacity(len);
     let mut value = 0_i64;
     for _ in 0..len {
         let zigzag = input.varint()?;
-        let delta = (zigzag >> 1).cast_signed() ^ -(zigzag & 1).cast_signed();
-        value = value.wrapping_add(delta);
+        value = value.wrapping_add(unzigzag(zigzag));
         values.push(value);
     }
     if input.0.is_empty() { Ok(Column::Decimal { scale, values }) } else { Err("trailing bytes in a block") }
@@ -267,4 +341,4 @@ fn unplanes(plain: &[u8], len: usize) -> Vec<u64> {
 }
 
 #[cfg(test)]
-pub(super) mod tests;
+pub(crate) mod tests;

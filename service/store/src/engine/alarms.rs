@@ -34,28 +34,36 @@ const fn kind_of(state: ToolState) -> Option<AlarmKind> {
     }
 }
 
-/// Raises what the verdict calls for and clears what it no longer does.
+/// An open alarm that follows the verdict on a tool.
+#[derive(Debug)]
+pub(super) struct OpenAlarm {
+    id: RowNumber,
+    kind: AlarmKind,
+}
+
+/// Raises what the verdict calls for and clears what it no longer does. `known` are the tool's open alarms where they
+/// were looked up before; nobody but who holds the tool's lock changes them.
 pub(super) async fn follow_verdict(
     conn: &mut Conn,
     tool: &ToolId,
     verdict: &Verdict,
+    known: &mut Option<Vec<OpenAlarm>>,
     now: Timestamp,
 ) -> StoreResult<()> {
     let wanted = kind_of(verdict.state);
-    let open: Vec<AlarmRow> = sqlx::query_as::<Db, _>(select!(
-        "WHERE tool_id = $1 AND cleared_at_us IS NULL
-           AND kind IN ('worn', 'broken_suspected', 'conditions_changed')
-         ORDER BY alarm_id"
-    ))
-    .bind(tool.as_str())
-    .fetch_all(&mut *conn)
-    .await?;
+    let open = match known {
+        Some(open) => open,
+        None => known.insert(open_of(conn, tool).await?),
+    };
+    if open.iter().map(|alarm| alarm.kind).eq(wanted) {
+        return Ok(());
+    }
     let mut stands = false;
-    for row in open {
-        if Some(row.kind.as_str()) == wanted.map(AlarmKind::as_str) {
+    for alarm in open.iter() {
+        if Some(alarm.kind) == wanted {
             stands = true;
         } else {
-            clear(conn, row.alarm_id, now).await?;
+            clear(conn, alarm.id, now).await?;
         }
     }
     if let Some(kind) = wanted
@@ -68,7 +76,21 @@ pub(super) async fn follow_verdict(
         let machine = verdict.last.as_ref().map(|last| &last.machine);
         raise(conn, kind, machine, Some(tool), &message, now).await?;
     }
+    *known = None;
     Ok(())
+}
+
+async fn open_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<OpenAlarm>> {
+    let open: Vec<AlarmRow> = sqlx::query_as::<Db, _>(select!(
+        "WHERE tool_id = $1 AND cleared_at_us IS NULL
+           AND kind IN ('worn', 'broken_suspected', 'conditions_changed')
+         ORDER BY alarm_id"
+    ))
+    .bind(tool.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    let alarms = open.iter().map(|row| Ok(OpenAlarm { id: row.alarm_id, kind: row.alarm()?.kind }));
+    alarms.collect()
 }
 
 /// Raises an alarm unless one of its kind is open for the same subject.

@@ -128,7 +128,7 @@ async fn mend(conn: &mut Conn, tool: &ToolId, machines: &[MachineId]) -> StoreRe
     }
     if wear::is_registered(conn, tool).await? {
         let verdict = wear::count_all(conn, tool, now).await?;
-        alarms::follow_verdict(conn, tool, &verdict, now).await?;
+        alarms::follow_verdict(conn, tool, &verdict, &mut None, now).await?;
     }
     Ok(())
 }

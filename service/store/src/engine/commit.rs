@@ -1,55 +1,23 @@
 //! A group of cycles in one transaction: stored or known, folded, alarmed, answered.
 
-use super::wear::{self, ToolWear};
-use super::{Conn, alarms, cycles, dialect, machines, models, operations, recommendations};
-use crate::error::StoreResult;
+use super::memory::Memory;
+use super::registry::GroupRegistry;
+use super::wear::{self, ToolWear, Versions};
+use super::{Conn, alarms, cycles, dialect, models, recommendations};
+use crate::error::{StoreError, StoreResult};
 use crate::history::beginning;
 use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
-use crate::rows::{CutRow, CycleRow, FactsRow, Place};
+use crate::registry::Registry;
+use crate::rows::{CutRow, CycleRow, FactsRow, IssuedRow, Place};
 use feedwright_core::cycle::{Cycle, Flag};
-use feedwright_core::ids::{MachineId, OperationId, RecommendationId, ToolId};
-use feedwright_core::machine::Machine;
-use feedwright_core::operation::Operation;
+use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
 use feedwright_core::recommend::{Knowledge, Question, RecommendSettings, recommend};
-use feedwright_core::summary::CycleSummary;
+use feedwright_core::summary::{Context, CycleSummary, summarise};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::btree_map::Entry;
-use std::collections::{BTreeMap, BTreeSet};
-
-/// What is registered around a group.
-struct Registry {
-    machines: BTreeMap<MachineId, Machine>,
-    operations: BTreeMap<OperationId, Operation>,
-    tools: BTreeSet<ToolId>,
-}
-
-impl Registry {
-    async fn load(conn: &mut Conn, group: &[NewCycle]) -> StoreResult<Self> {
-        let operation_ids: BTreeSet<_> = group.iter().map(|new| &new.cycle.operation).collect();
-        let tool_ids: BTreeSet<_> = group.iter().map(|new| &new.cycle.tool).collect();
-        dialect::lock(conn, &Locks::group(operation_ids.iter().copied(), tool_ids.iter().copied())).await?;
-        let mut registry =
-            Self { machines: BTreeMap::new(), operations: BTreeMap::new(), tools: BTreeSet::new() };
-        for machine in group.iter().map(|new| &new.cycle.machine).collect::<BTreeSet<_>>() {
-            if let Some(found) = machines::get(conn, machine).await? {
-                registry.machines.insert(machine.clone(), found.value);
-            }
-        }
-        for operation in operation_ids {
-            if let Some(found) = operations::get(conn, operation).await? {
-                registry.operations.insert(operation.clone(), found.value);
-            }
-        }
-        for tool in tool_ids {
-            if wear::is_registered(conn, tool).await? {
-                registry.tools.insert(tool.clone());
-            }
-        }
-        Ok(registry)
-    }
-}
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 /// What became of one cycle before it is answered.
 enum Placed {
@@ -58,18 +26,27 @@ enum Placed {
     Done(Committed),
 }
 
-/// Commits a group: answers stand in the order of the group.
+/// Commits a group: answers stand in the order of the group. What `memory` holds is true after the commit only.
 pub(super) async fn group(
     conn: &mut Conn,
     group: &[NewCycle],
     now: Timestamp,
     settings: RecommendSettings,
+    (registry, memory): (&Registry, &mut Memory),
 ) -> StoreResult<Vec<Committed>> {
-    let registry = Registry::load(conn, group).await?;
+    let tools: BTreeSet<_> = group.iter().map(|new| &new.cycle.tool).collect();
+    let machines = group.iter().map(|new| &new.cycle.machine);
+    let operations = group.iter().map(|new| &new.cycle.operation);
+    dialect::lock(conn, &Locks::group(machines, operations, tools.iter().copied())).await?;
+    // Asked under the locks: who changes what this group rests on waits for its end, or has ended before.
+    let (generation, versions) = wear::heads(conn, &tools).await?;
+    memory.begin(generation);
+    let registry = GroupRegistry::load(conn, registry, generation, group).await?;
     let placed = place_all(conn, group, &registry).await?;
-    let verdicts = count_all(conn, group, &placed, &registry, now).await?;
+    let verdicts = count_all(conn, group, &placed, (&registry, &versions, memory), now).await?;
     let knowledge = know_all(conn, group, &registry).await?;
     let mut answers = Vec::with_capacity(group.len());
+    let mut issued = Vec::with_capacity(group.len());
     for (new, placed) in group.iter().zip(placed) {
         let (summary, received_at, stored) = match placed {
             Placed::Done(committed) => {
@@ -81,10 +58,15 @@ pub(super) async fn group(
         };
         let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&Knowledge::None);
         let tool = (verdicts.get(&new.cycle.tool), known);
-        let answer =
-            answer(conn, &new.cycle, (summary, received_at), &registry, tool, (now, settings)).await?;
+        let answer = answer(&new.cycle, (summary, received_at), &registry, tool, (now, settings))?;
+        let row = IssuedRow::of(&answer.recommendation)?;
+        if memory.is_new_advice(row.advice_hash) {
+            recommendations::keep_advice(conn, &row).await?;
+        }
+        issued.push(row);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
+    dialect::insert_recommendations(conn, &issued).await?;
     Ok(answers)
 }
 
@@ -92,52 +74,99 @@ pub(super) async fn group(
 async fn know_all<'a>(
     conn: &mut Conn,
     group: &'a [NewCycle],
-    registry: &Registry,
+    registry: &GroupRegistry,
 ) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Knowledge>> {
     let mut known = BTreeMap::new();
     for cycle in group.iter().map(|new| &new.cycle) {
         let key = (&cycle.operation, &cycle.tool);
         if let Entry::Vacant(unknown) = known.entry(key) {
             let operation = registry.operations.get(&cycle.operation);
-            unknown.insert(models::knowledge(conn, operation, &cycle.tool).await?);
+            unknown.insert(models::knowledge(conn, operation.map(AsRef::as_ref), &cycle.tool).await?);
         }
     }
     Ok(known)
 }
 
-async fn place_all(conn: &mut Conn, group: &[NewCycle], registry: &Registry) -> StoreResult<Vec<Placed>> {
+/// Stores what is new of the group, and tells the rest from it.
+async fn place_all(
+    conn: &mut Conn,
+    group: &[NewCycle],
+    registry: &GroupRegistry,
+) -> StoreResult<Vec<Placed>> {
     // Ascending keys, so that two servers with the same cycles cannot wait for each other.
-    let mut order: Vec<usize> = (0..group.len()).collect();
-    order.sort_by_key(|&index| (&group[index].cycle.machine, &group[index].cycle.id, index));
-    let mut placed: Vec<(usize, Placed)> = Vec::with_capacity(group.len());
-    for index in order {
-        placed.push((index, place(conn, &group[index], registry).await?));
-    }
-    placed.sort_by_key(|(index, _)| *index);
-    Ok(placed.into_iter().map(|(_, placed)| placed).collect())
-}
-
-async fn place(conn: &mut Conn, new: &NewCycle, registry: &Registry) -> StoreResult<Placed> {
-    let cycle = &new.cycle;
-    if !registry.machines.contains_key(&cycle.machine) {
-        return Ok(Placed::Done(Committed::UnknownMachine));
-    }
-    let mut summary = new.summary.clone();
-    summary.flags.insert_if(!registry.tools.contains(&cycle.tool), Flag::ToolUnregistered);
-    let row = CycleRow::of(new, summary.flags)?;
-    if cycles::insert(conn, &row).await? {
-        if let Some(block) = &new.encoded.samples {
-            cycles::insert_samples(conn, &row, block).await?;
+    let mut rows: BTreeMap<(&MachineId, &CycleId), (usize, CycleRow, CycleSummary)> = BTreeMap::new();
+    for (index, new) in group.iter().enumerate() {
+        let cycle = &new.cycle;
+        if !registry.machines.contains_key(&cycle.machine) {
+            continue;
         }
-        if let Some(cut) = CutRow::of(cycle)? {
+        // Of two with one key in one group the first is the one that is stored.
+        if let Entry::Vacant(first) = rows.entry((&cycle.machine, &cycle.id)) {
+            let summary = summary_of(new, registry);
+            first.insert((index, CycleRow::of(new, &summary)?, summary));
+        }
+    }
+    let keyed: Vec<&CycleRow> = rows.values().map(|(_, row, _)| row).collect();
+    let inserted = dialect::insert_cycles(conn, &keyed).await?;
+    let all_new = inserted.len() == keyed.len();
+    let inserted: HashSet<(String, String)> = inserted.into_iter().collect();
+    let is_new =
+        |row: &CycleRow| all_new || inserted.contains(&(row.machine_id.clone(), row.cycle_id.clone()));
+    let fresh: Vec<_> = rows.into_values().filter(|(_, row, _)| is_new(row)).collect();
+    let mut blocks = Vec::with_capacity(fresh.len());
+    for (index, row, _) in &fresh {
+        blocks.extend(group[*index].encoded.samples.as_deref().map(|block| (row, block)));
+    }
+    dialect::insert_blocks(conn, &blocks).await?;
+    for (index, _, _) in &fresh {
+        if let Some(cut) = CutRow::of(&group[*index].cycle)? {
             models::insert_cut(conn, &cut).await?;
         }
-        return Ok(Placed::New(Box::new(row), Box::new(summary)));
     }
+    let mut placed: Vec<Option<Placed>> = group.iter().map(|_| None).collect();
+    for (index, row, summary) in fresh {
+        placed[index] = Some(Placed::New(Box::new(row), Box::new(summary)));
+    }
+    let mut all = Vec::with_capacity(group.len());
+    for (new, placed) in group.iter().zip(placed) {
+        all.push(match placed {
+            Some(placed) => placed,
+            None if !registry.machines.contains_key(&new.cycle.machine) => {
+                Placed::Done(Committed::UnknownMachine)
+            }
+            None => known(conn, new).await?,
+        });
+    }
+    Ok(all)
+}
+
+/// The summary of a cycle that is stored now: under another generation of the registry than it was made under, it is
+/// made again, so that it rests on what is in force.
+fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> CycleSummary {
+    let cycle = &new.cycle;
+    let again = new.generation.filter(|generation| *generation != registry.generation);
+    let mut summary = match (again, registry.machines.get(&cycle.machine)) {
+        (Some(_), Some(known)) => summarise(
+            cycle,
+            Context {
+                machine: &known.machine,
+                calibration: known.calibration.as_deref(),
+                operation: registry.operations.get(&cycle.operation).map(AsRef::as_ref),
+            },
+        ),
+        _ => new.summary.clone(),
+    };
+    summary.flags.insert_if(!registry.tools.contains(&cycle.tool), Flag::ToolUnregistered);
+    summary
+}
+
+/// A cycle whose key is stored already: known, or in conflict.
+async fn known(conn: &mut Conn, new: &NewCycle) -> StoreResult<Placed> {
+    let cycle = &new.cycle;
     match cycles::get(conn, &cycle.machine, &cycle.id).await? {
         Some(known) if known.hash == new.encoded.hash => Ok(Placed::Known(Box::new(known))),
         Some(known) => Ok(Placed::Done(Committed::Conflict { stored_hash: known.hash })),
-        None => Err(crate::error::StoreError::Unavailable("a cycle of the same key came and went".into())),
+        None => Err(StoreError::Unavailable("a cycle of the same key came and went".into())),
     }
 }
 
@@ -146,7 +175,7 @@ async fn count_all(
     conn: &mut Conn,
     group: &[NewCycle],
     placed: &[Placed],
-    registry: &Registry,
+    (registry, versions, memory): (&GroupRegistry, &BTreeMap<ToolId, Versions>, &mut Memory),
     now: Timestamp,
 ) -> StoreResult<BTreeMap<ToolId, Verdict>> {
     let mut fresh: BTreeMap<&ToolId, BTreeMap<&MachineId, Vec<FactsRow>>> = BTreeMap::new();
@@ -157,19 +186,27 @@ async fn count_all(
         }
         let machines = fresh.entry(&cycle.tool).or_default();
         if let Placed::New(row, _) = placed {
-            let facts = FactsRow::of(row, registry.operations.get(&cycle.operation));
+            let facts = FactsRow::of(row, registry.operations.get(&cycle.operation).map(AsRef::as_ref));
             machines.entry(&cycle.machine).or_default().push(facts);
         }
     }
     let mut verdicts = BTreeMap::new();
+    let mut changed = Vec::new();
     for (tool, machines) in fresh {
         let anything_new = !machines.is_empty();
-        let verdict = count_tool(conn, tool, machines, now).await?;
+        let mut wear = match memory.take(tool, versions.get(tool)) {
+            Some(wear) => wear,
+            None => ToolWear::load_locked(conn, tool).await?,
+        };
+        let verdict = count_tool(conn, &mut wear, machines).await?;
         if anything_new {
-            alarms::follow_verdict(conn, tool, &verdict, now).await?;
+            alarms::follow_verdict(conn, tool, &verdict, &mut wear.alarms, now).await?;
         }
         verdicts.insert(tool.clone(), verdict);
+        changed.extend(wear.take_changed()?);
+        memory.keep(tool.clone(), wear);
     }
+    dialect::save_wear(conn, &changed, now).await?;
     for (new, placed) in group.iter().zip(placed) {
         if let Placed::New(_, summary) = placed
             && summary.flags.contains(Flag::LoadOver400)
@@ -184,11 +221,9 @@ async fn count_all(
 
 async fn count_tool(
     conn: &mut Conn,
-    tool: &ToolId,
+    wear: &mut ToolWear,
     machines: BTreeMap<&MachineId, Vec<FactsRow>>,
-    now: Timestamp,
 ) -> StoreResult<Verdict> {
-    let mut wear = ToolWear::load_locked(conn, tool).await?;
     // An event that names a cycle of this group has just moved from its own time to that cycle's place: every
     // machine's fold changes from the earlier of the two on.
     let mut moved: Option<Place> = None;
@@ -212,7 +247,7 @@ async fn count_tool(
                     rows.drain(..).map(|row| Ok((row.order()?, row))).collect::<StoreResult<Vec<_>>>()?;
                 keyed.sort_by(|(a, _), (b, _)| a.cmp(b));
                 let rows: Vec<FactsRow> = keyed.into_iter().map(|(_, row)| row).collect();
-                wear.count_new(conn, machine, &rows, now).await?;
+                wear.count_new(conn, machine, &rows).await?;
             }
             Some(moved) => {
                 let mut from = moved.clone();
@@ -221,13 +256,13 @@ async fn count_tool(
                 }
                 // The cached fold may end before `from`, and these rows lie beyond its end.
                 wear.forget(machine);
-                wear.refold(conn, machine, &from, now).await?;
+                wear.refold(conn, machine, &from).await?;
             }
         }
     }
     if let Some(moved) = &moved {
         for machine in wear.machines() {
-            wear.refold(conn, &machine, moved, now).await?;
+            wear.refold(conn, &machine, moved).await?;
         }
     }
     wear.verdict(conn).await
@@ -241,11 +276,10 @@ pub(super) fn recommendation_id(now: Timestamp) -> StoreResult<RecommendationId>
     crate::rows::id("recommendation_id", &uuid::Uuid::new_v7(time).to_string())
 }
 
-async fn answer(
-    conn: &mut Conn,
+fn answer(
     cycle: &Cycle,
     (summary, received_at): (CycleSummary, Timestamp),
-    registry: &Registry,
+    registry: &GroupRegistry,
     (verdict, knowledge): (Option<&Verdict>, &Knowledge),
     (now, settings): (Timestamp, RecommendSettings),
 ) -> StoreResult<Box<CycleAnswer>> {
@@ -253,8 +287,9 @@ async fn answer(
     let machine = registry
         .machines
         .get(&cycle.machine)
-        .ok_or_else(|| crate::error::StoreError::Damaged { what: "a cycle of no machine".to_owned() })?;
-    let operation = registry.operations.get(&cycle.operation);
+        .map(|known| &*known.machine)
+        .ok_or_else(|| StoreError::Damaged { what: "a cycle of no machine".to_owned() })?;
+    let operation = registry.operations.get(&cycle.operation).map(AsRef::as_ref);
     let tool_registered = registry.tools.contains(&cycle.tool);
     let recommendation = IssuedRecommendation {
         id: recommendation_id(now)?,
@@ -270,7 +305,6 @@ async fn answer(
             settings,
         }),
     };
-    recommendations::issue(conn, &recommendation).await?;
     Ok(Box::new(CycleAnswer {
         summary,
         received_at,

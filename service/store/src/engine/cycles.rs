@@ -3,44 +3,8 @@
 use super::{Conn, Db};
 use crate::error::StoreResult;
 use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
-use crate::rows::{CycleRow, CycleWithSamples, cycle_columns};
+use crate::rows::{CycleWithSamples, cycle_columns};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
-
-macro_rules! insert_sql {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
-        concat!(
-            "INSERT INTO cycles (", insert_sql!(@list $(stringify!($column),)*), ") VALUES (",
-            insert_sql!(@list $($placeholder,)*),
-            ") ON CONFLICT (machine_id, cycle_id) DO NOTHING"
-        )
-    };
-    (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
-}
-
-const INSERT: &str = cycle_columns!(insert_sql);
-
-/// Inserts a cycle; `false` where one of its key is stored already.
-pub(super) async fn insert(conn: &mut Conn, row: &CycleRow) -> StoreResult<bool> {
-    let query = sqlx::query::<Db>(INSERT);
-    macro_rules! bind {
-        ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(&row.$column))* };
-    }
-    let done = cycle_columns!(bind).execute(&mut *conn).await?;
-    Ok(done.rows_affected() == 1)
-}
-
-pub(super) async fn insert_samples(conn: &mut Conn, row: &CycleRow, block: &[u8]) -> StoreResult<()> {
-    sqlx::query::<Db>(
-        "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ($1, $2, $3, $4)",
-    )
-    .bind(&row.machine_id)
-    .bind(row.received_at_us)
-    .bind(&row.cycle_id)
-    .bind(block)
-    .execute(&mut *conn)
-    .await?;
-    Ok(())
-}
 
 macro_rules! select_sql {
     ($($column:ident: $type:ty = $placeholder:literal,)*) => {

@@ -2,7 +2,7 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, fleet, life, machines, models, operations,
-    quarantine, recommendations, sessions, tokens, tools, watch, wear,
+    quarantine, recommendations, registry, sessions, tokens, tools, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
@@ -32,6 +32,19 @@ macro_rules! write {
     };
 }
 
+/// As `write!`, of what is registered: begins the next generation, and this server forgets the one before.
+macro_rules! register {
+    ($engine:ident, |$conn:ident| $body:expr) => {{
+        let outcome = write!($engine, |$conn| {
+            let outcome = $body?;
+            registry::changed($conn).await?;
+            Ok(outcome)
+        });
+        $engine.registry().forget();
+        outcome
+    }};
+}
+
 /// Reads that belong together, in one snapshot.
 macro_rules! snapshot {
     ($engine:ident, |$conn:ident| $body:expr) => {
@@ -51,14 +64,24 @@ impl Engine {
         let mut attempt = 1;
         loop {
             let cycles = Arc::clone(group);
-            let outcome = write!(self, |conn| commit::group(conn, &cycles, now, settings).await);
+            let registry = Arc::clone(self.registry());
+            let mut memory = self.memory().take();
+            let outcome = write!(self, |conn| {
+                let known = (&*registry, &mut memory);
+                let answers = commit::group(conn, &cycles, now, settings, known).await?;
+                Ok((answers, memory))
+            });
             match outcome {
+                Ok((answers, memory)) => {
+                    self.memory().put(memory);
+                    return Ok(answers);
+                }
                 Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))
                     if attempt < dialect::COMMIT_ATTEMPTS =>
                 {
                     attempt += 1;
                 }
-                outcome => return outcome,
+                Err(error) => return Err(error),
             }
         }
     }
@@ -150,7 +173,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| machines::put(conn, &machine, expects, &actor, now).await)
+        register!(self, |conn| machines::put(conn, &machine, expects, &actor, now).await)
     }
 
     async fn machine(&self, id: &MachineId) -> StoreResult<Option<Versioned<Machine>>> {
@@ -169,7 +192,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
+        register!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
     }
 
     async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
@@ -188,7 +211,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<StoredToolEvent>> {
         let (tool, actor) = (tool.clone(), actor.clone());
-        write!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
+        register!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
     }
 
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
@@ -203,7 +226,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
+        register!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
     }
 
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {
@@ -222,7 +245,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        write!(self, |conn| models::put(conn, &model, expects, &actor, now).await)
+        register!(self, |conn| models::put(conn, &model, expects, &actor, now).await)
     }
 
     async fn model(&self, kind: ModelKind, id: &ModelId) -> StoreResult<Option<Versioned<Model>>> {
@@ -246,7 +269,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<Calibration>> {
         let (machine, actor) = (machine.clone(), actor.clone());
-        write!(self, |conn| machines::calibrate(conn, &machine, calibration, &actor, now).await)
+        register!(self, |conn| machines::calibrate(conn, &machine, calibration, &actor, now).await)
     }
 
     async fn calibrations(
@@ -265,6 +288,20 @@ impl Store for Engine {
     ) -> StoreResult<Option<Surroundings>> {
         let (machine, operation, tool) = (machine.clone(), operation.clone(), tool.clone());
         snapshot!(self, |conn| machines::surroundings(conn, &machine, &operation, &tool).await)
+    }
+
+    async fn recent_surroundings(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Option<(Surroundings, i64)>> {
+        if let Some(known) = self.registry().around(machine, operation, tool) {
+            return Ok(Some(known));
+        }
+        let names = (machine.clone(), operation.clone(), tool.clone());
+        let registry = Arc::clone(self.registry());
+        snapshot!(self, |conn| registry::around(conn, &registry, (&names.0, &names.1, &names.2)).await)
     }
 
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
@@ -301,7 +338,7 @@ impl Store for Engine {
             };
             let tool = next.clone();
             let (rows, different) = if repair {
-                write!(self, |conn| check::tool(conn, &tool, true).await)?
+                register!(self, |conn| check::tool(conn, &tool, true).await)?
             } else {
                 snapshot!(self, |conn| check::tool(conn, &tool, false).await)?
             };

@@ -179,7 +179,10 @@ pub(super) async fn calibrations(
     rows.iter().map(CalibrationRow::calibration).collect()
 }
 
-async fn newest_calibration(conn: &mut Conn, machine: &MachineId) -> StoreResult<Option<Calibration>> {
+pub(super) async fn newest_calibration(
+    conn: &mut Conn,
+    machine: &MachineId,
+) -> StoreResult<Option<Calibration>> {
     let row: Option<CalibrationRow> =
         sqlx::query_as::<Db, _>(select_calibrations!("WHERE machine_id = $1 ORDER BY version DESC LIMIT 1"))
             .bind(machine.as_str())

@@ -13,14 +13,18 @@ mod fleet;
 mod implement;
 mod life;
 mod machines;
+mod memory;
 mod models;
 mod operations;
 mod quarantine;
 mod recommendations;
+mod registry;
 mod sessions;
 mod tokens;
 mod tools;
 mod watch;
 mod wear;
+
+pub(super) use memory::Memory;
 
 use super::{Conn, Db, Engine, dialect};

@@ -130,7 +130,7 @@ pub(super) async fn knowledge(
 
 /// Everything a tool has cut since it was last new, in the order of the fold.
 async fn history(conn: &mut Conn, tool: &ToolId) -> StoreResult<EdgeHistory> {
-    let events = tools::placed_events(conn, tool).await?;
+    let (events, _) = tools::placed_events(conn, tool).await?;
     let begun = events.iter().rev().find(|event| event.kind.begins_life());
     let Some(begun) = begun.filter(|event| event.kind.starts_unworn()) else {
         return Ok(EdgeHistory::NotNew);

@@ -1,52 +1,25 @@
 //! Recommendations that were handed out: what repeats stands once, under its hash.
 
-use super::{Conn, Db};
-use crate::error::{StoreError, StoreResult};
+use super::{Conn, Db, dialect};
+use crate::error::StoreResult;
 use crate::record::IssuedRecommendation;
-use crate::rows::{AdviceBody, RecommendationRow, count, float};
+use crate::rows::{IssuedRow, RecommendationRow};
 use feedwright_core::ids::RecommendationId;
-use feedwright_core::wear::{Level, Remaining};
 
-/// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
-const HASH_BYTES: usize = 16;
-
+/// Keeps one recommendation.
 pub(super) async fn issue(conn: &mut Conn, issued: &IssuedRecommendation) -> StoreResult<()> {
-    let recommendation = &issued.recommendation;
-    let body = serde_json::to_string(&AdviceBody::of(recommendation))
-        .map_err(|error| StoreError::Database(Box::new(error)))?;
-    let hash = blake3::hash(body.as_bytes()).as_bytes()[..HASH_BYTES].to_vec();
+    let row = IssuedRow::of(issued)?;
+    keep_advice(conn, &row).await?;
+    dialect::insert_recommendations(conn, &[row]).await
+}
+
+/// Keeps the advice that a recommendation refers to, where it is new.
+pub(super) async fn keep_advice(conn: &mut Conn, row: &IssuedRow) -> StoreResult<()> {
     sqlx::query::<Db>(
         "INSERT INTO advices (advice_hash, body) VALUES ($1, $2) ON CONFLICT (advice_hash) DO NOTHING",
     )
-    .bind(&hash)
-    .bind(&body)
-    .execute(&mut *conn)
-    .await?;
-    let level = recommendation.level.as_ref();
-    let level_float = |name, part: fn(&Level) -> f64| level.map(|level| float(name, part(level))).transpose();
-    let remaining = recommendation.remaining.as_ref();
-    let remaining_count = |name, part: fn(&Remaining) -> u64| {
-        remaining.map(|remaining| count(name, part(remaining))).transpose()
-    };
-    sqlx::query::<Db>(
-        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
-             level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-             data_age_ms)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)",
-    )
-    .bind(issued.id.as_str())
-    .bind(&hash)
-    .bind(recommendation.issued_at.micros())
-    .bind(recommendation.valid_until.micros())
-    .bind(level_float("level_as_run", |level| level.as_run)?)
-    .bind(level_float("level_lowest", |level| level.lowest)?)
-    .bind(level_float("level_highest", |level| level.highest)?)
-    .bind(level.map(|level| i64::from(level.n)))
-    .bind(level.map(|level| i64::from(level.window)))
-    .bind(remaining_count("remaining_cycles", |remaining| remaining.cycles)?)
-    .bind(remaining_count("remaining_low", |remaining| remaining.low)?)
-    .bind(remaining_count("remaining_high", |remaining| remaining.high)?)
-    .bind(recommendation.data_age_ms)
+    .bind(row.advice_hash.as_slice())
+    .bind(&row.advice)
     .execute(&mut *conn)
     .await?;
     Ok(())

@@ -73,7 +73,7 @@ pub(super) async fn put(
     if outcome == PutOutcome::Created {
         // Cycles that came before count from now on.
         let verdict = wear::count_all(conn, &tool.id, now).await?;
-        alarms::follow_verdict(conn, &tool.id, &verdict, now).await?;
+        alarms::follow_verdict(conn, &tool.id, &verdict, &mut None, now).await?;
     }
     Ok(outcome)
 }
@@ -92,15 +92,15 @@ macro_rules! select_events {
     };
 }
 
-/// All events of a tool where they take effect, in that order.
-pub(super) async fn placed_events(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<PlacedEvent>> {
+/// All events of a tool where they take effect, in that order, and whether one names a cycle that is not stored.
+pub(super) async fn placed_events(conn: &mut Conn, tool: &ToolId) -> StoreResult<(Vec<PlacedEvent>, bool)> {
     let rows: Vec<EventRow> = sqlx::query_as::<Db, _>(select_events!("WHERE e.tool_id = $1"))
         .bind(tool.as_str())
         .fetch_all(&mut *conn)
         .await?;
     let mut events = rows.iter().map(EventRow::placed).collect::<StoreResult<Vec<_>>>()?;
     events.sort();
-    Ok(events)
+    Ok((events, rows.iter().any(EventRow::is_unplaced)))
 }
 
 pub(super) async fn events(
@@ -155,6 +155,6 @@ pub(super) async fn add_event(
     });
     audit::add(conn, actor, now, "tool.event", format!("tool/{tool}"), &detail).await?;
     let verdict = wear::count_event(conn, tool, id, now).await?;
-    alarms::follow_verdict(conn, tool, &verdict, now).await?;
+    alarms::follow_verdict(conn, tool, &verdict, &mut None, now).await?;
     Ok(Some(StoredToolEvent { id, event, actor: actor.token.clone(), recorded_at: now }))
 }

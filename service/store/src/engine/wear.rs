@@ -1,14 +1,15 @@
 //! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
 
+use super::alarms::OpenAlarm;
 use super::{Conn, Db, dialect, tools};
 use crate::error::StoreResult;
-use crate::history::{Walk, beginning};
+use crate::history::{Walk, beginning, verdict_after};
 use crate::locks::Locks;
-use crate::rows::{FactsRow, Place, PlacedEvent, count, id, number};
+use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Cycles read at once when refolding; bounds memory, not the work.
 const FACTS_PAGE: i64 = 1000;
@@ -21,17 +22,29 @@ pub(super) fn not_registered() -> Verdict {
     Verdict::unknown("not_counted", "no cycle of the tool is counted: it is not registered")
 }
 
+#[derive(Debug)]
 struct Cached {
     /// `None` where the stored state is of another version or damaged.
     fold: Option<ToolFold>,
     folded: u64,
+    /// Version of the stored row; 0 where there is none.
+    version: i64,
+    /// Whether the row has to be written.
+    changed: bool,
 }
 
 /// One tool's events and the cached folds of its machines.
+#[derive(Debug)]
 pub(super) struct ToolWear {
     tool: ToolId,
     pub(super) events: Vec<PlacedEvent>,
+    /// Whether an event names a cycle that is not stored: that cycle will move it.
+    unplaced: bool,
     machines: BTreeMap<MachineId, Cached>,
+    /// The fold over all machines, where there are several and it is known.
+    whole: Option<(ToolFold, u64)>,
+    /// Open alarms that follow the verdict, where they are known.
+    pub(super) alarms: Option<Vec<OpenAlarm>>,
 }
 
 #[derive(sqlx::FromRow)]
@@ -40,6 +53,31 @@ struct WearRow {
     folded: i64,
     fold_version: i64,
     state: Vec<u8>,
+    version: i64,
+}
+
+/// Versions of the stored folds of one tool, by machine: what a fold in memory is held against.
+pub(super) type Versions = BTreeMap<MachineId, i64>;
+
+/// The generation of the registry and the versions of the folds of some tools, in one statement.
+pub(super) async fn heads(
+    conn: &mut Conn,
+    tools: &BTreeSet<&ToolId>,
+) -> StoreResult<(i64, BTreeMap<ToolId, Versions>)> {
+    let rows: Vec<(String, String, i64)> = sqlx::query_as::<Db, _>(dialect::HEADS)
+        .bind(dialect::list(tools.iter().map(|tool| tool.as_str())))
+        .fetch_all(&mut *conn)
+        .await?;
+    let mut generation = 0;
+    let mut versions: BTreeMap<ToolId, Versions> = BTreeMap::new();
+    for (tool, machine, version) in &rows {
+        if tool.is_empty() {
+            generation = *version;
+        } else {
+            versions.entry(id("tool_id", tool)?).or_default().insert(id("machine_id", machine)?, *version);
+        }
+    }
+    Ok((generation, versions))
 }
 
 /// The state of those bytes, where this version of the fold wrote them.
@@ -113,7 +151,8 @@ impl ToolWear {
         Self::load_by(
             conn,
             tool,
-            "SELECT machine_id, folded, fold_version, state FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id",
+            "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1
+             ORDER BY machine_id",
         )
         .await
     }
@@ -124,11 +163,55 @@ impl ToolWear {
         let mut machines = BTreeMap::new();
         for row in rows {
             let fold = readable(row.fold_version, &row.state);
-            let cached = Cached { fold, folded: number("folded", row.folded)? };
+            let folded = number("folded", row.folded)?;
+            let cached = Cached { fold, folded, version: row.version, changed: false };
             machines.insert(id("machine_id", &row.machine_id)?, cached);
         }
-        let events = tools::placed_events(conn, tool).await?;
-        Ok(Self { tool: tool.clone(), events, machines })
+        let (events, unplaced) = tools::placed_events(conn, tool).await?;
+        Ok(Self { tool: tool.clone(), events, unplaced, machines, whole: None, alarms: None })
+    }
+
+    /// Whether what is here is what is stored, so that it need not be loaded again.
+    pub(super) fn is_of(&self, versions: Option<&Versions>) -> bool {
+        let known = self.machines.iter().map(|(machine, cached)| (machine, cached.version));
+        match versions {
+            None => self.machines.is_empty(),
+            Some(versions) => known.eq(versions.iter().map(|(machine, version)| (machine, *version))),
+        }
+    }
+
+    /// Whether it may be kept in memory until the next group.
+    pub(super) fn may_be_kept(&self) -> bool {
+        !self.unplaced && self.machines.values().all(|cached| cached.fold.is_some())
+    }
+
+    /// Takes the rows that have to be written, in the order of their machines.
+    pub(super) fn take_changed(&mut self) -> StoreResult<Vec<SavedWear>> {
+        let mut rows = Vec::new();
+        for (machine, cached) in &mut self.machines {
+            if let Some(fold) = cached.fold.as_ref().filter(|_| cached.changed) {
+                rows.push(SavedWear {
+                    machine_id: machine.as_str().to_owned(),
+                    tool_id: self.tool.as_str().to_owned(),
+                    folded: count("folded", cached.folded)?,
+                    state: fold.to_bytes(),
+                });
+                cached.changed = false;
+                cached.version += 1;
+            }
+        }
+        Ok(rows)
+    }
+
+    /// Writes what changed.
+    async fn save(&mut self, conn: &mut Conn, now: Timestamp) -> StoreResult<()> {
+        dialect::save_wear(conn, &self.take_changed()?, now).await
+    }
+
+    /// Keeps the fold that one machine's walk came to; it is written with [`ToolWear::take_changed`].
+    fn keep(&mut self, machine: &MachineId, fold: ToolFold, folded: u64) {
+        let version = self.machines.get(machine).map_or(0, |cached| cached.version);
+        self.machines.insert(machine.clone(), Cached { fold: Some(fold), folded, version, changed: true });
     }
 
     /// Machines that have a cache.
@@ -143,19 +226,20 @@ impl ToolWear {
         conn: &mut Conn,
         machine: &MachineId,
         new: &[FactsRow],
-        now: Timestamp,
     ) -> StoreResult<()> {
         let Some(first) = new.first() else {
             return Ok(());
         };
         let first = Place::of(&first.order()?);
-        let cached = self
-            .machines
-            .entry(machine.clone())
-            .or_insert_with(|| Cached { fold: Some(beginning(&self.events)), folded: 0 });
+        let cached = self.machines.entry(machine.clone()).or_insert_with(|| Cached {
+            fold: Some(beginning(&self.events)),
+            folded: 0,
+            version: 0,
+            changed: true,
+        });
         let newest = |fold: &ToolFold| fold.last().is_none_or(|last| Place::of(last) < first);
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
-            return self.refold(conn, machine, &first, now).await;
+            return self.refold(conn, machine, &first).await;
         };
         let mut walk = Walk::resume(fold, cached.folded, &self.events);
         for row in new {
@@ -164,15 +248,35 @@ impl ToolWear {
                 save_checkpoint(conn, &self.tool, machine, &walk).await?;
             }
         }
-        save(conn, &self.tool, machine, &walk, now).await?;
         let (folded, fold) = (walk.folded(), walk.into_fold());
-        self.machines.insert(machine.clone(), Cached { fold: Some(fold), folded });
+        self.keep(machine, fold, folded);
+        self.count_whole(new)
+    }
+
+    /// Counts cycles in the fold over all machines, where they are the newest of all; else it is made again.
+    fn count_whole(&mut self, new: &[FactsRow]) -> StoreResult<()> {
+        let Some((fold, folded)) = self.whole.take() else {
+            return Ok(());
+        };
+        let Some(first) = new.first() else {
+            return Ok(());
+        };
+        let first = Place::of(&first.order()?);
+        if self.machines.len() > 1 && fold.last().is_some_and(|last| Place::of(last) < first) {
+            let mut walk = Walk::resume(fold, folded, &self.events);
+            new.iter().try_for_each(|row| walk.step(row))?;
+            let folded = walk.folded();
+            self.whole = Some((walk.into_fold(), folded));
+        }
         Ok(())
     }
 
     /// Forgets one machine's cached fold, so that it is folded again whatever comes next.
     pub(super) fn forget(&mut self, machine: &MachineId) {
-        self.machines.remove(machine);
+        self.whole = None;
+        if let Some(cached) = self.machines.get_mut(machine) {
+            cached.fold = None;
+        }
     }
 
     /// Folds one machine's cycles again from `from` on: from the last checkpoint before it.
@@ -181,8 +285,8 @@ impl ToolWear {
         conn: &mut Conn,
         machine: &MachineId,
         from: &Place,
-        now: Timestamp,
     ) -> StoreResult<()> {
+        self.whole = None;
         let untouched = |fold: &ToolFold| fold.last().is_some_and(|last| Place::of(last) < *from);
         if self.machines.get(machine).and_then(|cached| cached.fold.as_ref()).is_some_and(untouched) {
             return Ok(());
@@ -211,18 +315,20 @@ impl ToolWear {
                 }
             }
         }
-        save(conn, &self.tool, machine, &walk, now).await?;
         let (folded, fold) = (walk.folded(), walk.into_fold());
-        self.machines.insert(machine.clone(), Cached { fold: Some(fold), folded });
+        self.keep(machine, fold, folded);
         Ok(())
     }
 
     /// The verdict over all machines. Of one machine it is that one's fold; a tool that moved between machines is
     /// folded over all its cycles, which is exact by construction.
-    pub(super) async fn verdict(&self, conn: &mut Conn) -> StoreResult<Verdict> {
+    pub(super) async fn verdict(&mut self, conn: &mut Conn) -> StoreResult<Verdict> {
         let mut caches = self.machines.values();
-        if let (Some(Cached { fold: Some(fold), folded }), None) = (caches.next(), caches.next()) {
-            return Ok(Walk::resume(fold.clone(), *folded, &self.events).verdict());
+        if let (Some(Cached { fold: Some(fold), .. }), None) = (caches.next(), caches.next()) {
+            return Ok(verdict_after(fold, &self.events));
+        }
+        if let Some((fold, _)) = &self.whole {
+            return Ok(verdict_after(fold, &self.events));
         }
         let mut walk = Walk::new(&self.events);
         if !self.machines.is_empty() {
@@ -234,33 +340,10 @@ impl ToolWear {
                 page.iter().try_for_each(|row| walk.step(row))?;
             }
         }
-        Ok(walk.verdict())
+        let folded = walk.folded();
+        let (fold, _) = self.whole.insert((walk.into_fold(), folded));
+        Ok(verdict_after(fold, &self.events))
     }
-}
-
-async fn save(
-    conn: &mut Conn,
-    tool: &ToolId,
-    machine: &MachineId,
-    walk: &Walk<'_>,
-    now: Timestamp,
-) -> StoreResult<()> {
-    sqlx::query::<Db>(
-        "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
-         VALUES ($1, $2, $3, $4, $5, 1, $6)
-         ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
-             fold_version = excluded.fold_version, state = excluded.state, version = tool_wear.version + 1,
-             updated_at_us = excluded.updated_at_us",
-    )
-    .bind(machine.as_str())
-    .bind(tool.as_str())
-    .bind(count("folded", walk.folded())?)
-    .bind(i64::from(FOLD_VERSION))
-    .bind(walk.fold().to_bytes())
-    .bind(now.micros())
-    .execute(&mut *conn)
-    .await?;
-    Ok(())
 }
 
 async fn save_checkpoint(
@@ -348,8 +431,9 @@ pub(super) async fn is_registered(conn: &mut Conn, tool: &ToolId) -> StoreResult
 pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Verdict> {
     let mut wear = ToolWear::load_locked(conn, tool).await?;
     for machine in machines_of(conn, tool).await? {
-        wear.refold(conn, &machine, &BEGINNING, now).await?;
+        wear.refold(conn, &machine, &BEGINNING).await?;
     }
+    wear.save(conn, now).await?;
     wear.verdict(conn).await
 }
 
@@ -380,8 +464,9 @@ pub(super) async fn count_event(
         place = BEGINNING;
     }
     for machine in wear.machines() {
-        wear.refold(conn, &machine, &place, now).await?;
+        wear.refold(conn, &machine, &place).await?;
     }
+    wear.save(conn, now).await?;
     wear.verdict(conn).await
 }
 
@@ -403,7 +488,7 @@ pub(super) async fn count_operation(
         let place = Place::at(Timestamp::from_micros(*first));
         ran.entry(id("tool_id", tool)?).or_default().push((id("machine_id", machine)?, place));
     }
-    dialect::lock(conn, &Locks::group([], ran.keys())).await?;
+    dialect::lock(conn, &Locks::tools(ran.keys())).await?;
     let mut verdicts = Vec::new();
     for (tool, machines) in ran {
         if !is_registered(conn, &tool).await? {
@@ -411,8 +496,9 @@ pub(super) async fn count_operation(
         }
         let mut wear = ToolWear::load_locked(conn, &tool).await?;
         for (machine, first) in machines {
-            wear.refold(conn, &machine, &first, now).await?;
+            wear.refold(conn, &machine, &first).await?;
         }
+        wear.save(conn, now).await?;
         let verdict = wear.verdict(conn).await?;
         verdicts.push((tool, verdict));
     }

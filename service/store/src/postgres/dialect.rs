@@ -1,5 +1,9 @@
 //! What PostgreSQL says differently.
 
+mod many;
+
+pub(super) use many::{insert_blocks, insert_cycles, insert_recommendations, save_wear};
+
 use super::Conn;
 use crate::error::StoreResult;
 use crate::locks::Locks;
@@ -28,8 +32,21 @@ pub(super) async fn lock(conn: &mut Conn, locks: &Locks) -> StoreResult<()> {
 }
 
 /// A tool's caches, locked in the order of their keys.
-pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state FROM tool_wear
+pub(super) const WEAR_OF_TOOL_LOCKED: &str =
+    "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
      WHERE tool_id = $1 ORDER BY machine_id FOR UPDATE";
+
+/// The generation of the registry, under an empty name, and the versions of the folds of a list of tools. The tools'
+/// names are locked by then.
+pub(super) const HEADS: &str =
+    "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
+     FROM registry_generation
+     UNION ALL SELECT tool_id, machine_id, version FROM tool_wear WHERE tool_id = ANY($1)";
+
+/// A list of ids as one parameter.
+pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<String> {
+    ids.map(str::to_owned).collect()
+}
 
 /// A lost connection, a restart or a deadlock's victim: the second attempt finds by key what the first one kept.
 pub(super) const COMMIT_ATTEMPTS: u32 = 3;

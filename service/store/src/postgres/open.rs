@@ -3,6 +3,7 @@
 use super::{Conn, Inner, PostgresStore};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
+use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
 use sqlx::{ConnectOptions, Connection};
@@ -66,8 +67,15 @@ impl PostgresStore {
         let mut conn = pool.acquire().await?;
         assert_durable(&mut conn).await?;
         drop(conn);
-        let gate = Gate::default();
-        Ok(Self { inner: Arc::new(Inner { pool, direct, gate, max_samples: options.max_samples }) })
+        let inner = Inner {
+            pool,
+            direct,
+            gate: Gate::default(),
+            max_samples: options.max_samples,
+            registry: Arc::default(),
+            memory: Slot::default(),
+        };
+        Ok(Self { inner: Arc::new(inner) })
     }
 }
 

@@ -144,8 +144,8 @@ fn peak(value: Option<f64>, depth_mm: Option<f64>, time_ms: Option<f64>) -> Opti
 
 impl CycleRow {
     /// The row of a cycle. Refuses what is not finite: SQLite would keep a NaN as NULL.
-    pub(crate) fn of(new: &NewCycle, flags: Flags) -> StoreResult<Self> {
-        let (cycle, summary) = (&new.cycle, &new.summary);
+    pub(crate) fn of(new: &NewCycle, summary: &CycleSummary) -> StoreResult<Self> {
+        let cycle = &new.cycle;
         let reported = &cycle.reported;
         let energy = |basis| summary.energy.iter().find(|energy| energy.basis == basis);
         let parts = |basis| {
@@ -189,7 +189,7 @@ impl CycleRow {
             summary_version: i64::from(summary.version),
             sample_count: i64::from(summary.sample_count),
             coverage: float("coverage", summary.coverage)?,
-            flags: i64::from(flags.bits()),
+            flags: i64::from(summary.flags.bits()),
             quantities: 0,
             spindle_speed_rpm: cycle.spindle_speed_rpm,
             duration_ms: summary.duration_ms,

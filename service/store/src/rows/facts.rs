@@ -211,6 +211,11 @@ impl EventRow {
         }
     }
 
+    /// Whether it names a cycle that is not stored for its tool.
+    pub(crate) const fn is_unplaced(&self) -> bool {
+        self.first_cycle_id.is_some() && self.first_started_at_us.is_none()
+    }
+
     pub(crate) fn placed(&self) -> StoreResult<PlacedEvent> {
         let at = Timestamp::from_micros(self.at_us);
         let place = match (self.first_cycle()?, self.first_started_at_us) {

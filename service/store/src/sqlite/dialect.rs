@@ -1,5 +1,9 @@
 //! What SQLite says differently.
 
+mod many;
+
+pub(super) use many::{insert_blocks, insert_cycles, insert_recommendations, save_wear};
+
 use super::Conn;
 use crate::error::StoreResult;
 use crate::locks::Locks;
@@ -11,8 +15,26 @@ pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
 }
 
 /// A tool's caches, inside a transaction that nobody else writes beside.
-pub(super) const WEAR_OF_TOOL_LOCKED: &str =
-    "SELECT machine_id, folded, fold_version, state FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
+pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
+
+/// The generation of the registry, under an empty name, and the versions of the folds of a list of tools.
+pub(super) const HEADS: &str =
+    "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
+     FROM registry_generation
+     UNION ALL SELECT tool_id, machine_id, version FROM tool_wear
+     WHERE tool_id IN (SELECT value FROM json_each($1))";
+
+/// A list of ids as one parameter. Ids hold nothing that JSON would have to escape.
+pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> String {
+    let mut out = String::from("[");
+    for (index, id) in ids.enumerate() {
+        out.push_str(if index == 0 { "\"" } else { ",\"" });
+        out.push_str(id);
+        out.push('"');
+    }
+    out.push(']');
+    out
+}
 
 /// A failed commit is never tried again: after a failed fsync the pages may be gone.
 pub(super) const COMMIT_ATTEMPTS: u32 = 1;

@@ -4,6 +4,7 @@ use super::checkpoint::Checkpoints;
 use super::{Conn, Inner, SqliteStore};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
+use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::sqlite::{
     SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
@@ -68,6 +69,8 @@ impl SqliteStore {
                 refused: AtomicBool::new(false),
                 checkpoints,
                 max_samples: options.max_samples,
+                registry: Arc::default(),
+                memory: Slot::default(),
             }),
         })
     }

@@ -4,7 +4,7 @@ use feedwright_core::units::{Process, Strategy as FeedStrategy, Timestamp};
 use proptest::prelude::*;
 
 /// A cycle that uses every kind of field.
-pub(in crate::codec) fn cycle() -> Cycle {
+pub(crate) fn cycle() -> Cycle {
     let columns = vec![
         (Channel::DepthMm, vec![-0.5, 0.0, 0.125, 1.75, 3.0]),
         (Channel::SpindleLoadPercent, vec![2.1, 2.1, 34.5, 33.9, 4.0]),
@@ -34,6 +34,13 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+fn unhex(text: &str) -> Vec<u8> {
+    text.as_bytes()
+        .chunks(2)
+        .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap())
+        .collect()
+}
+
 /// Gives mutated bytes a checksum that holds, so that the parser behind it is reached.
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let end = bytes.len().saturating_sub(CHECKSUM);
@@ -46,12 +53,57 @@ fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
 #[test]
 fn the_bytes_are_fixed_for_ever() {
     let samples = cycle().samples.clone().unwrap();
+    // Version 1, which is in databases.
+    let first = unhex(
+        "464201050300000000000000244001030ae707e807fa01b219c4130701072a0088050bd5040b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d400029d939a0319268f8",
+    );
+    assert_eq!(decode_samples(&first, 5).unwrap(), samples);
     let bytes = encode_samples(&samples);
     assert_eq!(
         hex(&bytes),
-        "464201050300000000000000244001030ae707e807fa01b219c4130701072a0088050bd5040b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d400029d939a0319268f8"
+        "464202050300000000000000244001030a01e7070b7d0bb7770bb4070109012a0900688d2792400b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d40006621ed4e46f40157"
     );
     assert_eq!(decode_samples(&bytes, 5).unwrap(), samples);
+}
+
+/// Columns that go each of the ways: a ramp, noise, a constant, a jump to the largest integers, one value.
+fn ways() -> Vec<Vec<f64>> {
+    let mut noise = 7_u64;
+    let mut noisy = || {
+        noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        f64::from(u32::try_from(noise >> 52).unwrap()) / 100.0
+    };
+    vec![
+        (0..300).map(|k| f64::from(k * k / 40) / 1000.0).collect(),
+        (0..300).map(|_| noisy()).collect(),
+        vec![100.0; 300],
+        (0..300).map(|k| if k % 100 == 50 { 9_007_199_254_740_991.0 } else { f64::from(k % 3) }).collect(),
+        (0..300)
+            .map(|k| if k % 2 == 0 { -9_007_199_254_740_991.0 } else { 9_007_199_254_740_991.0 })
+            .collect(),
+        vec![-0.25],
+    ]
+}
+
+#[test]
+fn columns_of_every_kind_come_back() {
+    for values in ways() {
+        let Column::Decimal { scale, values } = Column::of(&values) else { panic!("decimals") };
+        let packed = residuals(&values);
+        let back = restored(&packed, values.len(), scale).unwrap();
+        assert_eq!(back, Column::Decimal { scale, values: values.clone() });
+        for cut in 0..packed.len() {
+            // Zeros at the end may be left out, so a cut may be another column, never more or fewer values.
+            if let Ok(Column::Decimal { values: other, .. }) = restored(&packed[..cut], values.len(), scale) {
+                assert_eq!(other.len(), values.len());
+            }
+        }
+        // More than a range writer may have left out.
+        let longer = [packed.as_slice(), &[1; 9]].concat();
+        assert!(restored(&longer, values.len(), scale).is_err(), "trailing bytes");
+    }
+    let constant = residuals(&[100; 300]);
+    assert!(constant.len() < 10, "a constant costs next to nothing: {}", constant.len());
 }
 
 #[test]
@@ -68,8 +120,8 @@ fn damage_and_foreign_versions_are_refused() {
     }
     assert_eq!(what(&[]), "sample block: too short");
     let mut newer = bytes.clone();
-    newer[2] = 2;
-    assert_eq!(what(&sealed(newer)), "sample block: not block format v1");
+    newer[2] = 3;
+    assert_eq!(what(&sealed(newer)), "sample block: not block format v1 or v2");
     assert!(decode_samples(&bytes, 4).is_err(), "more samples than the reader takes");
 }
 
@@ -78,7 +130,7 @@ fn a_bomb_is_not_unpacked() {
     // Claims 5 samples; its one block unpacks to 64 MiB of zeros.
     let packed = zstd::bulk::compress(&vec![0; 64 << 20], 1).unwrap();
     let mut bytes = MAGIC.to_vec();
-    bytes.extend_from_slice(&[5, 1, 0]);
+    bytes.extend_from_slice(&[FIRST, 5, 1, 0]);
     bytes.extend_from_slice(&10.0_f64.to_le_bytes());
     bytes.extend_from_slice(&[1, COMPRESSED, 5]);
     put_varint(&mut bytes, packed.len() as u64);
@@ -98,13 +150,30 @@ fn value() -> impl Strategy<Value = f64> {
     ]
 }
 
+/// A column of one kind: of anything, of decimals around each other, of a slow signal.
+fn column(len: usize) -> impl Strategy<Value = Vec<f64>> {
+    let decimal = |m: i64| super::super::column::decimal(m, 2);
+    prop_oneof![
+        prop::collection::vec(value(), len),
+        prop::collection::vec((-9_000_i64..9_000).prop_map(decimal), len),
+        (prop::collection::vec(-2_i64..3, len), -50_i64..50).prop_map(move |(steps, slope)| {
+            let mut at = 0;
+            let walk = |step| {
+                at += step + slope;
+                decimal(at)
+            };
+            steps.into_iter().map(walk).collect()
+        }),
+    ]
+}
+
 prop_compose! {
     fn any_samples()(len in 1_usize..120)(
         stamps in any::<bool>(),
         steps in prop::collection::vec(0_u32..30_000, len),
-        depth in prop::collection::vec(value(), len),
-        torque in prop::collection::vec(value(), len),
-        power in prop::collection::vec(value(), len),
+        depth in column(len),
+        torque in column(len),
+        power in column(len),
     ) -> Samples {
         let time = if stamps {
             let mut now = 0.0;

@@ -1,0 +1,114 @@
+//! Tokens that were looked up a moment ago.
+//!
+//! A revocation through this process acts on the next request; one through another process or replica within
+//! [`LIFE`]. Only tokens that were good are kept, under their hash; nothing is kept of those that were refused.
+
+use feedwright_store::TokenRecord;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How long a token is believed without looking: what a revocation elsewhere may take to act here.
+const LIFE: Duration = Duration::from_secs(2);
+/// Tokens kept at the most; a plant has hundreds of machines.
+const MOST: usize = 4096;
+
+/// Tokens that were good a moment ago.
+#[derive(Debug, Default)]
+pub(crate) struct KnownTokens {
+    known: Mutex<Known>,
+}
+
+#[derive(Debug, Default)]
+struct Known {
+    tokens: HashMap<[u8; 32], (TokenRecord, Instant)>,
+    /// Counts what was forgotten: a look-up that began before is not kept.
+    epoch: u64,
+}
+
+/// When a look-up began.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Epoch(u64);
+
+impl KnownTokens {
+    /// The token of that hash, where it was looked up a moment before `now`; else the ticket for keeping it.
+    pub(crate) fn get(&self, hash: &[u8; 32], now: Instant) -> Result<TokenRecord, Epoch> {
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        match known.tokens.get(hash) {
+            Some((record, at)) if now.saturating_duration_since(*at) < LIFE => Ok(record.clone()),
+            _ => Err(Epoch(known.epoch)),
+        }
+    }
+
+    /// Keeps a token that was looked up from `now` on; a revoked one, or one whose look-up began before something was
+    /// revoked, is not kept.
+    pub(crate) fn keep(&self, record: &TokenRecord, began: Epoch, now: Instant) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.epoch != began.0 || record.revoked_at.is_some() {
+            return;
+        }
+        if known.tokens.len() >= MOST {
+            known.tokens.clear();
+        }
+        known.tokens.insert(record.hash, (record.clone(), now));
+    }
+
+    /// Forgets every token: one of them was revoked.
+    pub(crate) fn forget(&self) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        known.epoch += 1;
+        known.tokens.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use feedwright_core::units::Timestamp;
+    use feedwright_store::Role;
+
+    fn record(hash: u8, revoked: bool) -> TokenRecord {
+        TokenRecord {
+            id: format!("t{hash}"),
+            name: String::new(),
+            hash: [hash; 32],
+            role: Role::Viewer,
+            machine: None,
+            created_at: Timestamp::from_micros(0),
+            revoked_at: revoked.then(|| Timestamp::from_micros(1)),
+        }
+    }
+
+    #[test]
+    fn a_token_is_known_for_a_moment_and_not_after_a_revocation() {
+        let (tokens, now) = (KnownTokens::default(), Instant::now());
+        let first = tokens.get(&[1; 32], now).unwrap_err();
+        tokens.keep(&record(1, false), first, now);
+        assert_eq!(tokens.get(&[1; 32], now + LIFE / 2).unwrap(), record(1, false));
+        assert!(tokens.get(&[1; 32], now + LIFE).is_err(), "its life is over");
+        assert!(tokens.get(&[2; 32], now).is_err());
+
+        // This look-up read the database before the revocation and returns after it.
+        let slow = tokens.get(&[2; 32], now).unwrap_err();
+        tokens.forget();
+        tokens.keep(&record(2, false), slow, now);
+        assert!(tokens.get(&[2; 32], now).is_err());
+        assert!(tokens.get(&[1; 32], now).is_err());
+
+        let later = tokens.get(&[3; 32], now).unwrap_err();
+        tokens.keep(&record(3, true), later, now);
+        assert!(tokens.get(&[3; 32], now).is_err(), "a revoked token is never kept");
+    }
+
+    #[test]
+    fn it_is_bounded() {
+        let (tokens, now) = (KnownTokens::default(), Instant::now());
+        for index in 0..2 * MOST {
+            let mut hash = [0; 32];
+            hash[..8].copy_from_slice(&index.to_le_bytes());
+            let ticket = tokens.get(&hash, now).unwrap_err();
+            tokens.keep(&TokenRecord { hash, ..record(0, false) }, ticket, now);
+        }
+        assert!(tokens.known.lock().unwrap().tokens.len() <= MOST);
+    }
+}

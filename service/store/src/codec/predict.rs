@@ -1,0 +1,116 @@
+//! What the next integer of a column is taken to be: what is stored is how far it is off.
+
+/// Values that a predictor is chosen by.
+const TRIED: usize = 128;
+
+/// Ways to predict, by the code that a block names them with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Predictor {
+    /// The value before.
+    Last = 0,
+    /// The line through the two values before: a feed that is integrated, a ramp.
+    Line = 1,
+    /// The mean of the two values before: noise around a slow signal.
+    Mean = 2,
+    /// The line through the means of the last two and the two before them: noise around a ramp.
+    MeanLine = 3,
+}
+
+impl Predictor {
+    const ALL: [Self; 4] = [Self::Last, Self::Line, Self::Mean, Self::MeanLine];
+
+    pub(super) fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code)).copied()
+    }
+
+    /// Values that have to come before; until then it is the last one.
+    const fn reach(self) -> usize {
+        match self {
+            Self::Last => 1,
+            Self::Line | Self::Mean => 2,
+            Self::MeanLine => 4,
+        }
+    }
+
+    /// From the values before, the newest first. Values of a decimal column are below 2^53, so nothing overflows;
+    /// those of a damaged block may wrap.
+    const fn next(self, [a, b, c, d]: [i64; 4]) -> i64 {
+        match self {
+            Self::Last => a,
+            Self::Line => a.wrapping_mul(2).wrapping_sub(b),
+            Self::Mean => a.wrapping_add(b) >> 1,
+            Self::MeanLine => a.wrapping_add(b).wrapping_mul(3).wrapping_sub(c.wrapping_add(d)) >> 2,
+        }
+    }
+
+    /// How far each value after the first is off, zig-zag.
+    pub(super) fn residuals(self, values: &[i64], out: &mut Vec<u64>) {
+        out.clear();
+        out.reserve(values.len());
+        let reach = self.reach().min(values.len());
+        for pair in values[..reach].windows(2) {
+            out.push(zigzag(pair[1] - pair[0]));
+        }
+        match self {
+            Self::Last => {
+                out.extend(values.windows(2).map(|w| zigzag(w[1] - w[0])));
+            }
+            Self::Line | Self::Mean => {
+                out.extend(values.windows(3).map(|w| zigzag(w[2] - self.next([w[1], w[0], 0, 0]))));
+            }
+            Self::MeanLine => {
+                out.extend(values.windows(5).map(|w| zigzag(w[4] - self.next([w[3], w[2], w[1], w[0]]))));
+            }
+        }
+    }
+
+    /// The predictor whose residuals are the smallest in all.
+    pub(super) fn best(values: &[i64]) -> Self {
+        let mut best = (u64::MAX, Self::Last);
+        for predictor in Self::ALL {
+            let cost = predictor.cost(values);
+            if cost < best.0 {
+                best = (cost, predictor);
+            }
+        }
+        best.1
+    }
+
+    fn cost(self, values: &[i64]) -> u64 {
+        let off = |value: i64, before: [i64; 4]| value.wrapping_sub(self.next(before)).unsigned_abs();
+        // All over the same values, so that the costs compare; a choice needs no more of them than this.
+        let step = (values.len() / TRIED).max(1);
+        let tried = values.windows(5).step_by(step);
+        tried.fold(0_u64, |sum, w| sum.saturating_add(off(w[4], [w[3], w[2], w[1], w[0]])))
+    }
+}
+
+/// Puts values back together from their residuals.
+pub(super) struct Restored {
+    predictor: Predictor,
+    before: [i64; 4],
+    count: usize,
+}
+
+impl Restored {
+    pub(super) const fn new(predictor: Predictor, first: i64) -> Self {
+        Self { predictor, before: [first, 0, 0, 0], count: 1 }
+    }
+
+    pub(super) fn next(&mut self, residual: u64) -> i64 {
+        let known = if self.count < self.predictor.reach() { Predictor::Last } else { self.predictor };
+        let value = known.next(self.before).wrapping_add(unzigzag(residual));
+        let [a, b, c, _] = self.before;
+        self.before = [value, a, b, c];
+        self.count += 1;
+        value
+    }
+}
+
+pub(super) const fn zigzag(value: i64) -> u64 {
+    ((value << 1) ^ (value >> 63)).cast_unsigned()
+}
+
+pub(super) const fn unzigzag(value: u64) -> i64 {
+    (value >> 1).cast_signed() ^ -(value & 1).cast_signed()
+}

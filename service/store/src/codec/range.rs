@@ -1,0 +1,292 @@
+//! An adaptive binary range coder (Martin, 1979; carries as in LZMA) over the bits of residuals: for columns whose
+//! values hardly surprise (an override, a programmed feed, an integrated depth) it needs a fraction of a bit a value,
+//! where a Rice code needs one at the least.
+
+/// Probabilities are in 1/2^12.
+const SCALE: u32 = 12;
+/// A probability moves by 1/2^4 of what it was off.
+const RATE: u32 = 4;
+/// Below, the range is widened by a byte.
+const TOP: u32 = 1 << 24;
+
+/// How likely a bit is 0, learnt from those before.
+#[derive(Debug, Clone, Copy)]
+struct Bit(u16);
+
+impl Bit {
+    const EVEN: Self = Self(1 << (SCALE - 1));
+
+    const fn follow(&mut self, one: bool) {
+        // Stays within 31 ..= 4065 by its arithmetic.
+        if one {
+            self.0 -= self.0 >> RATE;
+        } else {
+            self.0 += ((1 << SCALE) - self.0) >> RATE;
+        }
+    }
+}
+
+/// Sizes that are told apart by what came before.
+const SIZES: usize = 8;
+/// Longest residual, bits.
+const LONGEST: usize = 64;
+
+/// What is known of the bits of the next residual.
+struct Model {
+    zero: [[Bit; 2]; SIZES],
+    length: [[Bit; LONGEST]; SIZES],
+    /// Zig-zag: the lowest bit is the sign, told by the sign before.
+    sign: [Bit; 3],
+    high: [[Bit; 4]; LONGEST],
+    size: u64,
+    /// 0 for none, 1 for up, 2 for down.
+    last: usize,
+}
+
+/// Codes one bit, either way.
+trait Coder {
+    /// The bit as it was, which a writer is told and a reader finds; `None` beyond the end.
+    fn code(&mut self, bit: &mut Bit, one: bool) -> Option<bool>;
+    /// The lowest `count` bits of `value`, each as likely 0 as 1.
+    fn plain(&mut self, value: u64, count: u32) -> Option<u64>;
+}
+
+impl Model {
+    const fn new() -> Self {
+        Self {
+            zero: [[Bit::EVEN; 2]; SIZES],
+            length: [[Bit::EVEN; LONGEST]; SIZES],
+            sign: [Bit::EVEN; 3],
+            high: [[Bit::EVEN; 4]; LONGEST],
+            size: 8,
+            last: 0,
+        }
+    }
+
+    /// Codes a residual, zig-zag: whether it is 0; its sign; the length of its size in unary; the two bits below the
+    /// highest; the rest plain.
+    fn residual(&mut self, coder: &mut impl Coder, residual: u64) -> Option<u64> {
+        let context = ((u64::BITS - (self.size >> 2).leading_zeros()) as usize).min(SIZES - 1);
+        let (magnitude, down) = (residual.div_ceil(2), residual & 1 == 1);
+        let some = coder.code(&mut self.zero[context][self.last.min(1)], magnitude != 0)?;
+        let mut value = 0;
+        let mut sign = 0;
+        if some {
+            let down = coder.code(&mut self.sign[self.last], down)?;
+            sign = 1 + usize::from(down);
+            let wanted = u64::BITS - magnitude.max(1).leading_zeros() - 1;
+            let mut length = 0;
+            while coder.code(self.length[context].get_mut(length as usize)?, length < wanted)? {
+                length += 1;
+            }
+            value = 1;
+            let mut rest = length;
+            let mut place = 1;
+            while rest > 0 && length - rest < 2 {
+                rest -= 1;
+                let bit = coder.code(&mut self.high[length as usize][place], magnitude >> rest & 1 == 1)?;
+                place = place * 2 + usize::from(bit);
+                value = value << 1 | u64::from(bit);
+                place &= 3;
+            }
+            if rest > 0 {
+                value = value << rest | coder.plain(magnitude & ((1 << rest) - 1), rest)?;
+            }
+        }
+        self.size = (self.size - (self.size >> 3)).saturating_add(value.min(1 << 56));
+        self.last = sign;
+        // Zig-zag again: 2m for up, 2m − 1 for down.
+        Some(if sign == 2 { value.wrapping_mul(2).wrapping_sub(1) } else { value.wrapping_mul(2) })
+    }
+}
+
+/// Writes residuals.
+pub(super) struct RangeWriter {
+    coder: Writing,
+    model: Box<Model>,
+}
+
+struct Writing {
+    out: Vec<u8>,
+    low: u64,
+    range: u32,
+    /// The byte that a carry may still change, and how many 0xff follow it.
+    held: u8,
+    full: u64,
+    begun: bool,
+}
+
+impl Writing {
+    #[expect(clippy::cast_possible_truncation, reason = "byte by byte")]
+    fn shift(&mut self) {
+        if self.low < 0xff00_0000 || self.low > 0xffff_ffff {
+            let carry = (self.low >> 32) as u8;
+            if self.begun {
+                self.out.push(self.held.wrapping_add(carry));
+            }
+            self.begun = true;
+            for _ in 0..self.full {
+                self.out.push(0xff_u8.wrapping_add(carry));
+            }
+            self.full = 0;
+            self.held = (self.low >> 24) as u8;
+        } else {
+            self.full += 1;
+        }
+        self.low = (self.low & 0x00ff_ffff) << 8;
+    }
+}
+
+impl Coder for Writing {
+    fn code(&mut self, bit: &mut Bit, one: bool) -> Option<bool> {
+        let bound = (self.range >> SCALE) * u32::from(bit.0);
+        if one {
+            self.low += u64::from(bound);
+            self.range -= bound;
+        } else {
+            self.range = bound;
+        }
+        bit.follow(one);
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift();
+        }
+        Some(one)
+    }
+
+    fn plain(&mut self, value: u64, count: u32) -> Option<u64> {
+        for place in (0..count).rev() {
+            self.range >>= 1;
+            if value >> place & 1 == 1 {
+                self.low += u64::from(self.range);
+            }
+            while self.range < TOP {
+                self.range <<= 8;
+                self.shift();
+            }
+        }
+        Some(value)
+    }
+}
+
+impl RangeWriter {
+    pub(super) fn after(out: Vec<u8>) -> Self {
+        let coder = Writing { out, low: 0, range: u32::MAX, held: 0, full: 0, begun: false };
+        Self { coder, model: Box::new(Model::new()) }
+    }
+
+    pub(super) fn put(&mut self, residual: u64) {
+        // Only a reader comes to an end.
+        let _ = self.model.residual(&mut self.coder, residual);
+    }
+
+    pub(super) fn finish(mut self) -> Vec<u8> {
+        // Any value within the range will do: the one with the fewest bytes that are not 0.
+        let end = self.coder.low + u64::from(self.coder.range) - 1;
+        for bits in (8..=32).rev().step_by(8) {
+            let rounded = end >> bits << bits;
+            if rounded >= self.coder.low {
+                self.coder.low = rounded;
+                break;
+            }
+        }
+        for _ in 0..5 {
+            self.coder.shift();
+        }
+        let mut out = self.coder.out;
+        // A reader takes zeros beyond the end, within its bound.
+        while out.last() == Some(&0) {
+            out.pop();
+        }
+        out
+    }
+}
+
+/// Reads residuals.
+pub(super) struct RangeReader<'a> {
+    coder: Reading<'a>,
+    model: Box<Model>,
+}
+
+struct Reading<'a> {
+    rest: &'a [u8],
+    code: u32,
+    range: u32,
+    beyond: u32,
+}
+
+/// Zeros that a writer may have left out at the end.
+const LEFT_OUT: u32 = 8;
+
+impl<'a> Reading<'a> {
+    fn byte(&mut self) -> Option<u8> {
+        match self.rest.split_first() {
+            Some((&byte, rest)) => {
+                self.rest = rest;
+                Some(byte)
+            }
+            None => {
+                self.beyond += 1;
+                (self.beyond <= LEFT_OUT).then_some(0)
+            }
+        }
+    }
+
+    fn widen(&mut self) -> Option<()> {
+        while self.range < TOP {
+            self.range <<= 8;
+            self.code = self.code << 8 | u32::from(self.byte()?);
+        }
+        Some(())
+    }
+}
+
+impl Coder for Reading<'_> {
+    fn code(&mut self, bit: &mut Bit, _: bool) -> Option<bool> {
+        let bound = (self.range >> SCALE) * u32::from(bit.0);
+        let one = self.code >= bound;
+        if one {
+            self.code -= bound;
+            self.range -= bound;
+        } else {
+            self.range = bound;
+        }
+        bit.follow(one);
+        self.widen()?;
+        Some(one)
+    }
+
+    fn plain(&mut self, _: u64, count: u32) -> Option<u64> {
+        let mut value = 0;
+        for _ in 0..count {
+            self.range >>= 1;
+            let one = self.code >= self.range;
+            if one {
+                self.code -= self.range;
+            }
+            value = value << 1 | u64::from(one);
+            self.widen()?;
+        }
+        Some(value)
+    }
+}
+
+impl<'a> RangeReader<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Self {
+        let mut coder = Reading { rest: bytes, code: 0, range: u32::MAX, beyond: 0 };
+        for _ in 0..4 {
+            // Never beyond what may be left out.
+            coder.code = coder.code << 8 | u32::from(coder.byte().unwrap_or(0));
+        }
+        Self { coder, model: Box::new(Model::new()) }
+    }
+
+    pub(super) fn next(&mut self) -> Option<u64> {
+        self.model.residual(&mut self.coder, 0)
+    }
+
+    /// Whether every byte was used.
+    pub(super) const fn is_at_end(&self) -> bool {
+        self.coder.rest.is_empty()
+    }
+}

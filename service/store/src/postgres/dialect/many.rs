@@ -1,0 +1,118 @@
+//! Many rows in one statement: an array per column, so that one prepared statement takes any number of rows.
+
+use crate::error::StoreResult;
+use crate::postgres::Conn;
+use crate::rows::{CycleRow, IssuedRow, SavedWear, cycle_columns};
+use feedwright_core::units::Timestamp;
+use feedwright_core::wear::FOLD_VERSION;
+
+macro_rules! cycles {
+    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+        concat!(
+            "INSERT INTO cycles (", cycles!(@list $(stringify!($column),)*), ") SELECT * FROM UNNEST(",
+            cycles!(@list $($placeholder,)*),
+            ") ON CONFLICT (machine_id, cycle_id) DO NOTHING RETURNING machine_id, cycle_id"
+        )
+    };
+    (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
+}
+
+const CYCLES: &str = cycle_columns!(cycles);
+
+/// Inserts cycles of different keys, in their order; returns the keys of those that are new.
+pub(in crate::postgres) async fn insert_cycles(
+    conn: &mut Conn,
+    rows: &[&CycleRow],
+) -> StoreResult<Vec<(String, String)>> {
+    if rows.is_empty() {
+        return Ok(Vec::new());
+    }
+    let query = sqlx::query_as(CYCLES);
+    macro_rules! bind {
+        ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+            query $(.bind(rows.iter().map(|row| row.$column.clone()).collect::<Vec<$type>>()))*
+        };
+    }
+    Ok(cycle_columns!(bind).fetch_all(&mut *conn).await?)
+}
+
+/// Inserts the sample blocks of cycles.
+pub(in crate::postgres) async fn insert_blocks(
+    conn: &mut Conn,
+    rows: &[(&CycleRow, &[u8])],
+) -> StoreResult<()> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    sqlx::query(
+        "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block)
+         SELECT * FROM UNNEST($1, $2, $3, $4)",
+    )
+    .bind(rows.iter().map(|(row, _)| row.machine_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|(row, _)| row.received_at_us).collect::<Vec<_>>())
+    .bind(rows.iter().map(|(row, _)| row.cycle_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|(_, block)| *block).collect::<Vec<_>>())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+/// Writes the folds of machines and tools.
+pub(in crate::postgres) async fn save_wear(
+    conn: &mut Conn,
+    rows: &[SavedWear],
+    now: Timestamp,
+) -> StoreResult<()> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    sqlx::query(
+        "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
+         SELECT machine_id, tool_id, folded, $5, state, 1, $6
+         FROM UNNEST($1, $2, $3, $4) AS saved (machine_id, tool_id, folded, state)
+         ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
+             fold_version = excluded.fold_version, state = excluded.state, version = tool_wear.version + 1,
+             updated_at_us = excluded.updated_at_us",
+    )
+    .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.folded).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.state.as_slice()).collect::<Vec<_>>())
+    .bind(i64::from(FOLD_VERSION))
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+/// Inserts recommendations whose advice is kept.
+pub(in crate::postgres) async fn insert_recommendations(
+    conn: &mut Conn,
+    rows: &[IssuedRow],
+) -> StoreResult<()> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    sqlx::query(
+        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
+             level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
+             data_age_ms)
+         SELECT * FROM UNNEST($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)",
+    )
+    .bind(rows.iter().map(|row| row.recommendation_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.advice_hash.as_slice()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.issued_at_us).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.valid_until_us).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.level_as_run).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.level_lowest).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.level_highest).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.level_n).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.level_window).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.remaining_cycles).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.remaining_low).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.remaining_high).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.data_age_ms).collect::<Vec<_>>())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}

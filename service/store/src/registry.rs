@@ -1,0 +1,118 @@
+//! What is registered, kept in memory: machines with their newest lines, tools and operations, and the generation
+//! that they were read under. Nothing here is trusted by itself: a group asks for the generation in force first.
+
+use crate::record::Surroundings;
+use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use feedwright_core::machine::{Calibration, Machine};
+use feedwright_core::operation::Operation;
+use feedwright_core::tool::Tool;
+use std::collections::HashMap;
+use std::hash::Hash;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Entries of a kind that are kept; beyond them the kind is read anew. A plant has hundreds of machines.
+const MOST: usize = 10_000;
+
+/// A machine with its newest fitted lines.
+#[derive(Debug, Clone)]
+pub(crate) struct KnownMachine {
+    pub(crate) machine: Arc<Machine>,
+    pub(crate) calibration: Option<Arc<Calibration>>,
+}
+
+/// What was read under one generation. Of tools and operations it is also known that there are none of a name;
+/// machines that are not registered are asked for again.
+#[derive(Debug, Default)]
+struct Known {
+    generation: i64,
+    machines: HashMap<MachineId, KnownMachine>,
+    operations: HashMap<OperationId, Option<Arc<Operation>>>,
+    tools: HashMap<ToolId, Option<Arc<Tool>>>,
+}
+
+/// The registry in memory, shared by everyone who uses one store.
+#[derive(Debug, Default)]
+pub(crate) struct Registry {
+    known: Mutex<Known>,
+}
+
+fn keep<K: Hash + Eq, V>(map: &mut HashMap<K, V>, key: K, value: V) {
+    if map.len() >= MOST {
+        map.clear();
+    }
+    map.insert(key, value);
+}
+
+impl Registry {
+    fn at(&self, generation: i64) -> Option<MutexGuard<'_, Known>> {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.generation < generation {
+            *known = Known { generation, ..Known::default() };
+        }
+        // A slow reader of an older generation has nothing to add to a newer one.
+        (known.generation == generation).then_some(known)
+    }
+
+    /// Everything around a cycle and the generation it belongs to, where all of it is here.
+    pub(crate) fn around(
+        &self,
+        machine: &MachineId,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> Option<(Surroundings, i64)> {
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = known.machines.get(machine)?.clone();
+        let operation = known.operations.get(operation)?.clone();
+        let tool = known.tools.get(tool)?.clone();
+        let generation = known.generation;
+        drop(known);
+        let around = Surroundings {
+            machine: (*found.machine).clone(),
+            calibration: found.calibration.as_deref().cloned(),
+            operation: operation.as_deref().cloned(),
+            tool: tool.as_deref().cloned(),
+        };
+        Some((around, generation))
+    }
+
+    pub(crate) fn machine(&self, generation: i64, id: &MachineId) -> Option<KnownMachine> {
+        self.at(generation)?.machines.get(id).cloned()
+    }
+
+    pub(crate) fn operation(&self, generation: i64, id: &OperationId) -> Option<Option<Arc<Operation>>> {
+        self.at(generation)?.operations.get(id).cloned()
+    }
+
+    pub(crate) fn tool(&self, generation: i64, id: &ToolId) -> Option<Option<Arc<Tool>>> {
+        self.at(generation)?.tools.get(id).cloned()
+    }
+
+    pub(crate) fn learn_machine(&self, generation: i64, id: &MachineId, machine: KnownMachine) {
+        if let Some(mut known) = self.at(generation) {
+            keep(&mut known.machines, id.clone(), machine);
+        }
+    }
+
+    pub(crate) fn learn_operation(
+        &self,
+        generation: i64,
+        id: &OperationId,
+        operation: Option<Arc<Operation>>,
+    ) {
+        if let Some(mut known) = self.at(generation) {
+            keep(&mut known.operations, id.clone(), operation);
+        }
+    }
+
+    pub(crate) fn learn_tool(&self, generation: i64, id: &ToolId, tool: Option<Arc<Tool>>) {
+        if let Some(mut known) = self.at(generation) {
+            keep(&mut known.tools, id.clone(), tool);
+        }
+    }
+
+    /// Forgets everything: this server has just changed the registry.
+    pub(crate) fn forget(&self) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        *known = Known { generation: known.generation, ..Known::default() };
+    }
+}

@@ -1,0 +1,70 @@
+//! Rows that a group writes many of at once.
+
+use super::{AdviceBody, count, float};
+use crate::error::{StoreError, StoreResult};
+use crate::record::IssuedRecommendation;
+use feedwright_core::wear::{Level, Remaining};
+
+/// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
+pub(crate) const ADVICE_HASH_BYTES: usize = 16;
+
+/// A row of `tool_wear`.
+#[derive(Debug)]
+pub(crate) struct SavedWear {
+    pub(crate) machine_id: String,
+    pub(crate) tool_id: String,
+    pub(crate) folded: i64,
+    pub(crate) state: Vec<u8>,
+}
+
+/// A row of `recommendations`, with the advice that it refers to.
+#[derive(Debug)]
+pub(crate) struct IssuedRow {
+    pub(crate) recommendation_id: String,
+    pub(crate) advice_hash: [u8; ADVICE_HASH_BYTES],
+    pub(crate) advice: String,
+    pub(crate) issued_at_us: i64,
+    pub(crate) valid_until_us: i64,
+    pub(crate) level_as_run: Option<f64>,
+    pub(crate) level_lowest: Option<f64>,
+    pub(crate) level_highest: Option<f64>,
+    pub(crate) level_n: Option<i64>,
+    pub(crate) level_window: Option<i64>,
+    pub(crate) remaining_cycles: Option<i64>,
+    pub(crate) remaining_low: Option<i64>,
+    pub(crate) remaining_high: Option<i64>,
+    pub(crate) data_age_ms: Option<i64>,
+}
+
+impl IssuedRow {
+    pub(crate) fn of(issued: &IssuedRecommendation) -> StoreResult<Self> {
+        let recommendation = &issued.recommendation;
+        let advice = serde_json::to_string(&AdviceBody::of(recommendation))
+            .map_err(|error| StoreError::Database(Box::new(error)))?;
+        let mut advice_hash = [0; ADVICE_HASH_BYTES];
+        advice_hash.copy_from_slice(&blake3::hash(advice.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
+        let level = recommendation.level.as_ref();
+        let level_float =
+            |name, part: fn(&Level) -> f64| level.map(|level| float(name, part(level))).transpose();
+        let remaining = recommendation.remaining.as_ref();
+        let remaining_count = |name, part: fn(&Remaining) -> u64| {
+            remaining.map(|remaining| count(name, part(remaining))).transpose()
+        };
+        Ok(Self {
+            recommendation_id: issued.id.as_str().to_owned(),
+            advice_hash,
+            advice,
+            issued_at_us: recommendation.issued_at.micros(),
+            valid_until_us: recommendation.valid_until.micros(),
+            level_as_run: level_float("level_as_run", |level| level.as_run)?,
+            level_lowest: level_float("level_lowest", |level| level.lowest)?,
+            level_highest: level_float("level_highest", |level| level.highest)?,
+            level_n: level.map(|level| i64::from(level.n)),
+            level_window: level.map(|level| i64::from(level.window)),
+            remaining_cycles: remaining_count("remaining_cycles", |remaining| remaining.cycles)?,
+            remaining_low: remaining_count("remaining_low", |remaining| remaining.low)?,
+            remaining_high: remaining_count("remaining_high", |remaining| remaining.high)?,
+            data_age_ms: recommendation.data_age_ms,
+        })
+    }
+}

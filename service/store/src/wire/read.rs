@@ -1,0 +1,264 @@
+//! Reading frames: nothing that they say is believed before it is there, and nothing is allocated on their word.
+
+use super::{CHECKSUM, FLOATS, Field, HEAD, KNOWN_FIELDS, MAGIC, REPORTED};
+use crate::codec::decimal;
+use feedwright_core::cycle::Channel;
+use feedwright_core::units::Timestamp;
+
+/// A cycle as it was posted: the form holds, of what it says nothing is checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Post {
+    /// Its id.
+    pub cycle_id: String,
+    /// Its tool.
+    pub tool: String,
+    /// Its operation.
+    pub operation: String,
+    /// When it began.
+    pub started_at: Timestamp,
+    /// The machine's own count.
+    pub seq: Option<u64>,
+    /// Word of its process.
+    pub process: Option<String>,
+    /// Word of its strategy.
+    pub strategy: Option<String>,
+    /// Version of the law that ran.
+    pub law_version: Option<String>,
+    /// Id and version of the profile that ran.
+    pub profile: Option<(String, u32)>,
+    /// The recommendation that it followed.
+    pub recommendation_id: Option<String>,
+    /// Commanded spindle speed, rpm.
+    pub spindle_speed_rpm: Option<f64>,
+    /// Word of its outcome.
+    pub outcome: Option<String>,
+    /// What was sampled.
+    pub samples: Option<PostedSamples>,
+    /// What the control reports, in the order of the fields of a cycle.
+    pub reported: [Option<f64>; REPORTED],
+}
+
+/// Columns as they were posted; one of the two time bases.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PostedSamples {
+    /// Distance of two samples, ms.
+    pub period_ms: Option<f64>,
+    /// Times, ms.
+    pub time_ms: Option<Vec<f64>>,
+    /// The channels.
+    pub columns: Vec<(Channel, Vec<f64>)>,
+}
+
+/// Why bytes are not read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WireError {
+    /// They are no frame of this format.
+    Malformed(&'static str),
+    /// A channel of that code is not known.
+    UnknownChannel(u8),
+    /// So many samples are more than a cycle may hold.
+    TooManySamples(usize),
+}
+
+type Read<T> = Result<T, WireError>;
+
+const fn malformed<T>(why: &'static str) -> Read<T> {
+    Err(WireError::Malformed(why))
+}
+
+/// Splits a body into its frames, at most `most` of them; the last one is what is left where that is no frame.
+pub fn frames(body: &[u8], most: usize) -> Option<Vec<&[u8]>> {
+    let (mut rest, mut frames) = (body, Vec::new());
+    while !rest.is_empty() {
+        if frames.len() == most {
+            return None;
+        }
+        let whole = length_of(rest).and_then(|length| rest.split_at_checked(length));
+        let (frame, after) = whole.unwrap_or((rest, &[]));
+        frames.push(frame);
+        rest = after;
+    }
+    Some(frames)
+}
+
+/// Length of the frame that begins here, as its head says.
+fn length_of(bytes: &[u8]) -> Option<usize> {
+    let (head, _) = bytes.split_first_chunk::<HEAD>()?;
+    let (magic, length) = head.split_first_chunk::<4>()?;
+    let length = u32::from_le_bytes(length.try_into().ok()?);
+    (*magic == MAGIC).then_some(())?;
+    usize::try_from(length).ok()?.checked_add(HEAD + CHECKSUM)
+}
+
+/// Reads one frame. More than `max_samples` samples are refused before room is made for them.
+pub fn read(frame: &[u8], max_samples: usize) -> Read<Post> {
+    if !frame.starts_with(&MAGIC[..3]) {
+        return malformed("it does not begin with FWC");
+    }
+    if !frame.starts_with(&MAGIC) {
+        return malformed("its version is not 1");
+    }
+    match length_of(frame) {
+        None => return malformed("it ends before its length"),
+        Some(length) if length > frame.len() => return malformed("it ends early"),
+        Some(length) if length < frame.len() => return malformed("there is more after its end"),
+        Some(_) => {}
+    }
+    let (body, sum) = frame.split_at(frame.len() - CHECKSUM);
+    if crc32fast::hash(body).to_le_bytes() != sum {
+        return malformed("its checksum differs");
+    }
+    let mut input = Input(&body[HEAD..]);
+    let post = input.post(max_samples)?;
+    if input.0.is_empty() { Ok(post) } else { malformed("there is more after its last field") }
+}
+
+struct Input<'a>(&'a [u8]);
+
+impl<'a> Input<'a> {
+    fn bytes<const N: usize>(&mut self) -> Read<[u8; N]> {
+        let Some((taken, rest)) = self.0.split_first_chunk::<N>() else {
+            return malformed("a field ends early");
+        };
+        self.0 = rest;
+        Ok(*taken)
+    }
+
+    fn byte(&mut self) -> Read<u8> {
+        self.bytes().map(|[byte]| byte)
+    }
+
+    fn float(&mut self) -> Read<f64> {
+        self.bytes().map(f64::from_le_bytes)
+    }
+
+    fn text(&mut self) -> Read<String> {
+        let length = usize::from(self.byte()?);
+        let Some((text, rest)) = self.0.split_at_checked(length) else {
+            return malformed("a text ends early");
+        };
+        self.0 = rest;
+        std::str::from_utf8(text).map(str::to_owned).or(malformed("a text is not UTF-8"))
+    }
+
+    fn post(&mut self, max_samples: usize) -> Read<Post> {
+        let set = u32::from_le_bytes(self.bytes()?);
+        if set & !KNOWN_FIELDS != 0 {
+            return malformed("it has fields that version 1 does not have");
+        }
+        let has = |field: Field| set >> (field as u8) & 1 == 1;
+        // In the order of the bytes: fields of a struct are evaluated as they are written.
+        Ok(Post {
+            cycle_id: self.text()?,
+            tool: self.text()?,
+            operation: self.text()?,
+            started_at: Timestamp::from_micros(i64::from_le_bytes(self.bytes()?)),
+            seq: has(Field::Seq).then(|| self.bytes().map(u64::from_le_bytes)).transpose()?,
+            process: has(Field::Process).then(|| self.text()).transpose()?,
+            strategy: has(Field::Strategy).then(|| self.text()).transpose()?,
+            law_version: has(Field::LawVersion).then(|| self.text()).transpose()?,
+            profile: has(Field::Profile)
+                .then(|| Ok((self.text()?, u32::from_le_bytes(self.bytes()?))))
+                .transpose()?,
+            recommendation_id: has(Field::Recommendation).then(|| self.text()).transpose()?,
+            spindle_speed_rpm: has(Field::SpindleSpeed).then(|| self.float()).transpose()?,
+            outcome: has(Field::Outcome).then(|| self.text()).transpose()?,
+            samples: has(Field::Samples).then(|| self.samples(max_samples)).transpose()?,
+            reported: if has(Field::Reported) { self.reported()? } else { [None; REPORTED] },
+        })
+    }
+
+    fn samples(&mut self, max_samples: usize) -> Read<PostedSamples> {
+        let mut samples = PostedSamples::default();
+        let stamped = match self.byte()? {
+            0 => {
+                samples.period_ms = Some(self.float()?);
+                false
+            }
+            1 => true,
+            _ => return malformed("its time base is neither 0 nor 1"),
+        };
+        let length = u32::from_le_bytes(self.bytes()?);
+        let length = usize::try_from(length).or(malformed("it has too many samples"))?;
+        if length > max_samples {
+            return Err(WireError::TooManySamples(length));
+        }
+        // Of every column each value takes a byte at the least.
+        if length > self.0.len() {
+            return malformed("it has more samples than bytes");
+        }
+        if stamped {
+            samples.time_ms = Some(self.column(length)?);
+        }
+        let channels = self.byte()?;
+        for _ in 0..channels {
+            let code = self.byte()?;
+            let channel = Channel::from_code(code).ok_or(WireError::UnknownChannel(code))?;
+            if samples.columns.iter().any(|(known, _)| *known == channel) {
+                return malformed("a channel is given twice");
+            }
+            samples.columns.push((channel, self.column(length)?));
+        }
+        Ok(samples)
+    }
+
+    fn column(&mut self, length: usize) -> Read<Vec<f64>> {
+        match self.byte()? {
+            places @ 0..=9 => self.decimals(length, places),
+            FLOATS => (0..length).map(|_| self.float()).collect(),
+            _ => malformed("a column's form is neither 0 to 9 nor 15"),
+        }
+    }
+
+    fn decimals(&mut self, length: usize, places: u8) -> Read<Vec<f64>> {
+        let mut values = Vec::with_capacity(length.min(self.0.len()));
+        let mut integer = 0_i64;
+        for _ in 0..length {
+            // Most differences fit one byte.
+            let zigzag = match self.0.split_first() {
+                Some((&byte, rest)) if byte < 0x80 => {
+                    self.0 = rest;
+                    u64::from(byte)
+                }
+                _ => self.varint()?,
+            };
+            let difference = (zigzag >> 1).cast_signed() ^ -(zigzag & 1).cast_signed();
+            integer = integer.wrapping_add(difference);
+            if integer.unsigned_abs() >= 1 << 53 {
+                return malformed("an integer is not below 2^53");
+            }
+            values.push(decimal(integer, places));
+        }
+        Ok(values)
+    }
+
+    fn varint(&mut self) -> Read<u64> {
+        let mut value = 0_u64;
+        for shift in (0..64).step_by(7) {
+            let byte = self.byte()?;
+            let bits = u64::from(byte & 0x7f);
+            if shift == 63 && bits > 1 {
+                return malformed("a varint overflows");
+            }
+            value |= bits << shift;
+            if byte & 0x80 == 0 {
+                return Ok(value);
+            }
+        }
+        malformed("a varint overflows")
+    }
+
+    fn reported(&mut self) -> Read<[Option<f64>; REPORTED]> {
+        let set = u16::from_le_bytes(self.bytes()?);
+        if set >> REPORTED != 0 {
+            return malformed("it reports what version 1 does not have");
+        }
+        let mut reported = [None; REPORTED];
+        for (bit, value) in reported.iter_mut().enumerate() {
+            if set >> bit & 1 == 1 {
+                *value = Some(self.float()?);
+            }
+        }
+        Ok(reported)
+    }
+}
