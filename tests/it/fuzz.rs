@@ -115,7 +115,7 @@ fn json_is_read_alike_by_both_readers_whatever_it_is() {
             }
         }
     }
-    assert!(read > RUNS / 10 && refused > RUNS, "both happen: {read} read, {refused} refused");
+    assert!(read > 100 && refused > RUNS, "both happen: {read} read, {refused} refused");
 }
 
 #[test]

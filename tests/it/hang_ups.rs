@@ -39,8 +39,8 @@ async fn client(address: SocketAddr, token: &str, n: usize) -> bool {
         n % 60,
         1000 + n % 7
     );
-    // Every third one changes a tool instead: a transaction of another shape.
-    let text = if n % 3 == 1 {
+    // Every eighth one changes a tool instead: a transaction of another shape.
+    let text = if n % 8 == 1 {
         let tool = format!(r#"{{"name":"tool {n}","tool_type":"drill"}}"#);
         request("PUT", &format!("/v1/tools/X{n:05}"), token, &tool)
     } else {

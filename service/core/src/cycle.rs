@@ -3,10 +3,12 @@
 //! A value of these types is valid; JSON, hashing and storage do not belong here.
 
 mod channel;
+mod downsample;
 mod flags;
 mod samples;
 
 pub use channel::Channel;
+pub use downsample::Downsampling;
 pub use flags::{Flag, Flags};
 pub use samples::{DEFAULT_MAX_SAMPLES, Samples, TimeBase};
 

@@ -32,6 +32,8 @@ pub mod plunge;
 #[cfg(feature = "std")]
 pub mod recommend;
 #[cfg(feature = "std")]
+pub mod series;
+#[cfg(feature = "std")]
 pub mod summary;
 #[cfg(feature = "std")]
 pub mod tool;

@@ -2,7 +2,10 @@
 //!
 //! A new command is a file in `cli/` with its arguments and a `run`, and a line in [`Command`].
 
+pub mod backup;
+pub mod check;
 pub mod config;
+pub mod copy;
 pub mod demo;
 pub mod healthcheck;
 pub mod openapi;
@@ -73,6 +76,14 @@ enum Command {
     Token(token::Arguments),
     /// Prints the description of the API (OpenAPI).
     Openapi,
+    /// Backs the database up into one file, under load, with sums.
+    Backup(backup::BackupArguments),
+    /// Restores a backup into a fresh database, checked by its sums.
+    Restore(backup::RestoreArguments),
+    /// Checks every block and hash, and wear against its fold; fails where a fault is left.
+    Check(check::Arguments),
+    /// Copies everything from one database into another, checked by sums.
+    Copy(copy::Arguments),
     /// Asks a running service whether it is ready; for containers.
     Healthcheck(healthcheck::Arguments),
     /// Drives a running server with a shop of simulated friction drills, and prints what became of it.
@@ -90,6 +101,10 @@ pub async fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Config => config::run(&cli.settings),
         Command::Token(arguments) => token::run(&cli.settings, arguments).await,
         Command::Openapi => openapi::run(),
+        Command::Backup(arguments) => backup::back_up(&cli.settings, arguments).await,
+        Command::Restore(arguments) => backup::restore(&cli.settings, arguments).await,
+        Command::Check(arguments) => check::run(&cli.settings, arguments).await,
+        Command::Copy(arguments) => copy::run(&cli.settings, arguments).await,
         Command::Healthcheck(arguments) => healthcheck::run(&cli.settings, arguments).await,
         Command::Simulate(arguments) => simulate::run(&cli.settings, arguments).await,
         Command::Twin(arguments) => twin::run(arguments).await,

@@ -10,7 +10,7 @@ pub use layers::{ConfigError, Origin, Sources};
 
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::RecommendSettings;
-use feedwright_store::{QuarantineBounds, WatchSettings};
+use feedwright_store::{QuarantineBounds, SampleRetention, WatchSettings};
 use secrecy::{ExposeSecret, SecretString};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
@@ -32,6 +32,8 @@ pub struct Config {
     pub limits: Limits,
     /// Bounds of the quarantine.
     pub quarantine: QuarantineConfig,
+    /// How long samples are kept.
+    pub retention: RetentionConfig,
     /// How long recommendations and data stay good.
     pub recommendation: RecommendationConfig,
     /// How often the watch looks around, and when it alarms.
@@ -156,6 +158,42 @@ impl QuarantineConfig {
     /// The bounds as the store takes them.
     pub const fn bounds(&self) -> QuarantineBounds {
         QuarantineBounds { entries: self.entries, bytes: self.bytes }
+    }
+}
+
+/// How long samples are kept.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RetentionConfig {
+    /// Days since they were received; 0 for any age.
+    pub samples_days: u32,
+    /// Bytes of a machine as they are stored; 0 for any size.
+    pub samples_bytes: u64,
+    /// Time between two runs, ms.
+    pub interval_ms: u64,
+    /// Cycles whose samples go in one transaction.
+    pub step_cycles: u32,
+    /// Pause between two transactions, ms.
+    pub pause_ms: u64,
+}
+
+impl RetentionConfig {
+    /// What holds for machines that nothing else was said of.
+    pub fn samples(&self) -> SampleRetention {
+        SampleRetention {
+            days: (self.samples_days > 0).then_some(self.samples_days),
+            bytes: (self.samples_bytes > 0).then_some(self.samples_bytes),
+        }
+    }
+
+    /// Time between two runs.
+    pub const fn interval(&self) -> Duration {
+        Duration::from_millis(self.interval_ms)
+    }
+
+    /// Pause between two transactions.
+    pub const fn pause(&self) -> Duration {
+        Duration::from_millis(self.pause_ms)
     }
 }
 
@@ -357,6 +395,8 @@ impl Config {
             ("server.body_stall_timeout_ms", self.server.body_stall_timeout_ms, 600_000),
             ("server.body_read_timeout_ms", self.server.body_read_timeout_ms, 3_600_000),
             ("server.shutdown_timeout_ms", self.server.shutdown_timeout_ms, 600_000),
+            ("retention.interval_ms", self.retention.interval_ms, 366 * 86_400_000),
+            ("retention.step_cycles", u64::from(self.retention.step_cycles), 10_000),
             ("live.heartbeat_ms", self.live.heartbeat_ms, 600_000),
             ("live.sample_interval_ms", self.live.sample_interval_ms, 60_000),
             ("quarantine.entries", self.quarantine.entries, 10_000_000),
@@ -384,6 +424,8 @@ impl Config {
         ] {
             must((1..=most).contains(&value), path, &format!("1 to {most}"));
         }
+        must(self.retention.samples_days <= 36_500, "retention.samples_days", "0 to 36500");
+        must(self.retention.pause_ms <= 60_000, "retention.pause_ms", "0 to 60000");
         let (default, most) = (self.limits.default_page_size, self.limits.max_page_size);
         must((1..=10_000).contains(&most), "limits.max_page_size", "1 to 10000");
         must((1..=most).contains(&default), "limits.default_page_size", "1 to limits.max_page_size");

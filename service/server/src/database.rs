@@ -7,10 +7,6 @@ use feedwright_store::{PostgresOptions, PostgresStore, SqliteOptions, SqliteStor
 use secrecy::ExposeSecret;
 use std::sync::Arc;
 
-/// Months for which partitions of samples are made at a start, the present one included. A server that runs for longer
-/// goes on into the default partition.
-const PARTITIONS_AHEAD: i32 = 13;
-
 /// A store that is open, with what has to be held as long as it is.
 pub struct Database {
     /// The store.
@@ -28,6 +24,12 @@ pub enum OpenError {
     /// The database does not open.
     #[error("cannot open the database")]
     Store(#[from] StoreError),
+}
+
+/// Address of the PostgreSQL server itself: a session of its own passes by a pooler.
+pub fn server_url(config: &Config) -> String {
+    let direct = config.database.direct_url.expose_secret();
+    if direct.is_empty() { config.database.url.expose_secret().to_owned() } else { direct.to_owned() }
 }
 
 /// Opens the database, making and migrating it where that is needed.
@@ -50,7 +52,7 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
                 ..PostgresOptions::default()
             };
             let store = Arc::new(PostgresStore::open(url.expose_secret(), options).await?);
-            store.make_partitions(Clock::system().now(), PARTITIONS_AHEAD).await?;
+            store.make_room(Clock::system().now()).await?;
             Ok(Database { store, lock: None })
         }
     }

@@ -12,11 +12,12 @@ use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::Recommendation;
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::Verdict;
-use feedwright_store::{AlarmKind, DatabaseUsage, Round};
+use feedwright_store::{AlarmKind, DatabaseUsage, DropReason, Dropped, Round};
 use http::{Method, StatusCode};
 use machines::MachineMetrics;
 use prometheus::{
-    Gauge, GaugeVec, Histogram, HistogramVec, IntCounterVec, IntGauge, IntGaugeVec, Registry, TextEncoder,
+    Gauge, GaugeVec, Histogram, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Registry,
+    TextEncoder,
 };
 use registrar::Registrar;
 use std::time::Duration;
@@ -75,6 +76,9 @@ pub struct Metrics {
     cycles_quarantined: IntCounterVec,
     cycle_energy: HistogramVec,
     recommendations: IntCounterVec,
+    samples_dropping: IntCounterVec,
+    samples_dropped_cycles: IntCounter,
+    samples_dropped_bytes: IntCounter,
     http_requests: IntCounterVec,
     http_seconds: HistogramVec,
     refused_tokens: IntCounterVec,
@@ -136,6 +140,19 @@ impl Metrics {
                 "feedwright_recommendations_total",
                 "Recommendations handed out, by action",
                 &["action"],
+            )?,
+            samples_dropping: new.counters(
+                "feedwright_sample_drop_decisions_total",
+                "Decisions of retention to drop samples of a machine, by reason",
+                &["reason"],
+            )?,
+            samples_dropped_cycles: new.counter(
+                "feedwright_sample_drop_cycles_total",
+                "Cycles whose samples retention has dropped",
+            )?,
+            samples_dropped_bytes: new.counter(
+                "feedwright_sample_drop_bytes_total",
+                "Bytes of sample blocks that retention has dropped",
             )?,
             http_requests: new.counters(
                 "feedwright_http_requests_total",
@@ -217,6 +234,9 @@ impl Metrics {
         // A series that exists from the start can be alerted on; one that appears with the first event cannot.
         for outcome in CycleOutcome::ALL {
             metrics.cycles.with_label_values(&[outcome.as_str()]);
+        }
+        for reason in DropReason::ALL {
+            metrics.samples_dropping.with_label_values(&[reason.as_str()]);
         }
         for kind in AlarmKind::ALL {
             metrics.alarms_open.with_label_values(&[kind.as_str()]);
@@ -317,6 +337,17 @@ impl Metrics {
     /// Open connections.
     pub(crate) const fn connections(&self) -> &IntGauge {
         &self.connections
+    }
+
+    /// Counts a decision to drop samples.
+    pub fn samples_dropping(&self, reason: DropReason) {
+        self.samples_dropping.with_label_values(&[reason.as_str()]).inc();
+    }
+
+    /// Counts samples that have gone.
+    pub fn samples_dropped(&self, dropped: Dropped) {
+        self.samples_dropped_cycles.inc_by(dropped.cycles);
+        self.samples_dropped_bytes.inc_by(dropped.bytes);
     }
 
     /// Counts an answered request; `route` is the matched template.

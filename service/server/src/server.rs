@@ -83,6 +83,7 @@ impl Server {
             (Some(listener), Some(asked)) => Some(address(listener, asked)?),
             _ => None,
         };
+        crate::retention::start(&state);
         crate::live::start(&state);
         crate::watch::start(&state);
         let acceptor = Acceptor::new(state.clone());

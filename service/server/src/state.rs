@@ -3,6 +3,7 @@
 use crate::auth::{FailedAuthentications, KnownTokens};
 use crate::clock::Clock;
 use crate::config::Config;
+use crate::http::export::Exports;
 use crate::ingest::intake::CycleIntake;
 use crate::jobs::Jobs;
 use crate::lifecycle::Lifecycle;
@@ -36,6 +37,8 @@ pub struct Shared {
     pub live: Arc<Live>,
     /// Long computations.
     pub jobs: Jobs,
+    /// Large answers under way.
+    pub exports: Exports,
     /// Who failed to authenticate, how often.
     pub(crate) failed_authentications: FailedAuthentications,
     /// Tokens that were good a moment ago.
@@ -73,6 +76,7 @@ impl AppState {
             lifecycle,
             live,
             jobs: Jobs::default(),
+            exports: Exports::default(),
             failed_authentications,
             known_tokens: KnownTokens::default(),
             readiness,

@@ -20,6 +20,7 @@ mod rows;
 mod slot;
 mod sqlite;
 mod store;
+pub mod transfer;
 pub mod wire;
 mod work;
 

@@ -1,6 +1,7 @@
 //! PostgreSQL: for a plant, with several servers on one database.
 //!
-//! Time limits live in the database, set within each transaction so that a pooler in transaction mode bears them.
+//! Time limits live in the database, set within each transaction so that a pooler in transaction mode bears them, and
+//! behind one every read is a transaction: only inside of one do all messages of a statement reach the same server.
 //! Session locks and migrations use a direct connection. A connection that comes back inside an open transaction is
 //! thrown away before anyone else's work can disappear in it.
 
@@ -10,6 +11,7 @@ mod dialect;
 mod engine;
 mod notice;
 mod open;
+mod reader;
 
 pub use open::PostgresOptions;
 
@@ -22,8 +24,8 @@ use crate::rows::number;
 use crate::slot::Slot;
 use crate::work::Work;
 use feedwright_core::units::Timestamp;
+use reader::Reader;
 use sqlx::PgPool;
-use sqlx::pool::PoolConnection;
 use sqlx::postgres::PgConnectOptions;
 use std::sync::Arc;
 
@@ -37,6 +39,14 @@ const BEGIN: &str = "BEGIN; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
                               SET LOCAL statement_timeout = '30s'; \
                               SET LOCAL idle_in_transaction_session_timeout = '30s'";
+/// The same behind a pooler. sqlx 0.9.0 names its statements even where it remembers none of them, and the connection
+/// that the pooler chose may have others of the same names: they go first.
+const BEGIN_POOLED: &str = "BEGIN; DEALLOCATE ALL; SET LOCAL statement_timeout = '30s'; \
+                            SET LOCAL lock_timeout = '15s'; \
+                            SET LOCAL idle_in_transaction_session_timeout = '30s'";
+const BEGIN_SNAPSHOT_POOLED: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; DEALLOCATE ALL; \
+                                     SET LOCAL statement_timeout = '30s'; \
+                                     SET LOCAL idle_in_transaction_session_timeout = '30s'";
 
 /// The store in a PostgreSQL database. Clones share it; other servers may too.
 #[derive(Debug, Clone)]
@@ -51,6 +61,7 @@ struct Inner {
     direct: PgConnectOptions,
     gate: Gate,
     max_samples: usize,
+    pooled: bool,
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
 }
@@ -103,8 +114,18 @@ impl PostgresStore {
         self.inner.max_samples
     }
 
-    async fn reader(&self) -> StoreResult<PoolConnection<Db>> {
-        Ok(self.inner.pool.acquire().await?)
+    async fn reader(&self) -> StoreResult<Reader> {
+        Ok(if self.inner.pooled {
+            Reader::Pooled(self.inner.begin_snapshot().await?)
+        } else {
+            Reader::Own(self.inner.pool.acquire().await?)
+        })
+    }
+
+    /// The server's own vacuum gives space back.
+    #[expect(clippy::unused_async, reason = "the other engine asks its file")]
+    async fn give_back(&self) -> StoreResult<bool> {
+        Ok(false)
     }
 
     /// Runs one change in one transaction, in a task that nobody can cancel.
@@ -131,7 +152,7 @@ impl PostgresStore {
     {
         let inner = Arc::clone(&self.inner);
         let task = tokio::spawn(async move {
-            let mut transaction = inner.pool.begin_with(BEGIN_SNAPSHOT).await?;
+            let mut transaction = inner.begin_snapshot().await?;
             let outcome = work(&mut transaction).await;
             transaction.rollback().await?;
             outcome
@@ -146,11 +167,19 @@ impl PostgresStore {
 }
 
 impl Inner {
+    async fn begin(&self) -> StoreResult<sqlx::Transaction<'static, Db>> {
+        Ok(self.pool.begin_with(if self.pooled { BEGIN_POOLED } else { BEGIN }).await?)
+    }
+
+    async fn begin_snapshot(&self) -> StoreResult<sqlx::Transaction<'static, Db>> {
+        Ok(self.pool.begin_with(if self.pooled { BEGIN_SNAPSHOT_POOLED } else { BEGIN_SNAPSHOT }).await?)
+    }
+
     async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        let mut transaction = self.pool.begin_with(BEGIN).await?;
+        let mut transaction = self.begin().await?;
         match work(&mut transaction).await {
             Ok(value) => match transaction.commit().await.map_err(StoreError::from) {
                 Ok(()) => Ok(value),

@@ -6,7 +6,7 @@ use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::plunge::Material;
 use feedwright_core::recommend::Recommendation;
-use feedwright_core::summary::{CycleSummary, EnergyBasis};
+use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Strategy, Timestamp};
@@ -334,6 +334,60 @@ pub struct StoredCycle {
     pub has_samples: bool,
 }
 
+impl StoredCycle {
+    /// Whether it came with samples that are not kept any more.
+    pub const fn samples_are_gone(&self) -> bool {
+        !self.has_samples && self.summary.sample_count > 0
+    }
+}
+
+/// What a cycle amounted to, as a point of series.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CyclePoint {
+    /// When it began, on which machine, its id.
+    pub key: CycleKey,
+    /// Its tool.
+    pub tool: ToolId,
+    /// Its operation.
+    pub operation: OperationId,
+    /// Cycle time, ms.
+    pub duration_ms: Option<f64>,
+    /// Energy by basis, best basis first; the parts are left out.
+    pub energy: Vec<Energy>,
+    /// Largest depth, mm.
+    pub max_depth_mm: Option<f64>,
+    /// Largest spindle load, %.
+    pub max_spindle_load_percent: Option<f64>,
+    /// Largest feed-drive load, %.
+    pub max_feed_drive_load_percent: Option<f64>,
+    /// Largest spindle power, W.
+    pub max_spindle_power_watts: Option<f64>,
+    /// Largest thrust, N.
+    pub max_thrust_newtons: Option<f64>,
+    /// Largest torque, N·m.
+    pub max_torque_newton_metres: Option<f64>,
+}
+
+/// How much of its points a reader wants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PointColumns {
+    /// Energies; the rest may be left out.
+    Energy,
+    /// Everything.
+    All,
+}
+
+/// How worn a tool was after a cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LevelPoint {
+    /// When the cycle began, on which machine, its id.
+    pub key: CycleKey,
+    /// Its operation.
+    pub operation: OperationId,
+    /// The level as run: 1 is the new tool; `None` before a ratio was counted.
+    pub level: Option<f64>,
+}
+
 /// What identifies and describes a stored cycle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CycleMeta {
@@ -644,6 +698,94 @@ pub struct WearCheck {
     pub rows: u64,
     /// Those that differed from the fold, `(machine, tool)`.
     pub different: Vec<(MachineId, ToolId)>,
+}
+
+/// How long a machine's samples are kept; without either limit for ever.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SampleRetention {
+    /// Days since they were received.
+    pub days: Option<u32>,
+    /// Bytes as they are stored, the newest first.
+    pub bytes: Option<u64>,
+}
+
+/// Why samples were dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DropReason {
+    /// They were older than the machine's samples are kept.
+    Age,
+    /// The machine's samples were larger than it may keep.
+    Size,
+}
+
+impl DropReason {
+    /// Every reason, in the order of the enum.
+    pub const ALL: [Self; 2] = [Self::Age, Self::Size];
+
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Age => "age",
+            Self::Size => "size",
+        }
+    }
+
+    /// The reason of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|reason| reason.as_str() == text)
+    }
+}
+
+/// A decision to drop a machine's samples.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SampleDrop {
+    /// The machine.
+    pub machine: MachineId,
+    /// Samples that were received before this.
+    pub before: Timestamp,
+    /// When it was decided.
+    pub dropped_at: Timestamp,
+    /// Why.
+    pub reason: DropReason,
+    /// Cycles whose samples have gone so far.
+    pub cycles: u64,
+    /// Bytes that have gone so far.
+    pub bytes: u64,
+}
+
+/// What one step of dropping did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Dropped {
+    /// Cycles whose samples have gone.
+    pub cycles: u64,
+    /// Bytes of blocks that have gone.
+    pub bytes: u64,
+    /// Whether there may be more to do.
+    pub more: bool,
+}
+
+/// What is wrong with something stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoreFault {
+    /// What it is about: `cycle`, `samples`, `hash`, `file`.
+    pub kind: &'static str,
+    /// Which one, as in `M1/c0001`.
+    pub key: String,
+    /// What is wrong.
+    pub detail: String,
+}
+
+/// What the check of a page of cycles found.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CheckPage {
+    /// Cycles that were looked at.
+    pub checked: u64,
+    /// Those among them whose samples were dropped, so that their content hash cannot be computed again.
+    pub dropped: u64,
+    /// What is wrong.
+    pub faults: Vec<StoreFault>,
+    /// Where to go on; `None` at the end.
+    pub next: Option<(MachineId, CycleId)>,
 }
 
 /// Names a row of the quarantine, of alarms or of audit in a list.

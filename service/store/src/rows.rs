@@ -11,7 +11,7 @@ mod saved;
 mod service;
 
 pub(crate) use advice::ProcessAdviceBody;
-pub(crate) use cut::{CutRow, EdgeCycleRow};
+pub(crate) use cut::{CutRow, EdgeCycleRow, ReportedCutRow};
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
 pub(crate) use fleet::FleetCycleRow;

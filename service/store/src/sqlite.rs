@@ -10,6 +10,7 @@ mod dialect;
 mod engine;
 mod open;
 
+pub(crate) use open::MIGRATIONS;
 pub use open::SqliteOptions;
 
 use crate::error::{StoreError, StoreResult};
@@ -29,6 +30,9 @@ use tokio::sync::Mutex;
 type Db = sqlx::Sqlite;
 type Conn = sqlx::SqliteConnection;
 type Engine = SqliteStore;
+
+/// Free pages (8 MiB) that are left to be used again.
+const PAGES_KEPT_FREE: i64 = 1024;
 
 /// The store in one SQLite file. Clones share it.
 #[derive(Debug, Clone)]
@@ -97,6 +101,29 @@ impl SqliteStore {
 
     async fn reader(&self) -> StoreResult<PoolConnection<Db>> {
         Ok(self.inner.readers.acquire().await?)
+    }
+
+    /// Gives pages that deletions freed back to the file system, a few at a time and between commits; some stay for
+    /// what comes next. Says whether there are more.
+    async fn give_back(&self) -> StoreResult<bool> {
+        let pass = self.inner.gate.enter().await?;
+        let inner = Arc::clone(&self.inner);
+        let task = tokio::spawn(async move {
+            let mut writer = inner.writer.lock().await;
+            let conn =
+                writer.as_mut().ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
+            let free: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
+            if free <= PAGES_KEPT_FREE {
+                return Ok(false);
+            }
+            sqlx::query("PRAGMA incremental_vacuum(64)").fetch_all(&mut *conn).await?;
+            let left: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
+            drop(writer);
+            drop(pass);
+            // A file that was made without incremental vacuum keeps its pages: they are used again.
+            Ok(left < free && left > PAGES_KEPT_FREE)
+        });
+        task.await.map_err(panicked)?
     }
 
     /// Runs one change in one transaction, in a task that nobody can cancel.

@@ -3,10 +3,11 @@
 use crate::error::StoreResult;
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage, FleetRow,
-    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
-    QuarantineEntry, Round, RowNumber, SessionRecord, StoredCycle, StoredToolEvent, Surroundings,
-    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
+    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
+    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord,
+    ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::Samples;
@@ -165,6 +166,51 @@ pub trait Store: Send + Sync + 'static {
     async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>>;
     /// Cycles in the order of `(started_at, machine, cycle)`.
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>>;
+
+    /// The newest cycles, in the order of `(started_at, machine, cycle)`.
+    async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>>;
+    /// What cycles amounted to, in the order of `(started_at, machine, cycle)`.
+    async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>>;
+    /// The newest of them, oldest first. Cycles that began at the same time stand in the order of their tool.
+    async fn last_points(
+        &self,
+        filter: &CycleFilter,
+        told: PointColumns,
+        limit: u32,
+    ) -> StoreResult<Vec<CyclePoint>>;
+    /// How worn a tool was after each cycle that began within `from` to `to` (exclusive), at most `limit`.
+    async fn levels(
+        &self,
+        tool: &ToolId,
+        from: Timestamp,
+        to: Timestamp,
+        limit: u32,
+    ) -> StoreResult<Vec<LevelPoint>>;
+
+    /// How long a machine's samples are kept, where that was said.
+    async fn retention(&self, machine: &MachineId) -> StoreResult<Option<Versioned<SampleRetention>>>;
+    /// Says how long a machine's samples are kept; `None` where it is not registered.
+    async fn put_retention(
+        &self,
+        machine: &MachineId,
+        retention: SampleRetention,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<PutOutcome>>;
+    /// What was decided to drop of a machine's samples, oldest decision first.
+    async fn sample_drops(&self, machine: &MachineId) -> StoreResult<Vec<SampleDrop>>;
+    /// Decides for every machine which samples are to go; `otherwise` holds where a machine has no say of its own.
+    async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>>;
+    /// Drops some of the samples that decisions name, `most` cycles in one short transaction, or one whole partition.
+    async fn drop_some(&self, most: u32, now: Timestamp) -> StoreResult<Dropped>;
+    /// Makes room for what comes: the partitions of the months ahead.
+    async fn make_room(&self, now: Timestamp) -> StoreResult<()>;
+
+    /// Checks the cycles after that key with their samples and hashes. Reads only.
+    async fn check_cycles(&self, after: Option<&(MachineId, CycleId)>, limit: u32) -> StoreResult<CheckPage>;
+    /// Checks the tables as a whole. Reads only, but all of them.
+    async fn check_tables(&self) -> StoreResult<Vec<StoreFault>>;
 
     /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;

@@ -28,7 +28,7 @@ pub(crate) fn binary() -> &'static Path {
     })
 }
 
-fn feedwright(dir: &TempDir, arguments: &[&str]) -> Command {
+pub(super) fn feedwright(dir: &TempDir, arguments: &[&str]) -> Command {
     let mut command = Command::new(binary());
     command.args(["--data-dir", dir.path().join("data").to_str().unwrap()]).args(arguments);
     command.args(["--set", "server.listen=127.0.0.1:0"]);
@@ -37,12 +37,12 @@ fn feedwright(dir: &TempDir, arguments: &[&str]) -> Command {
 }
 
 #[track_caller]
-fn succeed(output: Output) -> String {
+pub(super) fn succeed(output: Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
 
-struct Served {
+pub(super) struct Served {
     child: Child,
     stderr: BufReader<std::process::ChildStderr>,
     log: String,
@@ -50,7 +50,7 @@ struct Served {
 
 impl Served {
     /// Starts the service and reads its output up to the line that holds `until`.
-    fn start(dir: &TempDir, until: &str) -> Self {
+    pub(super) fn start(dir: &TempDir, until: &str) -> Self {
         let mut child = feedwright(dir, &["serve"]).stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         let mut served = Self { child, stderr, log: String::new() };
@@ -61,7 +61,7 @@ impl Served {
     }
 
     /// Sends SIGTERM; the whole output, and whether it ended well.
-    fn terminate(mut self) -> (String, bool) {
+    pub(super) fn terminate(mut self) -> (String, bool) {
         let sent = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
         assert!(sent.success());
         self.stderr.read_to_string(&mut self.log).unwrap();

@@ -127,6 +127,14 @@ impl Given {
         }
     }
 
+    /// The file, where it is SQLite's.
+    pub(crate) fn file(&self) -> std::path::PathBuf {
+        match &self.place {
+            Place::File(folder) => folder.path().join("cell.sqlite3"),
+            Place::Database { .. } => unreachable!("only a file has a path"),
+        }
+    }
+
     /// Sessions of PostgreSQL that are inside a transaction and do nothing; 0 where there is no server.
     pub(crate) async fn open_transactions(&self) -> i64 {
         if !self.is_postgres() {

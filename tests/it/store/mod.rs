@@ -7,10 +7,14 @@ pub(crate) use given::{Given, shop};
 
 mod alarms;
 mod alike;
+mod citus;
 mod cycles;
 mod models;
+mod operations;
 mod registry;
 mod replicas;
+mod retention;
 mod service;
+mod transfer;
 mod watch;
 mod wear;

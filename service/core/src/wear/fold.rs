@@ -416,8 +416,8 @@ impl ToolFold {
         &self.ratios[self.ratios.len().saturating_sub(self.window as usize)..]
     }
 
-    /// Median of the last counted ratios.
-    pub(super) fn level(&self) -> Option<f64> {
+    /// The level as run: median of the last counted ratios, 1 for the new tool; `None` before there is any.
+    pub fn level(&self) -> Option<f64> {
         let window = self.window();
         (!window.is_empty()).then(|| median(window))
     }

@@ -2,7 +2,7 @@
 
 use super::body::{media_type, read, unsupported};
 use super::cursor::{List, Paging};
-use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost, SamplesBody};
+use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost};
 use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
@@ -18,6 +18,7 @@ use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 use feedwright_store::{CycleFilter, wire};
 use http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use utoipa::IntoParams;
 
 /// Lines of a batch that are under way at once: about one commit's worth, so that live posts find room in between.
@@ -125,26 +126,12 @@ pub async fn get_cycle(
 ) -> Result<Json<CycleBody>, Problem> {
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
-    Ok(Json((&stored).into()))
-}
-
-/// The samples of one cycle, as they were posted.
-#[utoipa::path(
-    get, path = "/v1/machines/{machine}/cycles/{cycle_id}/samples", tag = "cycles",
-    params(("machine" = String, Path, description = "Its machine"), ("cycle_id" = String, Path, description = "Its id")),
-    responses(
-        (status = 200, description = "The samples", body = SamplesBody),
-        (status = 404, description = "There is no such cycle, or no samples of it", body = ProblemDocument<'static>),
-    )
-)]
-pub async fn get_samples(
-    State(state): State<AppState>,
-    PathId(machine): PathId<MachineId>,
-    PathId(id): PathId<CycleId>,
-) -> Result<Json<SamplesBody>, Problem> {
-    let samples = state.store.cycle_samples(&machine, &id).await?;
-    let samples = samples.ok_or_else(|| Problem::not_found("cycle with samples", id.as_str()))?;
-    Ok(Json((&samples).into()))
+    let body = CycleBody::from(&stored);
+    if !stored.samples_are_gone() {
+        return Ok(Json(body));
+    }
+    let drops = state.store.sample_drops(&machine).await?;
+    Ok(Json(body.tell_drops(&stored, &drops)))
 }
 
 /// Filters of a list of cycles.
@@ -188,10 +175,22 @@ pub async fn list_cycles(
     );
     let paging = Paging::new(&state, scope, query.limit, query.cursor.as_deref())?;
     let rows = state.store.cycles(&filter, paging.page()).await?;
+    // One question per machine, and only where something is gone.
+    let mut drops = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.samples_are_gone()) {
+        let machine = &row.cycle.machine;
+        if !drops.contains_key(machine) {
+            drops.insert(machine.clone(), state.store.sample_drops(machine).await?);
+        }
+    }
+    let view = |row: feedwright_store::StoredCycle| {
+        let drops = drops.get(&row.cycle.machine).map(Vec::as_slice).unwrap_or_default();
+        CycleBody::from(&row).tell_drops(&row, drops)
+    };
     let key = |row: &feedwright_store::StoredCycle| {
         (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone())
     };
-    Ok(Json(paging.list(rows, key, |row| (&row).into())))
+    Ok(Json(paging.list(rows, key, view)))
 }
 
 impl CyclesQuery {

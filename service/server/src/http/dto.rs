@@ -22,6 +22,8 @@ pub mod peak_to_peak;
 pub mod plunge;
 pub mod quarantine;
 pub mod recommendation;
+pub mod retention;
+pub mod series;
 pub mod session;
 pub mod text;
 pub mod time;

@@ -2,8 +2,8 @@
 
 use super::{
     alarms, audit, calibrations, continuity, course, cycles, edge, fleet, friction, health, jobs, library,
-    life, live, machines, openapi, operations, peak_to_peak, plunge, quarantine, recommendations, session,
-    tokens, tool_events, tools, turning, viewer, wear, what_if,
+    life, live, machines, openapi, operations, peak_to_peak, plunge, quarantine, recommendations, retention,
+    samples, series, session, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -137,6 +137,8 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(machines::put), ENGINEER),
         Route::new(routes!(machines::get), READ_OR_OWN),
         Route::new(routes!(machines::list), READ),
+        Route::new(routes!(retention::put), ENGINEER),
+        Route::new(routes!(retention::get), READ),
         Route::new(routes!(calibrations::add), ENGINEER),
         Route::new(routes!(calibrations::list), READ),
         Route::new(routes!(tools::put), ENGINEER),
@@ -170,8 +172,10 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(cycles::post_cycle), OWN).takes_cycles(),
         Route::new(routes!(cycles::post_batch), OWN).takes_cycles(),
         Route::new(routes!(cycles::get_cycle), READ_OR_OWN),
-        Route::new(routes!(cycles::get_samples), READ_OR_OWN),
+        Route::new(routes!(samples::get_samples), READ_OR_OWN),
         Route::new(routes!(cycles::list_cycles), READ),
+        Route::new(routes!(summaries::get_summaries), READ),
+        Route::new(routes!(series::get_series), READ),
         Route::new(routes!(course::get), READ_OR_OWN),
         Route::new(routes!(wear::get_wear), READ),
         Route::new(routes!(wear::get_history), READ),

@@ -122,3 +122,51 @@ pub(super) async fn list(
         .await?;
     rows.iter().map(CycleWithSamples::stored).collect()
 }
+
+macro_rules! newest {
+    ($driver:literal) => {
+        select!(
+            "WHERE ",
+            $driver,
+            " AND c.started_at_us >= $4 AND c.started_at_us < $5
+              ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $6"
+        )
+    };
+}
+
+const LAST_OF_TOOL: &str = newest!(
+    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+const LAST_OF_MACHINE: &str = newest!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+const LAST_OF_OPERATION: &str = newest!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND c.operation_id = $3"
+);
+const LAST_OF_ALL: &str = newest!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+
+/// The newest cycles, oldest of them first.
+pub(super) async fn last(conn: &mut Conn, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
+    let sql = match filter {
+        CycleFilter { tool: Some(_), .. } => LAST_OF_TOOL,
+        CycleFilter { machine: Some(_), .. } => LAST_OF_MACHINE,
+        CycleFilter { operation: Some(_), .. } => LAST_OF_OPERATION,
+        _ => LAST_OF_ALL,
+    };
+    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(sql)
+        .bind(filter.tool.as_ref().map(ToolId::as_str))
+        .bind(filter.machine.as_ref().map(MachineId::as_str))
+        .bind(filter.operation.as_ref().map(OperationId::as_str))
+        .bind(filter.from.map_or(i64::MIN, |from| from.micros()))
+        .bind(filter.to.map_or(i64::MAX, |to| to.micros()))
+        .bind(i64::from(limit))
+        .fetch_all(&mut *conn)
+        .await?;
+    rows.iter().rev().map(CycleWithSamples::stored).collect()
+}

@@ -2,16 +2,17 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, fleet, life, machines, models, operations,
-    quarantine, recommendations, registry, sessions, tokens, tools, watch, wear,
+    quarantine, recommendations, registry, retention, series, sessions, tokens, tools, verify, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, Committed, CycleFilter, CycleKey, DatabaseUsage, FleetRow,
-    IssuedRecommendation, Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds,
-    QuarantineEntry, Round, RowNumber, SessionRecord, StoredCycle, StoredToolEvent, Surroundings,
-    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
+    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
+    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord,
+    ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -24,6 +25,9 @@ use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::sync::Arc;
+
+/// Machines that are read at a time.
+const MACHINES_PAGE: u32 = 100;
 
 /// One change in one transaction, in a task that nobody can cancel.
 macro_rules! write {
@@ -315,6 +319,101 @@ impl Store for Engine {
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {
         cycles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
+        cycles::last(&mut *self.reader().await?, filter, limit).await
+    }
+
+    async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>> {
+        series::points(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn last_points(
+        &self,
+        filter: &CycleFilter,
+        told: PointColumns,
+        limit: u32,
+    ) -> StoreResult<Vec<CyclePoint>> {
+        series::last_points(&mut *self.reader().await?, filter, told, limit).await
+    }
+
+    async fn levels(
+        &self,
+        tool: &ToolId,
+        from: Timestamp,
+        to: Timestamp,
+        limit: u32,
+    ) -> StoreResult<Vec<LevelPoint>> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| series::levels(conn, &tool, from, to, limit).await)
+    }
+
+    async fn retention(&self, machine: &MachineId) -> StoreResult<Option<Versioned<SampleRetention>>> {
+        retention::get(&mut *self.reader().await?, machine).await
+    }
+
+    async fn put_retention(
+        &self,
+        machine: &MachineId,
+        retention: SampleRetention,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<PutOutcome>> {
+        let (machine, actor) = (machine.clone(), actor.clone());
+        write!(self, |conn| retention::put(conn, &machine, retention, expects, &actor, now).await)
+    }
+
+    async fn sample_drops(&self, machine: &MachineId) -> StoreResult<Vec<SampleDrop>> {
+        retention::drops(&mut *self.reader().await?, machine).await
+    }
+
+    async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>> {
+        let (mut decided, mut after) = (Vec::new(), None);
+        loop {
+            let page = self.machines(Page { after: after.take(), limit: MACHINES_PAGE }).await?;
+            for machine in &page {
+                let id = machine.value.id.clone();
+                let horizon = snapshot!(self, |conn| {
+                    let said = retention::get(conn, &id).await?;
+                    let kept = said.map_or(otherwise, |said| said.value);
+                    retention::horizon(conn, &id, kept, now).await
+                })?;
+                let id = machine.value.id.clone();
+                if let Some((before, reason)) = horizon {
+                    let made = write!(self, |conn| retention::decide(conn, &id, before, reason, now).await)?;
+                    decided.extend(made);
+                }
+            }
+            match page.last() {
+                Some(last) if page.len() == MACHINES_PAGE as usize => after = Some(last.value.id.clone()),
+                _ => return Ok(decided),
+            }
+        }
+    }
+
+    async fn drop_some(&self, most: u32, now: Timestamp) -> StoreResult<Dropped> {
+        let whole = write!(self, |conn| retention::drop_partition(conn, now).await)?;
+        if whole.more {
+            return Ok(whole);
+        }
+        let dropped = write!(self, |conn| retention::delete_some(conn, most).await)?;
+        let freed = self.give_back().await?;
+        Ok(Dropped { more: dropped.more || freed, ..dropped })
+    }
+
+    async fn make_room(&self, now: Timestamp) -> StoreResult<()> {
+        write!(self, |conn| dialect::make_room(conn, now).await)
+    }
+
+    async fn check_cycles(&self, after: Option<&(MachineId, CycleId)>, limit: u32) -> StoreResult<CheckPage> {
+        let (after, max_samples) = (after.cloned(), self.max_samples());
+        snapshot!(self, |conn| verify::page(conn, after.as_ref(), limit, max_samples).await)
+    }
+
+    async fn check_tables(&self) -> StoreResult<Vec<StoreFault>> {
+        snapshot!(self, |conn| verify::tables(conn).await)
     }
 
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {

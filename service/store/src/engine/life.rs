@@ -3,7 +3,7 @@
 use super::wear::{facts_after, is_registered, not_registered};
 use super::{Conn, tools};
 use crate::error::StoreResult;
-use crate::history::Walk;
+use crate::history::{Walk, verdict_after};
 use crate::record::{LifeCycle, ToolLife};
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::wear::Exclusion;
@@ -14,7 +14,7 @@ pub(super) async fn of(conn: &mut Conn, tool: &ToolId, most: u32) -> StoreResult
     if !is_registered(conn, tool).await? {
         return Ok(ToolLife { verdict: not_registered(), before: 0, cycles: Vec::new() });
     }
-    let events = tools::placed_events(conn, tool).await?;
+    let (events, _) = tools::placed_events(conn, tool).await?;
     let mut walk = Walk::new(&events);
     let (mut lives, mut before) = (walk.lives(), 0);
     let mut cycles: VecDeque<LifeCycle> = VecDeque::new();
@@ -51,7 +51,7 @@ pub(super) async fn of(conn: &mut Conn, tool: &ToolId, most: u32) -> StoreResult
         *why = excluded.get(&facts.order.machine).and_then(|of| of.get(&facts.order.cycle)).copied();
     }
     let ended = walk.lives();
-    let verdict = walk.verdict();
+    let verdict = verdict_after(walk.fold(), &events);
     // An event after the last cycle has begun another life, which has no cycle yet.
     if events.iter().filter(|event| event.kind.begins_life()).count() > ended {
         return Ok(ToolLife { verdict, before: 0, cycles: Vec::new() });

@@ -19,9 +19,12 @@ mod operations;
 mod quarantine;
 mod recommendations;
 mod registry;
+mod retention;
+mod series;
 mod sessions;
 mod tokens;
 mod tools;
+mod verify;
 mod watch;
 mod wear;
 

@@ -418,6 +418,16 @@ async fn checkpoint_before(
     Ok(None)
 }
 
+/// The last checkpoint of one machine whose cycles all began before `at`.
+pub(super) async fn checkpoint_at(
+    conn: &mut Conn,
+    tool: &ToolId,
+    machine: &MachineId,
+    at: Timestamp,
+) -> StoreResult<Option<(ToolFold, u64)>> {
+    checkpoint_before(conn, tool, machine, &Place::at(at)).await
+}
+
 /// Whether a tool is registered.
 pub(super) async fn is_registered(conn: &mut Conn, tool: &ToolId) -> StoreResult<bool> {
     let found: Option<i64> = sqlx::query_scalar::<Db, _>("SELECT version FROM tools WHERE tool_id = $1")

@@ -7,6 +7,59 @@ pub(super) use many::{insert_blocks, insert_cycles, insert_recommendations, save
 use super::Conn;
 use crate::error::StoreResult;
 use crate::locks::Locks;
+use crate::record::StoreFault;
+use feedwright_core::units::Timestamp;
+
+/// Months for which partitions of samples are kept ready, the present one included.
+const MONTHS_AHEAD: i32 = 13;
+
+/// The beginning of the month (UTC) of a time: by age, samples go with the partition of their month.
+pub(super) async fn age_horizon(conn: &mut Conn, at_us: i64) -> StoreResult<i64> {
+    Ok(sqlx::query_scalar(
+        "SELECT (extract(epoch FROM date_trunc('month', TIMESTAMP 'epoch' + $1 * INTERVAL '1 microsecond'))
+                 * 1000000)::BIGINT",
+    )
+    .bind(at_us)
+    .fetch_one(&mut *conn)
+    .await?)
+}
+
+/// Drops the oldest partition of which nothing is kept; says what it held by machine: cycles and bytes. It waits for no
+/// more than two seconds for whoever reads.
+pub(super) async fn drop_partition(
+    conn: &mut Conn,
+    now: Timestamp,
+) -> StoreResult<Option<Vec<(String, i64, i64)>>> {
+    sqlx::query("SET LOCAL lock_timeout = '2s'").execute(&mut *conn).await?;
+    lock(conn, &Locks::subject("partitions", "")).await?;
+    let held: Vec<(Option<String>, i64, i64)> =
+        sqlx::query_as("SELECT machine_id, cycles, bytes FROM cycle_samples_drop_partition($1)")
+            .bind(now.micros())
+            .fetch_all(&mut *conn)
+            .await?;
+    // The row without a machine says that a partition went, which may have been empty.
+    let done = !held.is_empty();
+    let held = held.into_iter().filter_map(|(machine, cycles, bytes)| Some((machine?, cycles, bytes)));
+    Ok(done.then(|| held.collect()))
+}
+
+/// Makes the partitions of the months ahead.
+pub(super) async fn make_room(conn: &mut Conn, now: Timestamp) -> StoreResult<()> {
+    lock(conn, &Locks::subject("partitions", "")).await?;
+    sqlx::query("SELECT cycle_samples_make_partitions($1, $2)")
+        .bind(now.micros())
+        .bind(MONTHS_AHEAD)
+        .execute(&mut *conn)
+        .await?;
+    Ok(())
+}
+
+/// The server checks its own files (`data_checksums`, `amcheck`): nothing to ask here.
+/// What follows reads whole tables, which takes longer than an answer may.
+pub(super) async fn integrity(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
+    sqlx::query("SET LOCAL statement_timeout = 0").execute(&mut *conn).await?;
+    Ok(Vec::new())
+}
 
 /// Locks names until the end of the transaction: shared ones first, each in ascending order.
 pub(super) async fn lock(conn: &mut Conn, locks: &Locks) -> StoreResult<()> {
@@ -31,10 +84,11 @@ pub(super) async fn lock(conn: &mut Conn, locks: &Locks) -> StoreResult<()> {
     Ok(())
 }
 
-/// A tool's caches, locked in the order of their keys.
+/// A tool's caches. The tool's name is locked by then: rows of several machines stand on several nodes where the
+/// database is distributed, and cannot be locked together there.
 pub(super) const WEAR_OF_TOOL_LOCKED: &str =
     "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
-     WHERE tool_id = $1 ORDER BY machine_id FOR UPDATE";
+     WHERE tool_id = $1 ORDER BY machine_id";
 
 /// The generation of the registry, under an empty name, and the versions of the folds of a list of tools. The tools'
 /// names are locked by then.

@@ -11,7 +11,15 @@ const CHANNEL: &str = "feedwright_live";
 impl PostgresStore {
     /// Tells every listener; outside of any transaction that changes something.
     pub(super) async fn tell(&self, text: &str) -> StoreResult<()> {
-        sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(text).execute(&self.inner.pool).await?;
+        let notify = sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(text);
+        if !self.inner.pooled {
+            notify.execute(&self.inner.pool).await?;
+            return Ok(());
+        }
+        // Behind a pooler only a transaction keeps the messages of a statement together.
+        let mut transaction = self.inner.begin().await?;
+        notify.execute(&mut *transaction).await?;
+        transaction.commit().await?;
         Ok(())
     }
 }

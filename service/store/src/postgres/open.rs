@@ -6,7 +6,7 @@ use crate::gate::Gate;
 use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
-use sqlx::{ConnectOptions, Connection};
+use sqlx::{ConnectOptions, Connection, Row};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -50,45 +50,70 @@ impl PostgresStore {
         migrating.close().await?;
 
         let mut connect: PgConnectOptions = url.parse()?;
-        connect = connect.application_name("feedwright").statement_cache_capacity(200);
-        if !options.pooled {
+        connect = connect.application_name("feedwright");
+        if options.pooled {
+            // A statement that is remembered would be looked for on a server that never saw it.
+            connect = connect.statement_cache_capacity(0);
+        } else {
+            connect = connect.statement_cache_capacity(200);
             // Reads outside a transaction. A pooler would refuse these or pass them on to other clients.
             connect = connect
                 .options([("statement_timeout", "30s"), ("idle_in_transaction_session_timeout", "30s")]);
         }
+        let pooled = options.pooled;
         let pool = PgPoolOptions::new()
             .max_connections(options.connections.max(1))
             .acquire_timeout(options.patience)
             // The check below is a ping as well.
             .test_before_acquire(false)
-            .before_acquire(|conn, _| Box::pin(outside_transaction(conn)))
+            .before_acquire(|conn, _| Box::pin(usable(conn)))
+            // A server that was demoted, or is not promoted yet, is asked again until patience ends.
+            .after_connect(|conn, _| {
+                Box::pin(async move {
+                    if usable(conn).await? {
+                        return Ok(());
+                    }
+                    Err(sqlx::Error::Protocol("the server is in recovery or read-only".to_owned()))
+                })
+            })
             .connect_with(connect)
             .await?;
-        let mut conn = pool.acquire().await?;
-        assert_durable(&mut conn).await?;
-        drop(conn);
+        // In a transaction, as a pooler bears it.
         let inner = Inner {
             pool,
             direct,
             gate: Gate::default(),
             max_samples: options.max_samples,
+            pooled,
             registry: Arc::default(),
             memory: Slot::default(),
         };
+        let mut transaction = inner.begin().await?;
+        assert_durable(&mut transaction).await?;
+        transaction.rollback().await?;
         Ok(Self { inner: Arc::new(inner) })
     }
 }
 
-/// Whether a connection from the pool is outside of any transaction. sqlx 0.9.0 may return one inside: whose begin was
-/// dropped half-way (sqlx issues 4385 and 4393). Inside a transaction `now()` is the time of its begin; inside a
-/// failed one the question itself fails, and the connection goes as well.
-async fn outside_transaction(conn: &mut Conn) -> Result<bool, sqlx::Error> {
-    let outside: bool =
-        sqlx::query_scalar("SELECT now() = statement_timestamp()").fetch_one(&mut *conn).await?;
+/// Whether a connection is good for work: outside of any transaction, on a server that takes writes.
+///
+/// sqlx 0.9.0 may return a connection inside a transaction, whose begin was dropped half-way (sqlx issues 4385 and
+/// 4393). Inside a transaction `now()` is the time of its begin; inside a failed one the question itself fails, and
+/// the connection goes as well. Decisions are read from the primary alone, so a demoted server answers nothing.
+async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
+    const ASK: &str = "SELECT now() = statement_timestamp() AS outside,
+                              NOT pg_is_in_recovery() AND current_setting('transaction_read_only') = 'off' AS writable";
+    // One message: with several of them the time of the statement is that of the last and always later than `now()`,
+    // and outside of a transaction a pooler hands each of them round to another server.
+    let row = sqlx::raw_sql(ASK).fetch_one(&mut *conn).await?;
+    let (outside, writable): (bool, bool) = (row.try_get("outside")?, row.try_get("writable")?);
     if !outside {
         tracing::error!("a connection came back inside an open transaction and is closed");
     }
-    Ok(outside)
+    if !writable {
+        tracing::warn!("a connection to a server that is in recovery or read-only is closed");
+    }
+    Ok(outside && writable)
 }
 
 /// Acknowledging rests on these. A demoted server is refused here; one that is demoted later refuses each write.

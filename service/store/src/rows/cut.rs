@@ -2,7 +2,7 @@
 
 use super::{library::setup_of, optional_float};
 use crate::error::StoreResult;
-use feedwright_core::cycle::Cycle;
+use feedwright_core::cycle::{Cycle, ReportedCut};
 use feedwright_core::recommend::EdgeCycle;
 
 /// A row of `cycle_cuts`.
@@ -33,6 +33,28 @@ impl CutRow {
             thrust_newtons: optional_float("thrust_newtons", cut.thrust_newtons)?,
             edge_wear_mm: optional_float("edge_wear_mm", cut.edge_wear_mm)?,
         }))
+    }
+}
+
+/// What was reported of a cut, read back.
+#[derive(Debug, Clone, sqlx::FromRow)]
+pub(crate) struct ReportedCutRow {
+    cutting_speed_m_min: Option<f64>,
+    feed_mm_rev: Option<f64>,
+    spindle_power_watts: Option<f64>,
+    thrust_newtons: Option<f64>,
+    edge_wear_mm: Option<f64>,
+}
+
+impl From<ReportedCutRow> for ReportedCut {
+    fn from(row: ReportedCutRow) -> Self {
+        Self {
+            cutting_speed_m_min: row.cutting_speed_m_min,
+            feed_mm_rev: row.feed_mm_rev,
+            spindle_power_watts: row.spindle_power_watts,
+            thrust_newtons: row.thrust_newtons,
+            edge_wear_mm: row.edge_wear_mm,
+        }
     }
 }
 

@@ -1,9 +1,9 @@
 //! The row of a cycle: its columns, and the way from a cycle to its row and back.
 
-use super::{count, float, id, number, word};
+use super::{ReportedCutRow, count, float, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
-use feedwright_core::cycle::{Flags, Outcome, ProfileVersion};
+use feedwright_core::cycle::{Cycle, CycleDraft, Flags, Outcome, ProfileVersion, Reported, Samples};
 use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis, IdlePower, Peak};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 
@@ -375,6 +375,42 @@ impl CycleRow {
                 .transpose()?,
             spindle_speed_rpm: self.spindle_speed_rpm,
             outcome: word("outcome", &self.outcome, Outcome::parse)?,
+        })
+    }
+
+    /// The cycle as it was taken in, with its samples and what was reported of its cut.
+    pub(crate) fn cycle(&self, samples: Option<Samples>, cut: Option<ReportedCutRow>) -> StoreResult<Cycle> {
+        let meta = self.meta()?;
+        let draft = CycleDraft {
+            machine: meta.machine,
+            id: meta.id,
+            tool: meta.tool,
+            operation: meta.operation,
+            started_at: meta.started_at,
+            seq: meta.seq,
+            process: meta.process,
+            strategy: meta.strategy,
+            law_version: meta.law_version,
+            profile: meta.profile,
+            recommendation: meta.recommendation,
+            spindle_speed_rpm: meta.spindle_speed_rpm,
+            outcome: meta.outcome,
+            samples,
+            reported: Reported {
+                energy_joules: self.reported_energy_joules,
+                duration_ms: self.reported_duration_ms,
+                max_depth_mm: self.reported_max_depth_mm,
+                max_spindle_load_percent: self.reported_max_spindle_load_percent,
+                max_feed_drive_load_percent: self.reported_max_feed_drive_load_percent,
+                mean_spindle_load_percent: self.reported_mean_spindle_load_percent,
+                mean_feed_drive_load_percent: self.reported_mean_feed_drive_load_percent,
+                operator_override_percent: self.reported_operator_override_percent,
+                cut: cut.map(Into::into).unwrap_or_default(),
+            },
+        };
+        Cycle::new(draft).map_err(|wrong| {
+            let first = wrong.first().map(ToString::to_string).unwrap_or_default();
+            StoreError::Damaged { what: format!("what is stored of it is no cycle: {first}") }
         })
     }
 

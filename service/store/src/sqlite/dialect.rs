@@ -7,6 +7,36 @@ pub(super) use many::{insert_blocks, insert_cycles, insert_recommendations, save
 use super::Conn;
 use crate::error::StoreResult;
 use crate::locks::Locks;
+use crate::record::StoreFault;
+use feedwright_core::units::Timestamp;
+
+/// Rows go one by one, so by age they go to the microsecond.
+#[expect(clippy::unused_async, reason = "the other engine asks its server")]
+pub(super) async fn age_horizon(_conn: &mut Conn, at_us: i64) -> StoreResult<i64> {
+    Ok(at_us)
+}
+
+/// There are no partitions.
+#[expect(clippy::unused_async, reason = "the other engine has partitions")]
+pub(super) async fn drop_partition(
+    _conn: &mut Conn,
+    _now: Timestamp,
+) -> StoreResult<Option<Vec<(String, i64, i64)>>> {
+    Ok(None)
+}
+
+/// There are no partitions.
+#[expect(clippy::unused_async, reason = "the other engine has partitions")]
+pub(super) async fn make_room(_conn: &mut Conn, _now: Timestamp) -> StoreResult<()> {
+    Ok(())
+}
+
+/// What SQLite finds wrong with its own pages and indexes.
+pub(super) async fn integrity(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
+    let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *conn).await?;
+    let fault = |detail| StoreFault { kind: "file", key: "sqlite".to_owned(), detail };
+    Ok(found.into_iter().filter(|line| line != "ok").map(fault).collect())
+}
 
 /// The one writer holds the database: there is nobody to be locked out.
 #[expect(clippy::unused_async, reason = "the other engine asks its server")]

@@ -16,7 +16,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use tokio::sync::Mutex;
 
-static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/sqlite");
+pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/sqlite");
 
 /// A checkpoint that restarts the log holds up the writer while it waits for readers: no longer than this.
 const CHECKPOINT_PATIENCE: Duration = Duration::from_millis(100);
@@ -51,7 +51,8 @@ impl SqliteStore {
         let path = path.as_ref();
         create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
         let connect = settings(path, options.patience);
-        let mut writer = connect.connect().await?;
+        // Of a file that is there already it changes nothing, and readers may not ask for it.
+        let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
         let readers = SqlitePoolOptions::new()
@@ -93,7 +94,6 @@ fn settings(path: &Path, patience: Duration) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
         .create_if_missing(true)
-        .auto_vacuum(SqliteAutoVacuum::None)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
         .busy_timeout(patience)

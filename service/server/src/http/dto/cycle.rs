@@ -6,7 +6,7 @@ use crate::http::dto::time;
 use crate::ingest::intake::Accepted;
 use feedwright_core::cycle::{Samples, TimeBase};
 use feedwright_core::summary::{CycleSummary, Energy, IdlePower, Peak};
-use feedwright_store::StoredCycle;
+use feedwright_store::{SampleDrop, StoredCycle};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
@@ -331,6 +331,9 @@ pub struct CycleBody {
     pub content_hash: String,
     /// Whether its samples are kept.
     pub has_samples: bool,
+    /// When retention dropped them, RFC 3339.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub samples_dropped_at: Option<String>,
     /// Its summary.
     pub summary: SummaryBody,
 }
@@ -356,8 +359,18 @@ impl From<&StoredCycle> for CycleBody {
             outcome: cycle.outcome.as_str(),
             content_hash: blake3::Hash::from_bytes(stored.hash).to_hex().to_string(),
             has_samples: stored.has_samples,
+            samples_dropped_at: None,
             summary: (&stored.summary).into(),
         }
+    }
+}
+
+impl CycleBody {
+    /// Says when the samples of these cycles were dropped, by the decisions on their machines.
+    pub fn tell_drops(self, stored: &StoredCycle, drops: &[SampleDrop]) -> Self {
+        let dropped = drops.iter().find(|drop| drop.before > stored.received_at);
+        let gone = stored.samples_are_gone().then_some(dropped).flatten();
+        Self { samples_dropped_at: gone.map(|drop| time::show(drop.dropped_at)), ..self }
     }
 }
 

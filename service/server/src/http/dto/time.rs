@@ -13,6 +13,23 @@ pub fn show(at: Timestamp) -> String {
     }
 }
 
+/// A time as tables show it: always with six digits, so that a reader which guesses the format from the first row
+/// guesses right.
+pub fn show_even(at: Timestamp) -> String {
+    static PRINTER: jiff::fmt::temporal::DateTimePrinter =
+        jiff::fmt::temporal::DateTimePrinter::new().precision(Some(6));
+    match jiff::Timestamp::from_microsecond(at.micros()) {
+        Ok(at) => PRINTER.timestamp_to_string(&at),
+        Err(_) => show(at),
+    }
+}
+
+/// The time so many milliseconds after another, to the microsecond.
+#[expect(clippy::cast_possible_truncation, reason = "a cycle lasts at most a day")]
+pub fn after_ms(at: Timestamp, millis: f64) -> Timestamp {
+    Timestamp::from_micros(at.micros().saturating_add((millis * 1000.0).round() as i64))
+}
+
 /// Reads RFC 3339 with any offset; digits finer than a microsecond are cut off.
 pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
     text.parse::<jiff::Timestamp>().map(|at| Timestamp::from_micros(at.as_microsecond())).map_err(|_| {

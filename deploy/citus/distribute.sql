@@ -1,0 +1,48 @@
+-- Distributes a Feedwright database over the workers of a Citus cluster, by machine.
+--
+-- Run it once on the coordinator, by psql with ON_ERROR_STOP, after a server of this version has migrated the empty
+-- database and stopped again, and before any data is in it. Servers connect to the coordinator. Needs Citus 12 or newer
+-- on PostgreSQL 15 or newer, with the workers added (citus_add_node) and citus.shard_replication_factor = 1.
+--
+-- Every key of a distributed table contains the column that it is distributed by, and no table has a foreign key: a
+-- test of the project holds this file against the migrations, table by table.
+
+BEGIN;
+
+-- Read with every cycle, written by people: a copy on each node.
+SELECT create_reference_table('machines');
+SELECT create_reference_table('tools');
+SELECT create_reference_table('tool_events');
+SELECT create_reference_table('operations');
+SELECT create_reference_table('models');
+-- What recommendations say, each text once: few, and read beside recommendations.
+SELECT create_reference_table('advices');
+
+-- One machine's rows stand together on one worker, so that a cycle with its samples and its wear is one worker's work.
+SELECT create_distributed_table('cycles', 'machine_id');
+SELECT create_distributed_table('cycle_samples', 'machine_id', colocate_with => 'cycles');
+SELECT create_distributed_table('cycle_cuts', 'machine_id', colocate_with => 'cycles');
+SELECT create_distributed_table('tool_wear', 'machine_id', colocate_with => 'cycles');
+SELECT create_distributed_table('tool_wear_checkpoints', 'machine_id', colocate_with => 'cycles');
+SELECT create_distributed_table('calibrations', 'machine_id', colocate_with => 'cycles');
+SELECT create_distributed_table('retention', 'machine_id', colocate_with => 'cycles');
+SELECT create_distributed_table('sample_drops', 'machine_id', colocate_with => 'cycles');
+
+-- As many as cycles, asked for by their own id, which says nothing of the machine.
+SELECT create_distributed_table('recommendations', 'recommendation_id', colocate_with => 'none');
+
+COMMIT;
+
+-- These stay on the coordinator: few rows, keys without a machine, triggers, numbers in the order of arrival.
+-- local: alarms
+-- local: audit
+-- local: quarantine
+-- local: tokens
+-- local: machine_contacts
+-- local: registry_generation
+-- local: feed_profiles
+-- local: feed_profile_versions
+-- local: sessions
+-- local: stream_leases
+-- local: cycle_overrides
+-- local: write_probe

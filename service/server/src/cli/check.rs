@@ -1,0 +1,92 @@
+//! `feedwright check`: every block, every hash, wear against its fold.
+
+use super::{Settings, log, print};
+use crate::database::{self, Database};
+use anyhow::{Context, bail};
+use clap::Args;
+use feedwright_store::transfer::restore_to_sqlite;
+use feedwright_store::{SqliteOptions, SqliteStore, Store};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Cycles that are checked in one read.
+const PAGE: u32 = 200;
+
+/// Arguments of the command.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Folds wear again where the cache differs from it. Nothing else can be repaired: what is damaged is named.
+    #[arg(long)]
+    repair: bool,
+    /// Checks this backup instead of the configured database, in a copy of it.
+    #[arg(long, value_name = "FILE", conflicts_with = "repair")]
+    backup: Option<PathBuf>,
+}
+
+/// Runs the command: it fails where a fault is left.
+pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()> {
+    let config = settings.load(Vec::new())?;
+    log(&config.log)?;
+    if let Some(backup) = &arguments.backup {
+        let folder = std::env::temp_dir().join(format!("feedwright-check-{}", uuid::Uuid::now_v7()));
+        std::fs::create_dir(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        let outcome = of_backup(backup, &folder.join("check.sqlite3")).await;
+        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
+        return outcome;
+    }
+    let Database { store, lock } = database::open(&config)
+        .await
+        .context("a server's own SQLite file is checked while it is stopped, or as a backup")?;
+    let outcome = check(&store, arguments.repair).await;
+    store.close().await;
+    drop(lock);
+    outcome
+}
+
+async fn of_backup(backup: &std::path::Path, at: &std::path::Path) -> anyhow::Result<()> {
+    restore_to_sqlite(backup, at).await?;
+    let store: Arc<dyn Store> = Arc::new(SqliteStore::open(at, SqliteOptions::default()).await?);
+    let outcome = check(&store, false).await;
+    store.close().await;
+    outcome
+}
+
+async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
+    let mut faults = 0_u64;
+    for fault in store.check_tables().await? {
+        faults += 1;
+        print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))?;
+    }
+    let (mut checked, mut dropped, mut after) = (0, 0, None);
+    loop {
+        let page = store.check_cycles(after.as_ref(), PAGE).await?;
+        checked += page.checked;
+        dropped += page.dropped;
+        for fault in page.faults {
+            faults += 1;
+            print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))?;
+        }
+        match page.next {
+            Some(next) => after = Some(next),
+            None => break,
+        }
+    }
+    print(&format!("{checked} cycles checked, of {dropped} the samples were dropped by retention\n"))?;
+    let wear = store.check_wear(repair).await?;
+    for (machine, tool) in &wear.different {
+        let done = if repair {
+            "folded again"
+        } else {
+            "the cache is not the fold over the cycles; --repair folds it again"
+        };
+        print(&format!("fault: wear {machine}/{tool}: {done}\n"))?;
+    }
+    if !repair {
+        faults += wear.different.len() as u64;
+    }
+    print(&format!("{} folds of wear checked, {} differed\n", wear.rows, wear.different.len()))?;
+    if faults > 0 {
+        bail!("{faults} faults are left");
+    }
+    Ok(())
+}

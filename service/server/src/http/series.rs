@@ -1,0 +1,303 @@
+//! Series of what cycles amounted to: in buckets over time, or the last ones by themselves.
+
+use super::dto::series::{BucketBody, BucketSeriesBody, SeriesBody, ValueSeriesBody};
+use super::dto::time;
+use super::export::{self, PIECE};
+use super::extract::Query;
+use super::negotiate::Accepts;
+use super::problem::{Problem, ProblemDocument};
+use crate::series::{self, Bucketed, GroupBy, MAX_LAST, Measure, Series, SeriesKey, Value};
+use crate::state::AppState;
+use crate::table::{Cell, Field, Format, Kind, Row};
+use axum::Json;
+use axum::extract::State;
+use axum::response::{IntoResponse, Response};
+use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use feedwright_core::invalid::Violation;
+use feedwright_core::series::Buckets;
+use feedwright_store::{CycleFilter, PointColumns, Store};
+use futures_util::stream;
+use http::{HeaderValue, header};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+/// Which series.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct SeriesQuery {
+    /// Measures, separated by commas: `energy_joules` (where it is left out), `duration_ms`, `wear_level_ratio`,
+    /// `max_spindle_load_percent`, `max_feed_drive_load_percent`, `max_spindle_power_watts`, `max_thrust_newtons`,
+    /// `max_torque_newton_metres`, `max_depth_mm`.
+    measures: Option<String>,
+    /// `fleet`, `machine`, `tool` or `operation`; where it is left out, whichever of these the question names, else
+    /// the fleet.
+    by: Option<String>,
+    /// Of this machine.
+    machine: Option<String>,
+    /// Of this tool.
+    tool: Option<String>,
+    /// Of this operation.
+    operation: Option<String>,
+    /// Begun at or after, RFC 3339; needed with `bucket`.
+    from: Option<String>,
+    /// Begun before, RFC 3339; now where it is left out.
+    to: Option<String>,
+    /// Width of the buckets, as in `15m`, `1h` or `1d`; they are aligned to UTC, weeks to Mondays.
+    bucket: Option<String>,
+    /// Instead of buckets: so many of the newest cycles, one by one.
+    last: Option<u32>,
+    /// For JSON: `series` (where it is left out) or `rows` (an object per row, for Grafana).
+    layout: Option<String>,
+}
+
+/// What cycles amounted to over time. JSON, CSV, Apache Arrow (IPC stream) or Parquet, as `Accept` says.
+///
+/// Every bucket of the range is answered: one without cycles has count 0 and nulls. Energies of different bases, and
+/// with idle power in or out of them, are different series. Percentiles are exact, by linear interpolation.
+#[utoipa::path(
+    get, path = "/v1/series", tag = "series", params(SeriesQuery),
+    responses(
+        (status = 200, description = "The series", content(
+            (SeriesBody = "application/json"), (String = "text/csv"),
+            (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
+        (status = 404, description = "Of that machine, tool or operation nothing is known",
+            body = ProblemDocument<'static>),
+        (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
+        (status = 422, description = "A parameter that is not accepted, or too large a question",
+            body = ProblemDocument<'static>),
+    )
+)]
+pub(super) async fn get_series(
+    State(state): State<AppState>,
+    Query(query): Query<SeriesQuery>,
+    Accepts(format): Accepts,
+) -> Result<Response, Problem> {
+    let asked = Asked::of(&state, &query)?;
+    if let Some(machine) = &asked.filter.machine
+        && state.store.machine(machine).await?.is_none()
+    {
+        return Err(Problem::not_found("machine", machine.as_str()));
+    }
+    let turn = state.exports.turn().await?;
+    let (store, filter) = (&*state.store, &asked.filter);
+    let (answer, seen) = match asked.extent {
+        Extent::Buckets(width_us) => {
+            let (buckets, series, seen) =
+                series::bucketed(store, filter, &asked.measures, asked.by, width_us).await?;
+            (Answer::Buckets(buckets, series), seen)
+        }
+        Extent::Last(count) => {
+            let (series, seen) = series::last(store, filter, &asked.measures, asked.by, count).await?;
+            (Answer::Values(series), seen)
+        }
+    };
+    drop(turn);
+    if seen == 0 {
+        known(store, filter).await?;
+    }
+    if format == Format::Json && !asked.in_rows {
+        let vary = [(header::VARY, HeaderValue::from_static("accept"))];
+        return Ok((vary, Json(answer.body(asked.by))).into_response());
+    }
+    let (fields, rows) = answer.table(asked.by);
+    let pieces: Vec<_> = rows.chunks(PIECE).map(|rows| Ok(rows.to_vec())).collect();
+    export::table(&state, format, "series", fields, stream::iter(pieces)).await
+}
+
+/// 404 where a tool or an operation is neither registered nor met in any cycle.
+async fn known(store: &dyn Store, filter: &CycleFilter) -> Result<(), Problem> {
+    if let Some(tool) = &filter.tool
+        && store.tool(tool).await?.is_none()
+        && store
+            .last_points(
+                &CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() },
+                PointColumns::Energy,
+                1,
+            )
+            .await?
+            .is_empty()
+    {
+        return Err(Problem::not_found("tool", tool.as_str()));
+    }
+    if let Some(operation) = &filter.operation
+        && store.operation(operation).await?.is_none()
+    {
+        let of = CycleFilter { operation: Some(operation.clone()), ..CycleFilter::default() };
+        if store.last_points(&of, PointColumns::Energy, 1).await?.is_empty() {
+            return Err(Problem::not_found("operation", operation.as_str()));
+        }
+    }
+    Ok(())
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Extent {
+    /// Buckets of that width, µs.
+    Buckets(i64),
+    /// So many of the newest cycles.
+    Last(u32),
+}
+
+/// The question, read and checked.
+#[derive(Debug)]
+struct Asked {
+    measures: Vec<Measure>,
+    by: GroupBy,
+    filter: CycleFilter,
+    extent: Extent,
+    in_rows: bool,
+}
+
+impl Asked {
+    fn of(state: &AppState, query: &SeriesQuery) -> Result<Self, Problem> {
+        let text = Option::as_deref;
+        let mut filter = CycleFilter {
+            machine: text(&query.machine).map(|id| MachineId::parse("machine", id)).transpose()?,
+            tool: text(&query.tool).map(|id| ToolId::parse("tool", id)).transpose()?,
+            operation: text(&query.operation).map(|id| OperationId::parse("operation", id)).transpose()?,
+            from: text(&query.from).map(|at| time::read("from", at)).transpose()?,
+            to: text(&query.to).map(|at| time::read("to", at)).transpose()?,
+        };
+        let by = match text(&query.by) {
+            Some(word) => GroupBy::parse(word).ok_or_else(|| {
+                let message = format!("must be fleet, machine, tool or operation, is `{word}`");
+                Violation::new("by", "unknown_word", message)
+            })?,
+            None if filter.tool.is_some() => GroupBy::Tool,
+            None if filter.machine.is_some() => GroupBy::Machine,
+            None if filter.operation.is_some() => GroupBy::Operation,
+            None => GroupBy::Fleet,
+        };
+        let measures = Measure::list("measures", text(&query.measures).unwrap_or("energy_joules"))?;
+        let extent = match (text(&query.bucket), query.last) {
+            (Some(bucket), None) => {
+                if filter.from.is_none() {
+                    return Err(Violation::new("from", "missing", "is needed with bucket").into());
+                }
+                filter.to.get_or_insert(state.clock.now());
+                Extent::Buckets(series::width_us("bucket", bucket)?)
+            }
+            (None, Some(last)) if (1..=MAX_LAST).contains(&last) => Extent::Last(last),
+            (None, Some(last)) => {
+                let message = format!("must be within 1 to {MAX_LAST}, is {last}");
+                return Err(Violation::new("last", "out_of_range", message).into());
+            }
+            _ => {
+                let message = "say either bucket, the width of the buckets, or last, a number of cycles";
+                return Err(Violation::new("bucket", "one_of", message).into());
+            }
+        };
+        let in_rows = match text(&query.layout) {
+            None | Some("series") => false,
+            Some("rows") => true,
+            Some(other) => {
+                let message = format!("must be series or rows, is `{other}`");
+                return Err(Violation::new("layout", "unknown_word", message).into());
+            }
+        };
+        Ok(Self { measures, by, filter, extent, in_rows })
+    }
+}
+
+enum Answer {
+    Buckets(Buckets, Series<Bucketed>),
+    Values(Series<Vec<Value>>),
+}
+
+impl Answer {
+    fn body(&self, by: GroupBy) -> SeriesBody {
+        match self {
+            Self::Buckets(buckets, series) => SeriesBody::Buckets {
+                by: by.as_str(),
+                series: series
+                    .iter()
+                    .map(|(key, values)| BucketSeriesBody {
+                        key: key.into(),
+                        group: group(key),
+                        points: (0..buckets.count())
+                            .zip(&values.buckets)
+                            .map(|(at, spread)| BucketBody::of(buckets.begin(at), *spread))
+                            .collect(),
+                    })
+                    .collect(),
+            },
+            Self::Values(series) => SeriesBody::Cycles {
+                by: by.as_str(),
+                series: series
+                    .iter()
+                    .map(|(key, values)| ValueSeriesBody {
+                        key: key.into(),
+                        group: group(key),
+                        time: values.iter().map(|value| time::show(value.at)).collect(),
+                        machine: values.iter().map(|value| value.machine.clone()).collect(),
+                        cycle_id: values.iter().map(|value| value.cycle.clone()).collect(),
+                        value: values.iter().map(|value| value.value).collect(),
+                    })
+                    .collect(),
+            },
+        }
+    }
+
+    fn table(&self, by: GroupBy) -> (Vec<Field>, Vec<Row>) {
+        let mut fields = vec![Field::new("time", Kind::Time)];
+        if matches!(self, Self::Values(_)) {
+            fields.extend([Field::new("cycle_machine", Kind::Text), Field::new("cycle_id", Kind::Text)]);
+        }
+        if by != GroupBy::Fleet {
+            fields.push(Field::new(by.as_str(), Kind::Text));
+        }
+        fields.extend(["measure", "unit", "basis", "idle_power"].map(|name| Field::new(name, Kind::Text)));
+        let describe = |key: &SeriesKey| {
+            let mut cells = Vec::with_capacity(5);
+            if by != GroupBy::Fleet {
+                cells.push(Cell::from(key.group.clone()));
+            }
+            cells.extend([
+                Cell::from(Some(key.measure.as_str())),
+                Cell::from(Some(key.measure.unit())),
+                Cell::from(key.basis.map(|(basis, _)| basis)),
+                Cell::from(key.basis.map(|(_, idle)| idle)),
+            ]);
+            cells
+        };
+        let mut rows = Vec::new();
+        match self {
+            Self::Buckets(buckets, series) => {
+                fields.push(Field::new("count", Kind::Whole));
+                fields.extend(["mean", "min", "max", "p50", "p95"].map(|name| Field::new(name, Kind::Float)));
+                for (key, values) in series {
+                    for (at, spread) in values.buckets.iter().enumerate() {
+                        let mut row = vec![Cell::Time(buckets.begin(at).micros())];
+                        row.extend(describe(key));
+                        let count = spread.map_or(0, |spread| spread.count);
+                        row.push(Cell::Whole(i64::try_from(count).unwrap_or(i64::MAX)));
+                        let figures = spread.map(|s| [s.mean, s.min, s.max, s.p50, s.p95]);
+                        row.extend((0..5).map(|at| Cell::from(figures.map(|figures| figures[at]))));
+                        rows.push(row);
+                    }
+                }
+            }
+            Self::Values(series) => {
+                fields.push(Field::new("value", Kind::Float));
+                for (key, values) in series {
+                    for value in values {
+                        let mut row = vec![
+                            Cell::Time(value.at.micros()),
+                            Cell::from(value.machine.clone()),
+                            Cell::from(value.cycle.clone()),
+                        ];
+                        row.extend(describe(key));
+                        row.push(Cell::Float(value.value));
+                        rows.push(row);
+                    }
+                }
+            }
+        }
+        (fields, rows)
+    }
+}
+
+fn group(key: &SeriesKey) -> Option<String> {
+    (!key.group.is_empty()).then(|| key.group.clone())
+}

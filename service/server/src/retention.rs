@@ -1,0 +1,45 @@
+//! Retention: at intervals, samples that are kept no longer are dropped, a few cycles at a time, and partitions for
+//! the months ahead are made. Summaries are kept for ever.
+
+use crate::state::AppState;
+use feedwright_store::StoreResult;
+
+/// Runs until the shutdown begins.
+pub(crate) fn start(state: &AppState) {
+    let state = state.clone();
+    state.lifecycle.clone().spawn(async move {
+        let mut ticks = tokio::time::interval(state.config.retention.interval());
+        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            // Only the waiting is cut short, never a statement.
+            tokio::select! {
+                _ = ticks.tick() => {}
+                () = state.lifecycle.stopping() => return,
+            }
+            if let Err(error) = run(&state).await {
+                tracing::warn!(%error, "retention broke off and goes on at its next run");
+            }
+        }
+    });
+}
+
+/// One run: everything that is to go by now goes, unless the shutdown begins.
+pub async fn run(state: &AppState) -> StoreResult<()> {
+    let config = state.config.retention;
+    state.store.make_room(state.clock.now()).await?;
+    for decision in state.store.decide_drops(config.samples(), state.clock.now()).await? {
+        let (machine, reason) = (&decision.machine, decision.reason.as_str());
+        tracing::info!(%machine, reason, "samples are dropped");
+        state.metrics.samples_dropping(decision.reason);
+    }
+    while !state.lifecycle.is_stopping() {
+        let dropped = state.store.drop_some(config.step_cycles, state.clock.now()).await?;
+        state.metrics.samples_dropped(dropped);
+        if !dropped.more {
+            break;
+        }
+        // Live posts have the writer between two steps.
+        tokio::time::sleep(config.pause()).await;
+    }
+    Ok(())
+}

@@ -1,0 +1,219 @@
+//! Cycles into series, page by page: no more is kept than the bucket that is being filled.
+
+use super::{GroupBy, MAX_BUCKETS, MAX_CELLS, MAX_CYCLES, Measure, SeriesKey, Value, levels};
+use crate::http::problem::Problem;
+use feedwright_core::invalid::Violation;
+use feedwright_core::series::{Buckets, Spread};
+use feedwright_store::{CycleFilter, CyclePoint, Page, PointColumns, Store};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Rows that are read at a time: a short read, so that no snapshot is held for long.
+const PAGE: u32 = 2_000;
+
+/// A series with a place for every bucket.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Bucketed {
+    /// A spread per bucket; `None` where nothing was measured.
+    pub buckets: Vec<Option<Spread>>,
+    /// Values of the bucket that is being filled.
+    filling: Vec<f64>,
+    at: usize,
+}
+
+impl Bucketed {
+    fn add(&mut self, bucket: usize, value: f64) {
+        if bucket != self.at {
+            self.settle();
+            self.at = bucket;
+        }
+        self.filling.push(value);
+    }
+
+    fn settle(&mut self) {
+        if let Some(place) = self.buckets.get_mut(self.at) {
+            *place = Spread::of(&mut self.filling).or(*place);
+        }
+        self.filling.clear();
+    }
+}
+
+/// Series by their keys.
+pub type Series<T> = BTreeMap<SeriesKey, T>;
+
+struct Collecting<'a> {
+    measures: &'a [Measure],
+    by: GroupBy,
+    buckets: Buckets,
+    series: Series<Bucketed>,
+}
+
+impl Collecting<'_> {
+    fn add(&mut self, key: &SeriesKey, bucket: usize, value: f64) -> Result<(), Problem> {
+        if !self.series.contains_key(key) {
+            self.open(key.clone())?;
+        }
+        if let Some(series) = self.series.get_mut(key) {
+            series.add(bucket, value);
+        }
+        Ok(())
+    }
+
+    fn open(&mut self, key: SeriesKey) -> Result<(), Problem> {
+        if (self.series.len() + 1) * self.buckets.count() > MAX_CELLS {
+            let message = format!(
+                "the answer would have more than {MAX_CELLS} buckets in all its series: ask for wider buckets, a \
+                 shorter range, or one machine, tool or operation"
+            );
+            return Err(Violation::new("bucket", "too_many_series", message).into());
+        }
+        let empty = Bucketed { buckets: vec![None; self.buckets.count()], ..Bucketed::default() };
+        self.series.insert(key, empty);
+        Ok(())
+    }
+
+    fn point(&mut self, point: &CyclePoint) -> Result<(), Problem> {
+        let Some(bucket) = self.buckets.of(point.key.0) else { return Ok(()) };
+        let group = self.by.of(point.key.1.as_str(), point.tool.as_str(), point.operation.as_str());
+        for &measure in self.measures {
+            if measure == Measure::Energy {
+                for energy in &point.energy {
+                    self.add(&SeriesKey::energy(energy, group), bucket, energy.total_joules)?;
+                }
+            } else if let Some(value) = measure.of(point) {
+                self.add(&SeriesKey::plain(measure, group), bucket, value)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Checks that the buckets can be answered.
+fn countable(buckets: Buckets, width_us: i64) -> Result<Buckets, Problem> {
+    if buckets.count() <= MAX_BUCKETS {
+        return Ok(buckets);
+    }
+    let message = format!(
+        "the range has {} buckets of {} s, may have at most {MAX_BUCKETS}",
+        buckets.count(),
+        width_us / 1_000_000
+    );
+    Err(Violation::new("bucket", "too_many_buckets", message).into())
+}
+
+/// The series of what the filter names, whose range is given, in buckets of that width. Says how many cycles it saw.
+pub async fn bucketed(
+    store: &dyn Store,
+    filter: &CycleFilter,
+    measures: &[Measure],
+    by: GroupBy,
+    width_us: i64,
+) -> Result<(Buckets, Series<Bucketed>, usize), Problem> {
+    let range = filter.from.zip(filter.to);
+    let buckets = range.and_then(|(from, to)| Buckets::new(from, to, width_us));
+    let buckets = buckets.ok_or_else(|| {
+        Problem::from(Violation::new("to", "empty_range", "must be later than the beginning of the range"))
+    })?;
+    let buckets = countable(buckets, width_us)?;
+    let mut collecting = Collecting { measures, by, buckets, series: Series::new() };
+    // A series that is asked for by name is there even where nothing was measured: its gaps are the answer.
+    let named = match by {
+        GroupBy::Fleet => Some(""),
+        GroupBy::Machine => filter.machine.as_ref().map(|id| id.as_str()),
+        GroupBy::Tool => filter.tool.as_ref().map(|id| id.as_str()),
+        GroupBy::Operation => filter.operation.as_ref().map(|id| id.as_str()),
+    };
+    for &measure in measures.iter().filter(|measure| **measure != Measure::Energy) {
+        if let Some(group) = named {
+            collecting.open(SeriesKey::plain(measure, group))?;
+        }
+    }
+    let with_wear = measures.contains(&Measure::WearLevel);
+    let (mut seen, mut after, mut tools) = (0, None, BTreeSet::new());
+    loop {
+        let page = store.points(filter, Page { after: after.take(), limit: PAGE }).await?;
+        seen += page.len();
+        if seen > MAX_CYCLES {
+            let message = format!("the range holds more than {MAX_CYCLES} cycles: ask for a shorter one");
+            return Err(Violation::new("from", "too_many_cycles", message).into());
+        }
+        for point in &page {
+            collecting.point(point)?;
+            if with_wear && !tools.contains(&point.tool) {
+                tools.insert(point.tool.clone());
+            }
+        }
+        match page.last() {
+            Some(last) if page.len() == PAGE as usize => after = Some(last.key.clone()),
+            _ => break,
+        }
+        // Between two pages others get their turn.
+        tokio::task::yield_now().await;
+    }
+    if with_wear {
+        let mut values = levels::of_tools(store, filter, &tools, by).await?;
+        let bucket = |at| buckets.of(at).unwrap_or(usize::MAX);
+        values.sort_by_key(|value| bucket(value.at));
+        for levels::Level { group, at, level } in values {
+            collecting.add(&SeriesKey::plain(Measure::WearLevel, &group), bucket(at), level)?;
+        }
+    }
+    let mut series = collecting.series;
+    series.values_mut().for_each(Bucketed::settle);
+    Ok((buckets, series, seen))
+}
+
+/// The newest cycles of what the filter names, one by one, oldest first.
+pub async fn last(
+    store: &dyn Store,
+    filter: &CycleFilter,
+    measures: &[Measure],
+    by: GroupBy,
+    limit: u32,
+) -> Result<(Series<Vec<Value>>, usize), Problem> {
+    let energy = measures.iter().all(|measure| matches!(measure, Measure::Energy | Measure::WearLevel));
+    let told = if energy { PointColumns::Energy } else { PointColumns::All };
+    let points = store.last_points(filter, told, limit).await?;
+    let levels = match (measures.contains(&Measure::WearLevel), points.first(), points.last()) {
+        (true, Some(first), Some(last)) => {
+            let range = CycleFilter {
+                from: Some(first.key.0),
+                to: Some(feedwright_core::units::Timestamp::from_micros(
+                    last.key.0.micros().saturating_add(1),
+                )),
+                ..filter.clone()
+            };
+            let tools: BTreeSet<_> = points.iter().map(|point| point.tool.clone()).collect();
+            levels::by_cycle(store, &range, &tools).await?
+        }
+        _ => BTreeMap::new(),
+    };
+    let mut series = Series::<Vec<Value>>::new();
+    for point in &points {
+        let (at, machine, cycle) = &point.key;
+        let group = by.of(machine.as_str(), point.tool.as_str(), point.operation.as_str());
+        let mut add = |key: SeriesKey, value: f64| {
+            let (machine, cycle) = (machine.as_str().to_owned(), cycle.as_str().to_owned());
+            series.entry(key).or_default().push(Value { at: *at, machine, cycle, value });
+        };
+        for &measure in measures {
+            match measure {
+                Measure::Energy => {
+                    for energy in &point.energy {
+                        add(SeriesKey::energy(energy, group), energy.total_joules);
+                    }
+                }
+                Measure::WearLevel => {
+                    if let Some(level) = levels.get(&point.key) {
+                        add(SeriesKey::plain(measure, group), *level);
+                    }
+                }
+                plain => {
+                    if let Some(value) = plain.of(point) {
+                        add(SeriesKey::plain(plain, group), value);
+                    }
+                }
+            }
+        }
+    }
+    Ok((series, points.len()))
+}

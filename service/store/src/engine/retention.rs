@@ -1,0 +1,303 @@
+//! How long samples are kept. A decision is a row with an audit line; what it names goes afterwards, in small steps.
+
+use super::{Conn, Db, audit, dialect, machines};
+use crate::error::StoreResult;
+use crate::locks::Locks;
+use crate::precondition;
+use crate::record::{
+    Actor, DropReason, Dropped, Precondition, PutOutcome, Role, SampleDrop, SampleRetention, Versioned,
+};
+use crate::rows::{count, number, word};
+use feedwright_core::ids::MachineId;
+use feedwright_core::units::Timestamp;
+use serde_json::json;
+
+const DAY_US: i64 = 86_400_000_000;
+/// Rows that are looked at a time when sizes are added up.
+const SIZES_PAGE: i64 = 2_000;
+/// Decisions of one machine that are read: 27 years of one a day.
+const MOST_DROPS: i64 = 10_000;
+
+#[derive(sqlx::FromRow)]
+struct RetentionRow {
+    samples_days: Option<i64>,
+    samples_bytes: Option<i64>,
+    version: i64,
+    updated_at_us: i64,
+}
+
+pub(super) async fn get(
+    conn: &mut Conn,
+    machine: &MachineId,
+) -> StoreResult<Option<Versioned<SampleRetention>>> {
+    let row: Option<RetentionRow> = sqlx::query_as::<Db, _>(
+        "SELECT samples_days, samples_bytes, version, updated_at_us FROM retention WHERE machine_id = $1",
+    )
+    .bind(machine.as_str())
+    .fetch_optional(&mut *conn)
+    .await?;
+    row.map(|row| {
+        Ok(Versioned {
+            value: SampleRetention {
+                days: row.samples_days.map(|days| number("samples_days", days)).transpose()?,
+                bytes: row.samples_bytes.map(|bytes| number("samples_bytes", bytes)).transpose()?,
+            },
+            version: number("version", row.version)?,
+            updated_at: Timestamp::from_micros(row.updated_at_us),
+        })
+    })
+    .transpose()
+}
+
+/// Sets how long a machine's samples are kept; `None` where it is not registered.
+pub(super) async fn put(
+    conn: &mut Conn,
+    machine: &MachineId,
+    retention: SampleRetention,
+    expects: Precondition,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<Option<PutOutcome>> {
+    dialect::lock(conn, &Locks::subject("machine", machine.as_str())).await?;
+    if machines::get(conn, machine).await?.is_none() {
+        return Ok(None);
+    }
+    let existing = get(conn, machine).await?;
+    let known = existing.as_ref().map(|existing| (existing.version, existing.value == retention));
+    let outcome = precondition::decide(known, expects)?;
+    if let PutOutcome::Unchanged(_) = outcome {
+        return Ok(Some(outcome));
+    }
+    sqlx::query::<Db>(
+        "INSERT INTO retention (machine_id, samples_days, samples_bytes, version, updated_at_us)
+         VALUES ($1, $2, $3, $4, $5)
+         ON CONFLICT (machine_id) DO UPDATE SET samples_days = excluded.samples_days,
+             samples_bytes = excluded.samples_bytes, version = excluded.version,
+             updated_at_us = excluded.updated_at_us",
+    )
+    .bind(machine.as_str())
+    .bind(retention.days.map(i64::from))
+    .bind(retention.bytes.map(|bytes| count("samples_bytes", bytes)).transpose()?)
+    .bind(count("version", outcome.version())?)
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    let text = |of: SampleRetention| json!({"samples_days": of.days, "samples_bytes": of.bytes});
+    let before = existing.map(|existing| text(existing.value));
+    let detail = audit::change(before.as_ref(), &text(retention), outcome);
+    audit::add(conn, actor, now, "retention.put", format!("machine/{machine}/retention"), &detail).await?;
+    Ok(Some(outcome))
+}
+
+#[derive(sqlx::FromRow)]
+struct DropRow {
+    before_us: i64,
+    dropped_at_us: i64,
+    reason: String,
+    cycles: i64,
+    bytes: i64,
+}
+
+/// The newest decisions on a machine's samples, oldest of them first.
+pub(super) async fn drops(conn: &mut Conn, machine: &MachineId) -> StoreResult<Vec<SampleDrop>> {
+    let rows: Vec<DropRow> = sqlx::query_as::<Db, _>(
+        "SELECT before_us, dropped_at_us, reason, cycles, bytes FROM sample_drops WHERE machine_id = $1
+         ORDER BY before_us DESC LIMIT $2",
+    )
+    .bind(machine.as_str())
+    .bind(MOST_DROPS)
+    .fetch_all(&mut *conn)
+    .await?;
+    let drop = |row: &DropRow| {
+        Ok(SampleDrop {
+            machine: machine.clone(),
+            before: Timestamp::from_micros(row.before_us),
+            dropped_at: Timestamp::from_micros(row.dropped_at_us),
+            reason: word("reason", &row.reason, DropReason::parse)?,
+            cycles: number("cycles", row.cycles)?,
+            bytes: number("bytes", row.bytes)?,
+        })
+    };
+    rows.iter().rev().map(drop).collect()
+}
+
+/// Everything of a machine that was received before this is dropped already.
+async fn dropped_before(conn: &mut Conn, machine: &MachineId) -> StoreResult<i64> {
+    let before: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT MAX(before_us) FROM sample_drops WHERE machine_id = $1")
+            .bind(machine.as_str())
+            .fetch_one(&mut *conn)
+            .await?;
+    Ok(before.unwrap_or(i64::MIN))
+}
+
+/// Up to where a machine's samples are to go, and why, where anything is to go.
+pub(super) async fn horizon(
+    conn: &mut Conn,
+    machine: &MachineId,
+    retention: SampleRetention,
+    now: Timestamp,
+) -> StoreResult<Option<(i64, DropReason)>> {
+    let mut horizon = None;
+    if let Some(days) = retention.days {
+        let age = now.micros().saturating_sub(DAY_US.saturating_mul(i64::from(days)));
+        horizon = Some((dialect::age_horizon(conn, age).await?, DropReason::Age));
+    }
+    if let Some(most) = retention.bytes
+        && let Some(size) = size_horizon(conn, machine, most).await?
+        && horizon.is_none_or(|(age, _)| size > age)
+    {
+        horizon = Some((size, DropReason::Size));
+    }
+    let Some((before, reason)) = horizon else { return Ok(None) };
+    if before <= dropped_before(conn, machine).await? {
+        return Ok(None);
+    }
+    let any: Option<i64> = sqlx::query_scalar::<Db, _>(
+        "SELECT received_at_us FROM cycle_samples WHERE machine_id = $1 AND received_at_us < $2
+         ORDER BY received_at_us LIMIT 1",
+    )
+    .bind(machine.as_str())
+    .bind(before)
+    .fetch_optional(&mut *conn)
+    .await?;
+    Ok(any.map(|_| (before, reason)))
+}
+
+/// Adds up sizes from the newest cycle on; what was received before the answer no longer fits.
+async fn size_horizon(conn: &mut Conn, machine: &MachineId, most: u64) -> StoreResult<Option<i64>> {
+    let (mut at, mut cycle, mut sum) = (i64::MAX, String::new(), 0_u64);
+    loop {
+        let page: Vec<(i64, String, i64)> = sqlx::query_as::<Db, _>(
+            "SELECT received_at_us, cycle_id, CAST(length(block) AS BIGINT) FROM cycle_samples
+             WHERE machine_id = $1 AND received_at_us <= $2 AND (received_at_us, cycle_id) < ($2, $3)
+             ORDER BY received_at_us DESC, cycle_id DESC LIMIT $4",
+        )
+        .bind(machine.as_str())
+        .bind(at)
+        .bind(&cycle)
+        .bind(SIZES_PAGE)
+        .fetch_all(&mut *conn)
+        .await?;
+        for (received, _, length) in &page {
+            sum = sum.saturating_add(number("length", *length)?);
+            if sum > most {
+                return Ok(Some(received.saturating_add(1)));
+            }
+        }
+        let Some(last) = page.last() else { return Ok(None) };
+        (at, cycle) = (last.0, last.1.clone());
+    }
+}
+
+/// Keeps a decision, with its audit line. `None` where another server was faster.
+pub(super) async fn decide(
+    conn: &mut Conn,
+    machine: &MachineId,
+    before: i64,
+    reason: DropReason,
+    now: Timestamp,
+) -> StoreResult<Option<SampleDrop>> {
+    dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
+    if before <= dropped_before(conn, machine).await? {
+        return Ok(None);
+    }
+    let today = now.micros().div_euclid(DAY_US) * DAY_US;
+    let moved = sqlx::query::<Db>(
+        "UPDATE sample_drops SET before_us = $2, dropped_at_us = $3
+         WHERE machine_id = $1 AND reason = $4 AND dropped_at_us >= $5
+           AND before_us = (SELECT MAX(before_us) FROM sample_drops WHERE machine_id = $1)",
+    )
+    .bind(machine.as_str())
+    .bind(before)
+    .bind(now.micros())
+    .bind(reason.as_str())
+    .bind(today)
+    .execute(&mut *conn)
+    .await?;
+    if moved.rows_affected() == 0 {
+        sqlx::query::<Db>(
+            "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
+             VALUES ($1, $2, $3, $4, 0, 0)",
+        )
+        .bind(machine.as_str())
+        .bind(before)
+        .bind(now.micros())
+        .bind(reason.as_str())
+        .execute(&mut *conn)
+        .await?;
+    }
+    let actor = Actor { token: "retention".to_owned(), role: Role::Admin };
+    let detail = json!({"received_before_us": before, "reason": reason.as_str()});
+    audit::add(conn, &actor, now, "samples.drop", format!("machine/{machine}/samples"), &detail).await?;
+    Ok(Some(SampleDrop {
+        machine: machine.clone(),
+        before: Timestamp::from_micros(before),
+        dropped_at: now,
+        reason,
+        cycles: 0,
+        bytes: 0,
+    }))
+}
+
+/// Deletes the next few samples that decisions name; says how many, and whether there may be more.
+pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropped> {
+    let mut dropped = Dropped::default();
+    let machines: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
+        "SELECT d.machine_id, MAX(d.before_us) FROM sample_drops d
+         WHERE EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = d.machine_id
+                           AND s.received_at_us < d.before_us)
+         GROUP BY d.machine_id ORDER BY d.machine_id LIMIT 1",
+    )
+    .fetch_all(&mut *conn)
+    .await?;
+    for (machine, before) in &machines {
+        dialect::lock(conn, &Locks::subject("retention", machine)).await?;
+        let lengths: Vec<i64> = sqlx::query_scalar::<Db, _>(
+            "DELETE FROM cycle_samples WHERE (machine_id, received_at_us, cycle_id) IN (
+                 SELECT machine_id, received_at_us, cycle_id FROM cycle_samples
+                 WHERE machine_id = $1 AND received_at_us < $2 ORDER BY received_at_us, cycle_id LIMIT $3)
+             RETURNING CAST(length(block) AS BIGINT)",
+        )
+        .bind(machine)
+        .bind(before)
+        .bind(i64::from(most))
+        .fetch_all(&mut *conn)
+        .await?;
+        let bytes = lengths.iter().sum::<i64>();
+        counted(conn, machine, i64::try_from(lengths.len()).unwrap_or(i64::MAX), bytes).await?;
+        dropped.cycles += lengths.len() as u64;
+        dropped.bytes += number::<u64>("bytes", bytes)?;
+        dropped.more = true;
+    }
+    Ok(dropped)
+}
+
+/// Drops the oldest partition of which nothing is kept, where the engine has partitions and one is so.
+pub(super) async fn drop_partition(conn: &mut Conn, now: Timestamp) -> StoreResult<Dropped> {
+    let Some(held) = dialect::drop_partition(conn, now).await? else {
+        return Ok(Dropped::default());
+    };
+    let mut dropped = Dropped { more: true, ..Dropped::default() };
+    for (machine, cycles, bytes) in held {
+        counted(conn, &machine, cycles, bytes).await?;
+        dropped.cycles += number::<u64>("cycles", cycles)?;
+        dropped.bytes += number::<u64>("bytes", bytes)?;
+    }
+    Ok(dropped)
+}
+
+/// Adds to the counts of the newest decision.
+async fn counted(conn: &mut Conn, machine: &str, cycles: i64, bytes: i64) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "UPDATE sample_drops SET cycles = cycles + $2, bytes = bytes + $3
+         WHERE machine_id = $1
+           AND before_us = (SELECT MAX(before_us) FROM sample_drops WHERE machine_id = $1)",
+    )
+    .bind(machine)
+    .bind(cycles)
+    .bind(bytes)
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}

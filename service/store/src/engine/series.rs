@@ -1,0 +1,232 @@
+//! What cycles amounted to, as points of series: few columns of many rows.
+
+use super::wear::{self, ToolWear};
+use super::{Conn, Db};
+use crate::error::StoreResult;
+use crate::history::Walk;
+use crate::record::{CycleFilter, CycleKey, CyclePoint, LevelPoint, Page, PointColumns};
+use crate::rows::id;
+use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use feedwright_core::summary::{Energy, EnergyBasis, IdlePower};
+use feedwright_core::units::Timestamp;
+use sqlx::Row;
+
+/// Columns of a point that tells of energy alone: what comes after them costs as much again.
+const ENERGY_COLUMNS: usize = 11;
+
+macro_rules! energies {
+    (@columns) => {
+        "SELECT c.started_at_us, c.machine_id, c.cycle_id, c.tool_id, c.operation_id, c.dynamometer_joules,
+                c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts, c.rated_power_joules,
+                c.reported_energy_joules"
+    };
+    ($($tail:literal),+) => { concat!(energies!(@columns), " FROM cycles c WHERE ", $($tail),+) };
+}
+
+macro_rules! points {
+    ($($tail:literal),+) => {
+        concat!(
+            energies!(@columns), ", c.duration_ms, c.max_depth_mm, c.max_spindle_load_percent,
+                 c.max_feed_drive_load_percent, c.max_spindle_power_watts, c.max_thrust_newtons,
+                 c.max_torque_newton_metres FROM cycles c WHERE ", $($tail),+
+        )
+    };
+}
+
+// As in the list of cycles: the first condition drives an index, the others are checked on the way.
+macro_rules! forwards {
+    ($driver:literal) => {
+        points!(
+            $driver,
+            " AND c.started_at_us >= $4 AND c.started_at_us < $5
+              AND (c.started_at_us, c.machine_id, c.cycle_id) > ($6, $7, $8)
+              ORDER BY c.started_at_us, c.machine_id, c.cycle_id LIMIT $9"
+        )
+    };
+}
+
+macro_rules! of_subject {
+    ($page:ident, $filter:expr) => {{
+        const OF_TOOL: &str = $page!(
+            "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+        );
+        const OF_MACHINE: &str = $page!(
+            "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
+             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+        );
+        const OF_OPERATION: &str = $page!(
+            "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+             AND c.operation_id = $3"
+        );
+        const OF_ALL: &str = $page!(
+            "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+        );
+        match $filter {
+            CycleFilter { tool: Some(_), .. } => OF_TOOL,
+            CycleFilter { machine: Some(_), .. } => OF_MACHINE,
+            CycleFilter { operation: Some(_), .. } => OF_OPERATION,
+            _ => OF_ALL,
+        }
+    }};
+}
+
+type DbRow = <Db as sqlx::Database>::Row;
+
+fn point(row: &DbRow) -> StoreResult<CyclePoint> {
+    let number = |at: usize| row.try_get::<Option<f64>, _>(at);
+    let rest = |at: usize| {
+        let place = ENERGY_COLUMNS + at;
+        if place < row.len() { number(place) } else { Ok(None) }
+    };
+    let idle = match number(8)? {
+        Some(watts) => IdlePower::Subtracted { watts },
+        None => IdlePower::Included,
+    };
+    let mut energy = Vec::with_capacity(2);
+    for (basis, at, idle) in [
+        (EnergyBasis::Dynamometer, 5, IdlePower::NotApplicable),
+        (EnergyBasis::Calibrated, 6, IdlePower::NotApplicable),
+        (EnergyBasis::MeasuredPower, 7, idle),
+        (EnergyBasis::RatedPower, 9, IdlePower::Included),
+        (EnergyBasis::Reported, 10, IdlePower::Included),
+    ] {
+        if let Some(total_joules) = number(at)? {
+            energy.push(Energy { basis, total_joules, spindle_joules: None, feed_drive_joules: None, idle });
+        }
+    }
+    let key = (
+        Timestamp::from_micros(row.try_get(0)?),
+        id("machine_id", row.try_get(1)?)?,
+        id("cycle_id", row.try_get(2)?)?,
+    );
+    Ok(CyclePoint {
+        key,
+        tool: id("tool_id", row.try_get(3)?)?,
+        operation: id("operation_id", row.try_get(4)?)?,
+        duration_ms: rest(0)?,
+        energy,
+        max_depth_mm: rest(1)?,
+        max_spindle_load_percent: rest(2)?,
+        max_feed_drive_load_percent: rest(3)?,
+        max_spindle_power_watts: rest(4)?,
+        max_thrust_newtons: rest(5)?,
+        max_torque_newton_metres: rest(6)?,
+    })
+}
+
+pub(super) async fn points(
+    conn: &mut Conn,
+    filter: &CycleFilter,
+    page: &Page<CycleKey>,
+) -> StoreResult<Vec<CyclePoint>> {
+    let (after_at, after_machine, after_cycle) = match &page.after {
+        Some((at, machine, cycle)) => (at.micros(), machine.as_str(), cycle.as_str()),
+        None => (i64::MIN, "", ""),
+    };
+    let rows: Vec<DbRow> = sqlx::query::<Db>(of_subject!(forwards, filter))
+        .bind(filter.tool.as_ref().map(ToolId::as_str))
+        .bind(filter.machine.as_ref().map(MachineId::as_str))
+        .bind(filter.operation.as_ref().map(OperationId::as_str))
+        .bind(filter.from.map_or(i64::MIN, |from| from.micros()).max(after_at))
+        .bind(filter.to.map_or(i64::MAX, |to| to.micros()))
+        .bind(after_at)
+        .bind(after_machine)
+        .bind(after_cycle)
+        .bind(i64::from(page.limit))
+        .fetch_all(&mut *conn)
+        .await?;
+    rows.iter().map(point).collect()
+}
+
+// Every engine begins at the newest entry of the index and stops after the last one wanted.
+macro_rules! backwards {
+    ($driver:literal) => {
+        points!(
+            $driver,
+            " AND c.started_at_us >= $4 AND c.started_at_us < $5
+              ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $6"
+        )
+    };
+}
+
+// The index of a tool has the machine's own count between machine and cycle.
+macro_rules! last_of_tool {
+    ($columns:ident) => {
+        $columns!(
+            "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)
+             AND c.started_at_us >= $4 AND c.started_at_us < $5
+             ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
+        )
+    };
+}
+
+/// The newest points, oldest of them first; of a tool's energies nothing else is read.
+pub(super) async fn last_points(
+    conn: &mut Conn,
+    filter: &CycleFilter,
+    told: PointColumns,
+    limit: u32,
+) -> StoreResult<Vec<CyclePoint>> {
+    let sql = match (&filter.tool, told) {
+        (Some(_), PointColumns::Energy) => last_of_tool!(energies),
+        (Some(_), PointColumns::All) => last_of_tool!(points),
+        (None, _) => of_subject!(backwards, filter),
+    };
+    let rows: Vec<DbRow> = sqlx::query::<Db>(sql)
+        .bind(filter.tool.as_ref().map(ToolId::as_str))
+        .bind(filter.machine.as_ref().map(MachineId::as_str))
+        .bind(filter.operation.as_ref().map(OperationId::as_str))
+        .bind(filter.from.map_or(i64::MIN, |from| from.micros()))
+        .bind(filter.to.map_or(i64::MAX, |to| to.micros()))
+        .bind(i64::from(limit))
+        .fetch_all(&mut *conn)
+        .await?;
+    rows.iter().rev().map(point).collect()
+}
+
+/// The level after each cycle of a tool that began within the range, as the fold over all its machines has it.
+pub(super) async fn levels(
+    conn: &mut Conn,
+    tool: &ToolId,
+    from: Timestamp,
+    to: Timestamp,
+    limit: u32,
+) -> StoreResult<Vec<LevelPoint>> {
+    let events = ToolWear::load(conn, tool).await?.events;
+    let machines = wear::machines_of(conn, tool).await?;
+    let mut walk = match machines.as_slice() {
+        // Of one machine the checkpoints are those of the whole tool.
+        [only] => match wear::checkpoint_at(conn, tool, only, from).await? {
+            Some((fold, folded)) => Walk::resume(fold, folded, &events),
+            None => Walk::new(&events),
+        },
+        _ => Walk::new(&events),
+    };
+    let mut levels = Vec::new();
+    if !wear::is_registered(conn, tool).await? {
+        return Ok(levels);
+    }
+    loop {
+        let page = wear::facts_after(conn, tool, None, walk.fold().last()).await?;
+        if page.is_empty() {
+            return Ok(levels);
+        }
+        for row in &page {
+            let order = row.order()?;
+            if order.started_at >= to || levels.len() >= limit as usize {
+                return Ok(levels);
+            }
+            walk.step(row)?;
+            if order.started_at >= from {
+                levels.push(LevelPoint {
+                    key: (order.started_at, order.machine, order.cycle),
+                    operation: id("operation_id", &row.operation_id)?,
+                    level: walk.fold().level(),
+                });
+            }
+        }
+    }
+}

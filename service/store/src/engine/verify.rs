@@ -1,0 +1,113 @@
+//! The check of what is stored: every block decodes, every content hash is that of the content, nothing stands alone.
+
+use super::{Conn, Db, cycles, dialect, retention};
+use crate::codec;
+use crate::error::StoreResult;
+use crate::record::{CheckPage, StoreFault};
+use crate::rows::{CycleRow, ReportedCutRow, cycle_columns, id};
+use feedwright_core::ids::{CycleId, MachineId};
+
+/// Rows without their other half that are named.
+const MOST_STRAYS: i64 = 1_000;
+
+macro_rules! select_sql {
+    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+        concat!(
+            "SELECT ", $("c.", stringify!($column), ", ",)* "1 AS one FROM cycles c
+             WHERE (c.machine_id, c.cycle_id) > ($1, $2) ORDER BY c.machine_id, c.cycle_id LIMIT $3"
+        )
+    };
+}
+
+/// The cycles after that key, each with its samples: what is wrong with them.
+pub(super) async fn page(
+    conn: &mut Conn,
+    after: Option<&(MachineId, CycleId)>,
+    limit: u32,
+    max_samples: usize,
+) -> StoreResult<CheckPage> {
+    let (machine, cycle) = after.map_or(("", ""), |(machine, cycle)| (machine.as_str(), cycle.as_str()));
+    let rows: Vec<CycleRow> = sqlx::query_as::<Db, _>(cycle_columns!(select_sql))
+        .bind(machine)
+        .bind(cycle)
+        .bind(i64::from(limit))
+        .fetch_all(&mut *conn)
+        .await?;
+    let mut page = CheckPage { checked: rows.len() as u64, ..CheckPage::default() };
+    for row in &rows {
+        let key = format!("{}/{}", row.machine_id, row.cycle_id);
+        let mut fault =
+            |kind, detail: String| page.faults.push(StoreFault { kind, key: key.clone(), detail });
+        let (Ok(machine), Ok(cycle)) =
+            (id::<MachineId>("machine_id", &row.machine_id), id::<CycleId>("cycle_id", &row.cycle_id))
+        else {
+            fault("cycle", "its key is no identifier".to_owned());
+            continue;
+        };
+        let block = cycles::samples(conn, &machine, &cycle).await?;
+        let dropped = block.is_none() && row.sample_count > 0;
+        if dropped {
+            let drops = retention::drops(conn, &machine).await?;
+            if drops.last().is_some_and(|last| last.before.micros() > row.received_at_us) {
+                page.dropped += 1;
+            } else {
+                fault("samples", "they are missing, and no retention dropped them".to_owned());
+            }
+            continue;
+        }
+        let samples = match block.map(|block| codec::decode_samples(&block, max_samples)).transpose() {
+            Ok(samples) => samples,
+            Err(error) => {
+                fault("samples", error.to_string());
+                continue;
+            }
+        };
+        let found = samples.as_ref().map_or(0, |samples| samples.len() as u64);
+        if i64::try_from(found).ok() != Some(row.sample_count) {
+            fault(
+                "samples",
+                format!("the summary counts {} samples, the block holds {found}", row.sample_count),
+            );
+        }
+        let cut: Option<ReportedCutRow> = sqlx::query_as::<Db, _>(
+            "SELECT cutting_speed_m_min, feed_mm_rev, spindle_power_watts, thrust_newtons, edge_wear_mm
+             FROM cycle_cuts WHERE machine_id = $1 AND cycle_id = $2",
+        )
+        .bind(&row.machine_id)
+        .bind(&row.cycle_id)
+        .fetch_optional(&mut *conn)
+        .await?;
+        match row.cycle(samples, cut) {
+            Ok(cycle) if codec::content_hash(&cycle).as_slice() == row.content_hash => {}
+            Ok(_) => fault("hash", "the content hash is not that of the content".to_owned()),
+            Err(error) => fault("cycle", error.to_string()),
+        }
+    }
+    page.next = match rows.last() {
+        Some(last) if rows.len() == limit as usize => {
+            Some((id("machine_id", &last.machine_id)?, id("cycle_id", &last.cycle_id)?))
+        }
+        _ => None,
+    };
+    Ok(page)
+}
+
+/// What is wrong with the tables as a whole.
+pub(super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
+    let mut faults = dialect::integrity(conn).await?;
+    let strays: Vec<(String, String)> = sqlx::query_as::<Db, _>(
+        "SELECT s.machine_id, s.cycle_id FROM cycle_samples s WHERE NOT EXISTS (
+             SELECT 1 FROM cycles c WHERE c.machine_id = s.machine_id AND c.cycle_id = s.cycle_id
+                 AND c.received_at_us = s.received_at_us)
+         ORDER BY s.machine_id, s.cycle_id LIMIT $1",
+    )
+    .bind(MOST_STRAYS)
+    .fetch_all(&mut *conn)
+    .await?;
+    faults.extend(strays.into_iter().map(|(machine, cycle)| StoreFault {
+        kind: "samples",
+        key: format!("{machine}/{cycle}"),
+        detail: "they belong to no cycle".to_owned(),
+    }));
+    Ok(faults)
+}

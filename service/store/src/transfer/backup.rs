@@ -1,0 +1,203 @@
+//! Backups: one SQLite file with a sum of every table in it, of either engine, under load.
+//!
+//! SQLite makes its own consistent copy (`VACUUM INTO`) beside the writer; of PostgreSQL one snapshot is copied into
+//! the same form, so that a backup of either is checked by the same sums and restored into either.
+
+use super::copy::{Address, copy, transfer};
+use super::digest::of_table;
+use super::postgres::PostgresSide;
+use super::sqlite::SqliteSide;
+use super::{Side, TableSum, TransferError};
+use crate::store::Store;
+use crate::{SqliteOptions, SqliteStore};
+use feedwright_core::units::Timestamp;
+use std::path::{Path, PathBuf};
+
+/// What a backup holds.
+#[derive(Debug, Clone)]
+pub struct BackupReport {
+    /// Each table with its sum.
+    pub tables: Vec<(String, TableSum)>,
+    /// Size of the file, bytes.
+    pub bytes: u64,
+}
+
+fn file(path: &Path, why: impl std::fmt::Display) -> TransferError {
+    TransferError::File { path: path.display().to_string(), why: why.to_string() }
+}
+
+/// The name under which a file is made until it is whole.
+fn partial(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".partial");
+    name.into()
+}
+
+/// A fresh, empty file for its owner only.
+fn create(path: &Path) -> Result<(), TransferError> {
+    let mut options = std::fs::OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options.open(path).map(|_| ()).map_err(|error| file(path, error))
+}
+
+/// Makes a whole file durable under its name.
+fn settle(from: &Path, to: &Path) -> Result<u64, TransferError> {
+    let made = std::fs::File::open(from).map_err(|error| file(from, error))?;
+    made.sync_all().map_err(|error| file(from, error))?;
+    let bytes = made.metadata().map_err(|error| file(from, error))?.len();
+    std::fs::rename(from, to).map_err(|error| file(to, error))?;
+    let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| file(folder, error))?;
+    Ok(bytes)
+}
+
+fn absent(path: &Path) -> Result<(), TransferError> {
+    if path.exists() { Err(file(path, "is there already; nothing was written")) } else { Ok(()) }
+}
+
+/// Backs a SQLite database up while a server may be writing it.
+pub async fn back_up_sqlite(from: &Path, to: &Path, now: Timestamp) -> Result<BackupReport, TransferError> {
+    absent(to)?;
+    let making = partial(to);
+    let _ = std::fs::remove_file(&making);
+    create(&making)?;
+    let mut source = SqliteSide::read(from).await?;
+    let target = making.to_str().ok_or_else(|| file(&making, "must be UTF-8"))?;
+    sqlx::query("VACUUM INTO $1").bind(target).execute(source.conn()).await?;
+    Box::new(source).close().await;
+    let tables = seal(&making, now, None).await?;
+    Ok(BackupReport { tables, bytes: settle(&making, to)? })
+}
+
+/// Backs a PostgreSQL database up: one snapshot, while servers write. `from` is the server itself, not a pooler.
+pub async fn back_up_postgres(from: &str, to: &Path, now: Timestamp) -> Result<BackupReport, TransferError> {
+    absent(to)?;
+    let making = partial(to);
+    let _ = std::fs::remove_file(&making);
+    let store = SqliteStore::open(&making, SqliteOptions::default()).await?;
+    store.close().await;
+    let mut source = PostgresSide::connect(from).await?;
+    let mut target = SqliteSide::write(&making).await?;
+    let sums = transfer(&mut source, &mut target, &mut |_, _, _| {}).await;
+    Box::new(source).close().await;
+    Box::new(target).close().await;
+    let tables = seal(&making, now, Some(sums?)).await?;
+    Ok(BackupReport { tables, bytes: settle(&making, to)? })
+}
+
+/// Writes the sums into the backup: those of the source where they are known, else those of the copy.
+async fn seal(
+    path: &Path,
+    now: Timestamp,
+    known: Option<Vec<(String, TableSum)>>,
+) -> Result<Vec<(String, TableSum)>, TransferError> {
+    let mut side = SqliteSide::write(path).await?;
+    // A single file: whoever copies a backup copies one thing.
+    sqlx::query("PRAGMA journal_mode = DELETE").fetch_all(side.conn()).await?;
+    let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(10)").fetch_all(side.conn()).await?;
+    if found != ["ok"] {
+        return Err(file(path, format!("SQLite finds the copy damaged: {}", found.join("; "))));
+    }
+    let sums = match known {
+        Some(sums) => sums,
+        None => sums_of(&mut side).await?,
+    };
+    for statement in [
+        "CREATE TABLE backup_made (made_at_us INTEGER NOT NULL, program TEXT NOT NULL) STRICT",
+        "CREATE TABLE backup_sums (table_name TEXT PRIMARY KEY NOT NULL, row_count INTEGER NOT NULL,
+             digest BLOB NOT NULL) STRICT",
+    ] {
+        sqlx::query(statement).execute(side.conn()).await?;
+    }
+    sqlx::query("INSERT INTO backup_made (made_at_us, program) VALUES ($1, $2)")
+        .bind(now.micros())
+        .bind(env!("CARGO_PKG_VERSION"))
+        .execute(side.conn())
+        .await?;
+    for (table, sum) in &sums {
+        sqlx::query("INSERT INTO backup_sums (table_name, row_count, digest) VALUES ($1, $2, $3)")
+            .bind(table)
+            .bind(i64::try_from(sum.rows).unwrap_or(i64::MAX))
+            .bind(sum.digest.as_slice())
+            .execute(side.conn())
+            .await?;
+    }
+    Box::new(side).close().await;
+    Ok(sums)
+}
+
+async fn sums_of(side: &mut SqliteSide) -> Result<Vec<(String, TableSum)>, TransferError> {
+    let mut sums = Vec::new();
+    for table in side.tables().await? {
+        let sum = of_table(side, &table).await?;
+        sums.push((table.name, sum));
+    }
+    Ok(sums)
+}
+
+/// Copies a backup to a place of its own, checks the copy by its sums, and makes a database of it.
+async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
+    if !backup.is_file() {
+        return Err(file(backup, "is no file"));
+    }
+    let _ = std::fs::remove_file(at);
+    create(at)?;
+    std::fs::copy(backup, at).map_err(|error| file(at, error))?;
+    std::fs::set_permissions(at, std::os::unix::fs::PermissionsExt::from_mode(0o600))
+        .map_err(|error| file(at, error))?;
+    let mut side = SqliteSide::write(at).await?;
+    let written: Result<Vec<(String, i64, Vec<u8>)>, _> =
+        sqlx::query_as("SELECT table_name, row_count, digest FROM backup_sums ORDER BY table_name")
+            .fetch_all(side.conn())
+            .await;
+    let written = written.map_err(|_| file(backup, "is no backup of this program, or damaged"))?;
+    let sums = sums_of(&mut side).await.map_err(|error| match error {
+        TransferError::Store(error) => file(backup, format!("is damaged: {error}")),
+        other => other,
+    })?;
+    for (name, rows, digest) in &written {
+        let right = sums.iter().any(|(table, sum)| {
+            table == name && i64::try_from(sum.rows).ok() == Some(*rows) && sum.digest.as_slice() == digest
+        });
+        if !right {
+            return Err(file(backup, format!("is damaged: {name} is not what was backed up")));
+        }
+    }
+    if written.len() != sums.len() {
+        return Err(file(backup, "is damaged: a table is there that was not backed up"));
+    }
+    for statement in ["DROP TABLE backup_sums", "DROP TABLE backup_made"] {
+        sqlx::query(statement).execute(side.conn()).await?;
+    }
+    Box::new(side).close().await;
+    // Brings a backup of an older version up to this one's.
+    let store = SqliteStore::open(at, SqliteOptions::default()).await?;
+    store.close().await;
+    Ok(sums)
+}
+
+/// Restores a backup into a SQLite file that is not there yet.
+pub async fn restore_to_sqlite(backup: &Path, to: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
+    absent(to)?;
+    let making = partial(to);
+    let sums = stage(backup, &making).await?;
+    settle(&making, to)?;
+    Ok(sums)
+}
+
+/// Restores a backup into a PostgreSQL database that is fresh, or holds a part of the same backup. `folder` is where
+/// the backup is unpacked meanwhile.
+pub async fn restore_to_postgres(
+    backup: &Path,
+    to: &str,
+    folder: &Path,
+) -> Result<Vec<(String, TableSum)>, TransferError> {
+    let staged = folder.join(format!("feedwright-restore-{}.sqlite3", uuid::Uuid::now_v7()));
+    stage(backup, &staged).await?;
+    let (from, to) = (Address::Sqlite(staged.clone()), Address::Postgres(to.to_owned()));
+    let copied = copy(&from, &to, &mut |_, _, _| {}).await;
+    std::fs::remove_file(&staged).map_err(|error| file(&staged, error))?;
+    copied
+}

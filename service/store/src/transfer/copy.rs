@@ -1,0 +1,200 @@
+//! From one database into another.
+
+use super::digest::{Summing, of_table};
+use super::postgres::PostgresSide;
+use super::sqlite::SqliteSide;
+use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, Value};
+use std::path::PathBuf;
+
+/// Where a database is.
+#[derive(Debug, Clone)]
+pub enum Address {
+    /// SQLite, in this file.
+    Sqlite(PathBuf),
+    /// PostgreSQL, at this address: the server itself, not a pooler.
+    Postgres(String),
+}
+
+impl Address {
+    /// Reads `sqlite:///path/to/file` or `postgres://…`; `None` where it is neither.
+    pub fn parse(text: &str) -> Option<Self> {
+        if text.starts_with("postgres://") || text.starts_with("postgresql://") {
+            return Some(Self::Postgres(text.to_owned()));
+        }
+        let path = text.strip_prefix("sqlite://")?;
+        (!path.is_empty()).then(|| Self::Sqlite(path.into()))
+    }
+
+    async fn source(&self) -> Result<Box<dyn Side>, TransferError> {
+        Ok(match self {
+            Self::Sqlite(path) => Box::new(SqliteSide::read(path).await?),
+            Self::Postgres(url) => Box::new(PostgresSide::connect(url).await?),
+        })
+    }
+
+    /// Opened by the store itself, and so migrated, before anything is written.
+    async fn target(&self) -> Result<Box<dyn Side>, TransferError> {
+        use crate::store::Store;
+        Ok(match self {
+            Self::Sqlite(path) => {
+                let store = crate::SqliteStore::open(path, crate::SqliteOptions::default()).await?;
+                store.close().await;
+                Box::new(SqliteSide::write(path).await?)
+            }
+            Self::Postgres(url) => {
+                let options = crate::PostgresOptions { connections: 1, ..crate::PostgresOptions::default() };
+                let store = crate::PostgresStore::open(url, options).await?;
+                store.close().await;
+                Box::new(PostgresSide::connect(url).await?)
+            }
+        })
+    }
+}
+
+/// Copies everything, and compares digests of both sides afterwards.
+///
+/// The target must be fresh, or hold what an earlier copy of the same source left there: then the rest is added.
+/// `told` hears of each table when it is done. Returns each table with its sum.
+pub async fn copy(
+    from: &Address,
+    to: &Address,
+    told: &mut (dyn FnMut(&str, TableSum, u64) + Send),
+) -> Result<Vec<(String, TableSum)>, TransferError> {
+    let mut source = from.source().await?;
+    let mut target = to.target().await?;
+    let outcome = transfer(&mut *source, &mut *target, told).await;
+    source.close().await;
+    target.close().await;
+    outcome
+}
+
+/// The same between sides that are open.
+pub(super) async fn transfer(
+    source: &mut dyn Side,
+    target: &mut dyn Side,
+    told: &mut (dyn FnMut(&str, TableSum, u64) + Send),
+) -> Result<Vec<(String, TableSum)>, TransferError> {
+    source.begin_snapshot().await?;
+    let tables = source.tables().await?;
+    same_schema(&tables, &target.tables().await?)?;
+    if is_fresh(target, &tables).await? {
+        for table in &tables {
+            target.clear(table).await?;
+        }
+    } else {
+        for table in &tables {
+            walk(source, target, table, Writing::Refused).await?;
+        }
+    }
+    target.prepare(source.range("cycle_samples", "received_at_us").await?).await?;
+    let mut sums = Vec::with_capacity(tables.len());
+    for table in &tables {
+        let (sum, written) = walk(source, target, table, Writing::Missing).await?;
+        let arrived = of_table(target, table).await?;
+        if arrived != sum {
+            return Err(TransferError::Differs { table: table.name.clone(), from: sum, to: arrived });
+        }
+        told(&table.name, sum, written);
+        sums.push((table.name.clone(), sum));
+    }
+    target.finish(&tables).await?;
+    Ok(sums)
+}
+
+fn same_schema(from: &[Table], to: &[Table]) -> Result<(), TransferError> {
+    for table in from {
+        match to.iter().find(|other| other.name == table.name) {
+            Some(other) if other.same_as(table) => {}
+            Some(_) => return Err(TransferError::Schema(format!("{} has other columns", table.name))),
+            None => return Err(TransferError::Schema(format!("the target has no {}", table.name))),
+        }
+    }
+    match to.iter().find(|other| from.iter().all(|table| table.name != other.name)) {
+        Some(more) => Err(TransferError::Schema(format!("the source has no {}", more.name))),
+        None => Ok(()),
+    }
+}
+
+impl Table {
+    /// Alike but for how an engine keeps a truth value.
+    fn same_as(&self, other: &Self) -> bool {
+        use super::Kind::{Truth, Whole};
+        let kinds = |(a, b): (&(String, super::Kind), &(String, super::Kind))| {
+            a.0 == b.0 && (a.1 == b.1 || matches!((a.1, b.1), (Whole, Truth) | (Truth, Whole)))
+        };
+        self.key == other.key
+            && self.columns.len() == other.columns.len()
+            && self.columns.iter().zip(&other.columns).all(kinds)
+    }
+}
+
+/// Whether a database holds nothing, or nothing but what the migrations themselves put there.
+async fn is_fresh(target: &mut dyn Side, tables: &[Table]) -> Result<bool, TransferError> {
+    let mut model = SqliteSide::model().await?;
+    let mut fresh = true;
+    for table in tables {
+        let there = target.rows(table, None, None, 1).await?;
+        if !there.is_empty() && of_table(target, table).await? != of_table(&mut model, table).await? {
+            fresh = false;
+            break;
+        }
+    }
+    Box::new(model).close().await;
+    Ok(fresh)
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Writing {
+    /// Only compared: what the target has must be the source's.
+    Refused,
+    /// What the target lacks is added.
+    Missing,
+}
+
+/// Walks both sides of a table in the order of its key. Returns the source's sum and how many rows were written.
+async fn walk(
+    source: &mut dyn Side,
+    target: &mut dyn Side,
+    table: &Table,
+    writing: Writing,
+) -> Result<(TableSum, u64), TransferError> {
+    let other = |row: &Row, what| TransferError::OtherData {
+        table: table.name.clone(),
+        key: table.show_key(row),
+        what,
+    };
+    let (mut summing, mut written) = (Summing::new(table), 0);
+    let (mut after, mut limit) = (None, Table::next_page(0, 0));
+    loop {
+        let page = source.rows(table, after.as_ref(), None, limit).await?;
+        let until = page.last().map(|last| table.key_of(last));
+        // Up to the last key of the page, or, after the last page, all the rest; one row more shows a surplus.
+        let there = target.rows(table, after.as_ref(), until.as_ref(), page.len() + 1).await?;
+        let mut there = there.into_iter().peekable();
+        let mut missing = Vec::new();
+        for row in &page {
+            summing.add(row);
+            match there.peek() {
+                Some(found) if table.key_of(found) == table.key_of(row) => {
+                    if found != row {
+                        return Err(other(row, "is there with other content"));
+                    }
+                    there.next();
+                }
+                _ => missing.push(row.clone()),
+            }
+        }
+        if let Some(surplus) = there.next() {
+            return Err(other(&surplus, "is not in the source"));
+        }
+        if writing == Writing::Missing {
+            for rows in missing.chunks((MOST_PARAMETERS / table.columns.len()).max(1)) {
+                target.insert(table, rows).await?;
+                written += rows.len() as u64;
+            }
+        }
+        let Some(until) = until else { return Ok((summing.sum(), written)) };
+        after = Some(until);
+        limit = Table::next_page(page.len(), page.iter().flatten().map(Value::size).sum());
+    }
+}

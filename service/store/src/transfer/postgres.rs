@@ -1,0 +1,230 @@
+//! A PostgreSQL database as a side of a transfer.
+
+use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, quoted};
+use crate::error::StoreResult;
+use async_trait::async_trait;
+use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
+use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
+
+/// Months that the function of the migrations makes partitions for in one call.
+const MONTHS_AT_A_TIME: i32 = 400;
+const MONTH_US: i64 = 28 * 86_400_000_000;
+
+pub(super) struct PostgresSide {
+    conn: PgConnection,
+    /// Columns that the database numbers itself, `(table, column)`.
+    numbered: Vec<(String, String)>,
+}
+
+impl PostgresSide {
+    pub(super) async fn connect(url: &str) -> StoreResult<Self> {
+        let options: PgConnectOptions = url.parse()?;
+        let conn = options.application_name("feedwright transfer").connect().await?;
+        Ok(Self { conn, numbered: Vec::new() })
+    }
+}
+
+fn kind(declared: &str) -> Option<Kind> {
+    match declared {
+        "bigint" | "integer" | "smallint" => Some(Kind::Whole),
+        "double precision" | "real" => Some(Kind::Float),
+        "text" | "character varying" => Some(Kind::Text),
+        "bytea" => Some(Kind::Bytes),
+        "boolean" => Some(Kind::Truth),
+        _ => None,
+    }
+}
+
+/// How a column is read, so that every kind is of one type.
+fn read_as(name: &str, kind: Kind) -> String {
+    match kind {
+        Kind::Whole => format!("\"{name}\"::BIGINT"),
+        Kind::Truth => format!("\"{name}\"::INT::BIGINT"),
+        Kind::Float => format!("\"{name}\"::DOUBLE PRECISION"),
+        Kind::Text => format!("\"{name}\"::TEXT"),
+        Kind::Bytes => format!("\"{name}\""),
+    }
+}
+
+fn value(row: &PgRow, at: usize, kind: Kind) -> Result<Value, sqlx::Error> {
+    Ok(match kind {
+        Kind::Whole | Kind::Truth => row.try_get::<Option<i64>, _>(at)?.map_or(Value::Null, Value::Whole),
+        Kind::Float => row.try_get::<Option<f64>, _>(at)?.map_or(Value::Null, Value::Float),
+        Kind::Text => row.try_get::<Option<String>, _>(at)?.map_or(Value::Null, Value::Text),
+        Kind::Bytes => row.try_get::<Option<Vec<u8>>, _>(at)?.map_or(Value::Null, Value::Bytes),
+    })
+}
+
+fn tuple(query: &mut QueryBuilder<Postgres>, values: &Row, kinds: impl Iterator<Item = Kind>) {
+    query.push("(");
+    for (at, (value, kind)) in values.iter().zip(kinds).enumerate() {
+        if at > 0 {
+            query.push(", ");
+        }
+        // The type of a null has to be said.
+        match (value, kind) {
+            (Value::Null, Kind::Float) => query.push_bind(None::<f64>),
+            (Value::Null, Kind::Text) => query.push_bind(None::<String>),
+            (Value::Null, Kind::Bytes) => query.push_bind(None::<Vec<u8>>),
+            (Value::Null, Kind::Whole | Kind::Truth) => query.push_bind(None::<i64>),
+            (Value::Whole(value), _) => query.push_bind(*value),
+            (Value::Float(value), _) => query.push_bind(*value),
+            (Value::Text(text), _) => query.push_bind(text.clone()),
+            (Value::Bytes(bytes), _) => query.push_bind(bytes.clone()),
+        };
+        if kind == Kind::Truth {
+            query.push("::INT::BOOLEAN");
+        }
+    }
+    query.push(")");
+}
+
+#[async_trait]
+impl Side for PostgresSide {
+    async fn tables(&mut self) -> Result<Vec<Table>, TransferError> {
+        // Partitions are part of their table, views are made of tables.
+        let columns: Vec<(String, String, String, bool, Option<i32>)> = sqlx::query_as(
+            "SELECT c.relname::TEXT, a.attname::TEXT, format_type(a.atttypid, NULL), a.attidentity <> '',
+                    array_position(k.conkey::INT[], a.attnum::INT)
+             FROM pg_class c
+             JOIN pg_attribute a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped
+             LEFT JOIN pg_constraint k ON k.conrelid = c.oid AND k.contype = 'p'
+             WHERE c.relnamespace = current_schema()::regnamespace AND c.relkind IN ('r', 'p')
+               AND NOT c.relispartition
+             ORDER BY c.relname COLLATE \"C\", 5, a.attnum",
+        )
+        .fetch_all(&mut self.conn)
+        .await?;
+        let mut tables: Vec<(String, Vec<(String, Kind)>, Vec<String>)> = Vec::new();
+        self.numbered.clear();
+        for (table, column, declared, numbered, in_key) in columns {
+            if LEFT_OUT.contains(&table.as_str()) {
+                continue;
+            }
+            let kind = kind(&declared)
+                .ok_or_else(|| TransferError::Schema(format!("{table}.{column} is of type {declared}")))?;
+            if numbered {
+                self.numbered.push((table.clone(), column.clone()));
+            }
+            if tables.last().is_none_or(|(name, _, _)| *name != table) {
+                tables.push((table, Vec::new(), Vec::new()));
+            }
+            if let Some((_, columns, key)) = tables.last_mut() {
+                if in_key.is_some() {
+                    key.push(column.clone());
+                }
+                columns.push((column, kind));
+            }
+        }
+        tables.into_iter().map(|(name, columns, key)| Table::checked(name, columns, &key)).collect()
+    }
+
+    async fn begin_snapshot(&mut self) -> StoreResult<()> {
+        sqlx::query("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY").execute(&mut self.conn).await?;
+        Ok(())
+    }
+
+    async fn rows(
+        &mut self,
+        table: &Table,
+        after: Option<&Row>,
+        until: Option<&Row>,
+        limit: usize,
+    ) -> StoreResult<Vec<Row>> {
+        let columns: Vec<_> = table.columns.iter().map(|(name, kind)| read_as(name, *kind)).collect();
+        // By bytes, whatever the collation of the database: the other engine knows no other order.
+        let key: Vec<_> = table
+            .key
+            .iter()
+            .map(|&at| {
+                let (name, kind) = &table.columns[at];
+                format!("\"{name}\"{}", if *kind == Kind::Text { " COLLATE \"C\"" } else { "" })
+            })
+            .collect();
+        let key = key.join(", ");
+        let mut query = QueryBuilder::new(format!("SELECT {} FROM \"{}\"", columns.join(", "), table.name));
+        let kinds = || table.key.iter().map(|&at| table.columns[at].1);
+        for (bound, sign, word) in
+            [(after, ">", " WHERE "), (until, "<=", if after.is_some() { " AND " } else { " WHERE " })]
+        {
+            if let Some(bound) = bound {
+                query.push(word).push(format!("({key}) {sign} "));
+                tuple(&mut query, bound, kinds());
+            }
+        }
+        query.push(format!(" ORDER BY {key} LIMIT {limit}"));
+        let rows = query.build().persistent(false).fetch_all(&mut self.conn).await?;
+        let read = |row: &PgRow| {
+            table.columns.iter().enumerate().map(|(at, (_, kind))| value(row, at, *kind)).collect()
+        };
+        Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
+    }
+
+    async fn prepare(&mut self, received_us: Option<(i64, i64)>) -> StoreResult<()> {
+        let Some((first, last)) = received_us else { return Ok(()) };
+        let mut from = first;
+        loop {
+            let months = i32::try_from((last.saturating_sub(from)) / MONTH_US + 2).unwrap_or(i32::MAX);
+            sqlx::query("SELECT cycle_samples_make_partitions($1, $2)")
+                .bind(from)
+                .bind(months.min(MONTHS_AT_A_TIME))
+                .execute(&mut self.conn)
+                .await?;
+            if months <= MONTHS_AT_A_TIME {
+                return Ok(());
+            }
+            from = from.saturating_add(MONTH_US.saturating_mul(i64::from(MONTHS_AT_A_TIME)));
+        }
+    }
+
+    async fn insert(&mut self, table: &Table, rows: &[Row]) -> StoreResult<()> {
+        let names = quoted(table.columns.iter().map(|(name, _)| name.as_str()), "");
+        let text = format!("INSERT INTO \"{}\" ({names}) OVERRIDING SYSTEM VALUE VALUES ", table.name);
+        let mut query = QueryBuilder::new(text);
+        for (at, row) in rows.iter().enumerate() {
+            if at > 0 {
+                query.push(", ");
+            }
+            tuple(&mut query, row, table.columns.iter().map(|(_, kind)| *kind));
+        }
+        query.build().persistent(false).execute(&mut self.conn).await?;
+        Ok(())
+    }
+
+    async fn clear(&mut self, table: &Table) -> StoreResult<()> {
+        let there: Vec<Row> = self.rows(table, None, None, 1).await?;
+        if !there.is_empty() {
+            let mut query = QueryBuilder::<Postgres>::new(format!("DELETE FROM \"{}\"", table.name));
+            query.build().persistent(false).execute(&mut self.conn).await?;
+        }
+        Ok(())
+    }
+
+    async fn range(&mut self, table: &str, column: &str) -> StoreResult<Option<(i64, i64)>> {
+        let text = format!("SELECT MIN(\"{column}\"), MAX(\"{column}\") FROM \"{table}\"");
+        let mut query = QueryBuilder::<Postgres>::new(text);
+        let row = query.build().persistent(false).fetch_one(&mut self.conn).await?;
+        Ok(row.try_get::<Option<i64>, _>(0)?.zip(row.try_get::<Option<i64>, _>(1)?))
+    }
+
+    async fn finish(&mut self, _tables: &[Table]) -> StoreResult<()> {
+        for (table, column) in self.numbered.clone() {
+            let Some((_, last)) = self.range(&table, &column).await? else { continue };
+            sqlx::query("SELECT setval(pg_get_serial_sequence($1, $2), $3)")
+                .bind(format!("\"{table}\""))
+                .bind(&column)
+                .bind(last)
+                .execute(&mut self.conn)
+                .await?;
+        }
+        // What was believed of the sizes of empty tables would mislead the planner.
+        sqlx::query("ANALYZE").execute(&mut self.conn).await?;
+        Ok(())
+    }
+
+    async fn close(self: Box<Self>) {
+        if let Err(error) = self.conn.close().await {
+            tracing::debug!(%error, "a connection did not close cleanly");
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! Reading: samples of a cycle, series and summaries, in every form that clients ask for.
+
+use super::app::{Answer, App, operation};
+use feedwright_store::Role;
+use http::StatusCode;
+use serde_json::{Value, json};
+
+const SAMPLES: &str = "/v1/machines/M1/cycles/s1/samples";
+
+async fn shop() -> App {
+    let app = App::registered().await;
+    assert_eq!(app.put("/v1/operations/O1", operation()).await.status, StatusCode::CREATED);
+    app
+}
+
+async fn post(app: &App, body: Value) {
+    let answer = app.call(Role::Machine, "POST", "/v1/machines/M1/cycles", &[], Some(body)).await;
+    assert_eq!(answer.status, StatusCode::CREATED, "{}", String::from_utf8_lossy(&answer.body));
+}
+
+async fn get_as(app: &App, path: &str, accept: &str) -> Answer {
+    app.call(Role::Viewer, "GET", path, &[("accept", accept)], None).await
+}
+
+fn text(answer: Answer) -> String {
+    assert_eq!(answer.status, StatusCode::OK, "{answer:?}");
+    String::from_utf8(answer.body).unwrap()
+}
+
+/// 1,000 samples at 100 Hz, the depth growing by 0.01 mm, one load of 180 % among 20 %.
+async fn sampled(app: &App) {
+    let depth: Vec<f64> = (0..1000).map(|k| f64::from(k) / 100.0).collect();
+    let mut load = vec![20.0; 1000];
+    load[617] = 180.0;
+    post(
+        app,
+        json!({
+            "cycle_id": "s1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:00:00.5Z",
+            "samples": {"period_ms": 10, "depth_mm": depth, "spindle_load_percent": load},
+        }),
+    )
+    .await;
+}
+
+#[tokio::test]
+async fn samples_come_chosen_in_a_range_and_few_enough_for_a_screen() {
+    let app = shop().await;
+    sampled(&app).await;
+    let all = app.get(SAMPLES).await.json();
+    assert_eq!((all["period_ms"].as_f64(), all["depth_mm"].as_array().unwrap().len()), (Some(10.0), 1000));
+
+    let load = app.get(&format!("{SAMPLES}?channels=spindle_load_percent")).await.json();
+    assert_eq!((load["period_ms"].as_f64(), load.get("depth_mm")), (Some(10.0), None));
+
+    // The first sample is at the end of the first period, 10 ms.
+    let second = app.get(&format!("{SAMPLES}?from_ms=1010&to_ms=1030")).await.json();
+    assert_eq!(second["time_ms"], json!([1010.0, 1020.0, 1030.0]));
+    assert_eq!(second["depth_mm"], json!([1.0, 1.01, 1.02]));
+    let deep = app.get(&format!("{SAMPLES}?from_depth_mm=9.98&channels=depth_mm")).await.json();
+    assert_eq!(deep["depth_mm"], json!([9.98, 9.99]));
+    let none = app.get(&format!("{SAMPLES}?from_depth_mm=20")).await.json();
+    assert_eq!(none["depth_mm"], json!([]));
+
+    let few = app.get(&format!("{SAMPLES}?points=20")).await.json();
+    let loads = few["spindle_load_percent"].as_array().unwrap();
+    assert!(loads.len() <= 20 && loads.contains(&json!(180.0)), "the peak survives: {few}");
+    let shape = app.get(&format!("{SAMPLES}?points=20&method=lttb&channels=depth_mm")).await.json();
+    assert_eq!(shape["depth_mm"].as_array().unwrap().len(), 20);
+
+    let rows = app.get(&format!("{SAMPLES}?to_ms=20&layout=rows")).await.json();
+    assert_eq!(
+        rows["items"][1],
+        json!({"time": "2026-05-04T05:00:00.520000Z", "time_ms": 20.0, "depth_mm": 0.01, "spindle_load_percent": 20.0})
+    );
+}
+
+#[tokio::test]
+async fn samples_come_in_the_form_that_is_accepted() {
+    let app = shop().await;
+    sampled(&app).await;
+    let csv = get_as(&app, &format!("{SAMPLES}?to_ms=20"), "text/csv").await;
+    assert_eq!(csv.header("content-type"), "text/csv; charset=utf-8; header=present");
+    assert_eq!(csv.header("vary"), "accept");
+    assert_eq!(
+        text(csv),
+        "time,time_ms,depth_mm,spindle_load_percent\r\n\
+         2026-05-04T05:00:00.510000Z,10,0,20\r\n2026-05-04T05:00:00.520000Z,20,0.01,20\r\n"
+    );
+    let parquet = get_as(&app, SAMPLES, "application/vnd.apache.parquet, */*;q=0.1").await;
+    assert_eq!(parquet.header("content-type"), "application/vnd.apache.parquet");
+    assert!(parquet.body.starts_with(b"PAR1") && parquet.body.ends_with(b"PAR1"));
+    let arrow = get_as(&app, SAMPLES, "application/vnd.apache.arrow.stream").await;
+    // An IPC stream ends with the marker and a length of zero.
+    assert!(arrow.body.ends_with(&[0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0]), "{} bytes", arrow.body.len());
+    let refused = get_as(&app, SAMPLES, "text/html, application/json;q=0").await;
+    assert_eq!((refused.status, refused.code().as_str()), (StatusCode::NOT_ACCEPTABLE, "not_acceptable"));
+}
+
+#[tokio::test]
+async fn what_cannot_be_read_says_why() {
+    let app = shop().await;
+    sampled(&app).await;
+    for (query, path, code) in [
+        ("channels=load", "channels", "unknown_channel"),
+        ("channels=thrust_newtons", "channels", "channel_not_sampled"),
+        ("from_ms=5&to_ms=4", "to_ms", "empty_range"),
+        ("from_ms=NaN", "from_ms", "not_finite"),
+        ("points=5", "points", "too_few_points"),
+        ("points=7&channels=depth_mm&method=best", "method", "unknown_word"),
+        ("layout=table", "layout", "unknown_word"),
+    ] {
+        let answer = app.get(&format!("{SAMPLES}?{query}")).await;
+        assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{query}");
+        assert_eq!(answer.errors(), [(path.to_owned(), code.to_owned())], "{query}");
+    }
+    for query in ["point=5", "points=many", "points=-1", "from_ms=soon"] {
+        assert_eq!(app.get(&format!("{SAMPLES}?{query}")).await.code(), "invalid_query", "{query}");
+    }
+    assert_eq!(app.get("/v1/machines/M1/cycles/none/samples").await.status, StatusCode::NOT_FOUND);
+    for (query, path, code) in [
+        ("", "bucket", "one_of"),
+        ("bucket=1h&last=5", "bucket", "one_of"),
+        ("bucket=1h", "from", "missing"),
+        ("bucket=soon&from=2026-05-04T00:00:00Z", "bucket", "invalid_duration"),
+        ("bucket=1s&from=2020-01-01T00:00:00Z", "bucket", "too_many_buckets"),
+        ("bucket=1h&from=2027-01-01T00:00:00Z", "to", "empty_range"),
+        ("bucket=1h&from=yesterday", "from", "invalid_timestamp"),
+        ("last=0", "last", "out_of_range"),
+        ("last=10001", "last", "out_of_range"),
+        ("last=5&measures=energy", "measures", "unknown_measure"),
+        ("last=5&by=shift", "by", "unknown_word"),
+        ("last=5&layout=table", "layout", "unknown_word"),
+    ] {
+        let answer = app.get(&format!("/v1/series?{query}")).await;
+        assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{query}: {answer:?}");
+        assert_eq!(answer.errors(), [(path.to_owned(), code.to_owned())], "{query}");
+    }
+    for path in [
+        "/v1/series?last=5&machine=M9",
+        "/v1/series?last=5&tool=T9",
+        "/v1/series?last=5&operation=O9",
+        "/v1/summaries?machine=M9",
+    ] {
+        assert_eq!(app.get(path).await.status, StatusCode::NOT_FOUND, "{path}");
+    }
+}
+
+/// A cycle that the control only reported.
+fn reported(number: u32, at: &str, joules: f64) -> Value {
+    json!({
+        "cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1", "started_at": at,
+        "reported": {"energy_joules": joules, "duration_ms": 4000.0 + f64::from(number)},
+    })
+}
+
+#[tokio::test]
+async fn buckets_hold_every_cycle_once_and_gaps_are_no_zeros() {
+    let app = shop().await;
+    for (number, at, joules) in
+        [(1, "02:10:00", 100.0), (2, "02:20:00", 300.0), (3, "02:30:00", 200.0), (4, "04:00:00", 50.0)]
+    {
+        post(&app, reported(number, &format!("2026-05-04T{at}Z"), joules)).await;
+    }
+    // A sampled cycle in the last bucket: its energy rests on the rating, and is never averaged with reported ones.
+    sampled(&app).await;
+    let path = "/v1/series?tool=T1&bucket=1h&from=2026-05-04T02:00:00Z&to=2026-05-04T06:00:00Z";
+    let answer = app.get(&format!("{path}&measures=energy_joules,duration_ms")).await.json();
+    assert_eq!(answer["by"], "tool");
+    let series = answer["series"].as_array().unwrap();
+    let names: Vec<_> =
+        series.iter().map(|one| (one["measure"].as_str().unwrap(), one["basis"].as_str())).collect();
+    assert_eq!(
+        names,
+        [("energy_joules", Some("rated_power")), ("energy_joules", Some("reported")), ("duration_ms", None)]
+    );
+    let reported = &series[1];
+    assert_eq!((reported["unit"].as_str(), reported["group"].as_str()), (Some("J"), Some("T1")));
+    let points = reported["points"].as_array().unwrap();
+    assert_eq!(points.len(), 4);
+    assert_eq!(
+        points[0],
+        json!({"time": "2026-05-04T02:00:00Z", "count": 3, "mean": 200.0, "min": 100.0, "max": 300.0,
+               "p50": 200.0, "p95": 290.0})
+    );
+    assert_eq!((points[1]["count"].as_u64(), points[1]["mean"].is_null()), (Some(0), true));
+    assert_eq!(points[3]["count"], 0, "the sampled cycle is of another basis");
+    assert_eq!(series[0]["points"][3]["count"], 1);
+
+    let rows = app.get(&format!("{path}&measures=duration_ms&layout=rows")).await.json();
+    assert_eq!(rows["items"].as_array().unwrap().len(), 4);
+    assert_eq!(rows["items"][0]["p50"], 4002.0);
+    assert!(rows["items"][1]["mean"].is_null());
+    let csv = text(get_as(&app, &format!("{path}&measures=duration_ms"), "text/csv").await);
+    let lines: Vec<_> = csv.split("\r\n").collect();
+    assert_eq!(lines[0], "time,tool,measure,unit,basis,idle_power,count,mean,min,max,p50,p95");
+    assert_eq!(lines[2], "2026-05-04T03:00:00.000000Z,T1,duration_ms,ms,,,0,,,,,");
+
+    for by in ["fleet", "machine", "operation"] {
+        let answer = app.get(&format!("{path}&by={by}&measures=duration_ms")).await.json();
+        assert_eq!(answer["series"][0]["points"][0]["count"], 3, "{by}");
+    }
+}
+
+#[tokio::test]
+async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {
+    let app = shop().await;
+    for number in 0..30 {
+        let at = format!("2026-05-04T05:{number:02}:00Z");
+        post(&app, reported(number, &at, 1000.0 + f64::from(number))).await;
+    }
+    let answer = app.get("/v1/series?tool=T1&last=5&measures=energy_joules,wear_level_ratio").await.json();
+    let series = answer["series"].as_array().unwrap();
+    assert_eq!(series[0]["value"], json!([1025.0, 1026.0, 1027.0, 1028.0, 1029.0]));
+    assert_eq!(series[0]["cycle_id"][4], "c29");
+    assert_eq!(series[0]["time"][0], "2026-05-04T05:25:00Z");
+    let level = series[1]["value"].as_array().unwrap().last().unwrap().clone();
+    let wear = app.get("/v1/tools/T1/wear").await.json();
+    assert_eq!(wear["level"]["as_run"], level, "{wear}");
+
+    let path = "/v1/series?tool=T1&bucket=10m&from=2026-05-04T05:00:00Z&to=2026-05-04T05:30:00Z";
+    let bucketed = app.get(&format!("{path}&measures=wear_level_ratio")).await.json();
+    let points = bucketed["series"][0]["points"].as_array().unwrap();
+    assert_eq!(points.len(), 3);
+    assert_eq!(points[2]["max"], level, "a level that only rises ends highest");
+    // The same levels whatever else ran: by operation it is the same one series here.
+    let by_operation = app.get(&format!("{path}&measures=wear_level_ratio&by=operation")).await.json();
+    assert_eq!(by_operation["series"][0]["points"], bucketed["series"][0]["points"]);
+
+    let summaries = text(get_as(&app, "/v1/summaries?tool=T1&last=2", "text/csv").await);
+    let lines: Vec<_> = summaries.trim_end().split("\r\n").collect();
+    assert_eq!(lines.len(), 3);
+    assert!(
+        lines[0].starts_with("started_at,received_at,machine,cycle_id,tool,operation,seq,"),
+        "{}",
+        lines[0]
+    );
+    assert!(lines[2].starts_with("2026-05-04T05:29:00.000000Z,2026-05-04T06:00:00.000000Z,M1,c29,T1,O1,,"));
+    let all = app.get("/v1/summaries?machine=M1").await.json();
+    let items = all["items"].as_array().unwrap();
+    assert_eq!((items.len(), &items[0]["cycle_id"]), (30, &json!("c0")));
+    assert_eq!(items[0]["energy_reported_joules"], 1000.0);
+    assert!(items[0]["energy_rated_power_joules"].is_null());
+}

@@ -1,0 +1,93 @@
+//! The commands that keep data: backup beside a running server, restore, check, copy.
+
+use super::commands::{Served, feedwright, succeed};
+use crate::store::given::{Run, shop, stored};
+use feedwright_store::{SqliteOptions, SqliteStore, Store};
+use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use std::path::PathBuf;
+use std::process::Output;
+use tempfile::TempDir;
+
+fn file(dir: &TempDir) -> PathBuf {
+    dir.path().join("data/feedwright.sqlite3")
+}
+
+async fn tables(dir: &TempDir) -> SqliteConnection {
+    sqlx::sqlite::SqliteConnectOptions::new().filename(file(dir)).connect().await.unwrap()
+}
+
+#[track_caller]
+fn fail(output: Output) -> (String, String) {
+    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    (text(output.stdout), text(output.stderr))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cell_is_backed_up_restored_checked_and_copied() {
+    let (cell, other, plant) = (TempDir::new().unwrap(), TempDir::new().unwrap(), TempDir::new().unwrap());
+    std::fs::create_dir(cell.path().join("data")).unwrap();
+    let store = SqliteStore::open(file(&cell), SqliteOptions::default()).await.unwrap();
+    shop(&store).await;
+    for n in 1..=30 {
+        stored(&store, &Run::nth(n)).await;
+    }
+    store.close().await;
+
+    let backup = cell.path().join("backup.sqlite3");
+    let backup = backup.to_str().unwrap();
+    let served = Served::start(&cell, "listening");
+    let said = succeed(feedwright(&cell, &["backup", backup]).output().unwrap());
+    assert!(said.contains("cycles: 30 rows ") && said.contains("cycle_samples: 30 rows "), "{said}");
+    let (_, refused) = fail(feedwright(&cell, &["backup", backup]).output().unwrap());
+    assert!(refused.contains("is there already"), "{refused}");
+    let (_, refused) = fail(feedwright(&cell, &["check"]).output().unwrap());
+    assert!(refused.contains("checked while it is stopped, or as a backup"), "{refused}");
+    let (_, refused) = fail(feedwright(&cell, &["restore", backup]).output().unwrap());
+    assert!(refused.contains("stop the server first"), "{refused}");
+    let said = succeed(feedwright(&cell, &["check", "--backup", backup]).output().unwrap());
+    assert!(said.contains("30 cycles checked"), "{said}");
+    assert!(served.terminate().1);
+
+    let said = succeed(feedwright(&other, &["restore", backup]).output().unwrap());
+    assert!(said.ends_with("every sum is that of the backup\n"), "{said}");
+    let (_, refused) = fail(feedwright(&other, &["restore", backup]).output().unwrap());
+    assert!(refused.contains("is there already"), "{refused}");
+    succeed(feedwright(&other, &["check"]).output().unwrap());
+
+    // A fold that is not the cycles' is named, mended, and gone.
+    let mut conn = tables(&other).await;
+    sqlx::query("UPDATE tool_wear SET folded = folded + 1").execute(&mut conn).await.unwrap();
+    conn.close().await.unwrap();
+    let (found, said) = fail(feedwright(&other, &["check"]).output().unwrap());
+    assert!(found.contains("fault: wear M1/T1: ") && said.contains("1 faults are left"), "{found} {said}");
+    let said = succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());
+    assert!(said.contains("fault: wear M1/T1: folded again"), "{said}");
+    succeed(feedwright(&other, &["check"]).output().unwrap());
+    // A block that is damaged stays damaged, and stays named.
+    let mut conn = tables(&other).await;
+    let zeros = "UPDATE cycle_samples SET block = zeroblob(length(block)) WHERE cycle_id = 'c00007'";
+    sqlx::query(zeros).execute(&mut conn).await.unwrap();
+    conn.close().await.unwrap();
+    for arguments in [&["check"][..], &["check", "--repair"]] {
+        let (found, _) = fail(feedwright(&other, arguments).output().unwrap());
+        assert!(found.contains("fault: samples M1/c00007: "), "{found}");
+    }
+
+    std::fs::create_dir(plant.path().join("data")).unwrap();
+    let address = |dir: &TempDir| format!("sqlite://{}", file(dir).display());
+    let copy = |from: &TempDir, to: &TempDir| {
+        let (from, to) = (address(from), address(to));
+        feedwright(&cell, &["copy", "--from", &from, "--to", &to]).output().unwrap()
+    };
+    let said = succeed(copy(&cell, &plant));
+    assert!(said.contains("cycles: 30 rows ") && said.contains(", 30 of them written"), "{said}");
+    assert!(said.ends_with("every table has the same sum on both sides\n"), "{said}");
+    let said = succeed(copy(&cell, &plant));
+    assert!(!said.contains("30 of them written"), "nothing is left to write: {said}");
+    let (_, refused) = fail(copy(&other, &plant));
+    assert!(
+        refused.contains("cycle_samples") && refused.contains("is there with other content"),
+        "{refused}"
+    );
+}

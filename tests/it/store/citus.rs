@@ -1,0 +1,116 @@
+//! The schema is what Citus can distribute by machine. The extension itself is not run here: these are its documented
+//! conditions, held against the migrated schema.
+
+use super::given::Given;
+use sqlx::{Connection, PgConnection};
+use std::collections::{BTreeMap, BTreeSet};
+
+const SQL: &str = include_str!("../../../deploy/citus/distribute.sql");
+
+/// What `distribute.sql` does with each table: distributed by a column, or `None` for a reference or a local one.
+fn placed() -> BTreeMap<String, Option<String>> {
+    let mut placed = BTreeMap::new();
+    let mut place = |table: &str, by: Option<&str>| {
+        let twice = placed.insert(table.to_owned(), by.map(str::to_owned));
+        assert!(twice.is_none(), "{table} is placed twice");
+    };
+    for line in SQL.lines() {
+        if let Some(call) = line.strip_prefix("SELECT create_distributed_table(") {
+            let mut arguments = call.split('\'');
+            let (table, by) = (arguments.nth(1).unwrap(), arguments.nth(1).unwrap());
+            place(table, Some(by));
+        } else if let Some(call) = line.strip_prefix("SELECT create_reference_table(") {
+            place(call.split('\'').nth(1).unwrap(), None);
+        } else if let Some(table) = line.strip_prefix("-- local: ") {
+            place(table, None);
+        }
+    }
+    placed
+}
+
+#[tokio::test]
+async fn every_table_is_placed_and_every_key_of_a_distributed_one_holds_its_column() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let mut conn = PgConnection::connect(&given.address()).await.unwrap();
+    let tables: Vec<String> = sqlx::query_scalar(
+        "SELECT relname::TEXT FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind IN ('r', 'p')
+         AND NOT relispartition AND relname <> '_sqlx_migrations'",
+    )
+    .fetch_all(&mut conn)
+    .await
+    .unwrap();
+    let placed = placed();
+    let there: BTreeSet<_> = tables.iter().cloned().collect();
+    for table in &there {
+        assert!(placed.contains_key(table), "deploy/citus/distribute.sql does not place {table}");
+    }
+    for table in placed.keys().filter(|table| SQL.contains(&format!("_table('{table}'"))) {
+        assert!(there.contains(table), "{table} is placed and not there");
+    }
+
+    // Unique indexes, those of primary keys among them, with the plain columns that each is over.
+    let keys: Vec<(String, String, Vec<Option<String>>)> = sqlx::query_as(
+        "SELECT t.relname::TEXT, i.relname::TEXT,
+                array_agg(a.attname::TEXT) FROM pg_index x
+         JOIN pg_class t ON t.oid = x.indrelid JOIN pg_class i ON i.oid = x.indexrelid
+         CROSS JOIN unnest(x.indkey::INT[]) AS k (attnum)
+         LEFT JOIN pg_attribute a ON a.attrelid = t.oid AND a.attnum = k.attnum
+         WHERE x.indisunique AND t.relnamespace = 'public'::regnamespace AND NOT t.relispartition
+         GROUP BY 1, 2",
+    )
+    .fetch_all(&mut conn)
+    .await
+    .unwrap();
+    let mut held = 0;
+    for (table, index, columns) in &keys {
+        if let Some(Some(by)) = placed.get(table) {
+            assert!(columns.contains(&Some(by.clone())), "{index} of {table} lacks {by}");
+            held += 1;
+        }
+    }
+    let distributed = placed.values().flatten().count();
+    assert!(held >= distributed, "each of the {distributed} has a primary key, found {held}");
+
+    // No key leads from one table to another: across shards Citus has none, and within them we need none.
+    let foreign: Vec<String> =
+        sqlx::query_scalar("SELECT conname::TEXT FROM pg_constraint WHERE contype = 'f'")
+            .fetch_all(&mut conn)
+            .await
+            .unwrap();
+    assert_eq!(foreign, Vec::<String>::new());
+    // Nor does a distributed table have triggers or numbers of its own, which each shard would count apart.
+    let odd: Vec<String> = sqlx::query_scalar(
+        "SELECT t.relname::TEXT FROM pg_class t WHERE t.relnamespace = 'public'::regnamespace AND (
+             EXISTS (SELECT 1 FROM pg_trigger g WHERE g.tgrelid = t.oid AND NOT g.tgisinternal)
+             OR EXISTS (SELECT 1 FROM pg_attribute a WHERE a.attrelid = t.oid AND a.attidentity <> ''))",
+    )
+    .fetch_all(&mut conn)
+    .await
+    .unwrap();
+    for table in &odd {
+        assert!(placed[table].is_none(), "{table} cannot be distributed");
+    }
+    assert!(odd.contains(&"audit".to_owned()), "the question finds what is there: {odd:?}");
+    conn.close().await.unwrap();
+    given.done().await;
+}
+
+/// Citus refuses to lock rows of several shards at once: a tool's folds stand on as many as it has machines.
+#[test]
+fn no_statement_locks_rows_of_several_shards() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../service/store/src");
+    let mut files = vec![std::path::PathBuf::from(folder)];
+    let mut read = 0;
+    while let Some(path) = files.pop() {
+        if path.is_dir() {
+            files.extend(std::fs::read_dir(path).unwrap().flatten().map(|entry| entry.path()));
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(!text.contains("FOR UPDATE") && !text.contains("FOR SHARE"), "{}", path.display());
+        read += 1;
+    }
+    assert!(read > 30, "the store's sources are read");
+}

@@ -1,0 +1,299 @@
+//! What happens to PostgreSQL in a plant: several servers start at once, a pooler stands in front, the server restarts,
+//! is demoted, and replicas get the same cycles.
+
+use super::given::{Given, Run, at, commit, shop, stored, tool};
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_store::{
+    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Store, StoreError,
+};
+use sqlx::{Connection, Executor, PgConnection};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+fn is_root() -> bool {
+    let id = Command::new("id").arg("-u").output().unwrap();
+    id.stdout.trim_ascii() == b"0"
+}
+
+/// A command that does not run as root, which neither PostgreSQL nor its pooler does.
+fn unprivileged(program: &Path) -> Command {
+    if !is_root() {
+        return Command::new(program);
+    }
+    let mut command = Command::new("runuser");
+    command.args(["-u", "postgres", "--"]).arg(program);
+    command
+}
+
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(folder.path(), std::os::unix::fs::PermissionsExt::from_mode(0o777)).unwrap();
+    folder
+}
+
+async fn answers(url: &str) {
+    for _ in 0..200 {
+        if PgConnection::connect(url).await.is_ok() {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    panic!("{url} does not answer");
+}
+
+/// A PostgreSQL server of a story's own, that it may stop and start.
+struct Cluster {
+    folder: tempfile::TempDir,
+    binaries: PathBuf,
+    port: u16,
+}
+
+impl Cluster {
+    /// `None` only where a person asked to leave the stories of PostgreSQL out.
+    fn new() -> Option<Self> {
+        std::env::var_os("FEEDWRIGHT_TEST_POSTGRES").or_else(|| {
+            assert!(
+                std::env::var_os("FEEDWRIGHT_TEST_SKIP_POSTGRES").is_some(),
+                "run it behind tests/postgres"
+            );
+            None
+        })?;
+        let mut versions: Vec<_> = std::fs::read_dir("/usr/lib/postgresql").unwrap().flatten().collect();
+        versions.sort_by_key(std::fs::DirEntry::file_name);
+        let binaries = versions.last().expect("a version of PostgreSQL").path().join("bin");
+        let cluster = Self { folder: folder(), binaries, port: free_port() };
+        let made = unprivileged(&cluster.binaries.join("initdb"))
+            .args(["-U", "feedwright", "--auth=trust", "-E", "UTF8", "--locale=C", "--no-sync", "-D"])
+            .arg(cluster.data())
+            .stdout(Stdio::null())
+            .status()
+            .unwrap();
+        assert!(made.success());
+        cluster.control(&["start"]);
+        Some(cluster)
+    }
+
+    fn data(&self) -> PathBuf {
+        self.folder.path().join("data")
+    }
+
+    fn control(&self, arguments: &[&str]) {
+        let options = format!(
+            "-c listen_addresses=127.0.0.1 -c port={} -c unix_socket_directories={}",
+            self.port,
+            self.folder.path().display()
+        );
+        let mut command = unprivileged(&self.binaries.join("pg_ctl"));
+        command.arg("-D").arg(self.data()).args(["-w", "-s", "-m", "fast", "-o", &options, "-l"]);
+        command.arg(self.folder.path().join("log")).args(arguments);
+        assert!(command.stdout(Stdio::null()).status().unwrap().success(), "pg_ctl {arguments:?}");
+    }
+
+    fn url(&self) -> String {
+        format!("postgres://feedwright@127.0.0.1:{}/postgres", self.port)
+    }
+
+    async fn run(&self, sql: &'static str) {
+        PgConnection::connect(&self.url()).await.unwrap().execute(sql).await.unwrap();
+    }
+}
+
+impl Drop for Cluster {
+    fn drop(&mut self) {
+        let mut stop = unprivileged(&self.binaries.join("pg_ctl"));
+        let _ = stop.arg("-D").arg(self.data()).args(["-s", "-m", "immediate", "stop"]).status();
+    }
+}
+
+/// pgbouncer in transaction mode in front of a server, as Debian ships it: without a memory of prepared statements.
+struct Pooler {
+    child: Child,
+    _folder: tempfile::TempDir,
+    port: u16,
+}
+
+impl Pooler {
+    async fn before(server: &str, database: &str) -> Self {
+        let server = server.rsplit_once('@').unwrap().1;
+        let (host, port) = server.split_once('/').unwrap().0.split_once(':').unwrap();
+        let (folder, own) = (folder(), free_port());
+        let config = folder.path().join("pgbouncer.ini");
+        // Three connections to the server for many clients: statements of one client meet every one of them.
+        let text = format!(
+            "[databases]\n{database} = host={host} port={port} user=feedwright\n[pgbouncer]\nlisten_addr = 127.0.0.1\n\
+             listen_port = {own}\nauth_type = any\npool_mode = transaction\ndefault_pool_size = 3\n\
+             server_round_robin = 1\nignore_startup_parameters = extra_float_digits\nunix_socket_dir =\n"
+        );
+        std::fs::write(&config, text).unwrap();
+        let child = unprivileged(Path::new("/usr/sbin/pgbouncer"))
+            .arg("-q")
+            .arg(&config)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("pgbouncer is installed: tests/postgres does it");
+        let pooler = Self { child, _folder: folder, port: own };
+        answers(&pooler.url(database)).await;
+        pooler
+    }
+
+    fn url(&self, database: &str) -> String {
+        format!("postgres://feedwright@127.0.0.1:{}/{database}", self.port)
+    }
+}
+
+impl Drop for Pooler {
+    fn drop(&mut self) {
+        let _ = Command::new("kill").arg(self.child.id().to_string()).status();
+        let _ = self.child.wait();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn servers_that_start_together_migrate_once() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    given.raw("DROP SCHEMA public CASCADE").await.unwrap();
+    given.raw("CREATE SCHEMA public").await.unwrap();
+    let address = given.address();
+    let start = || async {
+        let options = PostgresOptions { connections: 2, ..PostgresOptions::default() };
+        let store = PostgresStore::open(&address, options).await.unwrap();
+        store.make_room(at(0)).await.unwrap();
+        store
+    };
+    let stores: [PostgresStore; 4] = tokio::join!(start(), start(), start(), start()).into();
+    shop(&stores[0]).await;
+    assert!(stored(&stores[3], &Run::nth(1)).await.registered);
+    for store in &stores {
+        store.close().await;
+    }
+    given.done().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_pooler_in_transaction_mode_is_borne() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let database = given.address().rsplit_once('/').unwrap().1.to_owned();
+    let pooler = Pooler::before(&given.address(), &database).await;
+    let options = PostgresOptions {
+        connections: 8,
+        pooled: true,
+        direct: Some(given.address()),
+        ..PostgresOptions::default()
+    };
+    let store = PostgresStore::open(&pooler.url(&database), options).await.unwrap();
+    shop(&store).await;
+    store.make_room(at(0)).await.unwrap();
+    // Eight connections at once on three of the server's: reads and writes, each statement on whichever is free.
+    let work = (0..8_u32).map(|worker| {
+        let store = store.clone();
+        tokio::spawn(async move {
+            for n in 0..20 {
+                let run = Run::nth(worker * 100 + n);
+                stored(&store, &run).await;
+                let found =
+                    store.cycle(&"M1".try_into().unwrap(), &run.id.as_str().try_into().unwrap()).await;
+                assert!(found.unwrap().is_some(), "{}", run.id);
+                assert!(store.verdict(&"T1".try_into().unwrap()).await.unwrap().cycles > 0);
+                assert!(!store.machines(Page { after: None, limit: 9 }).await.unwrap().is_empty());
+            }
+        })
+    });
+    for worker in work.collect::<Vec<_>>() {
+        worker.await.unwrap();
+    }
+    let all = store.cycles(&CycleFilter::default(), Page { after: None, limit: 1000 }).await.unwrap();
+    assert_eq!(all.len(), 160);
+    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    store.close().await;
+    drop(pooler);
+    given.done().await;
+}
+
+#[tokio::test]
+async fn after_a_restart_of_the_server_work_goes_on() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let options = PostgresOptions { patience: Duration::from_secs(1), ..PostgresOptions::default() };
+    let store = PostgresStore::open(&cluster.url(), options).await.unwrap();
+    shop(&store).await;
+    stored(&store, &Run::nth(1)).await;
+    cluster.control(&["stop"]);
+    let refused = commit(&store, &[Run::nth(2)]).await.pop().unwrap();
+    assert!(
+        matches!(refused, Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))),
+        "nothing is acknowledged: {refused:?}"
+    );
+    assert!(store.probe_write(at(1)).await.is_err());
+    cluster.control(&["start"]);
+    // The first question may meet a connection that the stop broke; the pool lets it go.
+    stored(&store, &Run::nth(2)).await;
+    stored(&store, &Run::nth(3)).await;
+    assert!(store.probe_write(at(2)).await.is_ok());
+    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 9 }).await.unwrap();
+    assert_eq!(cycles.len(), 3, "each once");
+    store.close().await;
+}
+
+#[tokio::test]
+async fn a_demoted_server_is_neither_written_nor_believed() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let options = PostgresOptions { patience: Duration::from_secs(1), ..PostgresOptions::default() };
+    let store = PostgresStore::open(&cluster.url(), options.clone()).await.unwrap();
+    shop(&store).await;
+    stored(&store, &Run::nth(1)).await;
+    cluster.run("ALTER SYSTEM SET default_transaction_read_only = on").await;
+    cluster.run("SELECT pg_reload_conf()").await;
+    // The reload reaches each session in its own time; whatever it is asked before that is still true.
+    for n in 0.. {
+        match store.probe_write(at(n)).await {
+            Ok(()) => tokio::time::sleep(Duration::from_millis(20)).await,
+            Err(error) => {
+                assert!(matches!(error, StoreError::Unavailable(_)), "to be tried again: {error:?}");
+                break;
+            }
+        }
+        assert!(n < 500, "the reload never arrives");
+    }
+    let group = vec![Run::nth(2).new_cycle(), Run::nth(3).new_cycle()];
+    for outcome in store.commit_cycles(group, at(5), RecommendSettings::default()).await {
+        assert!(matches!(outcome, Err(StoreError::Unavailable(_))), "{outcome:?}");
+    }
+    assert!(
+        store.put_tool(tool("T9"), Precondition::Absent, &super::given::engineer(), at(1)).await.is_err()
+    );
+    let read = store.verdict(&"T1".try_into().unwrap()).await;
+    assert!(matches!(read, Err(StoreError::Unavailable(_))), "decisions are the primary's: {read:?}");
+    let opened = PostgresStore::open(&cluster.url(), options).await;
+    assert!(matches!(opened, Err(StoreError::NotWritable(_))), "{:?}", opened.err());
+
+    // It is promoted again, and the same store goes on.
+    let mut admin = PgConnection::connect(&cluster.url()).await.unwrap();
+    admin.execute("SET default_transaction_read_only = off").await.unwrap();
+    admin.execute("ALTER SYSTEM RESET default_transaction_read_only").await.unwrap();
+    admin.execute("SELECT pg_reload_conf()").await.unwrap();
+    let mut stored_after = false;
+    for _ in 0..500 {
+        if let Some(Ok(Committed::Stored(_))) = commit(&store, &[Run::nth(2)]).await.pop() {
+            stored_after = true;
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert!(stored_after);
+    store.close().await;
+}

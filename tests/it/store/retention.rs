@@ -1,0 +1,238 @@
+//! Samples go when they are to go, and it is seen that they went; summaries stay.
+
+use super::given::{Given, Run, at, commit, engineer, shop, stored, stories};
+use feedwright_core::ids::{CycleId, MachineId};
+use feedwright_store::{
+    CycleFilter, DropReason, Dropped, Page, Precondition, PutOutcome, SampleRetention, Store, StoreError,
+};
+use std::sync::Arc;
+
+stories!(
+    without_a_limit_nothing_goes,
+    by_age_the_old_ones_go,
+    by_size_the_newest_stay,
+    a_machine_has_a_say_of_its_own,
+    what_is_said_has_versions,
+    what_was_dropped_is_no_fault_and_what_is_missing_is,
+);
+
+const DAY: i64 = 86_400;
+const FOR_EVER: SampleRetention = SampleRetention { days: None, bytes: None };
+
+const fn days(days: u32) -> SampleRetention {
+    SampleRetention { days: Some(days), bytes: None }
+}
+
+/// Ten cycles, one every thirty days from 2026-01-05 on.
+async fn year(store: &dyn Store) {
+    shop(store).await;
+    for n in 0..10 {
+        stored(store, &Run { seconds: i64::from(n) * 30 * DAY, ..Run::nth(n) }).await;
+    }
+}
+
+/// Drops all that is to go.
+async fn run(store: &dyn Store, otherwise: SampleRetention, seconds: i64) -> (usize, Dropped) {
+    let decided = store.decide_drops(otherwise, at(seconds)).await.unwrap().len();
+    let mut all = Dropped::default();
+    loop {
+        let step = store.drop_some(3, at(seconds)).await.unwrap();
+        all.cycles += step.cycles;
+        all.bytes += step.bytes;
+        if !step.more {
+            return (decided, all);
+        }
+    }
+}
+
+async fn kept(store: &dyn Store) -> Vec<bool> {
+    let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 100 }).await.unwrap();
+    cycles.iter().map(|cycle| cycle.has_samples).collect()
+}
+
+async fn without_a_limit_nothing_goes(store: Arc<dyn Store>) {
+    year(&*store).await;
+    assert_eq!(run(&*store, FOR_EVER, 1000 * DAY).await, (0, Dropped::default()));
+    assert_eq!(kept(&*store).await, [true; 10]);
+}
+
+async fn by_age_the_old_ones_go(store: Arc<dyn Store>) {
+    year(&*store).await;
+    // 2026-10-02, kept for 100 days: since 2026-06-24; by months, as PostgreSQL drops them, since the first of June.
+    // Cycles began on 5 Jan, 4 Feb, 6 Mar, 5 Apr, 5 May, 4 Jun, 4 Jul, …
+    let now = 270 * DAY;
+    let (decided, dropped) = run(&*store, days(100), now).await;
+    let kept = kept(&*store).await;
+    let gone = kept.iter().filter(|kept| !**kept).count();
+    assert!(gone == 5 || gone == 6, "{kept:?}");
+    assert_eq!((decided, dropped.cycles), (1, gone as u64));
+    assert!(kept[..gone].iter().all(|kept| !kept) && kept[gone..].iter().all(|kept| *kept));
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    assert_eq!(drops.len(), 1);
+    assert_eq!(
+        (drops[0].reason, drops[0].cycles, drops[0].dropped_at),
+        (DropReason::Age, gone as u64, at(now))
+    );
+    assert_eq!(drops[0].bytes, dropped.bytes);
+    assert!(dropped.bytes > 0);
+    // Again: nothing is left to go, and nothing is decided twice.
+    assert_eq!(run(&*store, days(100), now + 60).await, (0, Dropped::default()));
+    let audit = store.audit(Page { after: None, limit: 100 }).await.unwrap();
+    let lines: Vec<_> = audit.iter().filter(|line| line.action == "samples.drop").collect();
+    assert_eq!((lines.len(), lines[0].actor.as_str()), (1, "retention"));
+    assert_eq!(lines[0].subject, "machine/M1/samples");
+    // A tool's wear does not need samples.
+    assert_eq!(store.verdict(&"T1".try_into().unwrap()).await.unwrap().cycles, 10);
+}
+
+async fn by_size_the_newest_stay(store: Arc<dyn Store>) {
+    year(&*store).await;
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    let all = SampleRetention { days: None, bytes: Some(1 << 40) };
+    assert_eq!(run(&*store, all, 300 * DAY).await.0, 0);
+    let (_, dropped) = run(&*store, none, 300 * DAY).await;
+    assert_eq!(dropped.cycles, 10, "not one block fits into a byte");
+
+    // As many bytes as three blocks: three stay, or as many as fit where blocks differ by a byte.
+    for n in 20..30 {
+        stored(&*store, &Run { seconds: 300 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    let block = dropped.bytes / 10;
+    let three = SampleRetention { days: None, bytes: Some(block * 3 + block / 2) };
+    let (decided, dropped) = run(&*store, three, 301 * DAY).await;
+    assert_eq!((decided, dropped.cycles), (1, 7));
+    assert_eq!(kept(&*store).await[10..], [[false; 7].as_slice(), &[true; 3]].concat());
+    assert_eq!(store.sample_drops(&"M1".try_into().unwrap()).await.unwrap()[1].reason, DropReason::Size);
+}
+
+async fn a_machine_has_a_say_of_its_own(store: Arc<dyn Store>) {
+    year(&*store).await;
+    let who = engineer();
+    store.put_machine(super::given::machine("M2"), Precondition::Absent, &who, at(0)).await.unwrap();
+    for n in 0..10 {
+        let run = Run { machine: "M2", id: format!("d{n}"), seconds: n * 30 * DAY, ..Run::nth(1) };
+        stored(&*store, &run).await;
+    }
+    let machine: MachineId = "M2".try_into().unwrap();
+    store.put_retention(&machine, FOR_EVER, Precondition::Absent, &who, at(0)).await.unwrap().unwrap();
+    let (decided, dropped) = run(&*store, days(1), 400 * DAY).await;
+    assert_eq!((decided, dropped.cycles), (1, 10), "the server's setting holds for M1 alone");
+    let of_m2 = CycleFilter { machine: Some(machine), ..CycleFilter::default() };
+    let cycles = store.cycles(&of_m2, Page { after: None, limit: 100 }).await.unwrap();
+    assert!(cycles.iter().all(|cycle| cycle.has_samples));
+}
+
+async fn what_is_said_has_versions(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let (who, machine) = (engineer(), MachineId::try_from("M1").unwrap());
+    assert_eq!(store.retention(&machine).await.unwrap(), None);
+    let put = |retention, expects| {
+        let (store, who, machine) = (store.clone(), who.clone(), machine.clone());
+        async move { store.put_retention(&machine, retention, expects, &who, at(5)).await }
+    };
+    assert_eq!(put(days(30), Precondition::Unstated).await.unwrap(), Some(PutOutcome::Created));
+    assert_eq!(put(days(30), Precondition::Unstated).await.unwrap(), Some(PutOutcome::Unchanged(1)));
+    let changed = put(days(60), Precondition::Unstated).await;
+    assert!(matches!(changed, Err(StoreError::VersionRequired { current: 1 })), "{changed:?}");
+    assert_eq!(put(days(60), Precondition::Version(1)).await.unwrap(), Some(PutOutcome::Changed(2)));
+    let said = store.retention(&machine).await.unwrap().unwrap();
+    assert_eq!((said.value, said.version, said.updated_at), (days(60), 2, at(5)));
+    let unknown = MachineId::try_from("M9").unwrap();
+    let put = store.put_retention(&unknown, days(1), Precondition::Unstated, &who, at(5)).await.unwrap();
+    assert_eq!(put, None);
+}
+
+async fn what_was_dropped_is_no_fault_and_what_is_missing_is(store: Arc<dyn Store>) {
+    year(&*store).await;
+    run(&*store, days(100), 270 * DAY).await;
+    let gone = kept(&*store).await.iter().filter(|kept| !**kept).count() as u64;
+    let first = store.check_cycles(None, 7).await.unwrap();
+    assert_eq!((first.checked, first.dropped, first.faults.as_slice()), (7, gone, [].as_slice()));
+    let rest = store.check_cycles(first.next.as_ref(), 7).await.unwrap();
+    assert_eq!((rest.checked, rest.next), (3, None));
+    assert_eq!(store.check_tables().await.unwrap(), []);
+}
+
+/// What the check must find, told on the tables themselves.
+async fn damage_is_named_by_its_key(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let runs: Vec<Run> = (1..=6).map(|n| Run { sampled: n != 6, ..Run::nth(n) }).collect();
+    for outcome in commit(&*store, &runs).await {
+        outcome.unwrap();
+    }
+    let clean = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((clean.checked, clean.faults.as_slice()), (6, [].as_slice()));
+    for statement in [
+        "DELETE FROM cycle_samples WHERE cycle_id = 'c00002'",
+        "UPDATE cycles SET reported_energy_joules = reported_energy_joules + 1 WHERE cycle_id = 'c00006'",
+        "UPDATE cycles SET sample_count = 21 WHERE cycle_id = 'c00003'",
+        "UPDATE cycle_samples SET cycle_id = 'stray' WHERE cycle_id = 'c00004'",
+    ] {
+        given.raw(statement).await.unwrap();
+    }
+    let damage = if given.is_postgres() {
+        "UPDATE cycle_samples SET block = decode(repeat('00', length(block)), 'hex') WHERE cycle_id = 'c00005'"
+    } else {
+        "UPDATE cycle_samples SET block = zeroblob(length(block)) WHERE cycle_id = 'c00005'"
+    };
+    assert_eq!(given.raw(damage).await.unwrap(), 1);
+    let found = store.check_cycles(None, 100).await.unwrap();
+    let faults: Vec<_> = found.faults.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+    assert_eq!(
+        faults,
+        [
+            ("samples", "M1/c00002"),
+            ("samples", "M1/c00003"),
+            ("samples", "M1/c00004"),
+            ("samples", "M1/c00005"),
+            ("hash", "M1/c00006"),
+        ]
+    );
+    assert!(found.faults[3].detail.contains("checksum differs"), "{:?}", found.faults[3]);
+    let strays = store.check_tables().await.unwrap();
+    let strays: Vec<_> = strays.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+    assert_eq!(strays, [("samples", "M1/stray")]);
+    let id = CycleId::try_from("c00005").unwrap();
+    let read = store.cycle_samples(&"M1".try_into().unwrap(), &id).await;
+    assert!(matches!(read, Err(StoreError::Damaged { .. })), "{read:?}");
+}
+
+mod damage {
+    use super::damage_is_named_by_its_key;
+    crate::store::given::stories!(with tables: damage_is_named);
+
+    async fn damage_is_named(given: &super::Given) {
+        damage_is_named_by_its_key(given).await;
+    }
+}
+
+#[tokio::test]
+async fn postgres_drops_a_partition_when_nothing_of_it_is_kept() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    store.make_room(at(0)).await.unwrap();
+    year(&*store).await;
+    let who = engineer();
+    store.put_machine(super::given::machine("M2"), Precondition::Absent, &who, at(0)).await.unwrap();
+    stored(&*store, &Run { machine: "M2", id: "kept".to_owned(), seconds: 30 * DAY, ..Run::nth(1) }).await;
+    let machine: MachineId = "M2".try_into().unwrap();
+    store.put_retention(&machine, FOR_EVER, Precondition::Absent, &who, at(0)).await.unwrap();
+    // Until the first of April all of M1's are to go: January and March whole, February row by row, since M2 keeps one.
+    let (_, dropped) = run(&*store, days(30), 125 * DAY).await;
+    assert_eq!(dropped.cycles, 3);
+    for (partition, there) in [("202601", false), ("202602", true), ("202603", false), ("202604", true)] {
+        let exists = match partition {
+            "202601" => given.raw("SELECT 1 FROM cycle_samples_202601").await,
+            "202602" => given.raw("SELECT 1 FROM cycle_samples_202602").await,
+            "202603" => given.raw("SELECT 1 FROM cycle_samples_202603").await,
+            _ => given.raw("SELECT 1 FROM cycle_samples_202604").await,
+        };
+        assert_eq!(exists.is_ok(), there, "{partition}: {exists:?}");
+    }
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    assert_eq!(drops[0].cycles, 3, "those of a partition are counted too");
+    given.done().await;
+}

@@ -1,0 +1,250 @@
+//! Whole databases: backed up under load, restored, copied from a cell to the plant and back.
+
+use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored};
+use feedwright_core::tool::ToolEventKind;
+use feedwright_store::transfer::{
+    Address, TableSum, TransferError, back_up_postgres, back_up_sqlite, copy, restore_to_postgres,
+    restore_to_sqlite,
+};
+use feedwright_store::{
+    Actor, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, QuarantineBounds,
+    QuarantineEntry, Role, SqliteOptions, SqliteStore, Store, TokenRecord,
+};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Something in every table that a shop fills: cycles with and without samples, quarantine, alarms, tokens, events.
+async fn fill(store: &dyn Store) {
+    shop(store).await;
+    let who = engineer();
+    store.put_machine(machine("M2"), Precondition::Absent, &who, at(1)).await.unwrap();
+    for n in 1..=80 {
+        let run = Run {
+            machine: if n % 7 == 0 { "M2" } else { "M1" },
+            tool: if n % 9 == 0 { "T2".to_owned() } else { "T1".to_owned() },
+            sampled: n % 5 != 0,
+            load: if n > 60 { 60.0 } else { 30.0 } + f64::from(n) * 0.07,
+            ..Run::nth(n)
+        };
+        stored(store, &run).await;
+    }
+    let tool = "T1".try_into().unwrap();
+    let changed = event(ToolEventKind::Changed, at(80 * 60));
+    store.add_tool_event(&tool, changed, &who, at(9000)).await.unwrap();
+    let entry = QuarantineEntry {
+        id: "q1".to_owned(),
+        machine: "M1".try_into().unwrap(),
+        cycle: None,
+        received_at: at(5),
+        code: "out_of_range".to_owned(),
+        problem: "{}".to_owned(),
+        content_type: "application/json".to_owned(),
+        settled: None,
+        size: 3,
+    };
+    let bounds = QuarantineBounds { entries: 10, bytes: 1000 };
+    store.quarantine(entry, b"{-}".to_vec(), bounds).await.unwrap();
+    let token = TokenRecord {
+        id: "tok-1".to_owned(),
+        name: "MES".to_owned(),
+        hash: [7; 32],
+        role: Role::Viewer,
+        machine: None,
+        created_at: at(3),
+        revoked_at: None,
+    };
+    store.create_token(token, &Actor { token: "cli".to_owned(), role: Role::Admin }).await.unwrap();
+}
+
+/// Everything that the trait shows, as text.
+async fn shown(store: &dyn Store) -> Vec<String> {
+    let mut lines = Vec::new();
+    for cycle in store.cycles(&CycleFilter::default(), Page { after: None, limit: 1000 }).await.unwrap() {
+        let samples = store.cycle_samples(&cycle.cycle.machine, &cycle.cycle.id).await.unwrap();
+        lines.push(format!("{cycle:?} {samples:?}"));
+    }
+    for tool in ["T1", "T2"] {
+        let tool = tool.try_into().unwrap();
+        lines.push(format!("{:?}", store.verdict(&tool).await.unwrap()));
+        lines.push(format!("{:?}", store.tool_events(&tool, Page { after: None, limit: 9 }).await.unwrap()));
+    }
+    lines.push(format!(
+        "{:?}",
+        store.alarms(&Default::default(), Page { after: None, limit: 99 }).await.unwrap()
+    ));
+    lines.push(format!("{:?}", store.audit(Page { after: None, limit: 99 }).await.unwrap()));
+    lines.push(format!("{:?}", store.token_by_hash(&[7; 32]).await.unwrap()));
+    lines.push(format!("{:?}", store.quarantine_entry("q1").await.unwrap()));
+    lines
+}
+
+async fn sound(store: &dyn Store) {
+    assert_eq!(store.check_tables().await.unwrap(), []);
+    let page = store.check_cycles(None, 1000).await.unwrap();
+    assert_eq!((page.checked > 0, page.faults.as_slice()), (true, [].as_slice()));
+    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+}
+
+async fn copied(from: &Address, to: &Address) -> Result<(Vec<(String, TableSum)>, u64), TransferError> {
+    let mut rows = 0;
+    let sums = copy(from, to, &mut |_, _, written| rows += written).await?;
+    Ok((sums, rows))
+}
+
+async fn sqlite(path: &Path) -> SqliteStore {
+    SqliteStore::open(path, SqliteOptions::default()).await.unwrap()
+}
+
+#[tokio::test]
+async fn a_cell_is_copied_to_the_plant_and_back_to_the_bit() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    fill(&*cell.store()).await;
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    let (sums, rows) = copied(&from, &to).await.unwrap();
+    assert_eq!(sums.iter().map(|(_, sum)| sum.rows).sum::<u64>(), rows);
+    assert!(sums.iter().any(|(table, sum)| table == "cycles" && sum.rows == 80), "{sums:?}");
+    let store = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap();
+    assert_eq!(shown(&store).await, shown(&*cell.store()).await);
+    sound(&store).await;
+    // January's cycles are in a partition that retention can drop.
+    let moved = plant.raw("UPDATE cycle_samples_202601 SET block = block").await.unwrap();
+    assert_eq!(moved, 64);
+
+    // A second time: nothing is left to write.
+    assert_eq!(copied(&from, &to).await.unwrap().1, 0);
+    // A copy that broke off goes on.
+    for statement in
+        ["DELETE FROM cycle_samples WHERE cycle_id > 'c00040'", "DELETE FROM tool_wear", "DELETE FROM alarms"]
+    {
+        plant.raw(statement).await.unwrap();
+    }
+    let (again, rows) = copied(&from, &to).await.unwrap();
+    assert!(rows > 30 && rows < 80, "{rows}");
+    assert_eq!(again, sums);
+
+    // Numbers go on after those that came.
+    let changed = event(ToolEventKind::Changed, at(90 * 60));
+    let who = engineer();
+    let added =
+        store.add_tool_event(&"T1".try_into().unwrap(), changed, &who, at(9100)).await.unwrap().unwrap();
+    let events =
+        cell.store().tool_events(&"T1".try_into().unwrap(), Page { after: None, limit: 9 }).await.unwrap();
+    assert!(added.id > events.last().unwrap().id);
+    // What the plant has by itself now is not overwritten, nor lost by a copy from the cell.
+    let refused = copied(&from, &to).await.unwrap_err();
+    assert!(matches!(&refused, TransferError::OtherData { .. }), "{refused}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let back = Address::Sqlite(folder.path().join("back.sqlite3"));
+    copied(&to, &back).await.unwrap();
+    let returned = sqlite(&folder.path().join("back.sqlite3")).await;
+    assert_eq!(shown(&returned).await, shown(&store).await);
+    sound(&returned).await;
+    returned.close().await;
+    store.close().await;
+    cell.done().await;
+    plant.done().await;
+}
+
+#[tokio::test]
+async fn a_target_with_other_data_is_refused_untouched() {
+    let (cell, other) = (Given::sqlite().await, Given::sqlite().await);
+    fill(&*cell.store()).await;
+    shop(&*other.store()).await;
+    stored(&*other.store(), &Run { load: 77.0, ..Run::nth(1) }).await;
+    let folder = tempfile::tempdir().unwrap();
+    let sums = |name| {
+        let (from, to) = (other.file(), folder.path().join(name));
+        async move { back_up_sqlite(&from, &to, at(1)).await.unwrap().tables }
+    };
+    let before = sums("before").await;
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Sqlite(other.file()));
+    let refused = copied(&from, &to).await.unwrap_err();
+    assert!(refused.to_string().contains("the target is not empty"), "{refused}");
+    assert_eq!(sums("after").await, before, "nothing of it has changed");
+    cell.done().await;
+    other.done().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_backup_under_load_is_one_state_and_restores() {
+    let given = Given::sqlite().await;
+    fill(&*given.store()).await;
+    let (store, stop) = (given.store(), Arc::new(AtomicBool::new(false)));
+    let stopped = stop.clone();
+    let posting = tokio::spawn(async move {
+        let mut n = 1000;
+        while !stopped.load(Ordering::Relaxed) {
+            for outcome in commit(&*store, &[Run::nth(n), Run::nth(n + 1)]).await {
+                outcome.unwrap();
+            }
+            n += 2;
+        }
+        n - 1000
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let backup = folder.path().join("backup.sqlite3");
+    let report = back_up_sqlite(&given.file(), &backup, at(1)).await.unwrap();
+    stop.store(true, Ordering::Relaxed);
+    let posted = posting.await.unwrap();
+    assert!(posted > 0);
+    let cycles = report.tables.iter().find(|(table, _)| table == "cycles").unwrap().1.rows;
+    assert!((80..=80 + u64::from(posted)).contains(&cycles), "{cycles}");
+    let again = back_up_sqlite(&given.file(), &backup, at(1)).await.unwrap_err();
+    assert!(again.to_string().contains("is there already"), "{again}");
+
+    let restored = folder.path().join("restored.sqlite3");
+    let sums = restore_to_sqlite(&backup, &restored).await.unwrap();
+    assert_eq!(sums, report.tables);
+    let store = sqlite(&restored).await;
+    // One state: every cycle has its samples, its advice and its place in the fold.
+    sound(&store).await;
+    assert!(stored(&store, &Run::nth(5000)).await.registered, "it takes cycles again");
+    store.close().await;
+
+    // A backup with one bit turned is refused.
+    let mut bytes = std::fs::read(&backup).unwrap();
+    let hash = cell_of(&bytes, b"machine M1");
+    bytes[hash] ^= 1;
+    let turned = folder.path().join("turned.sqlite3");
+    std::fs::write(&turned, bytes).unwrap();
+    let refused = restore_to_sqlite(&turned, &folder.path().join("none.sqlite3")).await.unwrap_err();
+    assert!(refused.to_string().contains("is not what was backed up"), "{refused}");
+    assert!(!folder.path().join("none.sqlite3").exists());
+    let refused = restore_to_sqlite(&restored, &folder.path().join("none.sqlite3")).await.unwrap_err();
+    assert!(refused.to_string().contains("is no backup"), "{refused}");
+    given.done().await;
+}
+
+fn cell_of(bytes: &[u8], text: &[u8]) -> usize {
+    bytes.windows(text.len()).rposition(|window| window == text).expect("the name is in the file")
+}
+
+#[tokio::test]
+async fn a_backup_of_the_plant_restores_into_either_engine() {
+    let (Some(plant), Some(other)) = (Given::postgres().await, Given::postgres().await) else {
+        return;
+    };
+    fill(&*plant.store()).await;
+    let folder = tempfile::tempdir().unwrap();
+    let backup = folder.path().join("plant.sqlite3");
+    let report = back_up_postgres(&plant.address(), &backup, at(1)).await.unwrap();
+    assert!(report.bytes > 10_000);
+    let sums = restore_to_postgres(&backup, &other.address(), folder.path()).await.unwrap();
+    assert_eq!(sums, report.tables);
+    let store = PostgresStore::open(&other.address(), PostgresOptions::default()).await.unwrap();
+    assert_eq!(shown(&store).await, shown(&*plant.store()).await);
+    sound(&store).await;
+    let cell = folder.path().join("cell.sqlite3");
+    assert_eq!(restore_to_sqlite(&backup, &cell).await.unwrap(), report.tables);
+    let cell = sqlite(&cell).await;
+    assert_eq!(shown(&cell).await, shown(&store).await);
+    cell.close().await;
+    store.close().await;
+    plant.done().await;
+    other.done().await;
+}
