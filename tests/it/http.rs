@@ -2,6 +2,7 @@
 
 mod app;
 pub(crate) mod commands;
+mod feed_profiles;
 mod lists;
 mod matrix;
 mod openapi;

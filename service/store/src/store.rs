@@ -1,6 +1,9 @@
 //! The trait that both engines implement.
 
 use crate::error::StoreResult;
+use crate::feed_profile::{
+    Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
+};
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
@@ -10,8 +13,9 @@ use crate::record::{
     ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
-use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
+use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::feed::choose::ActiveProfile;
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, RecommendSettings};
@@ -126,6 +130,61 @@ pub trait Store: Send + Sync + 'static {
     async fn models(&self, kind: ModelKind, page: Page<ModelId>) -> StoreResult<Vec<Versioned<Model>>>;
     /// What the process of an operation needs to know, with this tool: library entry and what the edge has cut.
     async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge>;
+
+    /// Drafts a version of a feed profile: the first of a new line, the next of a line for the same operation, tool
+    /// type and wear band. The same content is kept once. `Conflict` where the line or its subject is another.
+    async fn draft_profile(
+        &self,
+        id: &ProfileId,
+        new: NewProfileVersion,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Drafted>;
+    /// Moves a feed profile along its way; `None` where the line or the version does not exist. The precondition is
+    /// on the line's revision, so that of two moves at once one is refused.
+    async fn move_profile(
+        &self,
+        id: &ProfileId,
+        what: ProfileMove,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<FeedProfile>>;
+    /// One feed profile.
+    async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>>;
+    /// Feed profiles by id.
+    async fn feed_profiles(
+        &self,
+        filter: &FeedProfileFilter,
+        page: Page<ProfileId>,
+    ) -> StoreResult<Vec<FeedProfile>>;
+    /// One version of a feed profile.
+    async fn profile_version(
+        &self,
+        id: &ProfileId,
+        version: u32,
+    ) -> StoreResult<Option<StoredProfileVersion>>;
+    /// Versions of a feed profile, oldest first.
+    async fn profile_versions(
+        &self,
+        id: &ProfileId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<StoredProfileVersion>>;
+    /// Active versions for an operation and the type of a tool.
+    async fn active_profiles(
+        &self,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Vec<ActiveProfile>>;
+    /// The last `most` cycles that ran a version, oldest first.
+    async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>>;
+    /// The last `most` cycles of an operation with tools of a type, oldest first.
+    async fn recent_cycles(
+        &self,
+        operation: &OperationId,
+        tool_type: &str,
+        most: u32,
+    ) -> StoreResult<Vec<StoredCycle>>;
 
     /// Adds a version of a machine's fitted lines (its `version` is assigned here); `None` where the machine is not
     /// registered.

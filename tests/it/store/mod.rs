@@ -9,6 +9,7 @@ mod alarms;
 mod alike;
 mod citus;
 mod cycles;
+mod feed_profiles;
 mod models;
 mod operations;
 mod registry;

@@ -1,9 +1,10 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, continuity, course, cycles, edge, fleet, friction, health, jobs, library,
-    life, live, machines, openapi, operations, peak_to_peak, plunge, quarantine, recommendations, retention,
-    samples, series, session, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
+    alarms, audit, calibrations, continuity, course, cycles, edge, feed_profiles, fleet, friction, health,
+    jobs, library, life, live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence,
+    profile_files, profile_optimise, quarantine, recommendations, retention, samples, series, session,
+    summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -39,6 +40,10 @@ pub const READ_OR_OWN: Access = Access::Roles(&Role::ALL);
 pub const OWN: Access = Access::Roles(&[Role::Machine, Role::Admin]);
 /// Registers, resets, acknowledges, repairs.
 pub const ENGINEER: Access = Access::Roles(&[Role::Engineer, Role::Admin]);
+/// Approves what others drafted.
+pub const APPROVER: Access = Access::Roles(&[Role::Approver]);
+/// Brings what is approved into force, and takes it back.
+pub const RELEASE: Access = Access::Roles(&[Role::Engineer, Role::Approver, Role::Admin]);
 /// Whoever has a token.
 pub const EVERYONE: Access = Access::Roles(&Role::ALL);
 /// Manages identities.
@@ -208,6 +213,23 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(what_if::of_cycle), READ),
         Route::new(routes!(what_if::of_many), READ),
         Route::new(routes!(calibrations::fit), ENGINEER),
+        Route::new(routes!(feed_profiles::draft), ENGINEER),
+        Route::new(routes!(feed_profiles::list), READ),
+        Route::new(routes!(feed_profiles::get), READ_OR_OWN),
+        Route::new(routes!(feed_profiles::versions), READ),
+        Route::new(routes!(feed_profiles::version), READ_OR_OWN),
+        Route::new(routes!(feed_profiles::compare), READ),
+        Route::new(routes!(feed_profiles::shadow), ENGINEER),
+        Route::new(routes!(feed_profiles::approve), APPROVER),
+        Route::new(routes!(feed_profiles::activate), RELEASE),
+        Route::new(routes!(feed_profiles::rollback), RELEASE),
+        Route::new(routes!(profile_files::export), READ_OR_OWN),
+        Route::new(routes!(profile_files::import), ENGINEER),
+        Route::new(routes!(profile_files::read), READ),
+        Route::new(routes!(profile_evidence::shadow_report), READ),
+        Route::new(routes!(profile_evidence::comparison), READ),
+        Route::new(routes!(profile_optimise::start), ENGINEER),
+        Route::new(routes!(profile_optimise::outcome), READ),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),

@@ -1,11 +1,15 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, fleet, life, machines, models, operations,
-    quarantine, recommendations, registry, retention, series, sessions, tokens, tools, verify, watch, wear,
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, fleet, life, machines, models,
+    operations, quarantine, recommendations, registry, retention, series, sessions, tokens, tools, verify,
+    watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
+use crate::feed_profile::{
+    Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
+};
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
@@ -16,8 +20,9 @@ use crate::record::{
 };
 use crate::store::Store;
 use async_trait::async_trait;
-use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
+use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::feed::choose::ActiveProfile;
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, RecommendSettings};
@@ -263,6 +268,78 @@ impl Store for Engine {
     async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge> {
         let (operation, tool) = (operation.clone(), tool.clone());
         snapshot!(self, |conn| models::knowledge(conn, Some(&operation), &tool).await)
+    }
+
+    async fn draft_profile(
+        &self,
+        id: &ProfileId,
+        new: NewProfileVersion,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Drafted> {
+        let (id, actor) = (id.clone(), actor.clone());
+        write!(self, |conn| feed_profiles::draft(conn, &id, &new, &actor, now).await)
+    }
+
+    async fn move_profile(
+        &self,
+        id: &ProfileId,
+        what: ProfileMove,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<FeedProfile>> {
+        let (id, actor) = (id.clone(), actor.clone());
+        write!(self, |conn| feed_profiles::advance(conn, &id, what, expects, &actor, now).await)
+    }
+
+    async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>> {
+        feed_profiles::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn feed_profiles(
+        &self,
+        filter: &FeedProfileFilter,
+        page: Page<ProfileId>,
+    ) -> StoreResult<Vec<FeedProfile>> {
+        feed_profiles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn profile_version(
+        &self,
+        id: &ProfileId,
+        version: u32,
+    ) -> StoreResult<Option<StoredProfileVersion>> {
+        feed_profiles::version(&mut *self.reader().await?, id, version).await
+    }
+
+    async fn profile_versions(
+        &self,
+        id: &ProfileId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<StoredProfileVersion>> {
+        feed_profiles::versions(&mut *self.reader().await?, id, &page).await
+    }
+
+    async fn active_profiles(
+        &self,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Vec<ActiveProfile>> {
+        feed_profiles::active(&mut *self.reader().await?, operation, tool).await
+    }
+
+    async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>> {
+        feed_profiles::cycles(&mut *self.reader().await?, ran, most).await
+    }
+
+    async fn recent_cycles(
+        &self,
+        operation: &OperationId,
+        tool_type: &str,
+        most: u32,
+    ) -> StoreResult<Vec<StoredCycle>> {
+        feed_profiles::recent(&mut *self.reader().await?, operation, tool_type, most).await
     }
 
     async fn add_calibration(
