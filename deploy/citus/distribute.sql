@@ -42,8 +42,6 @@ COMMIT;
 -- local: tokens
 -- local: machine_contacts
 -- local: registry_generation
--- local: feed_profiles
--- local: feed_profile_versions
 -- local: sessions
 -- local: stream_leases
 -- local: cycle_overrides
