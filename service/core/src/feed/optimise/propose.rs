@@ -391,7 +391,7 @@ fn servo_lag_s(courses: &[Course], programmed: &[f64], grid: &Grid) -> f64 {
         return 0.0;
     }
     let (mut product, mut square) = (0.0, 0.0);
-    for node in 1..grid.count() - 1 {
+    for (node, feed) in programmed.iter().enumerate().take(grid.count() - 1).skip(1) {
         let speed = |at: usize| latest.readings[at].as_ref().map(|reading| reading.x.exp() / 60.0);
         let (Some(before), Some(here), Some(after)) = (speed(node - 1), speed(node), speed(node + 1)) else {
             continue;
@@ -399,7 +399,7 @@ fn servo_lag_s(courses: &[Course], programmed: &[f64], grid: &Grid) -> f64 {
         let acceleration = here * (after - before) / (2.0 * grid.step_mm());
         // Weighted by time, and not where the axis stops at the end of the path.
         if grid.end_mm() - grid.depth_mm(node) > 0.5 {
-            product += (programmed[node] / 60.0 - here) * acceleration / here;
+            product += (feed / 60.0 - here) * acceleration / here;
             square += acceleration * acceleration / here;
         }
     }

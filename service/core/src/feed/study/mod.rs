@@ -8,8 +8,6 @@ mod draw;
 mod other;
 mod plant;
 mod reference;
-#[cfg(test)]
-mod tests;
 
 pub use draw::{AnyPlant, Case, Model, Start, draw};
 pub use other::{Bump, OtherModel};
