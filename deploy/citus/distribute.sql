@@ -15,6 +15,8 @@ SELECT create_reference_table('tools');
 SELECT create_reference_table('tool_events');
 SELECT create_reference_table('operations');
 SELECT create_reference_table('models');
+SELECT create_reference_table('feed_profiles');
+SELECT create_reference_table('feed_profile_versions');
 -- What recommendations say, each text once: few, and read beside recommendations.
 SELECT create_reference_table('advices');
 
@@ -40,8 +42,6 @@ COMMIT;
 -- local: tokens
 -- local: machine_contacts
 -- local: registry_generation
--- local: feed_profiles
--- local: feed_profile_versions
 -- local: sessions
 -- local: stream_leases
 -- local: cycle_overrides

@@ -3,6 +3,7 @@
 mod fit;
 mod fleet;
 mod history;
+mod profiles;
 mod simulate;
 mod twin;
 

@@ -2,6 +2,7 @@
 
 mod app;
 pub(crate) mod commands;
+mod feed_profiles;
 mod lists;
 mod matrix;
 mod openapi;
@@ -11,6 +12,7 @@ mod reading;
 mod registry;
 mod replicas;
 mod service;
+mod sessions;
 mod sockets;
 mod tls;
 mod tokens;

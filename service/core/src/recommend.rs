@@ -1,7 +1,7 @@
 //! What to run next, and why: a pure function of the tool's verdict and of what is registered.
 //!
-//! Between cycles neutral is exactly 100 % of the programmed feed. Unknown never raises the feed; until feed
-//! profiles exist every recommendation is neutral and says so.
+//! Between cycles neutral is exactly 100 % of the programmed feed. Unknown never raises the feed: without an active feed
+//! profile that fits, a recommendation is neutral and says why.
 
 mod process;
 
@@ -10,6 +10,8 @@ pub use process::{
     TurningNext,
 };
 
+use crate::cycle::ProfileVersion;
+use crate::feed::choose::{ActiveProfile, ProfileAdvice, choose};
 use crate::ids::{MachineId, OperationId, ToolId};
 use crate::machine::{FeedLimits, Machine};
 use crate::operation::Operation;
@@ -17,7 +19,7 @@ use crate::units::{Process, Timestamp};
 use crate::wear::{Level, Remaining, ToolState, Verdict};
 
 /// Version of the rules below; part of every recommendation.
-pub const LAW_VERSION: &str = "neutral-1";
+pub const LAW_VERSION: &str = "profile-1";
 
 /// The override that leaves the programmed feed as it is, %.
 pub const NEUTRAL_OVERRIDE_PERCENT: f64 = 100.0;
@@ -57,6 +59,10 @@ pub struct Question<'a> {
     pub verdict: &'a Verdict,
     /// What is known for the operation's process beside its energy.
     pub knowledge: &'a Knowledge,
+    /// Active feed profiles of the operation and the tool's type.
+    pub profiles: &'a [ActiveProfile],
+    /// The profile version that the cycle named which is being answered.
+    pub ran: Option<&'a ProfileVersion>,
     /// How long things stay good.
     pub settings: RecommendSettings,
 }
@@ -144,8 +150,10 @@ pub struct Recommendation {
     pub action: Action,
     /// Programmed feed to run, mm/min, within the machine's limits; `None` where it is not known: run the program.
     pub feed_mm_min: Option<f64>,
-    /// Override to run, %; exactly 100 until profiles exist.
+    /// Override to run, %; between cycles exactly 100.
     pub override_percent: f64,
+    /// The feed profile to run instead of one feed; none where no active one fits, as the reasons say.
+    pub profile: Option<ProfileAdvice>,
     /// Limits that hold whatever the control does.
     pub limits: FeedLimits,
     /// Set load of the spindle drive, %.
@@ -176,7 +184,10 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     let mut reasons: Vec<(String, String)> = Vec::new();
     let mut say = |code: &str, why: &str| reasons.push((code.to_owned(), why.to_owned()));
 
-    say("no_profile", "no feed profile is active: 100 % of the programmed feed");
+    let data_age_ms = verdict.last.as_ref().map(|last| now.millis_since(last.started_at).max(0));
+    let quality = quality(verdict, data_age_ms, settings);
+    let mut action = action(verdict.state);
+    let profile = profile(question, action, quality == DataQuality::Stale, &mut say);
     if !question.tool_registered {
         say("tool_unregistered", "the tool is not registered: its cycles are kept and counted once it is");
     }
@@ -204,12 +215,9 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     for (code, why) in &verdict.reasons {
         say(code, why);
     }
-    let data_age_ms = verdict.last.as_ref().map(|last| now.millis_since(last.started_at).max(0));
-    let quality = quality(verdict, data_age_ms, settings);
     if quality == DataQuality::Stale {
         say("data_stale", "the tool's last cycle is older than data stays good");
     }
-    let mut action = action(verdict.state);
     let process_advice =
         operation.and_then(|operation| process::advise(question, operation, &mut action, &mut say));
     Recommendation {
@@ -220,8 +228,10 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         tool: question.tool_id.clone(),
         process: operation.map(|operation| operation.process),
         action,
-        feed_mm_min: feed,
+        // A profile is no single feed: who cannot run it runs the program.
+        feed_mm_min: feed.filter(|_| profile.is_none()),
         override_percent: NEUTRAL_OVERRIDE_PERCENT,
+        profile,
         limits: machine.limits,
         spindle_load_set_percent: operation.and_then(|operation| operation.spindle_load_set_percent),
         feed_drive_load_set_percent: operation.and_then(|operation| operation.feed_drive_load_set_percent),
@@ -234,6 +244,45 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         reasons,
         law_version: LAW_VERSION.to_owned(),
     }
+}
+
+/// The feed profile to run, and why it is that one or none.
+fn profile(
+    question: &Question<'_>,
+    action: Action,
+    stale: bool,
+    say: &mut impl FnMut(&str, &str),
+) -> Option<ProfileAdvice> {
+    // Without the operation its program, material and depth are not known; without the tool its type is not.
+    let operation = question.operation.filter(|_| question.tool_registered);
+    let active = if operation.is_some() { question.profiles } else { &[] };
+    let chosen = match operation {
+        Some(operation) => {
+            let state = (action == Action::Run, stale);
+            choose(active, operation, &question.machine.limits, question.verdict, state)
+        }
+        None => Err(("no_profile", "no feed profile is active: 100 % of the programmed feed".to_owned())),
+    };
+    let chosen = match chosen {
+        Ok(chosen) => {
+            let ProfileVersion { profile, version } = &chosen.version;
+            say("profile_active", &format!("version {version} of feed profile {profile} is active and fits"));
+            Some(chosen)
+        }
+        Err((code, why)) => {
+            say(code, &why);
+            None
+        }
+    };
+    if let Some(ran) = question.ran
+        && active.iter().all(|one| one.version != *ran)
+    {
+        let ProfileVersion { profile, version } = ran;
+        let why =
+            format!("the cycle ran version {version} of feed profile {profile}, which is not active here");
+        say("profile_mismatch", &why);
+    }
+    chosen
 }
 
 fn action(state: ToolState) -> Action {

@@ -2,9 +2,11 @@
 //!
 //! A pure function of the cycle and of what its machine and operation declare, with bounded cost per sample.
 
+mod course;
 mod energy;
 mod loads;
 
+pub use course::energy_course;
 pub use energy::{Energy, EnergyBasis, IdlePower};
 pub(crate) use loads::median;
 pub use loads::{Peak, PeakShift};

@@ -36,6 +36,14 @@ pub enum StoreError {
         /// The version in force.
         current: u64,
     },
+    /// It contradicts what is in force.
+    #[error("{why}")]
+    Conflict {
+        /// Stable code.
+        code: &'static str,
+        /// A sentence for a person.
+        why: String,
+    },
     /// A bounded table is full.
     #[error("{what} is full")]
     Full {

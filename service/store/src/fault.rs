@@ -105,6 +105,7 @@ impl StoreError {
             Self::Damaged { what } => Self::Damaged { what: what.clone() },
             Self::VersionMismatch { current } => Self::VersionMismatch { current: *current },
             Self::VersionRequired { current } => Self::VersionRequired { current: *current },
+            Self::Conflict { code, why } => Self::Conflict { code, why: why.clone() },
             Self::Full { what } => Self::Full { what },
             Self::Database(_) => Self::Database(text()),
         }

@@ -8,6 +8,7 @@
 pub mod codec;
 mod error;
 mod fault;
+mod feed_profile;
 mod gate;
 mod history;
 mod locks;
@@ -25,6 +26,7 @@ pub mod wire;
 mod work;
 
 pub use error::{StoreError, StoreResult};
+pub use feed_profile::*;
 pub use notice::{Listener, Notice, Notices};
 pub use postgres::{PostgresOptions, PostgresStore};
 pub use record::*;

@@ -1,17 +1,21 @@
 //! The trait that both engines implement.
 
 use crate::error::StoreResult;
+use crate::feed_profile::{
+    Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
+};
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
-    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, PointColumns,
-    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
-    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
-    WatchSettings, WearCheck,
+    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
+    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord,
+    ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
-use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
+use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::feed::choose::ActiveProfile;
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, RecommendSettings};
@@ -36,6 +40,13 @@ pub trait Store: Send + Sync + 'static {
 
     /// Proves that the database takes writes, by one.
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
+
+    /// The fleet at a glance: machines by id, each with its newest `recent` cycles, the verdict on the tool it ran last
+    /// and its open alarms, all of one moment.
+    async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>>;
+
+    /// One machine of the fleet; `None` where it is not registered.
+    async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>>;
 
     /// One round of the watch: notes when machines were `heard` of, raises and clears what only a look around can tell
     /// (silence, a quarantine that fills up), and says what was found.
@@ -119,6 +130,61 @@ pub trait Store: Send + Sync + 'static {
     async fn models(&self, kind: ModelKind, page: Page<ModelId>) -> StoreResult<Vec<Versioned<Model>>>;
     /// What the process of an operation needs to know, with this tool: library entry and what the edge has cut.
     async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge>;
+
+    /// Drafts a version of a feed profile: the first of a new line, the next of a line for the same operation, tool
+    /// type and wear band. The same content is kept once. `Conflict` where the line or its subject is another.
+    async fn draft_profile(
+        &self,
+        id: &ProfileId,
+        new: NewProfileVersion,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Drafted>;
+    /// Moves a feed profile along its way; `None` where the line or the version does not exist. The precondition is
+    /// on the line's revision, so that of two moves at once one is refused.
+    async fn move_profile(
+        &self,
+        id: &ProfileId,
+        what: ProfileMove,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<FeedProfile>>;
+    /// One feed profile.
+    async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>>;
+    /// Feed profiles by id.
+    async fn feed_profiles(
+        &self,
+        filter: &FeedProfileFilter,
+        page: Page<ProfileId>,
+    ) -> StoreResult<Vec<FeedProfile>>;
+    /// One version of a feed profile.
+    async fn profile_version(
+        &self,
+        id: &ProfileId,
+        version: u32,
+    ) -> StoreResult<Option<StoredProfileVersion>>;
+    /// Versions of a feed profile, oldest first.
+    async fn profile_versions(
+        &self,
+        id: &ProfileId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<StoredProfileVersion>>;
+    /// Active versions for an operation and the type of a tool.
+    async fn active_profiles(
+        &self,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Vec<ActiveProfile>>;
+    /// The last `most` cycles that ran a version, oldest first.
+    async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>>;
+    /// The last `most` cycles of an operation with tools of a type, oldest first.
+    async fn recent_cycles(
+        &self,
+        operation: &OperationId,
+        tool_type: &str,
+        most: u32,
+    ) -> StoreResult<Vec<StoredCycle>>;
 
     /// Adds a version of a machine's fitted lines (its `version` is assigned here); `None` where the machine is not
     /// registered.
@@ -207,6 +273,8 @@ pub trait Store: Send + Sync + 'static {
 
     /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
+    /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
+    async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair`.
     async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck>;
 
@@ -263,4 +331,11 @@ pub trait Store: Send + Sync + 'static {
     /// Revokes a token; `None` where there is none of that id.
     async fn revoke_token(&self, id: &str, actor: &Actor, now: Timestamp)
     -> StoreResult<Option<TokenRecord>>;
+
+    /// Keeps a browser's session; of one token at most `most` are kept, the newest.
+    async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()>;
+    /// The session of that hash with its token, over or not, revoked or not.
+    async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>>;
+    /// Ends a session; `false` where there is none of that hash.
+    async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool>;
 }

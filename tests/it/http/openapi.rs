@@ -10,9 +10,14 @@ const CHECKED_IN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../openapi/openap
 
 #[test]
 fn the_checked_in_description_is_fresh() {
+    let fresh = json().unwrap();
+    // Saves a build of the binary for whoever has just built the tests.
+    if std::env::var_os("FEEDWRIGHT_BLESS").is_some() {
+        std::fs::write(CHECKED_IN, &fresh).unwrap();
+    }
     let stored = std::fs::read_to_string(CHECKED_IN).unwrap_or_default();
     assert!(
-        stored == json().unwrap(),
+        stored == fresh,
         "openapi/openapi.json is stale: run `cargo run -- openapi > openapi/openapi.json`"
     );
 }
@@ -30,7 +35,7 @@ async fn it_describes_every_route_of_the_api_and_no_other() {
         .collect();
     let mounted: BTreeSet<_> = table()
         .iter()
-        .filter(|route| !route.path().starts_with("/docs"))
+        .filter(|route| route.is_described())
         .map(|route| format!("{} {}", route.method(), route.path()))
         .collect();
     assert_eq!(described, mounted);

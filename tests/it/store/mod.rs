@@ -1,5 +1,6 @@
 //! Stories of the store, each told to both engines.
 
+mod fleet;
 pub(crate) mod given;
 
 pub(crate) use given::{Given, shop};
@@ -8,6 +9,7 @@ mod alarms;
 mod alike;
 mod citus;
 mod cycles;
+mod feed_profiles;
 mod models;
 mod operations;
 mod registry;

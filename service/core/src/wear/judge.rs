@@ -5,6 +5,7 @@ use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::remaining;
 use super::verdict::{BaselineEvidence, Exclusion, Level, SecondIndicators, ToolState, Verdict};
+use crate::ids::{CycleId, MachineId};
 use crate::summary::PeakShift;
 use crate::units::{Strategy, Timestamp};
 
@@ -12,6 +13,11 @@ use crate::units::{Strategy, Timestamp};
 const OUTDATED_CYCLES: u64 = 20;
 
 impl ToolFold {
+    /// The last cycles that were not counted so far, oldest first; a reason may change until a later cycle settles it.
+    pub fn last_excluded(&self) -> &[(MachineId, CycleId, Exclusion)] {
+        &self.last_excluded
+    }
+
     /// What the fold says now.
     pub fn verdict(&self) -> Verdict {
         if self.cycles == 0 && self.life == 0 {

@@ -4,7 +4,7 @@ use super::problem::Problem;
 use crate::state::AppState;
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ToolId};
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_store::{CycleKey, Page};
 use serde::Serialize;
@@ -49,7 +49,7 @@ macro_rules! cursor_key {
     };
 }
 
-cursor_key! { ids: MachineId, ToolId, OperationId, CycleId, ModelId; numbers: i64, u32, String }
+cursor_key! { ids: MachineId, ToolId, OperationId, CycleId, ModelId, ProfileId; numbers: i64, u32, String }
 
 impl CursorKey for CycleKey {
     fn write(&self) -> String {

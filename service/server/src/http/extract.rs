@@ -2,7 +2,7 @@
 
 use super::problem::Problem;
 use axum::extract::{FromRequestParts, RawPathParams};
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
 use http::request::Parts;
 use serde::de::DeserializeOwned;
@@ -35,6 +35,7 @@ in_path! {
     CycleId, "cycle_id";
     RecommendationId, "recommendation_id";
     ModelId, "model";
+    ProfileId, "profile";
 }
 
 /// A number of a row.
@@ -43,6 +44,16 @@ impl InPath for i64 {
 
     fn read(text: &str) -> Result<Self, Violation> {
         text.parse().map_err(|_| Violation::new("id", "invalid_id", "must be a whole number"))
+    }
+}
+
+/// The number of a version, counted from 1.
+impl InPath for u32 {
+    const NAME: &'static str = "version";
+
+    fn read(text: &str) -> Result<Self, Violation> {
+        let version = text.parse().ok().filter(|version| *version > 0);
+        version.ok_or_else(|| Violation::new("version", "invalid_version", "must be a whole number from 1"))
     }
 }
 

@@ -32,7 +32,16 @@ pub(super) async fn computed(
         let result = result.ok_or_else(|| Problem::internal("a short computation gave no result"))?;
         return Ok(raw(result));
     }
-    let job = state.jobs.submit(&question, &state.lifecycle, state.clock.now(), work)?;
+    submitted(state, &question, work)
+}
+
+/// Makes a job of a question and answers where it is.
+pub(super) fn submitted(
+    state: &AppState,
+    question: &Question,
+    work: impl FnOnce(&Progress) -> Option<Bytes> + Send + 'static,
+) -> Result<Response, Problem> {
+    let job = state.jobs.submit(question, &state.lifecycle, state.clock.now(), work)?;
     let place = HeaderValue::try_from(format!("/v1/jobs/{}", job.id));
     let mut response = (StatusCode::ACCEPTED, shown(&job)?).into_response();
     if let Ok(place) = place {

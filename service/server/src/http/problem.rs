@@ -260,6 +260,7 @@ impl From<StoreError> for Problem {
                 "it exists with other content: name the version you change with If-Match",
             )
             .member("current_version", current),
+            StoreError::Conflict { code, why } => Self::new(StatusCode::CONFLICT, code, why),
             StoreError::Full { what } => Self::unavailable("full", format!("the {what} is full"), 60),
             StoreError::Database(_) => Self::internal(""),
         };

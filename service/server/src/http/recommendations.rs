@@ -53,6 +53,7 @@ pub async fn get_recommendation(
         Some(operation) => state.store.knowledge(operation, &tool).await?,
         None => Knowledge::None,
     };
+    let profiles = state.store.active_profiles(&operation, &tool).await?;
     let advice = recommend(&Question {
         now: state.clock.now(),
         machine: &around.machine,
@@ -62,6 +63,8 @@ pub async fn get_recommendation(
         tool_registered: around.tool.is_some(),
         verdict: &verdict,
         knowledge: &knowledge,
+        profiles: &profiles,
+        ran: None,
         settings: state.config.recommendation.settings(),
     });
     let id = RecommendationId::parse("id", &uuid::Uuid::now_v7().to_string())?;

@@ -7,7 +7,7 @@ use super::dto::what_if::{ManyAnswer, ManyQuestion, SumBody, SumErrorBody, WhatI
 use super::extract::PathId;
 use super::problem::{Problem, ProblemDocument};
 use crate::state::AppState;
-use crate::what_if::{Asked, Library, Prediction, Unusable, predict};
+use crate::what_if::{Asked, IdleLoads, Library, Prediction, Unusable, predict};
 use axum::extract::State;
 use feedwright_core::friction::whatif::RunFigures;
 use feedwright_core::ids::{CycleId, MachineId};
@@ -15,6 +15,7 @@ use feedwright_core::invalid::Violation;
 use feedwright_store::{Page, StoredCycle};
 use http::StatusCode;
 use std::collections::BTreeMap;
+use tokio::sync::SemaphorePermit;
 
 /// Cycles that are read before they are run: bounds what is held in memory at a time.
 const CHUNK: usize = 16;
@@ -67,13 +68,30 @@ pub(super) async fn of_many(
 ) -> Result<axum::Json<ManyAnswer>, Problem> {
     let inside = |wrong: Violation| Violation { path: format!("question.{}", wrong.path), ..wrong };
     let (asked, idle) = question.question.to_asked().map_err(inside)?;
+    if asked.samples {
+        let text = "samples are told of one cycle at a time";
+        return Err(Violation::new("question.samples", "not_of_many", text).into());
+    }
     let most = question.most()?;
     let filter = question.filter.to_filter("filter")?;
-    let _room = room()?;
+    let room = room()?;
     let mut rows = state.store.cycles(&filter, Page { after: None, limit: most + 1 }).await?;
     let next = rows.get(most as usize).map(|row| time::show(row.cycle.started_at));
     rows.truncate(most as usize);
-    let mut sum = Sum::new(&asked, question.cycles);
+    let sum = run_all(&state, &room, rows, &asked, idle, question.cycles).await?;
+    Ok(axum::Json(sum.answer(next)))
+}
+
+/// Runs stored cycles under another control, some at a time, for a request that has room.
+pub(super) async fn run_all(
+    state: &AppState,
+    _room: &SemaphorePermit<'static>,
+    rows: Vec<StoredCycle>,
+    asked: &Asked,
+    idle: Option<IdleLoads>,
+    each: bool,
+) -> Result<Sum, Problem> {
+    let mut sum = Sum::new(asked, each);
     let mut library = Library::new(state.store.clone(), idle);
     let mut rows = rows.into_iter().peekable();
     while rows.peek().is_some() {
@@ -86,7 +104,7 @@ pub(super) async fn of_many(
         let answers: Vec<_> = on_thread(move || Ok(chunk.into_iter().map(run).collect())).await?;
         answers.into_iter().for_each(|answer| sum.take(answer));
     }
-    Ok(axum::Json(sum.answer(next)))
+    Ok(sum)
 }
 
 /// A cycle with all that its prediction needs.
@@ -124,7 +142,7 @@ fn not_usable(why: Unusable, detail: impl Into<String>) -> Problem {
 }
 
 /// Answers as they come, summed up.
-struct Sum {
+pub(super) struct Sum {
     tolerated_s: f64,
     considered: u32,
     skipped: BTreeMap<&'static str, u32>,
@@ -165,7 +183,7 @@ impl Sum {
         }
     }
 
-    fn answer(mut self, next: Option<String>) -> ManyAnswer {
+    pub(super) fn answer(mut self, next: Option<String>) -> ManyAnswer {
         let (duration_median, duration_largest) = spread(&mut self.duration_errors);
         let (peak_spindle_median_points, peak_spindle_largest_points) = spread(&mut self.spindle_errors);
         ManyAnswer {

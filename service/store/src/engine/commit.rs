@@ -3,7 +3,7 @@
 use super::memory::Memory;
 use super::registry::GroupRegistry;
 use super::wear::{self, ToolWear, Versions};
-use super::{Conn, alarms, cycles, dialect, models, recommendations};
+use super::{Conn, alarms, cycles, dialect, feed_profiles, models, recommendations};
 use crate::error::{StoreError, StoreResult};
 use crate::history::beginning;
 use crate::locks::Locks;
@@ -11,6 +11,7 @@ use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, New
 use crate::registry::Registry;
 use crate::rows::{CutRow, CycleRow, FactsRow, IssuedRow, Place};
 use feedwright_core::cycle::{Cycle, Flag};
+use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
 use feedwright_core::recommend::{Knowledge, Question, RecommendSettings, recommend};
 use feedwright_core::summary::{Context, CycleSummary, summarise};
@@ -56,7 +57,7 @@ pub(super) async fn group(
             Placed::New(_, summary) => (*summary, new.received_at, true),
             Placed::Known(known) => (known.summary, known.received_at, false),
         };
-        let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&Knowledge::None);
+        let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&UNKNOWN);
         let tool = (verdicts.get(&new.cycle.tool), known);
         let answer = answer(&new.cycle, (summary, received_at), &registry, tool, (now, settings))?;
         let row = IssuedRow::of(&answer.recommendation)?;
@@ -70,18 +71,33 @@ pub(super) async fn group(
     Ok(answers)
 }
 
+/// What is known for an operation with a tool: for its process, and its active feed profiles.
+struct Known {
+    process: Knowledge,
+    profiles: Vec<ActiveProfile>,
+}
+
+static UNKNOWN: Known = Known { process: Knowledge::None, profiles: Vec::new() };
+
 /// What the processes of a group need to know, once per operation and tool: the whole group is placed by now.
 async fn know_all<'a>(
     conn: &mut Conn,
     group: &'a [NewCycle],
     registry: &GroupRegistry,
-) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Knowledge>> {
+) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Known>> {
+    let any_active = feed_profiles::any_active(conn).await?;
     let mut known = BTreeMap::new();
     for cycle in group.iter().map(|new| &new.cycle) {
         let key = (&cycle.operation, &cycle.tool);
         if let Entry::Vacant(unknown) = known.entry(key) {
             let operation = registry.operations.get(&cycle.operation);
-            unknown.insert(models::knowledge(conn, operation.map(AsRef::as_ref), &cycle.tool).await?);
+            let process = models::knowledge(conn, operation.map(AsRef::as_ref), &cycle.tool).await?;
+            let profiles = if any_active {
+                feed_profiles::active(conn, &cycle.operation, &cycle.tool).await?
+            } else {
+                Vec::new()
+            };
+            unknown.insert(Known { process, profiles });
         }
     }
     Ok(known)
@@ -280,7 +296,7 @@ fn answer(
     cycle: &Cycle,
     (summary, received_at): (CycleSummary, Timestamp),
     registry: &GroupRegistry,
-    (verdict, knowledge): (Option<&Verdict>, &Knowledge),
+    (verdict, known): (Option<&Verdict>, &Known),
     (now, settings): (Timestamp, RecommendSettings),
 ) -> StoreResult<Box<CycleAnswer>> {
     let verdict = verdict.cloned().unwrap_or_else(wear::not_registered);
@@ -301,7 +317,9 @@ fn answer(
             tool_id: &cycle.tool,
             tool_registered,
             verdict: &verdict,
-            knowledge,
+            knowledge: &known.process,
+            profiles: &known.profiles,
+            ran: cycle.profile.as_ref(),
             settings,
         }),
     };

@@ -123,6 +123,18 @@ pub(super) async fn list(
     rows.iter().map(CycleWithSamples::stored).collect()
 }
 
+/// The last cycles that ran version `$2` of profile `$1`, newest first.
+pub(super) const LAST_OF_PROFILE: &str = select!(
+    "WHERE c.profile_id = $1 AND c.profile_version = $2
+     ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $3"
+);
+
+/// The last cycles of operation `$1` with tools of type `$2`, newest first.
+pub(super) const LAST_WITH_TOOL_TYPE: &str = select!(
+    "JOIN tools t ON t.tool_id = c.tool_id WHERE c.operation_id = $1 AND t.tool_type = $2
+     ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $3"
+);
+
 macro_rules! newest {
     ($driver:literal) => {
         select!(

@@ -1,23 +1,28 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, machines, models, operations, quarantine,
-    recommendations, registry, retention, series, tokens, tools, verify, watch, wear,
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, fleet, life, machines, models,
+    operations, quarantine, recommendations, registry, retention, series, sessions, tokens, tools, verify,
+    watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
+use crate::feed_profile::{
+    Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
+};
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
-    DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page, PointColumns,
-    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
-    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord, Versioned,
-    WatchSettings, WearCheck,
+    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
+    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord,
+    ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
-use feedwright_core::cycle::Samples;
-use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
+use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::feed::choose::ActiveProfile;
+use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{Knowledge, RecommendSettings};
@@ -132,6 +137,15 @@ impl Store for Engine {
             .await?;
             Ok(())
         })
+    }
+
+    async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>> {
+        snapshot!(self, |conn| fleet::list(conn, &page, recent).await)
+    }
+
+    async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>> {
+        let machine = machine.clone();
+        snapshot!(self, |conn| fleet::one(conn, &machine, recent).await)
     }
 
     async fn watch(
@@ -254,6 +268,78 @@ impl Store for Engine {
     async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge> {
         let (operation, tool) = (operation.clone(), tool.clone());
         snapshot!(self, |conn| models::knowledge(conn, Some(&operation), &tool).await)
+    }
+
+    async fn draft_profile(
+        &self,
+        id: &ProfileId,
+        new: NewProfileVersion,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Drafted> {
+        let (id, actor) = (id.clone(), actor.clone());
+        write!(self, |conn| feed_profiles::draft(conn, &id, &new, &actor, now).await)
+    }
+
+    async fn move_profile(
+        &self,
+        id: &ProfileId,
+        what: ProfileMove,
+        expects: Precondition,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<FeedProfile>> {
+        let (id, actor) = (id.clone(), actor.clone());
+        write!(self, |conn| feed_profiles::advance(conn, &id, what, expects, &actor, now).await)
+    }
+
+    async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>> {
+        feed_profiles::get(&mut *self.reader().await?, id).await
+    }
+
+    async fn feed_profiles(
+        &self,
+        filter: &FeedProfileFilter,
+        page: Page<ProfileId>,
+    ) -> StoreResult<Vec<FeedProfile>> {
+        feed_profiles::list(&mut *self.reader().await?, filter, &page).await
+    }
+
+    async fn profile_version(
+        &self,
+        id: &ProfileId,
+        version: u32,
+    ) -> StoreResult<Option<StoredProfileVersion>> {
+        feed_profiles::version(&mut *self.reader().await?, id, version).await
+    }
+
+    async fn profile_versions(
+        &self,
+        id: &ProfileId,
+        page: Page<u32>,
+    ) -> StoreResult<Vec<StoredProfileVersion>> {
+        feed_profiles::versions(&mut *self.reader().await?, id, &page).await
+    }
+
+    async fn active_profiles(
+        &self,
+        operation: &OperationId,
+        tool: &ToolId,
+    ) -> StoreResult<Vec<ActiveProfile>> {
+        feed_profiles::active(&mut *self.reader().await?, operation, tool).await
+    }
+
+    async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>> {
+        feed_profiles::cycles(&mut *self.reader().await?, ran, most).await
+    }
+
+    async fn recent_cycles(
+        &self,
+        operation: &OperationId,
+        tool_type: &str,
+        most: u32,
+    ) -> StoreResult<Vec<StoredCycle>> {
+        feed_profiles::recent(&mut *self.reader().await?, operation, tool_type, most).await
     }
 
     async fn add_calibration(
@@ -412,6 +498,11 @@ impl Store for Engine {
         snapshot!(self, |conn| wear::verdict(conn, &tool).await)
     }
 
+    async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| life::of(conn, &tool, most).await)
+    }
+
     async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck> {
         let mut checked = WearCheck { rows: 0, different: Vec::new() };
         let mut after = None;
@@ -515,5 +606,19 @@ impl Store for Engine {
     ) -> StoreResult<Option<TokenRecord>> {
         let (id, actor) = (id.to_owned(), actor.clone());
         write!(self, |conn| tokens::revoke(conn, &id, &actor, now).await)
+    }
+
+    async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()> {
+        let actor = actor.clone();
+        write!(self, |conn| sessions::begin(conn, &session, most, &actor).await)
+    }
+
+    async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>> {
+        sessions::by_hash(&mut *self.reader().await?, hash).await
+    }
+
+    async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool> {
+        let (hash, actor) = (*hash, actor.clone());
+        write!(self, |conn| sessions::end(conn, &hash, &actor, now).await)
     }
 }

@@ -1,11 +1,47 @@
-//! What a process adds to a recommendation, as the JSON that is kept beside the rest of the advice.
+//! What a process or a feed profile adds to a recommendation, as the JSON that is kept beside the rest of the advice.
 
 use super::{damaged, id, word};
 use crate::error::StoreResult;
+use feedwright_core::cycle::ProfileVersion;
+use feedwright_core::feed::choose::ProfileAdvice;
+use feedwright_core::feed::profile::ProfileHash;
 use feedwright_core::plunge::PlungeLimit;
 use feedwright_core::recommend::{PlungeAdvice, ProcessAdvice, TurningAdvice, TurningNext};
 use feedwright_core::turning::{Binding, Correction, Corrections, Limit, Readings};
 use serde::{Deserialize, Serialize};
+
+/// The feed profile that a recommendation hands out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ProfileAdviceBody {
+    profile: String,
+    version: u32,
+    hash: String,
+    time_s: f64,
+    wear_to_level: f64,
+}
+
+impl From<&ProfileAdvice> for ProfileAdviceBody {
+    fn from(advice: &ProfileAdvice) -> Self {
+        Self {
+            profile: advice.version.profile.as_str().to_owned(),
+            version: advice.version.version,
+            hash: advice.hash.to_string(),
+            time_s: advice.time_s,
+            wear_to_level: advice.wear_to_level,
+        }
+    }
+}
+
+impl ProfileAdviceBody {
+    pub(crate) fn advice(&self) -> StoreResult<ProfileAdvice> {
+        Ok(ProfileAdvice {
+            version: ProfileVersion { profile: id("profile", &self.profile)?, version: self.version },
+            hash: word("hash", &self.hash, ProfileHash::parse)?,
+            time_s: self.time_s,
+            wear_to_level: self.wear_to_level,
+        })
+    }
+}
 
 /// One of both.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,6 +1,6 @@
 //! Rows of advice, alarms, quarantine, audit and tokens.
 
-use super::{ProcessAdviceBody, id, number, word};
+use super::{ProcessAdviceBody, ProfileAdviceBody, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{Alarm, AlarmKind, AuditEntry, IssuedRecommendation, QuarantineEntry, Role, TokenRecord};
 use feedwright_core::machine::FeedLimits;
@@ -19,6 +19,8 @@ pub(crate) struct AdviceBody {
     action: String,
     feed_mm_min: Option<f64>,
     override_percent: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    profile: Option<ProfileAdviceBody>,
     limits: [f64; 4],
     spindle_load_set_percent: Option<f64>,
     feed_drive_load_set_percent: Option<f64>,
@@ -41,6 +43,7 @@ impl AdviceBody {
             action: recommendation.action.as_str().to_owned(),
             feed_mm_min: recommendation.feed_mm_min,
             override_percent: recommendation.override_percent,
+            profile: recommendation.profile.as_ref().map(Into::into),
             limits: [
                 limits.min_mm_min(),
                 limits.max_mm_min(),
@@ -118,6 +121,7 @@ impl RecommendationRow {
                 action: word("action", &body.action, Action::parse)?,
                 feed_mm_min: body.feed_mm_min,
                 override_percent: body.override_percent,
+                profile: body.profile.map(|profile| profile.advice()).transpose()?,
                 limits,
                 spindle_load_set_percent: body.spindle_load_set_percent,
                 feed_drive_load_set_percent: body.feed_drive_load_set_percent,

@@ -11,6 +11,7 @@ mod shape;
 pub(crate) mod tests;
 
 pub use canonical::{CANONICAL_FORMAT, ProfileHash};
+pub(crate) use canonical::{Fields, parse_decimal};
 pub use diff::{Change, KnotChange, ProfileDiff, SectionDiff, Setting, diff};
 pub use shape::ramp_time_s;
 

@@ -146,13 +146,33 @@ pub struct PlungeAdviceBody {
     pub bite_mm: Option<f64>,
 }
 
-/// The feed to run: the operation's programmed feed until a profile is active.
+/// The feed to run: the active feed profile where one fits, else the operation's programmed feed.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct FeedBody {
-    /// `programmed`: the feed that the operation declares; `program`: whatever the NC program says.
+    /// `profile`: the version named beside; `programmed`: the feed that the operation declares; `program`: whatever the
+    /// NC program says.
     pub source: &'static str,
-    /// The feed, mm/min, where it is declared.
+    /// The feed, mm/min, where it is declared and no profile is to be run.
     pub feed_mm_min: Option<f64>,
+    /// The version to run.
+    pub profile: Option<RecommendedProfileBody>,
+}
+
+/// The active version of a feed profile that fits.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct RecommendedProfileBody {
+    /// Name of the feed profile; a cycle that runs it says so in `profile`.
+    pub id: String,
+    /// Number of the version.
+    pub version: u32,
+    /// Hash of its content, as the exported file names it.
+    pub hash: String,
+    /// Time from first contact to the end at an override of 100 %, s.
+    pub time_s: f64,
+    /// Level of wear up to which it holds.
+    pub wear_to_level: f64,
+    /// Where its content is read.
+    pub content: String,
 }
 
 /// Limits of the machine.
@@ -212,8 +232,23 @@ impl From<&IssuedRecommendation> for RecommendationBody {
             process: advice.process.map_or("unknown", feedwright_core::units::Process::as_str),
             action: advice.action.as_str(),
             feed: FeedBody {
-                source: if advice.feed_mm_min.is_some() { "programmed" } else { "program" },
+                source: match (&advice.profile, advice.feed_mm_min) {
+                    (Some(_), _) => "profile",
+                    (None, Some(_)) => "programmed",
+                    (None, None) => "program",
+                },
                 feed_mm_min: advice.feed_mm_min,
+                profile: advice.profile.as_ref().map(|profile| RecommendedProfileBody {
+                    id: profile.version.profile.to_string(),
+                    version: profile.version.version,
+                    hash: profile.hash.to_string(),
+                    time_s: profile.time_s,
+                    wear_to_level: profile.wear_to_level,
+                    content: format!(
+                        "/v1/feed-profiles/{}/versions/{}",
+                        profile.version.profile, profile.version.version
+                    ),
+                }),
             },
             override_percent: advice.override_percent,
             limits: AdviceLimitsBody {

@@ -1,10 +1,12 @@
 //! Enums of the core and the store as the words that JSON holds.
 
 use feedwright_core::cycle::Outcome;
+use feedwright_core::feed::life_cycle::VersionState;
+use feedwright_core::feed::profile::SectionKind;
 use feedwright_core::machine::LoadReference;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::units::{Process, Strategy};
-use feedwright_store::{AlarmKind, Role};
+use feedwright_store::{AlarmKind, ProfileSource, Role};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;
 use utoipa::openapi::{ObjectBuilder, RefOr, Schema, Type};
@@ -66,6 +68,12 @@ words! {
     AlarmKindWord, AlarmKind: AlarmKind::ALL;
     /// A role.
     RoleWord, Role: Role::ALL;
+    /// What happens in a section of a feed profile.
+    SectionKindWord, SectionKind: SectionKind::ALL;
+    /// Where a version of a feed profile stands.
+    VersionStateWord, VersionState: VersionState::ALL;
+    /// Where a version of a feed profile comes from.
+    ProfileSourceWord, ProfileSource: ProfileSource::ALL;
     /// How a cycle ended.
     OutcomeWord, Outcome: [Outcome::Completed, Outcome::Aborted];
 }

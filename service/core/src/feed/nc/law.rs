@@ -1,0 +1,144 @@
+//! The override law as a polynomial that a control evaluates itself: SINUMERIK `FCTDEF` and `SYNFCT`.
+//!
+//! Our law moves the override step by step (Stryczek & Błaszczak 2020, Eq. 2–4); a synchronised action can only compute it
+//! from the load of the moment. What is fitted is the law's own answer from 100 %: with u = L/L_set − 1 it is
+//! 100·(1 − sgn(u)·(1 − e^(−b·u²/2))), odd about (1, 100 %), so a cubic 100 − c₁u − c₃u³ has its shape. The fit is least
+//! squares over loads from none to twice the set load, never rising; beyond, the limits of `FCTDEF` hold.
+
+use super::{LawInControl, decimal};
+use crate::feed::profile::Profile;
+use crate::invalid::Violation;
+
+/// `$AC_OVR` ends there.
+pub(super) const HIGHEST_PERCENT: f64 = 200.0;
+/// Points of the fit on either side of the set load.
+const POINTS: u32 = 200;
+
+/// Why no polynomial is fitted: a set load or an intensity that is none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FitError;
+
+/// Override over load, as `FCTDEF` takes it: a₀ + a₁L + a₂L² + a₃L³ within its limits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OverridePolynomial {
+    /// Lowest override, %.
+    pub lower_percent: f64,
+    /// Highest override, %.
+    pub upper_percent: f64,
+    /// a₀ to a₃ for a load in percent.
+    pub coefficients: [f64; 4],
+}
+
+impl OverridePolynomial {
+    /// Fits the law's answer from 100 % for a set load (percent) and an intensity b.
+    ///
+    /// # Errors
+    /// Where set load or intensity is not a positive number.
+    pub fn fit(
+        set_percent: f64,
+        intensity: f64,
+        lower_percent: f64,
+        upper_percent: f64,
+    ) -> Result<Self, FitError> {
+        if !(set_percent > 0.0 && set_percent.is_finite() && intensity > 0.0 && intensity.is_finite()) {
+            return Err(FitError);
+        }
+        // Normal equations of c₁u + c₃u³ over u in (0, 1]; the other side is its mirror image.
+        let (mut s2, mut s4, mut s6, mut y1, mut y3) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for k in 1..=POINTS {
+            let u = f64::from(k) / f64::from(POINTS);
+            let y = 100.0 * (1.0 - libm::exp(-intensity * u * u / 2.0));
+            let cube = u * u * u;
+            s2 += u * u;
+            s4 += u * cube;
+            s6 += cube * cube;
+            y1 += y * u;
+            y3 += y * cube;
+        }
+        let both = s2 * s6 - s4 * s4;
+        let (mut c1, mut c3) = ((y1 * s6 - y3 * s4) / both, (y3 * s2 - y1 * s4) / both);
+        // Never rising with the load where it is used: c₁ ≥ 0 and c₁ + 3c₃ ≥ 0, else the straight line.
+        if c1 < 0.0 || c1 + 3.0 * c3 < 0.0 {
+            (c1, c3) = (y1 / s2, 0.0);
+        }
+        let set = set_percent;
+        // 100 − c₁(L/S − 1) − c₃(L/S − 1)³, multiplied out.
+        let coefficients =
+            [100.0 + c1 + c3, -(c1 + 3.0 * c3) / set, 3.0 * c3 / (set * set), -c3 / (set * set * set)];
+        Ok(Self { lower_percent, upper_percent, coefficients })
+    }
+
+    /// As the control computes it, from numbers as they are written.
+    #[must_use]
+    pub fn at(&self, load_percent: f64) -> f64 {
+        let [a0, a1, a2, a3] = self.coefficients.map(|a| written(a).parse().unwrap_or(a));
+        (a0 + load_percent * (a1 + load_percent * (a2 + load_percent * a3)))
+            .clamp(self.lower_percent, self.upper_percent)
+    }
+
+    /// The `FCTDEF` with this number.
+    fn definition(&self, number: u32) -> String {
+        let [a0, a1, a2, a3] = self.coefficients.map(written);
+        let (low, high) = (decimal(self.lower_percent), decimal(self.upper_percent));
+        format!("FCTDEF({number},{low},{high},{a0},{a1},{a2},{a3})")
+    }
+}
+
+/// A coefficient: nine decimals, since a₃ is multiplied by the cube of a load.
+fn written(a: f64) -> String {
+    format!("{:.9}", a + 0.0)
+}
+
+/// The synchronised actions of a file.
+pub(super) struct Actions {
+    /// Feed drive and spindle: set load and polynomial.
+    drives: [Option<(f64, OverridePolynomial)>; 2],
+}
+
+impl Actions {
+    pub(super) fn new(profile: &Profile, law: LawInControl) -> Result<Self, Violation> {
+        let limits = profile.limits();
+        let fit = |set: Option<f64>| {
+            let fit = |set: f64| {
+                let polynomial = OverridePolynomial::fit(
+                    set,
+                    law.intensity,
+                    limits.override_min_percent,
+                    law.override_max_percent,
+                );
+                polynomial
+                    .map(|polynomial| (set, polynomial))
+                    .map_err(|_| Violation::new("law", "no_set_load", "there is no law for this set load"))
+            };
+            set.map(fit).transpose()
+        };
+        Ok(Self { drives: [fit(limits.feed_drive_load_set_percent)?, fit(limits.spindle_load_set_percent)?] })
+    }
+
+    pub(super) fn definitions(&self) -> Vec<String> {
+        self.drives.iter().flatten().zip(1..).map(|((_, one), number)| one.definition(number)).collect()
+    }
+
+    /// One action per drive. With both, the one whose load is nearer to its set load writes, in every interpolation cycle.
+    pub(super) fn actions(&self) -> Vec<String> {
+        const LOADS: [&str; 2] = ["$AA_LOAD[Z]", "$AA_LOAD[SPI(1)]"];
+        match &self.drives {
+            [Some((feed, _)), Some((spindle, _))] => {
+                let left = format!("{}*{}", LOADS[0], decimal(*spindle));
+                let right = format!("{}*{}", LOADS[1], decimal(*feed));
+                vec![
+                    format!("ID=1 WHENEVER {left} >= {right} DO SYNFCT(1,$AC_OVR,{})", LOADS[0]),
+                    format!("ID=2 WHENEVER {left} < {right} DO SYNFCT(2,$AC_OVR,{})", LOADS[1]),
+                ]
+            }
+            [Some(_), None] => vec![format!("ID=1 DO SYNFCT(1,$AC_OVR,{})", LOADS[0])],
+            [None, Some(_)] => vec![format!("ID=1 DO SYNFCT(1,$AC_OVR,{})", LOADS[1])],
+            [None, None] => Vec::new(),
+        }
+    }
+
+    pub(super) fn cancel(&self) -> String {
+        let numbers: Vec<String> = (1..=self.actions().len()).map(|number| number.to_string()).collect();
+        format!("CANCEL({})", numbers.join(","))
+    }
+}

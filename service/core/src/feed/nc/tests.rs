@@ -1,0 +1,215 @@
+use super::*;
+use crate::feed::profile::tests::given::{any_profile, profile};
+use crate::ids::ProfileId;
+use proptest::prelude::*;
+
+/// As the store does it.
+fn hash(profile: &Profile) -> ProfileHash {
+    ProfileHash::from_bytes(*blake3::hash(profile.canonical().as_bytes()).as_bytes())
+}
+
+fn stamp(profile: &Profile) -> Stamp {
+    let version = ProfileVersion { profile: ProfileId::try_from("bushing-M8:long").unwrap(), version: 3 };
+    Stamp { version, hash: hash(profile) }
+}
+
+fn written(dialect: Dialect, options: &ExportOptions) -> String {
+    let profile = profile();
+    write(dialect, &profile, &stamp(&profile), options).unwrap()
+}
+
+const LAW: LawInControl = LawInControl { intensity: 2.0, override_max_percent: 100.0 };
+
+/// Compares with the file beside the tests, or writes it where `FEEDWRIGHT_BLESS` is set.
+fn golden(name: &str, is: &str) {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/feed-profiles").join(name);
+    if std::env::var_os("FEEDWRIGHT_BLESS").is_some() {
+        std::fs::write(&path, is).unwrap();
+    }
+    let meant = std::fs::read_to_string(&path).unwrap_or_default();
+    assert_eq!(is, meant, "{} is not what is written", path.display());
+}
+
+#[test]
+fn every_dialect_writes_the_file_that_the_documentation_shows() {
+    for dialect in Dialect::ALL {
+        let name = format!("bushing-m8.{}.{}", dialect.as_str(), dialect.extension());
+        golden(&name, &written(dialect, &ExportOptions { feed_error: 0.02, ..ExportOptions::default() }));
+    }
+    let options = ExportOptions { law: Some(LAW), ..ExportOptions::default() };
+    golden("bushing-m8.sinumerik-law.spf", &written(Dialect::Sinumerik, &options));
+}
+
+#[test]
+fn a_file_that_was_changed_is_refused_with_its_line() {
+    let refused = |text: &str| {
+        let wrong = read(text, hash).unwrap_err();
+        (wrong[0].path.clone(), wrong[0].code)
+    };
+    let sinumerik = written(Dialect::Sinumerik, &ExportOptions::default());
+    assert_eq!(
+        refused(&sinumerik.replace("Z-7.000 F535.000", "Z-7.000 F635.000")),
+        ("hash".into(), "hash_mismatch")
+    );
+    assert_eq!(refused(&sinumerik.replace("FNORM\n", "")).1, "changed");
+    assert_eq!(refused(&format!("{sinumerik}G0 Z-100.\n")).1, "changed");
+    assert_eq!(
+        refused(&sinumerik.replace("feed_max_mm_min 1000", "feed_max_mm_min 9000")).1,
+        "hash_mismatch"
+    );
+    assert_eq!(refused(&sinumerik.replace("G0 Z1.000", "G0 Z-5.000")).1, "changed");
+    let linuxcnc = written(Dialect::Linuxcnc, &ExportOptions::default());
+    let step = linuxcnc.lines().rev().nth(4).unwrap();
+    let number = linuxcnc.lines().position(|line| line == step).unwrap() + 1;
+    assert_eq!(
+        refused(&linuxcnc.replace(step, "G1 Z-18.000 F999.000")),
+        (format!("line {number}"), "changed")
+    );
+    assert_eq!(refused(&linuxcnc.replace("! warning", "! all good")).1, "changed");
+    assert_eq!(refused("G1 Z-1 F100").1, "not_an_export");
+    assert_eq!(refused(&"; x\n".repeat(400_000)).1, "too_long");
+    assert_eq!(refused(&sinumerik.replace("version 3", "version x")).1, "not_an_export");
+    // Line ends of another system are no change.
+    assert!(read(&sinumerik.replace('\n', "\r\n"), hash).is_ok());
+}
+
+#[test]
+fn options_out_of_range_are_refused_by_name() {
+    let profile = profile();
+    let refused = |dialect, options: ExportOptions| {
+        let wrong = write(dialect, &profile, &stamp(&profile), &options).unwrap_err();
+        (wrong[0].path.clone(), wrong[0].code)
+    };
+    let usual = ExportOptions::default();
+    assert_eq!(
+        refused(Dialect::Csv, ExportOptions { clearance_mm: 0.0, ..usual }),
+        ("clearance_mm".into(), "out_of_range")
+    );
+    assert_eq!(
+        refused(Dialect::Fanuc, ExportOptions { feed_error: f64::NAN, ..usual }),
+        ("feed_error".into(), "not_finite")
+    );
+    assert_eq!(
+        refused(Dialect::Fanuc, ExportOptions { law: Some(LAW), ..usual }),
+        ("law".into(), "not_in_this_dialect")
+    );
+    let far = LawInControl { override_max_percent: 200.1, ..LAW };
+    assert_eq!(
+        refused(Dialect::Sinumerik, ExportOptions { law: Some(far), ..usual }),
+        ("law.override_max_percent".into(), "out_of_range")
+    );
+}
+
+#[test]
+fn a_ramp_too_steep_for_blocks_is_refused() {
+    let mut input = crate::feed::profile::tests::given::input();
+    input.limits.acceleration_mm_s2 = 100_000.0;
+    input.knots[1].depth_mm = 0.003;
+    input.knots[1].feed_mm_min = 999.0;
+    input.sections[0].to_mm = 0.003;
+    let steep = Profile::new(input).unwrap();
+    assert_eq!(steps(&steep, 0.01, 3).unwrap_err().code, "too_steep");
+}
+
+#[test]
+fn the_polynomial_meets_the_law_where_it_matters() {
+    let line = OverridePolynomial::fit(40.0, 2.0, 5.0, 200.0).unwrap();
+    assert!((line.at(40.0) - 100.0).abs() < 1e-3);
+    let law = |load: f64| {
+        let u = load / 40.0 - 1.0;
+        100.0 * (1.0 - u.signum() * (1.0 - (-u * u).exp()))
+    };
+    for load in 0..=80 {
+        let load = f64::from(load);
+        assert!(
+            (line.at(load) - law(load).clamp(5.0, 200.0)).abs() < 8.0,
+            "{load}: {} {}",
+            line.at(load),
+            law(load)
+        );
+        assert!(line.at(load) >= line.at(load + 0.5));
+    }
+    // The vendor's own example, 100 % at 30 % load and nothing at 80 %, is the straight line of these coefficients.
+    assert!(OverridePolynomial::fit(0.0, 2.0, 5.0, 200.0).is_err());
+    assert!(OverridePolynomial::fit(40.0, f64::NAN, 5.0, 200.0).is_err());
+}
+
+fn any_options() -> impl Strategy<Value = ExportOptions> {
+    (1_u32..1000, 5_u32..=100).prop_map(|(clearance, error)| ExportOptions {
+        clearance_mm: f64::from(clearance) / 10.0,
+        feed_error: f64::from(error) / 1000.0,
+        law: None,
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn every_dialect_reads_back_to_the_same_profile(profile in any_profile(), options in any_options(), law in any::<bool>()) {
+        for dialect in Dialect::ALL {
+            let limits = profile.limits();
+            let has_load = limits.spindle_load_set_percent.or(limits.feed_drive_load_set_percent).is_some();
+            let law = (law && has_load && dialect == Dialect::Sinumerik).then_some(LawInControl {
+                intensity: 4.0,
+                override_max_percent: limits.override_max_percent.min(200.0),
+            });
+            let options = ExportOptions { law, ..options };
+            let text = match write(dialect, &profile, &stamp(&profile), &options) {
+                Ok(text) => text,
+                Err(wrong) => {
+                    // Only blocks can be too coarse for a profile.
+                    prop_assert!(dialect.is_stepped() && ["too_steep", "too_many_steps"].contains(&wrong[0].code), "{wrong:?}");
+                    continue;
+                }
+            };
+            let back = read(&text, hash);
+            prop_assert!(back.is_ok(), "{}: {back:?}\n{text}", dialect.as_str());
+            let back = back.unwrap();
+            prop_assert_eq!(&back.profile, &profile);
+            prop_assert_eq!(back.stamp, stamp(&profile));
+            prop_assert_eq!(back.dialect, dialect);
+            // Nothing but plain ASCII reaches a control, in lines that every control takes, and no comment ends early.
+            for line in text.lines() {
+                prop_assert!(line.len() <= 120 && line.bytes().all(|byte| (0x20..0x7f).contains(&byte)), "{line}");
+                if line.starts_with('(') {
+                    prop_assert!(line.ends_with(')') && line.matches(['(', ')']).count() == 2, "{line}");
+                }
+                prop_assert!(!line.contains('%'));
+            }
+        }
+    }
+
+    #[test]
+    fn stepped_feeds_stay_within_the_error_and_take_the_profiles_time(
+        profile in any_profile(), error in 0.005..0.1_f64,
+    ) {
+        let Ok(found) = steps(&profile, error, 3) else { return Ok(()) };
+        let (mut before, mut time) = (0.0, 0.0);
+        for step in &found {
+            prop_assert!(step.to_mm > before);
+            for part in [0.0, 0.1, 0.5, 0.9, 1.0] {
+                let feed = profile.feed_at(before + part * (step.to_mm - before));
+                prop_assert!((step.feed_mm_min - feed).abs() <= error * feed * (1.0 + 1e-9));
+            }
+            time += (step.to_mm - before) / step.feed_mm_min * 60.0;
+            before = step.to_mm;
+        }
+        prop_assert!((before - profile.end_depth_mm()).abs() < 1e-9);
+        prop_assert!((time - profile.time_s()).abs() <= 1e-3 * profile.time_s(), "{time} {}", profile.time_s());
+        let limits = profile.limits();
+        prop_assert!(found.iter().all(|step| step.feed_mm_min <= limits.feed_max_mm_min));
+    }
+
+    #[test]
+    fn whatever_is_read_is_refused_or_the_very_file(text in "\\PC{0,200}", at in 0.0..1.0_f64, dialect in 0..7_usize) {
+        let _ = read(&text, hash);
+        let mut file = written(Dialect::ALL[dialect], &ExportOptions::default());
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index")]
+        let at = (at * file.len() as f64) as usize;
+        file.insert_str(at, &text);
+        if let Ok(back) = read(&file, hash) {
+            prop_assert_eq!(back.profile, profile());
+        }
+    }
+}

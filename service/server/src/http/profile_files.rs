@@ -1,0 +1,145 @@
+//! Feed profiles as files: written for a control, read back, and read from what a shop has now.
+
+use super::body::Json;
+use super::dto::feed_profile::{DraftedBody, KnotBody, ProfileBody, ProfileVersionBody};
+use super::dto::profile_file::{ExportQuery, ImportBody, ImportReport, ReadAnswer, ReadBody};
+use super::extract::{PathId, Query, query_id};
+use super::feed_profiles::{Draft, checked, keep, line_of, version_of};
+use super::problem::{Problem, ProblemDocument};
+use crate::auth::Caller;
+use crate::state::AppState;
+use axum::extract::State;
+use axum::response::{IntoResponse, Response};
+use feedwright_core::feed::nc::{self, Stamp};
+use feedwright_core::feed::profile::Profile;
+use feedwright_core::ids::{MachineId, ProfileId};
+use feedwright_core::machine::Machine;
+use feedwright_store::{ProfileSource, profile_hash};
+use http::{HeaderValue, StatusCode, header};
+
+/// Writes a released version as a file for a control.
+///
+/// Each file begins with a comment: profile, version, hash, limits, units, warning. A draft or shadow is not written.
+#[utoipa::path(get, path = "/v1/feed-profiles/{profile}/export", tag = "feed profiles",
+    params(("profile" = String, Path), ExportQuery),
+    responses((status = 200, description = "The file", content_type = "text/plain", body = String),
+        (status = 409, description = "The version is not approved (`not_released`), or nothing is active (`nothing_active`)",
+            body = ProblemDocument<'static>),
+        (status = 422, description = "An option out of range, a feed outside the machine's limits (`outside_machine`), or one \
+            that blocks cannot follow (`too_steep`)", body = ProblemDocument<'static>)))]
+pub(super) async fn export(
+    State(state): State<AppState>,
+    PathId(id): PathId<ProfileId>,
+    Query(query): Query<ExportQuery>,
+) -> Result<Response, Problem> {
+    let dialect = query.dialect()?;
+    let line = line_of(&state, &id).await?;
+    let number = query.version.or(line.active).ok_or_else(|| {
+        Problem::new(StatusCode::CONFLICT, "nothing_active", "no version is active: name one with `version`")
+    })?;
+    let stored = version_of(&state, &id, number).await?;
+    if !stored.state.is_released() {
+        let why = format!(
+            "version {number} is {}: only what was approved is written for a control",
+            stored.state.as_str()
+        );
+        return Err(Problem::new(StatusCode::CONFLICT, "not_released", why));
+    }
+    if let Some(machine) = query_id::<MachineId>(query.machine.as_deref())? {
+        let found = state.store.machine(&machine).await?;
+        let found = found.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?;
+        within(&found.value, &stored.content)?;
+    }
+    let name = format!("{id}.v{number}").replace(':', "_");
+    let (name, kind, text) = match dialect {
+        None => {
+            let view = serde_json::to_string_pretty(&ProfileVersionBody::from(stored));
+            let text = view.map_err(|error| Problem::internal(error.to_string()))?;
+            (format!("{name}.json"), "application/json", text)
+        }
+        Some(dialect) => {
+            let options = query.options();
+            let stamp = Stamp { version: stored.version, hash: stored.hash };
+            let text = nc::write(dialect, &stored.content, &stamp, &options)?;
+            (format!("{name}.{}", dialect.extension()), "text/plain; charset=us-ascii", text)
+        }
+    };
+    // Ids hold nothing that would end the quotes.
+    let place = HeaderValue::try_from(format!("attachment; filename=\"{name}\""))
+        .map_err(|error| Problem::internal(error.to_string()))?;
+    let kind = HeaderValue::from_static(kind);
+    Ok(([(header::CONTENT_TYPE, kind), (header::CONTENT_DISPOSITION, place)], text).into_response())
+}
+
+/// Refuses feeds that the machine does not run.
+fn within(machine: &Machine, profile: &Profile) -> Result<(), Problem> {
+    let (slowest, fastest) = (profile.slowest_mm_min(), profile.fastest_mm_min());
+    let (min, max) = (machine.limits.min_mm_min(), machine.limits.max_mm_min());
+    if fastest <= max && slowest >= min {
+        return Ok(());
+    }
+    let why = format!("runs {slowest} to {fastest} mm/min, the machine {min} to {max} mm/min");
+    Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "outside_machine", why))
+}
+
+/// Drafts a version from what a shop has now: a stepped or linear feed list as CSV, or one hole of a simple program.
+///
+/// Where a stepped feed changes, a ramp lies on the slower side, as short as the acceleration allows. What is not
+/// understood is refused with its line; nothing is drafted then.
+#[utoipa::path(post, path = "/v1/feed-profiles/import", tag = "feed profiles", request_body = ImportBody,
+    responses((status = 201, description = "Drafted", body = DraftedBody),
+        (status = 200, description = "This content is a version already", body = DraftedBody),
+        (status = 422, description = "A text that is not understood, with its line", body = ProblemDocument<'static>)))]
+pub(super) async fn import(
+    State(state): State<AppState>,
+    caller: Caller,
+    Json(body): Json<ImportBody>,
+) -> Result<Response, Problem> {
+    let (knots, passed_over) = body.knots()?;
+    let end_mm = knots.last().map_or(0.0, |knot| knot.depth_mm);
+    let report = ImportReport {
+        format: body.format,
+        text_hash: blake3::hash(body.text.as_bytes()).to_hex().to_string(),
+        passed_over,
+        knots: knots.len(),
+    };
+    let report = serde_json::to_string(&report).map_err(|error| Problem::internal(error.to_string()))?;
+    let content = ProfileBody {
+        operation: body.operation.clone(),
+        tool_type: body.tool_type.clone(),
+        knots: knots
+            .into_iter()
+            .map(|knot| KnotBody { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min })
+            .collect(),
+        sections: body.sections(end_mm),
+        limits: body.limits,
+        wear: body.wear,
+        conditions: body.conditions.clone(),
+    };
+    let content = checked(&state, "content", &content).await?;
+    let draft = Draft { profile: &body.profile, reason: &body.reason, based_on: body.based_on };
+    keep(&state, &caller, draft, content, (ProfileSource::Imported, Some(report))).await
+}
+
+/// Reads an exported file back: which version it is, and that nobody changed a character of it.
+#[utoipa::path(post, path = "/v1/feed-profiles/read", tag = "feed profiles", request_body = ReadBody,
+    responses((status = 200, body = ReadAnswer),
+        (status = 422, description = "The file was changed, or is none of ours", body = ProblemDocument<'static>)))]
+pub(super) async fn read(
+    State(state): State<AppState>,
+    Json(body): Json<ReadBody>,
+) -> Result<axum::Json<ReadAnswer>, Problem> {
+    let found = nc::read(&body.text, profile_hash)?;
+    let version = &found.stamp.version;
+    let known = state.store.profile_version(&version.profile, version.version).await?;
+    let known = known.filter(|known| known.hash == found.stamp.hash);
+    Ok(axum::Json(ReadAnswer {
+        dialect: found.dialect.as_str(),
+        profile: version.profile.to_string(),
+        version: version.version,
+        hash: found.stamp.hash.to_string(),
+        known: known.is_some(),
+        state: known.map(|known| known.state.as_str()),
+        content: (&found.profile).into(),
+    }))
+}

@@ -1,0 +1,329 @@
+//! Optimising a feed profile from stored cycles, and its prediction against what came of it.
+
+use super::body::Json;
+use super::dto::feed_profile::ProfileBody;
+use super::dto::optimise::{
+    CycleOutcomeBody, OptimiseBody, OptimisedBody, OutcomeAnswer, OutcomeQuery, PredictionBody,
+    ProposalReport, SkippedBody, USUAL_CYCLES, WORN_LEVEL, refused, settings,
+};
+use super::extract::{PathId, Query};
+use super::feed_profiles::{line_of, version_of};
+use super::jobs::{json, submitted};
+use super::problem::{Problem, ProblemDocument};
+use crate::jobs::{INLINE_STEPS, Question, Stage};
+use crate::state::AppState;
+use axum::extract::State;
+use axum::response::Response;
+use feedwright_core::cycle::{Channel, Outcome, Samples};
+use feedwright_core::feed::optimise::{
+    Actual, Knots, LoadSignal, Prediction, Proposal, RecordedCycle, Settings, compare, coverage, optimise,
+};
+use feedwright_core::feed::profile::{
+    Conditions, KnotInput, LimitsInput, Profile, ProfileInput, SectionInput, WearBandInput,
+};
+use feedwright_core::friction::program::Knot;
+use feedwright_core::friction::relation::FeedSource;
+use feedwright_core::ids::{OperationId, ProfileId, ToolId};
+use feedwright_core::invalid::Violation;
+use feedwright_core::operation::Operation;
+use feedwright_core::units::Strategy;
+use feedwright_core::wear::Verdict;
+use feedwright_store::StoredCycle;
+use http::StatusCode;
+use serde::Deserialize;
+use std::collections::HashMap;
+
+/// Kind of these jobs.
+const KIND: &str = "feed_profile_optimize";
+/// Overrides that differ by more were chosen by a law or an operator, points.
+const VARIED_OVERRIDE: f64 = 1.0;
+
+/// Finds the fastest (or cheapest) feed over depth that keeps both loads, from the operation's last cycles.
+///
+/// A job: its result holds the content and its report. Nothing is drafted by it: `POST /v1/feed-profiles` with the job's
+/// id does that, under the name of whoever asks.
+#[utoipa::path(post, path = "/v1/feed-profiles/optimize", tag = "feed profiles", request_body = OptimiseBody,
+    responses((status = 202, description = "The job that computes it", body = super::dto::job::JobBody),
+        (status = 422, description = "A setting out of range, an operation without a depth", body = ProblemDocument<'static>),
+        (status = 503, description = "Too many jobs wait or run", body = ProblemDocument<'static>)))]
+pub(super) async fn start(
+    State(state): State<AppState>,
+    Json(body): Json<OptimiseBody>,
+) -> Result<Response, Problem> {
+    let id = OperationId::parse("operation", &body.operation)?;
+    let operation = state.store.operation(&id).await?.ok_or_else(|| {
+        Violation::new(
+            "operation",
+            "operation_unregistered",
+            format!("the operation `{id}` is not registered"),
+        )
+    })?;
+    let operation = operation.value;
+    let depth_mm = operation.depth_mm.ok_or_else(|| {
+        Violation::new(
+            "operation",
+            "no_depth",
+            "the operation declares no depth: a profile has to end somewhere",
+        )
+    })?;
+    let most = body.cycles.unwrap_or(USUAL_CYCLES);
+    if !(1..=USUAL_CYCLES).contains(&most) {
+        let why = format!("must be within 1 to {USUAL_CYCLES}, is {most}");
+        return Err(Violation::new("cycles", "out_of_range", why).into());
+    }
+    let settings = body.settings(depth_mm)?;
+    let last = last_tried(&state, &body, &operation).await?;
+    let rows = state.store.recent_cycles(&id, &body.tool_type, most).await?;
+    let Recorded { cycles, skipped } = recorded(&state, rows).await?;
+    let ids: Vec<&str> = cycles.iter().map(|cycle| cycle.id.as_str()).collect();
+    let parameters = format!("{body:?} {operation:?} {last:?} {ids:?}");
+    let question = Question { kind: KIND, parameters, total: 1, steps: INLINE_STEPS + 1 };
+    submitted(&state, &question, move |_| {
+        json(&optimised(&body, &operation, &cycles, &settings, last.as_ref(), skipped))
+    })
+}
+
+/// What an optimisation of this id proposes, as content and report; for drafting it.
+pub(super) fn proposed(state: &AppState, job: &str) -> Result<(ProfileBody, String), Problem> {
+    #[derive(Deserialize)]
+    struct Done {
+        content: Option<ProfileBody>,
+        report: Option<serde_json::Value>,
+    }
+    let unknown = || Violation::new("job", "unknown_job", "there is no finished optimisation of this id");
+    let found = state.jobs.get(job).filter(|found| found.kind == KIND).ok_or_else(unknown)?;
+    let Stage::Done(result) = found.stage else {
+        return Err(unknown().into());
+    };
+    let done: Done = serde_json::from_slice(&result).map_err(|error| Problem::internal(error.to_string()))?;
+    match (done.content, done.report) {
+        (Some(content), Some(report)) => Ok((content, report.to_string())),
+        _ => {
+            Err(Violation::new("job", "no_proposal", "the optimisation found none: its result says why")
+                .into())
+        }
+    }
+}
+
+/// The profile that was tried last, where the question names one.
+async fn last_tried(
+    state: &AppState,
+    body: &OptimiseBody,
+    operation: &Operation,
+) -> Result<Option<Knots>, Problem> {
+    let Some(name) = &body.profile else {
+        return Ok(None);
+    };
+    let id = ProfileId::parse("profile", name)?;
+    let line = line_of(state, &id).await?;
+    if line.operation != operation.id || line.tool_type != body.tool_type {
+        let why = "is for another operation or tool type";
+        return Err(Violation::new("profile", "other_subject", why).into());
+    }
+    let number = body.last_version.or(line.active).unwrap_or(line.newest);
+    let stored = version_of(state, &id, number).await?;
+    let knots =
+        stored.content.knots().map(|knot| Knot { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min });
+    Knots::new(knots.collect()).map(Some).map_err(|error| refused(&error).into())
+}
+
+struct Recorded {
+    cycles: Vec<RecordedCycle>,
+    skipped: Vec<SkippedBody>,
+}
+
+/// Stored cycles as the optimiser takes them.
+async fn recorded(state: &AppState, rows: Vec<StoredCycle>) -> Result<Recorded, Problem> {
+    let mut verdicts: HashMap<ToolId, Verdict> = HashMap::new();
+    let mut found = Recorded { cycles: Vec::new(), skipped: Vec::new() };
+    // The newest first: the level of a tool is that of its last cycles.
+    let mut judged: HashMap<ToolId, u32> = HashMap::new();
+    for row in rows.iter().rev() {
+        let tool = &row.cycle.tool;
+        if !verdicts.contains_key(tool) {
+            verdicts.insert(tool.clone(), state.store.verdict(tool).await?);
+        }
+        let count = judged.entry(tool.clone()).or_insert(0);
+        *count += 1;
+        let level = verdicts.get(tool).and_then(|verdict| verdict.level);
+        let wear = level.filter(|level| *count <= level.window).map(|level| level.as_run);
+        match recording(state, row, wear).await? {
+            Some(cycle) => found.cycles.push(cycle),
+            None => found.skipped.push(SkippedBody { cycle: name(row), reason: "no_samples" }),
+        }
+    }
+    found.cycles.reverse();
+    Ok(found)
+}
+
+fn name(row: &StoredCycle) -> String {
+    format!("{}/{}", row.cycle.machine, row.cycle.id)
+}
+
+/// One stored cycle with its samples; none where depth or a load was not sampled.
+async fn recording(
+    state: &AppState,
+    row: &StoredCycle,
+    wear_ratio: Option<f64>,
+) -> Result<Option<RecordedCycle>, Problem> {
+    let meta = &row.cycle;
+    let samples: Option<Samples> =
+        if row.has_samples { state.store.cycle_samples(&meta.machine, &meta.id).await? } else { None };
+    let Some(samples) = samples else { return Ok(None) };
+    let column = |channel| samples.column(channel).map(<[f64]>::to_vec);
+    let (Some(depth_mm), Some(feed_drive_percent), Some(spindle_percent)) = (
+        column(Channel::DepthMm),
+        column(Channel::FeedDriveLoadPercent),
+        column(Channel::SpindleLoadPercent),
+    ) else {
+        return Ok(None);
+    };
+    let varied = samples.column(Channel::OverridePercent).is_some_and(|column| {
+        let low = column.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = column.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        high - low > VARIED_OVERRIDE
+    });
+    let controlled = varied || meta.strategy == Some(Strategy::FAc);
+    Ok(Some(RecordedCycle {
+        id: name(row),
+        operation: meta.operation.to_string(),
+        order: meta.started_at.micros(),
+        completed: meta.outcome == Outcome::Completed,
+        source: if controlled { FeedSource::Controlled } else { FeedSource::Programmed },
+        wear_ratio,
+        signal: LoadSignal::Raw,
+        time_s: (0..depth_mm.len()).map(|index| samples.time_ms(index) / 1000.0).collect(),
+        depth_mm,
+        feed_mm_min: None,
+        feed_drive_percent,
+        spindle_percent,
+    }))
+}
+
+fn optimised(
+    body: &OptimiseBody,
+    operation: &Operation,
+    cycles: &[RecordedCycle],
+    settings: &Settings,
+    last: Option<&Knots>,
+    skipped: Vec<SkippedBody>,
+) -> OptimisedBody {
+    let none = |wrong: Vec<Violation>| OptimisedBody {
+        content: None,
+        report: None,
+        refused: wrong.into_iter().map(Into::into).collect(),
+    };
+    let proposal = match optimise(cycles, settings, last) {
+        Ok(proposal) => proposal,
+        Err(error) => return none(vec![refused(&error)]),
+    };
+    match content(body, operation, &proposal) {
+        Ok(profile) => OptimisedBody {
+            content: Some((&profile).into()),
+            report: Some(ProposalReport::new(&proposal, skipped)),
+            refused: Vec::new(),
+        },
+        Err(wrong) => none(wrong),
+    }
+}
+
+/// A proposal as a profile, checked like any other.
+fn content(
+    body: &OptimiseBody,
+    operation: &Operation,
+    proposal: &Proposal,
+) -> Result<Profile, Vec<Violation>> {
+    let mut sections: Vec<SectionInput> = Vec::new();
+    for section in &proposal.sections {
+        // Sections only go forward: what looks like forming behind idle travel is the beginning of the flange.
+        match sections.last_mut() {
+            Some(before) if section.kind <= before.kind => before.to_mm = section.to_mm,
+            _ => sections.push(SectionInput { kind: section.kind, to_mm: section.to_mm }),
+        }
+    }
+    if let (Some(last), Some(depth_mm)) = (sections.last_mut(), operation.depth_mm) {
+        last.to_mm = depth_mm;
+    }
+    let from_level = body.wear_from_level;
+    // Where the wear of the cycles is not known they count as a new tool's, which is the careful side.
+    let planned = body.wear_level.or(from_level).unwrap_or(1.0);
+    let holds = proposal.holds_up_to_wear.unwrap_or(planned + proposal.holds_for_more_wear);
+    Profile::new(ProfileInput {
+        operation: operation.id.clone(),
+        tool_type: body.tool_type.clone(),
+        knots: proposal
+            .knots
+            .as_slice()
+            .iter()
+            .map(|knot| KnotInput { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min })
+            .collect(),
+        sections,
+        limits: body.limits.to_input(),
+        wear: WearBandInput { from_level, to_level: holds.clamp(1.0, WORN_LEVEL) },
+        conditions: Conditions {
+            program: operation.program.clone(),
+            work_material: operation.work_material.clone(),
+            spindle_speed_rpm: operation.spindle_speed_rpm,
+        },
+    })
+}
+
+/// Holds an optimised version's prediction against the cycles that ran it: time, peak loads, work, each cycle's own.
+#[utoipa::path(get, path = "/v1/feed-profiles/{profile}/outcome", tag = "feed profiles",
+    params(("profile" = String, Path), OutcomeQuery),
+    responses((status = 200, body = OutcomeAnswer),
+        (status = 409, description = "The version was not optimised: it predicts nothing (`no_prediction`)",
+            body = ProblemDocument<'static>)))]
+pub(super) async fn outcome(
+    State(state): State<AppState>,
+    PathId(id): PathId<ProfileId>,
+    Query(query): Query<OutcomeQuery>,
+) -> Result<axum::Json<OutcomeAnswer>, Problem> {
+    #[derive(Deserialize)]
+    struct Report {
+        prediction: PredictionBody,
+        idle_percent: [f64; 2],
+    }
+    let line = line_of(&state, &id).await?;
+    let number = query.version.or(line.active).unwrap_or(line.newest);
+    let most = query.cycles.unwrap_or(USUAL_CYCLES);
+    if !(1..=USUAL_CYCLES).contains(&most) {
+        let why = format!("must be within 1 to {USUAL_CYCLES}, is {most}");
+        return Err(Violation::new("cycles", "out_of_range", why).into());
+    }
+    let stored = version_of(&state, &id, number).await?;
+    let report = stored.report.as_deref().and_then(|text| serde_json::from_str::<Report>(text).ok());
+    let Some(report) = report else {
+        let why = "the version was not optimised: it predicts nothing but its own time";
+        return Err(Problem::new(StatusCode::CONFLICT, "no_prediction", why));
+    };
+    let limits: LimitsInput = stored.content.limits();
+    let params = settings(stored.content.operation().as_str(), stored.content.end_depth_mm(), &limits)?;
+    let settings = Settings::new(params).map_err(|error| refused(&error))?;
+    let prediction: Prediction = report.prediction.into();
+    let mut compared = Vec::new();
+    let mut answer = OutcomeAnswer {
+        profile: id.to_string(),
+        version: number,
+        prediction: report.prediction,
+        cycles: Vec::new(),
+        within_share: None,
+        overloaded: 0,
+        skipped: 0,
+    };
+    for row in state.store.cycles_of_profile(&stored.version, most).await? {
+        let cycle = recording(&state, &row, None).await?.filter(|cycle| cycle.completed);
+        let actual = cycle.and_then(|cycle| Actual::of(&cycle, &settings, report.idle_percent[1]).ok());
+        let Some(actual) = actual else {
+            answer.skipped += 1;
+            continue;
+        };
+        let one = compare(&prediction, &actual, &settings);
+        answer.overloaded += usize::from(one.overloaded);
+        let (machine, cycle) = (row.cycle.machine.to_string(), row.cycle.id.to_string());
+        answer.cycles.push(CycleOutcomeBody::new(machine, cycle, &one));
+        compared.push(one);
+    }
+    answer.within_share = coverage(&compared).map(|(share, _)| share);
+    Ok(axum::Json(answer))
+}
