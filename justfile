@@ -24,6 +24,14 @@ no-std:
 test *ARGUMENTS:
     tests/run {{ARGUMENTS}}
 
+# The exported program on LinuxCNC itself
+linuxcnc:
+    tests/linuxcnc/run
+
+# The pages in a browser
+pages:
+    tests/browser/run
+
 # pandas and pyarrow read what is served
 reading:
     tests/reading
