@@ -239,11 +239,6 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     let process_advice =
         operation.and_then(|operation| process::advise(question, operation, &mut action, &mut say));
     let reference_cycle = reference_cycle(question, action, &mut say);
-    // One constant feed is asked for: a profile handed out beside it would be the other of two orders.
-    if profile.is_some() && reference_cycle.is_some() {
-        say("profile_waits", "the feed profile waits until the reference cycle was run");
-    }
-    let profile = profile.filter(|_| reference_cycle.is_none());
     Recommendation {
         issued_at: now,
         valid_until: now.plus_millis(settings.validity_ms),

@@ -31,7 +31,7 @@ async fn a_cycle_is_answered_with_its_summary_the_wear_and_what_to_run_next() {
     let advice = &body["recommendation"];
     assert_eq!(advice["override_percent"], 100.0);
     assert_eq!(advice["process"], "friction");
-    assert_eq!(advice["feed"], json!({"source": "programmed", "feed_mm_min": 140.0}));
+    assert_eq!(advice["feed"], json!({"source": "programmed", "feed_mm_min": 140.0, "profile": null}));
     assert_eq!(advice["load_limits"]["spindle_load_set_percent"], 40.0);
     assert!(advice["reasons"].as_array().unwrap().iter().any(|reason| reason["code"] == "no_profile"));
     // Handed out is kept: anyone can later say which advice a cycle followed.
