@@ -6,22 +6,26 @@ import math
 import os
 import pathlib
 import re
+import signal
 import socket
+import ssl
 import subprocess
 import sys
 import tempfile
 import time
+import urllib.error
 import urllib.parse
 import urllib.request
 
 import yaml
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-FEEDWRIGHT, PROMETHEUS = sys.argv[1], pathlib.Path(sys.argv[2])
+FEEDWRIGHT, PROMETHEUS, NGINX = sys.argv[1], pathlib.Path(sys.argv[2]), sys.argv[3]
 POSTGRES = os.environ["FEEDWRIGHT_TEST_POSTGRES"]
 # Firing without a waiting time, and each from another source: an alarm, the watch's round, a counter.
-MUST_FIRE = {"FeedwrightToolWorn", "FeedwrightMachineSilent", "FeedwrightCyclesRejected"}
-PATIENCE_S = 90
+MUST_FIRE = {"FeedwrightToolWorn", "FeedwrightMachineSilent", "FeedwrightCyclesRejected",
+             "FeedwrightCertificateExpiring"}
+PATIENCE_S = 180
 
 
 def fail(why):
@@ -43,22 +47,30 @@ def get(url, token=None):
 def send(method, url, token, body):
     headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
     request = urllib.request.Request(url, json.dumps(body).encode(), headers, method=method)
-    with urllib.request.urlopen(request, timeout=30) as answer:
-        return json.loads(answer.read())
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            with urllib.request.urlopen(request, timeout=60) as answer:
+                return json.loads(answer.read())
+        except urllib.error.HTTPError as error:
+            # "Come again", as an adapter does on a busy machine.
+            if error.code != 503 or time.monotonic() > end:
+                fail(f"{method} {url}: {error.code} {error.read().decode()}")
+            time.sleep(float(error.headers.get("Retry-After", 1)))
 
 
 def wait(what, ready):
     end = time.monotonic() + PATIENCE_S
     while not ready():
         if time.monotonic() > end:
-            fail(what)
+            fail(what())
         time.sleep(0.3)
 
 
 class Server:
     """A Feedwright of its own."""
 
-    def __init__(self, folder, name, database):
+    def __init__(self, folder, name, database, **more):
         self.name, self.log = name, folder / f"{name}.log"
         self.address = f"127.0.0.1:{free_port()}"
         self.url = f"http://{self.address}"
@@ -66,11 +78,10 @@ class Server:
         self.metrics = f"127.0.0.1:{free_port()}"
         settings = {"METRICS__LISTEN": self.metrics,
                     "SERVER__LISTEN": self.address, "DATA_DIR": folder / name, "DATABASE__URL": database,
-                    "WATCH__INTERVAL_MS": "500", "WATCH__MACHINE_SILENT_AFTER_MS": "3000"}
-        environment = {f"FEEDWRIGHT__{key}": str(value) for key, value in settings.items()}
-        self.process = subprocess.Popen([FEEDWRIGHT, "serve"], stderr=open(self.log, "w"),
-                                        env={**os.environ, **environment})
-        wait(f"{name} does not start: {self.log.read_text()}", lambda: "make others" in self.log.read_text())
+                    "WATCH__INTERVAL_MS": "500", "WATCH__MACHINE_SILENT_AFTER_MS": "3000", **more}
+        self.environment = {**os.environ, **{f"FEEDWRIGHT__{key}": str(value) for key, value in settings.items()}}
+        self.process = subprocess.Popen([FEEDWRIGHT, "serve"], stderr=open(self.log, "w"), env=self.environment)
+        wait(lambda: f"{name} does not start: {self.log.read_text()}", lambda: "make others" in self.log.read_text())
         self.admin = re.search(r"fwt_\S+", self.log.read_text())[0]
 
     def viewer(self):
@@ -81,6 +92,18 @@ class Server:
             [FEEDWRIGHT, "simulate", "--server", self.url, "--machines", "2", "--cycles", "70", "--life", "40",
              "--faults", "air_cut,broken_tool,thickness,nan_body,duplicate,late_replay", "--fault-share", "0.08"],
             env={**os.environ, "FEEDWRIGHT_TOKEN": self.admin}, stdout=subprocess.DEVNULL)
+
+    def refuse(self):
+        """An adapter that writes broken JSON: refused, and kept nowhere."""
+        request = urllib.request.Request(
+            f"{self.url}/v1/machines/worn/cycles", b'{"cycle_id": ', method="POST",
+            headers={"Authorization": f"Bearer {self.admin}", "Content-Type": "application/json"})
+        try:
+            urllib.request.urlopen(request, timeout=30)
+        except urllib.error.HTTPError as error:
+            if error.code == 400:
+                return
+        fail("broken JSON is not refused")
 
     def wear_out(self):
         """A tool that wears steadily: near its end on one machine, worn and still in the spindle on another."""
@@ -102,6 +125,85 @@ class Server:
                 send("POST", f"{self.url}/v1/machines/{name}/cycles", self.admin, {
                     "cycle_id": f"c{number}", "tool": f"tool-{name}", "operation": "bush", "started_at": at,
                     "reported": {"energy_joules": energy, "duration_ms": 4280}})
+
+
+def certificate(folder, days):
+    """A self-signed certificate that ends in so many days, where the cell looks for it."""
+    # A configuration of its own: Debian's makes every self-signed certificate an authority, which is no server's.
+    (folder / "openssl.cnf").write_text("[req]\ndistinguished_name = dn\n[dn]\n")
+    subprocess.run(["openssl", "req", "-config", folder / "openssl.cnf", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
+                    "-days", str(days), "-subj", "/CN=cell", "-addext", "subjectAltName=IP:127.0.0.1", "-keyout",
+                    folder / "key.pem", "-out", folder / "chain.pem"], check=True, stderr=subprocess.DEVNULL)
+
+
+def check_tls(cell, folder):
+    """The binary with TLS: its own health check, and a certificate that is taken over on SIGHUP."""
+    def end():
+        text = get(f"http://{cell.metrics}/metrics")
+        return float(re.search(r"feedwright_tls_certificate_not_after_timestamp_seconds\{[^}]*\} (\S+)", text)[1])
+
+    if subprocess.run([FEEDWRIGHT, "healthcheck"], env=cell.environment, stdout=subprocess.DEVNULL, check=False).returncode:
+        fail("the health check does not reach a service with TLS")
+    trusted = {**cell.environment, "SSL_CERT_FILE": str(folder / "chain.pem"), "FEEDWRIGHT_TOKEN": cell.admin}
+    listed = subprocess.run([FEEDWRIGHT, "token", "list", "--server", f"https://{cell.address}"], env=trusted, text=True,
+                            capture_output=True, check=False)
+    if "first start" not in listed.stdout:
+        fail(f"tokens over TLS: {listed.stdout}{listed.stderr}")
+    before = end()
+    certificate(folder, 5)
+    cell.process.send_signal(signal.SIGHUP)
+    wait(lambda: f"SIGHUP changes nothing: {cell.log.read_text()}", lambda: end() < before - 86400)
+    print("TLS: health check, tokens, and a certificate taken over on SIGHUP")
+
+
+def check_proxy(plant, folder, token):
+    """nginx with the configuration that is deployed, but its addresses: TLS, live events at once, no metrics."""
+    port = free_port()
+    conf = (ROOT / "deploy/proxy/nginx.conf").read_text()
+    for there, here in {
+        "listen 443 ssl http2;": f"listen 127.0.0.1:{port} ssl http2;", "    listen [::]:443 ssl http2;\n": "",
+        "/etc/feedwright/tls/fullchain.pem": str(folder / "chain.pem"),
+        "/etc/feedwright/tls/key.pem": str(folder / "key.pem"), "server 127.0.0.1:7878;": f"server {plant.address};",
+    }.items():
+        if there not in conf:
+            fail(f"the test does not find »{there}« in nginx.conf")
+        conf = conf.replace(there, here)
+    temporary = "".join(f"{of}_temp_path {folder}/nginx-{of};" for of in
+                        ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    (folder / "nginx.conf").write_text(
+        f"daemon off; pid {folder}/nginx.pid; error_log {folder}/nginx.log; events {{}}"
+        f" http {{ access_log off; {temporary}\n{conf} }}")
+    process = subprocess.Popen([NGINX, "-q", "-e", folder / "nginx.log", "-c", folder / "nginx.conf"])
+    trust = ssl.create_default_context(cafile=folder / "chain.pem")
+    base = f"https://127.0.0.1:{port}"
+
+    def reach(path, timeout=30):
+        request = urllib.request.Request(base + path, headers={"Authorization": f"Bearer {token}"})
+        return urllib.request.urlopen(request, timeout=timeout, context=trust)
+
+    def up():
+        try:
+            return reach("/healthz").status == 200
+        except OSError:
+            return False
+
+    try:
+        wait(lambda: f"nginx does not pass requests on: {(folder / 'nginx.log').read_text()}", up)
+        try:
+            reach("/metrics")
+            fail("nginx shows the metrics to everyone")
+        except urllib.error.HTTPError as error:
+            if error.code != 404:
+                fail(f"nginx answers {error.code} for the metrics")
+        with reach("/v1/live") as live:
+            # A heartbeat comes after 10 s at the latest; buffered, it would come with 4 KiB of them.
+            line = live.readline()
+            if not line.strip():
+                fail("the live events do not come through nginx")
+        print("nginx: requests, live events, and no metrics")
+    finally:
+        process.terminate()
+        process.wait(timeout=30)
 
 
 class Watch:
@@ -147,8 +249,8 @@ def psql(address, sql, *more):
     return list(csv.DictReader(io.StringIO(ran.stdout)))
 
 
-def check_metrics(server, token):
-    text = get(f"{server.url}/metrics", token)
+def check_metrics(server):
+    text = get(f"http://{server.metrics}/metrics")
     ran = subprocess.run([PROMETHEUS / "promtool", "check", "metrics"], input=text, text=True, capture_output=True,
                          check=False)
     if ran.returncode or ran.stderr:
@@ -180,7 +282,7 @@ def check_rules(watch):
         missing.difference_update({name for name in missing if watch.series(name)})
         return not missing
 
-    wait(f"no series of {sorted(missing)}", all_there) if missing else None
+    wait(lambda: f"no series of {sorted(missing)}", all_there)
     unhealthy = [rule for group in watch.ask("rules")["groups"] for rule in group["rules"] if rule["health"] != "ok"]
     if unhealthy:
         fail(f"rules that do not evaluate: {unhealthy}")
@@ -282,27 +384,33 @@ def main():
             psql(POSTGRES, "CREATE DATABASE plant")
             plant = Server(folder, "plant", f"{base}/plant")
             running.append(plant.process)
-            cell = Server(folder, "cell", "")
+            certificate(folder, 90)
+            cell = Server(folder, "cell", "", TLS__CERTIFICATE=folder / "chain.pem", TLS__KEY=folder / "key.pem",
+                          TLS__RELOAD_INTERVAL_MS="3600000")
             running.append(cell.process)
             token = plant.viewer()
             file = folder / "token"
             file.write_text(token)
             watch = Watch(folder, [plant.address, cell.metrics], file)
             running.append(watch.process)
-            wait("Prometheus does not scrape", lambda: watch.up() == 2)
+            wait(lambda: "Prometheus does not scrape", lambda: watch.up() == 2)
             fleet = plant.simulate()
+            running.append(fleet)
             plant.wear_out()
-            if fleet.wait(timeout=240):
+            plant.refuse()
+            if fleet.wait(timeout=400):
                 fail("the simulated fleet stopped")
-            check_metrics(plant, token)
-            check_metrics(cell, cell.viewer())
+            check_metrics(plant)
+            check_metrics(cell)
+            check_tls(cell, folder)
+            check_proxy(plant, folder, token)
             missing = set(MUST_FIRE)
 
             def fires():
                 missing.difference_update(watch.firing())
                 return not missing
 
-            wait(f"these do not fire: {missing}", fires)
+            wait(lambda: f"these do not fire: {sorted(missing)}", fires)
             print(f"firing: {', '.join(sorted(watch.firing()))}")
             check_rules(watch)
             psql(f"{base}/plant", (ROOT / "deploy/grafana/role.sql").read_text(), "-v", "password='secret'")

@@ -6,6 +6,7 @@ mod history;
 mod profiles;
 mod simulate;
 mod twin;
+mod wear;
 
 use crate::shop::{Shop, at};
 use feedwright_core::friction::noise::Noise;
@@ -29,8 +30,13 @@ async fn model_machine(shop: &Shop) {
 
 /// A hole of the process model as a machine would post it; with a dynamometer where `measured`.
 fn drilled(number: i64, strategy: &Strategy, word: &str, measured: bool) -> Value {
+    worn(number, strategy, word, measured, 0.0)
+}
+
+/// The same with a worn tool; 1.1 is the limit.
+fn worn(number: i64, strategy: &Strategy, word: &str, measured: bool, wear: f64) -> Value {
     let twin = Twin::new(TwinParams { noise: typical_noise(), ..paper_params() }).unwrap();
-    let setup = CycleSetup::new(PAPER_SPINDLE_RPM, 0.0);
+    let setup = CycleSetup::new(PAPER_SPINDLE_RPM, wear);
     let mut noise = Noise::seeded(number.unsigned_abs());
     let (samples, _) = twin.record(strategy, &setup, Some(&mut noise)).unwrap();
     let column = |of: fn(&CycleSample) -> f64| samples.iter().map(of).collect::<Vec<f64>>();

@@ -14,5 +14,7 @@ mod replicas;
 mod service;
 mod sessions;
 mod sockets;
+mod tls;
 mod tokens;
+mod traces;
 mod transfers;

@@ -11,3 +11,4 @@ mod processes;
 mod recordings;
 mod shop;
 mod store;
+mod stream;

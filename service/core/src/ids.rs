@@ -87,6 +87,17 @@ id! {
     ModelId, "model";
 }
 
+/// How the id of a recommendation ends that asks for a reference cycle: a cycle that names it says with its own
+/// content, for ever and without a look into what was handed out, that it was asked for as one.
+pub const REFERENCE_ID_ENDING: &str = "-reference";
+
+impl RecommendationId {
+    /// Whether it asked for a reference cycle.
+    pub fn asks_for_reference(&self) -> bool {
+        self.as_str().ends_with(REFERENCE_ID_ENDING)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -14,6 +14,8 @@ pub mod field_error;
 pub mod vibratory;
 
 #[cfg(feature = "std")]
+pub mod closed_loop;
+#[cfg(feature = "std")]
 pub mod cycle;
 #[cfg(feature = "std")]
 pub mod feed;

@@ -12,23 +12,47 @@ use crate::units::Process;
 pub const LENGTH_RANGE: Range = Range::new(0.001, 100_000.0, "mm");
 /// Set loads.
 pub const SET_LOAD_RANGE: Range = Range::new(0.1, 400.0, "%");
+/// Feeds of reference cycles; a tool that does not move drills no reference.
+pub const REFERENCE_FEED_RANGE: Range = Range::new(0.1, 100_000.0, "mm/min");
 /// Cycles that a baseline may ask for; a tool that lasts 10 000 holes deserves 100.
 pub const BASELINE_CYCLES: std::ops::RangeInclusive<u32> = 3..=500;
 /// Cycles that the level's window may hold.
 pub const WINDOW_CYCLES: std::ops::RangeInclusive<u32> = 3..=500;
 
+/// Cycles from one reference cycle to the next.
+pub const REFERENCE_EVERY_CYCLES: std::ops::RangeInclusive<u32> = 2..=100_000;
+
 /// How the wear of tools in an operation is judged.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WearSettings {
     /// Counted cycles whose median is a baseline.
     pub baseline_cycles: u32,
     /// Last counted ratios whose median is the level.
     pub window_cycles: u32,
+    /// Cycles after which a reference cycle is asked for where wear cannot be told without; `None` never asks. Only
+    /// friction drilling has reference cycles.
+    pub reference_every_cycles: Option<u32>,
+    /// Constant feed of a reference cycle, at which the limit of +10 % is meant, mm/min; the operation's programmed
+    /// feed where it is left out.
+    pub reference_feed_mm_min: Option<f64>,
+}
+
+impl WearSettings {
+    /// Constant feed of reference cycles in a process whose operation declares `programmed_feed_mm_min`, mm/min.
+    pub fn reference_feed_of(&self, process: Process, programmed_feed_mm_min: Option<f64>) -> Option<f64> {
+        let feed = self.reference_feed_mm_min.or(programmed_feed_mm_min);
+        feed.filter(|feed| process == Process::Friction && *feed >= REFERENCE_FEED_RANGE.min)
+    }
 }
 
 impl Default for WearSettings {
     fn default() -> Self {
-        Self { baseline_cycles: 5, window_cycles: 5 }
+        Self {
+            baseline_cycles: 5,
+            window_cycles: 5,
+            reference_every_cycles: Some(50),
+            reference_feed_mm_min: None,
+        }
     }
 }
 
@@ -68,6 +92,11 @@ pub struct Operation {
 }
 
 impl Operation {
+    /// Constant feed of its reference cycles, mm/min, where it has any.
+    pub fn reference_feed_mm_min(&self) -> Option<f64> {
+        self.wear.reference_feed_of(self.process, self.programmed_feed_mm_min)
+    }
+
     /// Checks every quantity.
     pub fn validated(self) -> Result<Self, Vec<Violation>> {
         let mut wrong = Vec::new();
@@ -76,6 +105,7 @@ impl Operation {
             ("depth_mm", LENGTH_RANGE, self.depth_mm),
             ("spindle_speed_rpm", SPEED_RANGE, self.spindle_speed_rpm),
             ("programmed_feed_mm_min", FEED_RANGE, self.programmed_feed_mm_min),
+            ("wear.reference_feed_mm_min", REFERENCE_FEED_RANGE, self.wear.reference_feed_mm_min),
             ("spindle_load_set_percent", SET_LOAD_RANGE, self.spindle_load_set_percent),
             ("feed_drive_load_set_percent", SET_LOAD_RANGE, self.feed_drive_load_set_percent),
         ] {
@@ -84,10 +114,13 @@ impl Operation {
             }
         }
         for (path, range, value) in [
-            ("wear.baseline_cycles", BASELINE_CYCLES, self.wear.baseline_cycles),
-            ("wear.window_cycles", WINDOW_CYCLES, self.wear.window_cycles),
+            ("wear.baseline_cycles", BASELINE_CYCLES, Some(self.wear.baseline_cycles)),
+            ("wear.window_cycles", WINDOW_CYCLES, Some(self.wear.window_cycles)),
+            ("wear.reference_every_cycles", REFERENCE_EVERY_CYCLES, self.wear.reference_every_cycles),
         ] {
-            if !range.contains(&value) {
+            if let Some(value) = value
+                && !range.contains(&value)
+            {
                 wrong.push(Violation::new(
                     path,
                     "out_of_range",

@@ -12,7 +12,7 @@ pub use process::{
 
 use crate::cycle::ProfileVersion;
 use crate::feed::choose::{ActiveProfile, ProfileAdvice, choose};
-use crate::ids::{MachineId, OperationId, ToolId};
+use crate::ids::{MachineId, OperationId, REFERENCE_ID_ENDING, ToolId};
 use crate::machine::{FeedLimits, Machine};
 use crate::operation::Operation;
 use crate::units::{Process, Timestamp};
@@ -131,6 +131,15 @@ impl DataQuality {
     }
 }
 
+/// A reference cycle that is asked for: one constant feed, no override, so that like is measured with like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReferenceRequest {
+    /// One is asked for after so many cycles.
+    pub every: u32,
+    /// The feed to run, mm/min; `None` where the operation declares none: the one that reference cycles ran before.
+    pub feed_mm_min: Option<f64>,
+}
+
 /// What to run next, and why.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recommendation {
@@ -172,10 +181,19 @@ pub struct Recommendation {
     pub data_age_ms: Option<i64>,
     /// What the operation's process adds, where the operation asks for it and enough is known.
     pub process_advice: Option<ProcessAdvice>,
+    /// The next cycle should be a reference cycle; `None` where it need not be.
+    pub reference_cycle: Option<ReferenceRequest>,
     /// Why: a stable code and a sentence each; never empty.
     pub reasons: Vec<(String, String)>,
     /// Version of the rules that made it.
     pub law_version: String,
+}
+
+impl Recommendation {
+    /// How its id has to end: a cycle that names it then says by itself whether it was asked for as a reference.
+    pub const fn id_ending(&self) -> &'static str {
+        if self.reference_cycle.is_some() { REFERENCE_ID_ENDING } else { "" }
+    }
 }
 
 /// Recommends what to run next.
@@ -220,6 +238,12 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     }
     let process_advice =
         operation.and_then(|operation| process::advise(question, operation, &mut action, &mut say));
+    let reference_cycle = reference_cycle(question, action, &mut say);
+    // One constant feed is asked for: a profile handed out beside it would be the other of two orders.
+    if profile.is_some() && reference_cycle.is_some() {
+        say("profile_waits", "the feed profile waits until the reference cycle was run");
+    }
+    let profile = profile.filter(|_| reference_cycle.is_none());
     Recommendation {
         issued_at: now,
         valid_until: now.plus_millis(settings.validity_ms),
@@ -241,9 +265,36 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         quality,
         data_age_ms,
         process_advice,
+        reference_cycle,
         reasons,
         law_version: LAW_VERSION.to_owned(),
     }
+}
+
+/// The reference cycle that is due, unless the tool has to be looked at first.
+fn reference_cycle(
+    question: &Question<'_>,
+    action: Action,
+    say: &mut impl FnMut(&str, &str),
+) -> Option<ReferenceRequest> {
+    let friction = question.operation.is_some_and(|operation| operation.process == Process::Friction);
+    let references = question.verdict.feed.references.filter(|references| references.due_in == 0);
+    let references = references.filter(|_| friction && action == Action::Run)?;
+    // Limits are the machine's: a reference feed beyond them cannot be asked for.
+    let limits = &question.machine.limits;
+    let feed = question.operation.and_then(Operation::reference_feed_mm_min).or(references.feed_mm_min);
+    if feed.is_some_and(|feed| feed > limits.max_mm_min() || feed < limits.min_mm_min()) {
+        say(
+            "reference_feed_beyond_limits",
+            "the reference feed is beyond the machine's limits: no reference cycle",
+        );
+        return None;
+    }
+    say(
+        "reference_cycle_due",
+        "run the next cycle as a reference cycle, one constant feed without override, to tell the wear",
+    );
+    Some(ReferenceRequest { every: references.every, feed_mm_min: feed })
 }
 
 /// The feed profile to run, and why it is that one or none.

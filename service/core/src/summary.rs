@@ -3,10 +3,13 @@
 //! A pure function of the cycle and of what its machine and operation declare, with bounded cost per sample.
 
 mod course;
+mod digest;
 mod energy;
 mod loads;
 
 pub use course::energy_course;
+pub(crate) use digest::relation_config;
+pub use digest::{DIGEST_DEPTH_MM, DepthDigest, MOST_DIGEST_BINS, MOST_DIGEST_BYTES};
 pub use energy::{Energy, EnergyBasis, IdlePower};
 pub(crate) use loads::median;
 pub use loads::{Peak, PeakShift};
@@ -17,7 +20,7 @@ use crate::operation::Operation;
 use crate::units::Timestamp;
 
 /// Version of the summary's rules; stored with every summary, so that a change of rules shows.
-pub const SUMMARY_VERSION: u32 = 1;
+pub const SUMMARY_VERSION: u32 = 2;
 
 /// Share of a cycle's time that samples must cover for its energy to be compared.
 pub const COVERAGE_FLOOR: f64 = 0.95;
@@ -79,6 +82,8 @@ pub struct CycleSummary {
     pub spindle_load_fall_depth_mm: Option<f64>,
     /// Share of the cycle's time that samples cover, 0 to 1.
     pub coverage: f64,
+    /// What a friction cycle did over depth; `None` for other processes and where it was not sampled.
+    pub digest: Option<DepthDigest>,
     /// What is unusual about it.
     pub flags: Flags,
 }
@@ -143,6 +148,7 @@ fn of_reported(cycle: &Cycle) -> CycleSummary {
         median_spindle_speed_rpm: None,
         spindle_load_fall_depth_mm: None,
         coverage: 1.0,
+        digest: None,
         flags,
     }
 }
@@ -160,6 +166,7 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
     let mut flags = loads::flags(samples);
     flags.insert_if(beyond_calibration, Flag::BeyondCalibration);
     flags.insert_if(clock.has_gaps(), Flag::Gaps);
+    let digest = energy.first().and_then(|best| digest::of(samples, &clock, cycle, context, (best, flags)));
     CycleSummary {
         version: SUMMARY_VERSION,
         sample_count: u32::try_from(samples.len()).unwrap_or(u32::MAX),
@@ -180,6 +187,7 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
         median_spindle_speed_rpm: column(Channel::SpindleSpeedRpm).map(loads::median),
         spindle_load_fall_depth_mm: loads::fall_depth(samples),
         coverage: clock.coverage,
+        digest,
         flags,
     }
 }

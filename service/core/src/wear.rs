@@ -4,6 +4,7 @@
 //! (Stryczek & Błaszczak 2020: the worn tool needs 9.3 % more). Nothing here depends on the order of arrival:
 //! [`ToolFold`] takes cycles and events in [`OrderKey`] order, and the store refolds when a late one comes.
 
+mod basis;
 mod bytes;
 mod facts;
 mod fold;
@@ -13,13 +14,16 @@ mod trend;
 mod verdict;
 
 #[cfg(test)]
+mod feed_tests;
+
+#[cfg(test)]
 mod tests;
 
 pub use facts::{CycleFacts, OrderKey};
 pub use fold::{FOLD_VERSION, FoldSettings, ToolFold};
 pub use verdict::{
-    BaselineEvidence, BaselineKey, Exclusion, ExclusionCounts, Level, Remaining, SecondIndicators, ToolState,
-    Trend, Verdict,
+    BaselineEvidence, BaselineKey, Exclusion, ExclusionCounts, FeedEvidence, Level, LevelBasis, Masked,
+    ReferenceCycles, Remaining, SecondIndicators, ToolState, Trend, Verdict,
 };
 
 /// The level at which a tool is worn, latched until it is changed, reground or reset.

@@ -15,10 +15,10 @@ pub mod simulate;
 pub mod token;
 pub mod twin;
 
-use crate::config::{Config, ConfigError, LogConfig, LogFormat, Sources};
+use crate::config::{Config, ConfigError, LogConfig, Sources};
+use crate::telemetry::Telemetry;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
-use tracing_subscriber::EnvFilter;
 
 /// Cycles in; tool wear and recommendations out.
 #[derive(Debug, Parser)]
@@ -84,6 +84,8 @@ enum Command {
     Check(check::Arguments),
     /// Copies everything from one database into another, checked by sums.
     Copy(copy::Arguments),
+    /// Prints the description of the machines' streams (AsyncAPI).
+    Asyncapi,
     /// Asks a running service whether it is ready; for containers.
     Healthcheck(healthcheck::Arguments),
     /// Drives a running server with a shop of simulated friction drills, and prints what became of it.
@@ -94,6 +96,7 @@ enum Command {
 
 /// Runs the command that the arguments name.
 pub async fn run(cli: Cli) -> anyhow::Result<()> {
+    crate::tls::use_ring();
     match cli.command {
         Command::Serve(arguments) => serve::run(&cli.settings, arguments).await,
         Command::Demo(arguments) => demo::run(arguments).await,
@@ -105,23 +108,16 @@ pub async fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Restore(arguments) => backup::restore(&cli.settings, arguments).await,
         Command::Check(arguments) => check::run(&cli.settings, arguments).await,
         Command::Copy(arguments) => copy::run(&cli.settings, arguments).await,
+        Command::Asyncapi => openapi::run_asyncapi(),
         Command::Healthcheck(arguments) => healthcheck::run(&cli.settings, arguments).await,
         Command::Simulate(arguments) => simulate::run(&cli.settings, arguments).await,
         Command::Twin(arguments) => twin::run(arguments).await,
     }
 }
 
-/// Begins to log, to standard error, so that standard output holds only what was asked for.
+/// Begins to log; a command that ends by itself sends no traces.
 pub fn log(config: &LogConfig) -> anyhow::Result<()> {
-    let filter = EnvFilter::try_new(&config.level)?;
-    let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
-    let builder =
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
-    let begun = match config.format {
-        LogFormat::Text => builder.try_init(),
-        LogFormat::Json => builder.json().flatten_event(true).try_init(),
-    };
-    begun.map_err(|error| anyhow::anyhow!("cannot begin to log: {error}"))
+    Telemetry::begin(config, None).map(drop)
 }
 
 /// Prints text on standard output. A reader that went away, as `head` does, is no error.

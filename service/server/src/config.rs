@@ -8,6 +8,9 @@ mod layers;
 
 pub use layers::{ConfigError, Origin, Sources};
 
+use feedwright_core::closed_loop::LoopSettings;
+use feedwright_core::closed_loop::control::LawSettings;
+use feedwright_core::friction::law::OverloadHold;
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{QuarantineBounds, SampleRetention, WatchSettings};
@@ -26,6 +29,8 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// Listener and its bounds.
     pub server: ServerConfig,
+    /// TLS on the API's listener.
+    pub tls: TlsConfig,
     /// The database.
     pub database: DatabaseConfig,
     /// Bounds of what is taken in and given out.
@@ -36,12 +41,16 @@ pub struct Config {
     pub retention: RetentionConfig,
     /// How long recommendations and data stay good.
     pub recommendation: RecommendationConfig,
+    /// The machines' streams.
+    pub stream: StreamConfig,
     /// How often the watch looks around, and when it alarms.
     pub watch: WatchConfig,
     /// The live view.
     pub live: LiveConfig,
     /// The metrics' own listener.
     pub metrics: MetricsConfig,
+    /// Traces.
+    pub traces: TracesConfig,
     /// Logging.
     pub log: LogConfig,
     /// Every leaf as it is printed, with where it came from.
@@ -90,6 +99,42 @@ impl ServerConfig {
     /// Time for a shutdown.
     pub const fn shutdown_timeout(&self) -> Duration {
         Duration::from_millis(self.shutdown_timeout_ms)
+    }
+}
+
+/// TLS on the API's listener.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsConfig {
+    /// Certificate chain, PEM; empty: plain HTTP.
+    pub certificate: PathBuf,
+    /// Private key, PEM.
+    pub key: PathBuf,
+    /// Time for a handshake, ms.
+    pub handshake_timeout_ms: u64,
+    /// Time between two looks at the files, ms.
+    pub reload_interval_ms: u64,
+}
+
+impl TlsConfig {
+    /// Whether the API speaks TLS itself: cookies are `Secure` then, and addresses begin with `https`.
+    pub fn is_on(&self) -> bool {
+        !self.certificate.as_os_str().is_empty()
+    }
+
+    /// What the API's addresses begin with.
+    pub fn scheme(&self) -> &'static str {
+        if self.is_on() { "https" } else { "http" }
+    }
+
+    /// Time for a handshake.
+    pub const fn handshake_timeout(&self) -> Duration {
+        Duration::from_millis(self.handshake_timeout_ms)
+    }
+
+    /// Time between two looks at the files.
+    pub const fn reload_interval(&self) -> Duration {
+        Duration::from_millis(self.reload_interval_ms)
     }
 }
 
@@ -214,6 +259,129 @@ impl RecommendationConfig {
     }
 }
 
+/// The machines' streams, and the law that answers them.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StreamConfig {
+    /// Streams open at a time.
+    pub max_connections: usize,
+    /// What becomes of a second stream of a machine: `takeover` or `refuse`.
+    pub second: String,
+    /// Whether overrides may be told; else every cycle runs in shadow.
+    pub advise: bool,
+    /// Origins of browsers' pages that may open streams, separated by commas.
+    pub allowed_origins: String,
+    /// Largest message, bytes.
+    pub message_bytes: usize,
+    /// Samples in one message.
+    pub samples_per_message: usize,
+    /// Samples of one cycle.
+    pub samples_per_cycle: usize,
+    /// Samples of all running cycles, bytes.
+    pub buffered_bytes: usize,
+    /// Longest cycle, ms.
+    pub cycle_time_ms: u64,
+    /// A sample older than this is not judged, ms.
+    pub sample_age_limit_ms: u64,
+    /// An answer may be acted on for so long, ms.
+    pub validity_ms: u64,
+    /// A ping is sent so often, ms.
+    pub heartbeat_ms: u64,
+    /// A stream where nothing is heard for so long is closed, ms.
+    pub idle_ms: u64,
+    /// A machine may resume a cycle for so long after its connection broke, ms.
+    pub resume_ms: u64,
+    /// A lease ends so long after it was last prolonged, ms.
+    pub lease_ms: u64,
+    /// Intensity b of the law.
+    pub intensity: f64,
+    /// Largest rise of the override per interpolator cycle, points.
+    pub rise_limit_points: f64,
+    /// The law is off for so long after a cycle's start, ms.
+    pub heating_ms: u64,
+    /// Good samples after a bad one before the law may raise again.
+    pub settling_samples: u32,
+    /// What an overload does: `acknowledged`, `next_cycle` or `off`.
+    pub after_overload: String,
+    /// Load over its preferred value at which it is an overload.
+    pub overload_relative_load: f64,
+    /// Least override of a program that gives none, percent.
+    pub override_min_percent: f64,
+    /// Greatest override of a program that gives none, percent.
+    pub override_max_percent: f64,
+}
+
+/// What becomes of a second stream of a machine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SecondStream {
+    /// It takes the machine over; the first one is closed.
+    Takeover,
+    /// It is refused as long as the first one is open.
+    Refuse,
+}
+
+impl StreamConfig {
+    /// What becomes of a second stream of a machine.
+    pub fn second(&self) -> SecondStream {
+        if self.second == "refuse" { SecondStream::Refuse } else { SecondStream::Takeover }
+    }
+
+    /// Origins that may open streams.
+    pub fn origins(&self) -> Vec<String> {
+        let origins = self.allowed_origins.split(',').map(str::trim).filter(|origin| !origin.is_empty());
+        origins.map(str::to_owned).collect()
+    }
+
+    /// A ping is sent so often.
+    pub const fn heartbeat(&self) -> Duration {
+        Duration::from_millis(self.heartbeat_ms)
+    }
+
+    /// A stream where nothing is heard for so long is closed.
+    pub const fn idle(&self) -> Duration {
+        Duration::from_millis(self.idle_ms)
+    }
+
+    /// A machine may resume a cycle for so long.
+    pub const fn resume(&self) -> Duration {
+        Duration::from_millis(self.resume_ms)
+    }
+
+    /// A lease ends so long after it was last prolonged.
+    pub const fn lease(&self) -> Duration {
+        Duration::from_millis(self.lease_ms)
+    }
+
+    /// Bounds of a running cycle.
+    #[expect(clippy::cast_precision_loss, reason = "the check keeps both below a day")]
+    pub fn bounds(&self) -> LoopSettings {
+        LoopSettings {
+            oldest_sample_ms: self.sample_age_limit_ms as f64,
+            validity_ms: i64::try_from(self.validity_ms).unwrap_or(i64::MAX),
+            most_samples: self.samples_per_cycle,
+            longest_cycle_ms: self.cycle_time_ms as f64,
+        }
+    }
+
+    /// The law's settings.
+    #[expect(clippy::cast_precision_loss, reason = "the check keeps it below ten minutes")]
+    pub fn law(&self) -> LawSettings {
+        let relative_load = self.overload_relative_load;
+        LawSettings {
+            intensity: self.intensity,
+            rise_limit_points: self.rise_limit_points,
+            heating_ms: self.heating_ms as f64,
+            settling_samples: self.settling_samples,
+            overload: match self.after_overload.as_str() {
+                "off" => OverloadHold::Off,
+                "next_cycle" => OverloadHold::UntilNextCycle { relative_load },
+                _ => OverloadHold::UntilAcknowledged { relative_load },
+            },
+            program_range: (self.override_min_percent, self.override_max_percent),
+        }
+    }
+}
+
 /// How often the watch looks around, and when it alarms.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -276,6 +444,26 @@ pub struct MetricsConfig {
     /// Address and port where metrics are served without a token.
     #[serde(deserialize_with = "address_or_none")]
     pub listen: Option<SocketAddr>,
+}
+
+/// Traces.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TracesConfig {
+    /// The collector's address; empty: no traces.
+    pub endpoint: String,
+    /// Headers that it asks for. They hold secrets, so they print hidden.
+    #[serde(deserialize_with = "secret")]
+    pub headers: SecretString,
+    /// Share of the requests that are traced, %.
+    pub sample_percent: u32,
+}
+
+impl TracesConfig {
+    /// Whether traces are sent.
+    pub const fn is_on(&self) -> bool {
+        !self.endpoint.is_empty()
+    }
 }
 
 /// Logging.
@@ -369,17 +557,30 @@ impl Config {
             }
         };
         let allowed = self.server.allow_plain_http_on_public_address;
-        for (path, address) in
-            [("server.listen", Some(self.server.listen)), ("metrics.listen", self.metrics.listen)]
-        {
+        for (path, address, is_tls) in [
+            ("server.listen", Some(self.server.listen), self.tls.is_on()),
+            ("metrics.listen", self.metrics.listen, false),
+        ] {
             must(
-                address.is_none_or(|address| allowed || address.ip().is_loopback()),
+                address.is_none_or(|address| allowed || is_tls || address.ip().is_loopback()),
                 path,
                 "other machines reach this address and plain HTTP would show tokens and data to the network; \
-                 listen on 127.0.0.1 or ::1, or set server.allow_plain_http_on_public_address where TLS is \
-                 ended by something in front",
+                 set tls.certificate and tls.key, or listen on 127.0.0.1 or ::1, or set \
+                 server.allow_plain_http_on_public_address where TLS is ended by something in front",
             );
         }
+        must(
+            self.tls.is_on() != self.tls.key.as_os_str().is_empty(),
+            "tls.key",
+            "certificate and key belong together: set both or neither",
+        );
+        let endpoint = &self.traces.endpoint;
+        must(
+            endpoint.is_empty() || endpoint.starts_with("http://") || endpoint.starts_with("https://"),
+            "traces.endpoint",
+            "must be empty or begin with http:// or https://",
+        );
+        must(self.traces.sample_percent <= 100, "traces.sample_percent", "0 to 100");
         for (path, url) in
             [("database.url", &self.database.url), ("database.direct_url", &self.database.direct_url)]
         {
@@ -394,9 +595,18 @@ impl Config {
             ("server.header_read_timeout_ms", self.server.header_read_timeout_ms, 600_000),
             ("server.body_stall_timeout_ms", self.server.body_stall_timeout_ms, 600_000),
             ("server.body_read_timeout_ms", self.server.body_read_timeout_ms, 3_600_000),
+            ("tls.handshake_timeout_ms", self.tls.handshake_timeout_ms, 600_000),
+            ("tls.reload_interval_ms", self.tls.reload_interval_ms, 86_400_000),
             ("server.shutdown_timeout_ms", self.server.shutdown_timeout_ms, 600_000),
             ("retention.interval_ms", self.retention.interval_ms, 366 * 86_400_000),
             ("retention.step_cycles", u64::from(self.retention.step_cycles), 10_000),
+            ("stream.cycle_time_ms", self.stream.cycle_time_ms, 86_400_000),
+            ("stream.sample_age_limit_ms", self.stream.sample_age_limit_ms, 60_000),
+            ("stream.validity_ms", self.stream.validity_ms, 60_000),
+            ("stream.heartbeat_ms", self.stream.heartbeat_ms, 600_000),
+            ("stream.idle_ms", self.stream.idle_ms, 3_600_000),
+            ("stream.resume_ms", self.stream.resume_ms, 3_600_000),
+            ("stream.lease_ms", self.stream.lease_ms, 600_000),
             ("live.heartbeat_ms", self.live.heartbeat_ms, 600_000),
             ("live.sample_interval_ms", self.live.sample_interval_ms, 60_000),
             ("quarantine.entries", self.quarantine.entries, 10_000_000),
@@ -419,6 +629,11 @@ impl Config {
             ("limits.queue_length", self.limits.queue_length, 1_000_000),
             ("limits.group_size", self.limits.group_size, 10_000),
             ("limits.metric_machines", self.limits.metric_machines, 10_000),
+            ("stream.max_connections", self.stream.max_connections, 65_536),
+            ("stream.message_bytes", self.stream.message_bytes, 1 << 24),
+            ("stream.samples_per_message", self.stream.samples_per_message, 4096),
+            ("stream.samples_per_cycle", self.stream.samples_per_cycle, self.limits.samples_per_cycle),
+            ("stream.buffered_bytes", self.stream.buffered_bytes, 1 << 40),
             ("live.readers", self.live.readers, 10_000),
             ("live.history_events", self.live.history_events, 1_000_000),
         ] {
@@ -434,6 +649,30 @@ impl Config {
             "server.failed_auth_per_minute",
             "1 to 100000",
         );
+        let stream = &self.stream;
+        must(matches!(stream.second.as_str(), "takeover" | "refuse"), "stream.second", "takeover or refuse");
+        must(
+            matches!(stream.after_overload.as_str(), "acknowledged" | "next_cycle" | "off"),
+            "stream.after_overload",
+            "acknowledged, next_cycle or off",
+        );
+        for (path, value, least, most) in [
+            ("stream.intensity", stream.intensity, 0.01, 100.0),
+            ("stream.rise_limit_points", stream.rise_limit_points, 0.01, 255.0),
+            ("stream.overload_relative_load", stream.overload_relative_load, 1.01, 100.0),
+            ("stream.override_min_percent", stream.override_min_percent, 0.1, 100.0),
+            ("stream.override_max_percent", stream.override_max_percent, 100.0, 255.0),
+        ] {
+            must((least..=most).contains(&value), path, &format!("{least} to {most}"));
+        }
+        must(stream.heating_ms <= 600_000, "stream.heating_ms", "0 to 600000");
+        must((1..=1000).contains(&stream.settling_samples), "stream.settling_samples", "1 to 1000");
+        must(
+            stream.lease_ms >= 300,
+            "stream.lease_ms",
+            "at least 300: it is prolonged three times before it ends",
+        );
+        must(stream.idle_ms > stream.heartbeat_ms, "stream.idle_ms", "more than stream.heartbeat_ms");
         let watch = &self.watch;
         must((100..=3_600_000).contains(&watch.interval_ms), "watch.interval_ms", "100 to 3600000");
         let silences = watch.machine_silent_after_ms_by_machine.values();

@@ -45,6 +45,7 @@ mod retention;
 mod samples;
 mod series;
 mod session;
+mod stream;
 mod summaries;
 mod tokens;
 mod tool_events;

@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
+use tokio_util::task::task_tracker::TaskTrackerToken;
 
 /// Shared by everything that runs; cheap to clone.
 #[derive(Debug, Clone, Default)]
@@ -19,6 +20,11 @@ impl Lifecycle {
     /// Runs a task that a client cannot cancel and that shutdown waits for.
     pub fn spawn<T: Send + 'static>(&self, task: impl Future<Output = T> + Send + 'static) -> JoinHandle<T> {
         self.tasks.spawn(task)
+    }
+
+    /// Counts as a task until it is dropped: for work that another runs, such as an upgraded connection.
+    pub fn track(&self) -> TaskTrackerToken {
+        self.tasks.token()
     }
 
     /// Whether no new work is taken.

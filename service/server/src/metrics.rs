@@ -84,6 +84,9 @@ pub struct Metrics {
     refused_tokens: IntCounterVec,
     alarms_open: IntGaugeVec,
     connections: IntGauge,
+    streams_open: IntGauge,
+    stream_samples: IntCounter,
+    stream_refusals: IntCounterVec,
     ready: IntGauge,
     last_round: Gauge,
     registered_machines: IntGauge,
@@ -95,6 +98,9 @@ pub struct Metrics {
     database_wal_bytes: IntGaugeVec,
     database_connections: IntGaugeVec,
     database_max_connections: IntGauge,
+    certificate_not_after: GaugeVec,
+    certificate_reloads: IntCounterVec,
+    handshakes_failed: IntCounter,
     disk_size: GaugeVec,
     disk_available: GaugeVec,
     /// Cycles that wait for the writer.
@@ -165,6 +171,14 @@ impl Metrics {
                 &["route", "method"],
                 &ANSWER_SECONDS,
             )?,
+            streams_open: new.int_gauge("feedwright_streams_open", "Open streams of machines")?,
+            stream_samples: new
+                .counter("feedwright_stream_samples_total", "Samples answered over streams")?,
+            stream_refusals: new.counters(
+                "feedwright_stream_refusals_total",
+                "Messages of streams that were refused or could not be read, by code",
+                &["code"],
+            )?,
             refused_tokens: new.counters(
                 "feedwright_authentication_failures_total",
                 "Requests without a valid token, by problem code",
@@ -205,6 +219,20 @@ impl Metrics {
             )?,
             database_max_connections: new
                 .int_gauge("feedwright_database_max_connections", "Most of these connections")?,
+            certificate_not_after: new.gauges(
+                "feedwright_tls_certificate_not_after_timestamp_seconds",
+                "When the certificate in force ends; absent without TLS",
+                &["listener"],
+            )?,
+            certificate_reloads: new.counters(
+                "feedwright_tls_reloads_total",
+                "Certificates that were read again, by whether they were taken over",
+                &["outcome"],
+            )?,
+            handshakes_failed: new.counter(
+                "feedwright_tls_handshake_failures_total",
+                "Connections that ended before or in the TLS handshake",
+            )?,
             disk_size: new.gauges(
                 "feedwright_disk_size_bytes",
                 "File system that holds the data directory; absent where there is none",
@@ -246,6 +274,9 @@ impl Metrics {
         }
         for reason in ["cycle_conflict", "invalid_content", "out_of_range"] {
             metrics.cycles_quarantined.with_label_values(&[reason]);
+        }
+        for outcome in ["taken_over", "failed"] {
+            metrics.certificate_reloads.with_label_values(&[outcome]);
         }
         for reason in REFUSALS {
             metrics.refused_tokens.with_label_values(&[reason]);
@@ -332,6 +363,40 @@ impl Metrics {
     pub(crate) fn disk(&self, size: u64, available: u64) {
         self.disk_size.with_label_values(&["data"]).set(float(size));
         self.disk_available.with_label_values(&["data"]).set(float(available));
+    }
+
+    /// Open streams.
+    pub(crate) const fn streams_open(&self) -> &IntGauge {
+        &self.streams_open
+    }
+
+    /// Counts samples that were answered.
+    pub(crate) fn stream_samples(&self, count: usize) {
+        self.stream_samples.inc_by(count as u64);
+    }
+
+    /// Counts a message that was refused; `code` is one of ours.
+    pub(crate) fn stream_refusal(&self, code: &'static str) {
+        self.stream_refusals.with_label_values(&[code]).inc();
+    }
+
+    /// Sets when the certificate in force ends, since 1970.
+    pub(crate) fn certificate(&self, not_after: Option<Duration>) {
+        match not_after {
+            Some(end) => self.certificate_not_after.with_label_values(&["api"]).set(end.as_secs_f64()),
+            None => drop(self.certificate_not_after.remove_label_values(&["api"])),
+        }
+    }
+
+    /// Counts a certificate that was read again.
+    pub(crate) fn certificate_reloaded(&self, taken_over: bool) {
+        let outcome = if taken_over { "taken_over" } else { "failed" };
+        self.certificate_reloads.with_label_values(&[outcome]).inc();
+    }
+
+    /// Counts a connection that ended before its TLS handshake did.
+    pub(crate) fn handshake_failed(&self) {
+        self.handshakes_failed.inc();
     }
 
     /// Open connections.

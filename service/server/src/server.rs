@@ -17,6 +17,7 @@ use crate::ingest::intake::CycleIntake;
 use crate::lifecycle::Lifecycle;
 use crate::metrics::Metrics;
 use crate::state::AppState;
+use crate::tls::{self, Certificates, TlsError};
 use accept::Acceptor;
 use feedwright_store::{Actor, Page, Role, Store, StoreError};
 use secrecy::SecretString;
@@ -41,6 +42,9 @@ pub enum StartError {
     /// A metric is registered twice.
     #[error("the metrics cannot be registered")]
     Metrics(#[from] prometheus::Error),
+    /// Certificate and key cannot be used.
+    #[error("the API cannot speak TLS")]
+    Tls(#[from] TlsError),
     /// The system has no randomness for the first token.
     #[error("the system has no randomness")]
     Randomness(#[from] getrandom::Error),
@@ -68,6 +72,7 @@ impl Server {
         store: Arc<dyn Store>,
         clock: Clock,
     ) -> Result<RunningServer, StartError> {
+        tls::use_ring();
         let listener = listen(config.server.listen).await?;
         let metrics_listener = match config.metrics.listen {
             Some(address) => Some(listen(address).await?),
@@ -75,6 +80,11 @@ impl Server {
         };
         let first_admin_token = first_admin_token(&store, &clock).await?;
         let metrics = Arc::new(Metrics::new(config.limits.metric_machines)?);
+        let certificates = match config.tls.is_on() {
+            true => Some(Certificates::load(&config.tls, metrics.clone())?),
+            false => None,
+        };
+        let acceptor_of_tls = certificates.as_ref().map(Certificates::acceptor).transpose()?;
         let lifecycle = Lifecycle::default();
         let intake = Arc::new(CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics));
         let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
@@ -85,13 +95,17 @@ impl Server {
         };
         crate::retention::start(&state);
         crate::live::start(&state);
+        crate::stream::start(&state);
         crate::watch::start(&state);
-        let acceptor = Acceptor::new(state.clone());
-        acceptor.accept(listener, http::router(state.clone()));
-        if let Some(listener) = metrics_listener {
-            acceptor.accept(listener, http::metrics_router(state.clone()));
+        if let Some(certificates) = &certificates {
+            tls::watch(&state, certificates.clone());
         }
-        Ok(RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor })
+        let acceptor = Acceptor::new(state.clone());
+        acceptor.accept(listener, http::router(state.clone()), acceptor_of_tls);
+        if let Some(listener) = metrics_listener {
+            acceptor.accept(listener, http::metrics_router(state.clone()), None);
+        }
+        Ok(RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor, certificates })
     }
 }
 
@@ -127,12 +141,21 @@ pub struct RunningServer {
     pub first_admin_token: Option<SecretString>,
     state: AppState,
     acceptor: Acceptor,
+    certificates: Option<Arc<Certificates>>,
 }
 
 impl RunningServer {
     /// What its handlers reach.
     pub const fn state(&self) -> &AppState {
         &self.state
+    }
+
+    /// Reads the certificate again, where there is one, and takes it over where it can be used.
+    pub async fn reload(&self) {
+        match &self.certificates {
+            Some(certificates) => tls::look(certificates, true).await,
+            None => tracing::info!("nothing to reload: the service speaks plain HTTP"),
+        }
     }
 
     /// Ends when the server cannot do its work any more, with the reason; the caller shuts it down then.

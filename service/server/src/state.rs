@@ -10,6 +10,7 @@ use crate::lifecycle::Lifecycle;
 use crate::live::Live;
 use crate::metrics::Metrics;
 use crate::readiness::Readiness;
+use crate::stream::Streams;
 use feedwright_store::{Store, StoreError, StoreResult};
 use std::future::Future;
 use std::ops::Deref;
@@ -35,6 +36,8 @@ pub struct Shared {
     pub lifecycle: Lifecycle,
     /// What is shown to those who watch.
     pub live: Arc<Live>,
+    /// The machines' streams.
+    pub streams: Arc<Streams>,
     /// Long computations.
     pub jobs: Jobs,
     /// Large answers under way.
@@ -67,6 +70,7 @@ impl AppState {
         let failed_authentications = FailedAuthentications::new(config.server.failed_auth_per_minute);
         let readiness = Readiness::default();
         let live = intake.live().clone();
+        let streams = Streams::new(&config.stream);
         Self(Arc::new(Shared {
             config,
             store,
@@ -75,6 +79,7 @@ impl AppState {
             intake,
             lifecycle,
             live,
+            streams,
             jobs: Jobs::default(),
             exports: Exports::default(),
             failed_authentications,

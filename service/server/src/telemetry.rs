@@ -40,8 +40,8 @@ pub struct Telemetry {
 impl Telemetry {
     /// Begins to write lines to standard error, so that standard output holds only what was asked for, and to send
     /// traces where that is configured.
-    pub fn begin(log: &LogConfig, traces: &TracesConfig) -> anyhow::Result<Self> {
-        let provider = if traces.is_on() { Some(provider(traces)?) } else { None };
+    pub fn begin(log: &LogConfig, traces: Option<&TracesConfig>) -> anyhow::Result<Self> {
+        let provider = traces.filter(|traces| traces.is_on()).map(provider).transpose()?;
         let lines = tracing_subscriber::fmt::layer()
             .with_writer(std::io::stderr)
             .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()));
@@ -65,7 +65,8 @@ impl Telemetry {
     pub async fn end(self) {
         let Some(provider) = self.provider else { return };
         // It waits for its own thread, which needs this runtime to send.
-        let ended = tokio::task::spawn_blocking(move || provider.shutdown_with_timeout(COLLECTOR_PATIENCE)).await;
+        let ended =
+            tokio::task::spawn_blocking(move || provider.shutdown_with_timeout(COLLECTOR_PATIENCE)).await;
         match ended {
             Ok(Ok(())) => {}
             Ok(Err(error)) => tracing::warn!(%error, "the last traces were not sent"),
@@ -129,7 +130,8 @@ impl HttpClient for Sender {
 
 /// Makes the span of a request a server's span of the trace that its headers name. The log line learns the trace's id.
 pub(crate) fn adopt(span: &Span, method: &str, route: &str, headers: &HeaderMap) {
-    let remote = TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers));
+    let remote =
+        TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers));
     if remote.span().span_context().is_valid() {
         // Fails where no traces are sent; then there is nothing to adopt.
         let _ = span.set_parent(remote);

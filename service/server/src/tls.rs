@@ -57,6 +57,14 @@ pub fn use_ring() {
     let _ = ring::default_provider().install_default();
 }
 
+/// Begins a client of `url` that trusts whom the system trusts. Plain HTTP needs no roots, and a container may have none.
+pub fn client(url: &str) -> reqwest::ClientBuilder {
+    use_ring();
+    // Services and collectors stand in the shop: a proxy towards the internet only gets in the way.
+    let client = reqwest::Client::builder().no_proxy();
+    if url.starts_with("https://") { client } else { client.tls_certs_only([]) }
+}
+
 /// What is served now, and what was last seen in the files.
 pub(crate) struct Certificates {
     files: (PathBuf, PathBuf),
@@ -104,11 +112,14 @@ impl Certificates {
     }
 
     /// What accepts TLS connections with these certificates.
-    pub(crate) fn acceptor(self: &Arc<Self>) -> Result<TlsAcceptor, rustls::Error> {
-        let config = ServerConfig::builder_with_provider(self.provider.clone())
-            .with_safe_default_protocol_versions()?
-            .with_no_client_auth();
-        let mut config = config.with_cert_resolver(self.clone());
+    pub(crate) fn acceptor(self: &Arc<Self>) -> Result<TlsAcceptor, TlsError> {
+        let builder = ServerConfig::builder_with_provider(self.provider.clone())
+            .with_safe_default_protocol_versions()
+            .map_err(|error| TlsError::Unusable {
+                certificate: self.files.0.clone(),
+                why: error.to_string(),
+            })?;
+        let mut config = builder.with_no_client_auth().with_cert_resolver(self.clone());
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         Ok(TlsAcceptor::from(Arc::new(config)))
     }
@@ -170,7 +181,8 @@ fn pair(
     provider: &CryptoProvider,
 ) -> Result<Pair, TlsError> {
     // The parser's errors may quote what it read.
-    let unreadable = |path: &PathBuf, why: &str| TlsError::Unreadable { path: path.clone(), why: why.to_owned() };
+    let unreadable =
+        |path: &PathBuf, why: &str| TlsError::Unreadable { path: path.clone(), why: why.to_owned() };
     let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&contents.certificate).collect();
     let chain = chain.map_err(|_| unreadable(&files.0, "it is no PEM"))?;
     let Some(own) = chain.first() else { return Err(unreadable(&files.0, "it holds no certificate")) };

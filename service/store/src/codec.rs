@@ -61,6 +61,7 @@
 mod column;
 mod frame;
 mod hash;
+mod overrides;
 mod predict;
 mod range;
 mod rice;
@@ -70,6 +71,7 @@ pub(crate) use column::decimal;
 pub(crate) use frame::tests::cycle as cycle_of_every_field;
 pub use frame::{decode_samples, encode_samples};
 pub use hash::content_hash;
+pub use overrides::{decode_overrides, encode_overrides};
 
 use crate::record::EncodedCycle;
 use feedwright_core::cycle::Cycle;

@@ -793,3 +793,37 @@ pub type RowNumber = i64;
 
 /// Which tool's history a CSV or a verdict is about.
 pub type ToolKey = ToolId;
+
+/// What became of the wish to hold a machine's stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StreamLease {
+    /// It is the asker's.
+    Taken {
+        /// Counts the times it was taken: a later number ends an earlier one.
+        generation: i64,
+    },
+    /// It is another one's.
+    Held {
+        /// It is free after this.
+        until: Timestamp,
+    },
+}
+
+/// What the samples of a streamed cycle were answered, told or only computed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CycleOverrides {
+    /// The cycle's machine.
+    pub machine: MachineId,
+    /// Its id.
+    pub cycle: CycleId,
+    /// `advise` or `shadow`.
+    pub mode: String,
+    /// Version of the law.
+    pub law_version: String,
+    /// Hash of the program that the machine told, 64 hexadecimal digits.
+    pub program_hash: Option<String>,
+    /// When it was stored.
+    pub stored_at: Timestamp,
+    /// [`crate::codec::encode_overrides`] of them.
+    pub block: Vec<u8>,
+}

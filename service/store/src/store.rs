@@ -6,11 +6,11 @@ use crate::feed_profile::{
 };
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
-    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
-    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord,
-    ToolLife, Versioned, WatchSettings, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
+    CyclePoint, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
+    NewCycle, Page, PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round,
+    RowNumber, SampleDrop, SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
+    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::{ProfileVersion, Samples};
@@ -332,6 +332,43 @@ pub trait Store: Send + Sync + 'static {
     async fn revoke_token(&self, id: &str, actor: &Actor, now: Timestamp)
     -> StoreResult<Option<TokenRecord>>;
 
+    /// Takes the lease on a machine's stream until `until`: where it is free, expired or the holder's own already, and
+    /// where `takeover` even from another.
+    async fn take_stream(
+        &self,
+        machine: &MachineId,
+        holder: &str,
+        takeover: bool,
+        now: Timestamp,
+        until: Timestamp,
+    ) -> StoreResult<StreamLease>;
+    /// Prolongs every unexpired lease of a holder; those it holds, with their generations.
+    async fn renew_streams(
+        &self,
+        holder: &str,
+        now: Timestamp,
+        until: Timestamp,
+    ) -> StoreResult<Vec<(MachineId, i64)>>;
+    /// Gives a lease back, unless it is another's by now.
+    async fn release_stream(
+        &self,
+        machine: &MachineId,
+        holder: &str,
+        generation: i64,
+        now: Timestamp,
+    ) -> StoreResult<()>;
+    /// Keeps what a streamed cycle's samples were answered.
+    async fn put_overrides(&self, overrides: &CycleOverrides) -> StoreResult<()>;
+    /// What a streamed cycle's samples were answered.
+    async fn overrides(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<CycleOverrides>>;
+    /// Raises an overload that a stream has seen, unless one is open for the machine and tool.
+    async fn raise_overload(
+        &self,
+        machine: &MachineId,
+        tool: &ToolId,
+        message: &str,
+        now: Timestamp,
+    ) -> StoreResult<()>;
     /// Keeps a browser's session; of one token at most `most` are kept, the newest.
     async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()>;
     /// The session of that hash with its token, over or not, revoked or not.

@@ -3,37 +3,176 @@
 use crate::http::commands::binary;
 use crate::shop::Shop;
 use serde_json::Value;
+use std::process::Output;
 use tokio::process::Command;
+
+async fn simulate(shop: &Shop, arguments: &[&str]) -> Output {
+    let binary = tokio::task::spawn_blocking(binary).await.unwrap();
+    Command::new(binary)
+        .args(["simulate", "--server", &shop.address, "--until", "2026-05-04T06:30:00Z"])
+        .args(arguments)
+        .env("FEEDWRIGHT_TOKEN", &shop.admin)
+        .output()
+        .await
+        .unwrap()
+}
+
+async fn simulated(shop: &Shop, arguments: &[&str]) -> Value {
+    let output = simulate(shop, arguments).await;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn count(report: &Value, group: &str, name: &str) -> u64 {
+    report[group][name].as_u64().unwrap_or(0)
+}
 
 #[tokio::test]
 async fn a_simulated_shop_wears_its_tools_out_has_faults_and_is_told_what_to_do() {
-    let binary = tokio::task::spawn_blocking(binary).await.unwrap();
     let shop = Shop::open().await;
     let faults = "air_cut,nan_body,duplicate,late_replay";
-    let output = Command::new(binary)
-        .args(["simulate", "--server", &shop.address, "--machines", "2", "--cycles", "90", "--life", "40"])
-        .args(["--strategy", "f_const", "--seed", "3", "--faults", faults, "--fault-share", "0.12"])
-        .args(["--until", "2026-05-04T06:30:00Z"])
-        .env("FEEDWRIGHT_TOKEN", &shop.admin)
-        .output()
-        .await
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let count = |group: &str, name: &str| report[group][name].as_u64().unwrap_or(0);
+    let report = simulated(
+        &shop,
+        &[
+            "--machines",
+            "2",
+            "--cycles",
+            "90",
+            "--life",
+            "40",
+            "--strategy",
+            "f_const",
+            "--seed",
+            "3",
+            "--faults",
+            faults,
+            "--fault-share",
+            "0.12",
+        ],
+    )
+    .await;
     assert_eq!((report["machines"].as_u64(), report["cycles"].as_u64()), (Some(2), Some(180)), "{report}");
-    assert!(count("tool_changes", "worn") >= 2, "each machine wears out a tool: {report}");
-    assert_eq!(count("faults", "nan_body"), count("outcomes", "quarantined"), "{report}");
-    assert_eq!(count("faults", "duplicate"), count("outcomes", "known"), "{report}");
-    assert_eq!(count("outcomes", "stored"), 180 - count("faults", "nan_body"), "nothing is lost: {report}");
+    assert!(count(&report, "tool_changes", "worn") >= 2, "each machine wears out a tool: {report}");
+    for fault in faults.split(',') {
+        assert!(count(&report, "faults", fault) > 0, "{fault}: {report}");
+    }
+    assert_eq!(count(&report, "faults", "nan_body"), count(&report, "outcomes", "quarantined"), "{report}");
+    assert_eq!(count(&report, "faults", "duplicate"), count(&report, "outcomes", "known"), "{report}");
+    assert_eq!(
+        count(&report, "outcomes", "stored"),
+        180 - count(&report, "faults", "nan_body"),
+        "nothing is lost: {report}"
+    );
     let quarantined = shop.get("/v1/quarantine?limit=1000").await;
     let kept = quarantined.body["items"].as_array().unwrap().len() as u64;
-    assert_eq!(kept, count("faults", "nan_body"));
-    let refused = Command::new(binary)
-        .args(["simulate", "--server", &shop.address, "--machines", "1", "--faults", "gremlins"])
-        .env("FEEDWRIGHT_TOKEN", &shop.admin)
-        .output()
-        .await
-        .unwrap();
+    assert_eq!(kept, count(&report, "faults", "nan_body"));
+    let refused = simulate(&shop, &["--machines", "1", "--faults", "gremlins"]).await;
     assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("air_cut"));
+}
+
+/// Under the adaptive law wear is masked: the machine is asked for reference cycles, runs them, and is told in time.
+#[tokio::test]
+async fn tools_under_the_adaptive_law_are_called_and_changed_in_time() {
+    let shop = Shop::open().await;
+    let report = simulated(
+        &shop,
+        &[
+            "--machines",
+            "3",
+            "--cycles",
+            "260",
+            "--life",
+            "100",
+            "--strategy",
+            "f_ac",
+            "--seed",
+            "5",
+            "--tolerance",
+            "0.15",
+        ],
+    )
+    .await;
+    let wear = &report["wear_at_change"];
+    assert!(wear["tools"].as_u64().unwrap() >= 5, "{report}");
+    assert_eq!(count(&report, "tool_changes", "overdue"), 0, "{report}");
+    assert!(report["reference_cycles"].as_u64().unwrap() > 3 * 30, "{report}");
+    let told = shop.get("/v1/tools/sim-tool-1/wear").await.body;
+    assert_eq!(told["feed"]["references"]["every_cycles"], 4, "{told}");
+    assert!(told["feed"]["references"]["count"].as_u64().unwrap() >= 5, "{told}");
+    assert!(told["feed"]["masked_share"].as_f64().unwrap() < 0.5, "{told}");
+    // What was judged is what a rebuild finds.
+    let strict = simulate(
+        &shop,
+        &["--machines", "1", "--cycles", "20", "--life", "1000", "--strategy", "f_ac", "--tolerance", "0.1"],
+    )
+    .await;
+    assert!(!strict.status.success(), "no tool was called worn, so nothing was shown");
+}
+
+#[tokio::test]
+async fn broken_tools_are_noticed_and_thicker_sheets_lose_nothing() {
+    let shop = Shop::open().await;
+    let report = simulated(
+        &shop,
+        &[
+            "--machines",
+            "1",
+            "--cycles",
+            "70",
+            "--life",
+            "2000",
+            "--strategy",
+            "f_const",
+            "--seed",
+            "2",
+            "--faults",
+            "broken_tool",
+            "--fault-share",
+            "0.06",
+        ],
+    )
+    .await;
+    let broken = count(&report, "faults", "broken_tool");
+    assert!(broken >= 1, "{report}");
+    assert_eq!(count(&report, "tool_changes", "broken_suspected"), broken, "{report}");
+    assert_eq!(count(&report, "tool_changes", "worn"), 0, "a broken tool is not worn: {report}");
+    let shop = Shop::open().await;
+    let report = simulated(
+        &shop,
+        &[
+            "--machines",
+            "1",
+            "--cycles",
+            "70",
+            "--life",
+            "150",
+            "--strategy",
+            "f_const",
+            "--seed",
+            "2",
+            "--faults",
+            "thickness",
+            "--fault-share",
+            "0.06",
+        ],
+    )
+    .await;
+    assert!(count(&report, "faults", "thickness") >= 1, "{report}");
+    // A third more sheet is less than the step that is told from wear: only that nothing is lost is claimed.
+    assert_eq!(count(&report, "outcomes", "stored"), 70, "{report}");
+    assert_eq!(count(&report, "tool_changes", "broken_suspected"), 0, "{report}");
+}
+
+#[tokio::test]
+async fn a_rate_is_kept() {
+    let shop = Shop::open().await;
+    let began = std::time::Instant::now();
+    let report = simulated(&shop, &["--machines", "2", "--cycles", "10", "--rate", "20"]).await;
+    // Twenty cycles at twenty a second: the first two at once, so nine tenths of a second at the least.
+    assert!(began.elapsed().as_secs_f64() >= 0.85, "{report}");
+    assert!(report["cycles_per_second"].as_f64().unwrap() <= 23.0, "{report}");
+    for rate in ["0", "-1", "NaN", "inf"] {
+        let refused = simulate(&shop, &["--machines", "1", &format!("--rate={rate}")]).await;
+        assert!(!refused.status.success(), "{rate}");
+    }
 }

@@ -64,6 +64,17 @@ async fn the_cycles_own_feed_gives_the_cycle_back_and_a_faster_one_a_shorter_cyc
     assert!((shorter - 1.0 / 1.2).abs() < 0.05, "a fifth faster: {shorter}");
     assert!(number(&predicted["peak_spindle_percent"]) > number(&happened["peak_spindle_percent"]));
 
+    // The same under the name that it has once it is a reviewed profile.
+    let profile = json!({"control": {"profile": faster()["control"]["program"]}});
+    let as_profile = shop.post(OF_C2, &profile).await;
+    assert_eq!(as_profile.body, answer.body, "{}", as_profile.text);
+    let many = shop.post("/v1/what-if", &json!({"filter": {"machine": "F1"}, "question": profile})).await;
+    assert_eq!(many.status, 200, "{}", many.text);
+    assert!(
+        number(&many.body["predicted"]["mean_duration_s"])
+            < number(&many.body["happened"]["mean_duration_s"])
+    );
+
     let law = json!({"control": {"law": {"set_feed_drive_percent": 20, "set_spindle_percent": 20}},
                      "limits": {"spindle_percent": 40}});
     let answer = shop.post(OF_C2, &law).await;

@@ -40,6 +40,11 @@ impl Served {
         Self { server, token, client, _database: database, _dir: None }
     }
 
+    /// Shuts the server down and gives its database back, so that another can be started on it.
+    pub(crate) async fn stop(self) {
+        self.server.shutdown().await.unwrap();
+    }
+
     pub(crate) fn url(&self, path: &str) -> String {
         format!("http://{}{path}", self.server.local_addr)
     }
@@ -69,17 +74,7 @@ impl Served {
 
     /// Machine `M1` whose ratings are declared, tool `T1`, friction operation `O1` with set loads of 30 and 40 %.
     pub(crate) async fn with_a_shop(&self) {
-        self.put(
-            "/v1/machines/M1",
-            json!({
-                "name": "Friction drill 1", "control": "linuxcnc", "ipo_period_ms": 10.0,
-                "spindle": {"reference": "rated_power", "rated_power_watts": 7000.0},
-                "feed_drive": {"reference": "rated_torque", "rated_thrust_newtons": 8000.0},
-                "limits": {"feed_min_mm_min": 1.0, "feed_max_mm_min": 3000.0,
-                           "override_min_percent": 20.0, "override_max_percent": 150.0}
-            }),
-        )
-        .await;
+        self.with_a_machine("M1").await;
         self.put("/v1/tools/T1", json!({"name": "FD M8", "tool_type": "friction-drill-7.3"})).await;
         self.put(
             "/v1/operations/O1",
@@ -87,6 +82,18 @@ impl Served {
                    "feed_drive_load_set_percent": 30.0, "spindle_load_set_percent": 40.0}),
         )
         .await;
+    }
+
+    /// A machine whose ratings are declared.
+    pub(crate) async fn with_a_machine(&self, id: &str) {
+        let body = json!({
+            "name": "Friction drill", "control": "linuxcnc", "ipo_period_ms": 10.0,
+            "spindle": {"reference": "rated_power", "rated_power_watts": 7000.0},
+            "feed_drive": {"reference": "rated_torque", "rated_thrust_newtons": 8000.0},
+            "limits": {"feed_min_mm_min": 1.0, "feed_max_mm_min": 3000.0,
+                       "override_min_percent": 20.0, "override_max_percent": 150.0}
+        });
+        self.put(&format!("/v1/machines/{id}"), body).await;
     }
 
     /// A token of a machine.

@@ -3,6 +3,7 @@
 use super::Served;
 use super::reader::Reader;
 use crate::store::given::Given;
+use crate::stream::client::Machine;
 use serde_json::json;
 
 #[tokio::test]
@@ -112,4 +113,39 @@ async fn what_one_server_stores_is_shown_by_another_on_the_same_database() {
     there.server.shutdown().await.unwrap();
     here.server.shutdown().await.unwrap();
     given.done().await;
+}
+
+#[tokio::test]
+async fn a_running_cycle_is_seen_as_it_runs() {
+    let served = Served::start(&[("live.sample_interval_ms", "1"), ("stream.resume_ms", "50")]).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut reader = Reader::open(&served, "?machine=M1&samples=true", None).await;
+    assert_eq!(reader.next().await.unwrap().name, "state");
+    let mut machine = Machine::connect(&served, &token).await;
+    assert_eq!(reader.next_of("machine").await.data["state"], "connected");
+    machine.start("c1", json!({})).await;
+    let running = reader.next_of("machine").await;
+    assert_eq!((&running.data["state"], &running.data["cycle_id"]), (&json!("running"), &json!("c1")));
+    let answer = machine.samples(0, 5).await;
+    let sample = reader.next_of("sample").await;
+    assert_eq!((sample.id, &sample.data["sample"]), (None, &json!(4)));
+    assert_eq!(sample.data["override_percent"], answer["override_percent"]);
+    assert_eq!(sample.data["depth_mm"], 0.08);
+    // Who comes now learns that it runs.
+    let mut late = Reader::open(&served, "", None).await;
+    let state = late.next().await.unwrap();
+    assert_eq!(state.data["machines"][0]["state"], "running");
+    machine.end(5).await;
+    assert_eq!(late.next_of("cycle").await.data["cycle_id"], "c1");
+    assert_eq!(late.next_of("machine").await.data["state"], "connected");
+    machine.start("c2", json!({})).await;
+    machine.samples(0, 5).await;
+    machine.break_off();
+    assert_eq!(late.next_of("machine").await.data["state"], "running");
+    assert_eq!(late.next_of("machine").await.data["state"], "interrupted");
+    assert_eq!(late.next_of("machine").await.data["state"], "disconnected");
+    let left = late.next_of("cycle").await;
+    assert!(left.data["cycle_id"].as_str().unwrap().starts_with("c2.incomplete-"), "{left:?}");
+    served.server.shutdown().await.unwrap();
 }

@@ -103,7 +103,7 @@ pub(super) fn judge(name: &str) -> Judged {
     for recorded in &plan.cycles {
         let (cycle, machine, operation) = (checked(recorded), machine(recorded), operation(recorded));
         let context = Context { machine: &machine, calibration: None, operation: Some(&operation) };
-        let settings = FoldSettings { wear: operation.wear, depth_mm: None, spindle_speed_rpm: None };
+        let settings = FoldSettings::of(&operation);
         let fold = folds.get_mut(recorded.tool.as_str()).unwrap();
         fold.cycle(&CycleFacts::of(&cycle, &summarise(&cycle, context)), Some(&settings));
         let verdict = fold.verdict();

@@ -16,6 +16,7 @@ mod registry;
 mod replicas;
 mod retention;
 mod service;
+mod streams;
 mod transfer;
 mod watch;
 mod wear;

@@ -48,7 +48,11 @@ async fn the_same_cycles_to_three_servers_count_once() {
     let other = Arc::clone(&replicas[1]);
     tasks.push(tokio::spawn(async move {
         other.put_tool(tool("T2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
-        let wear = feedwright_core::operation::WearSettings { baseline_cycles: 4, window_cycles: 4 };
+        let wear = feedwright_core::operation::WearSettings {
+            baseline_cycles: 4,
+            window_cycles: 4,
+            ..Default::default()
+        };
         let changed = feedwright_core::operation::Operation { wear, ..operation("O1") };
         other.put_operation(changed, Precondition::Version(1), &engineer(), at(2)).await.unwrap();
         0

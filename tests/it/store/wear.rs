@@ -31,7 +31,7 @@ mod tables {
 
 /// The fold as the book has it: every cycle once, in order, nothing cached.
 fn naive(runs: &[Run], mounted_first: bool, settings: WearSettings) -> Verdict {
-    let settings = FoldSettings { wear: settings, depth_mm: None, spindle_speed_rpm: Some(2400.0) };
+    let settings = FoldSettings { wear: settings, ..FoldSettings::of(&operation("O1")) };
     let mut facts: Vec<CycleFacts> = runs
         .iter()
         .map(|run| {
@@ -242,7 +242,7 @@ async fn changed_settings_are_judged_again(store: Arc<dyn Store>) {
     let id = "T1".try_into().unwrap();
     let before = store.verdict(&id).await.unwrap();
     assert_eq!(before, naive(&runs, true, WearSettings::default()));
-    let wear = WearSettings { baseline_cycles: 3, window_cycles: 4 };
+    let wear = WearSettings { baseline_cycles: 3, window_cycles: 4, ..Default::default() };
     let changed = feedwright_core::operation::Operation { wear, ..operation("O1") };
     store.put_operation(changed, Precondition::Version(1), &engineer(), at(2000)).await.unwrap();
     let after = store.verdict(&id).await.unwrap();

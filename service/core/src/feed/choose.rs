@@ -145,7 +145,8 @@ fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
                 None => unknown("a control law hides the tool's wear and its cycle time is not known"),
             }
         }
-        (_, Some(level)) => Ok(level.as_run),
+        // The level that decides, and never a lower one than the energy as run already shows.
+        (_, Some(level)) => Ok(level.value.max(level.as_run)),
     }
 }
 
@@ -192,7 +193,7 @@ mod tests {
     fn worn(level: Option<f64>) -> Verdict {
         let unknown = Verdict::unknown("x", "x");
         let state = if level.is_some() { ToolState::Good } else { ToolState::Learning };
-        let level = level.map(|as_run| Level { as_run, lowest: as_run, highest: as_run, n: 5, window: 5 });
+        let level = level.map(|as_run| Level::as_run(as_run, (as_run, as_run), 5, 5));
         Verdict { state, level, life: 1, cycles: 9, ..unknown }
     }
 

@@ -14,7 +14,7 @@
 //! | [`calibration`] | lines from drive load to thrust and torque |
 //! | [`energy`] | energy of a hole, Eq. 5–7, on two bases |
 //! | [`relation`] | energy or load over depth and feed, learned with uncertainty |
-//! | [`wear`] | as-run and feed-compensated wear, masking, reference cycles |
+//! | [`wear`] | what a cycle's energy says of the tool at the feeds run, and at the reference feed |
 //! | [`whatif`] | a stored cycle under another law, program or limits |
 //! | [`twin`] | the process model |
 //! | [`compare`] | strategies beside each other on it, Fig. 21 |

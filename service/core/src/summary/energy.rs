@@ -4,7 +4,7 @@
 
 use super::{Context, SampleClock, loads};
 use crate::cycle::{Channel, Samples};
-use crate::machine::{Calibration, LoadReference};
+use crate::machine::{Calibration, FittedLine, LoadReference};
 use std::f64::consts::TAU;
 
 /// How an energy was told, best first.
@@ -126,6 +126,46 @@ pub(super) fn by_basis(
     (energies, beyond)
 }
 
+/// Joules of every sample on the basis of `best`; their sum is its total. `None` where joules were only reported.
+pub(super) fn by_sample(
+    samples: &Samples,
+    clock: &SampleClock,
+    commanded_rpm: Option<f64>,
+    context: Context<'_>,
+    best: &Energy,
+) -> Option<Vec<f64>> {
+    let motion = Motion { samples, clock, commanded_rpm };
+    let column = |channel| samples.column(channel);
+    let calibration = context.calibration;
+    let (torque, thrust): (Option<Vec<f64>>, Option<Vec<f64>>) = match best.basis {
+        EnergyBasis::Dynamometer => (
+            column(Channel::TorqueNewtonMetres).map(<[f64]>::to_vec),
+            column(Channel::ThrustNewtons).map(<[f64]>::to_vec),
+        ),
+        EnergyBasis::Calibrated => {
+            let along = |line: Option<FittedLine>, load: Option<&[f64]>| {
+                line.zip(load).and_then(|(line, load)| load.iter().map(|&load| line.at(load)).collect())
+            };
+            (
+                along(calibration.and_then(|lines| lines.torque), column(Channel::SpindleLoadPercent)),
+                along(calibration.and_then(|lines| lines.thrust), column(Channel::FeedDriveLoadPercent)),
+            )
+        }
+        EnergyBasis::MeasuredPower => return motion.measured_by_sample(best.idle),
+        EnergyBasis::RatedPower => return motion.rated_by_sample(context),
+        EnergyBasis::Reported => return None,
+    };
+    let torque = torque?;
+    let mut joules = Vec::with_capacity(torque.len());
+    for (index, torque) in torque.iter().enumerate() {
+        joules.push(torque * TAU * motion.speed_rpm(index)? / 60.0 * clock.width_s(index));
+    }
+    if best.feed_drive_joules.is_some() {
+        motion.add_feed_work(&thrust?, &mut joules)?;
+    }
+    Some(joules)
+}
+
 /// Fingerprint of what an energy rests on besides the samples (FNV-1a, 63 bits).
 pub(super) fn scale(energy: &Energy, context: Context<'_>) -> i64 {
     let spindle = &context.machine.spindle;
@@ -234,6 +274,49 @@ impl Motion<'_> {
         Some((0..thrust.len()).map(|k| thrust[k] * metres(k)).sum())
     }
 
+    /// Adds [`Motion::feed_work`] sample by sample.
+    fn add_feed_work(&self, thrust: &[f64], joules: &mut [f64]) -> Option<()> {
+        if let Some(depth) = self.samples.column(Channel::DepthMm) {
+            for k in 1..thrust.len() {
+                joules[k] += thrust[k] * (depth[k] - depth[k - 1]) * 1e-3;
+            }
+            return Some(());
+        }
+        let feed = self.samples.column(Channel::FeedActualMmMin)?;
+        for k in 0..thrust.len() {
+            joules[k] += thrust[k] * feed[k] / 60.0 * 1e-3 * self.clock.width_s(k);
+        }
+        Some(())
+    }
+
+    /// The trapezoids of [`Motion::integrate`] over idle, each with the sample that ends it.
+    fn measured_by_sample(&self, idle: IdlePower) -> Option<Vec<f64>> {
+        let watts = self.samples.column(Channel::SpindlePowerWatts)?;
+        let idle = if let IdlePower::Subtracted { watts } = idle { watts } else { 0.0 };
+        let feed = self.samples.column(Channel::FeedDrivePowerWatts);
+        let power = |k: usize| watts[k] - idle + feed.map_or(0.0, |feed| feed[k]);
+        let each = |k: usize| {
+            let mean = if k == 0 { 0.0 } else { f64::midpoint(power(k - 1), power(k)) };
+            mean * self.clock.width_s(k)
+        };
+        Some((0..watts.len()).map(each).collect())
+    }
+
+    fn rated_by_sample(&self, context: Context<'_>) -> Option<Vec<f64>> {
+        let load = self.samples.column(Channel::SpindleLoadPercent)?;
+        let rating = &context.machine.spindle;
+        let rated = rating.rated_power_watts?;
+        let mut joules = Vec::with_capacity(load.len());
+        for (index, load) in load.iter().enumerate() {
+            let share = self.rated_share(index, context)?;
+            joules.push(load / 100.0 * rated * share * self.clock.width_s(index));
+        }
+        if let Some(thrust) = self.rated_thrust(context) {
+            self.add_feed_work(&thrust, &mut joules);
+        }
+        Some(joules)
+    }
+
     fn calibrated(&self, calibration: &Calibration) -> Calibrated {
         let (Some(line), Some(load)) = (calibration.torque, self.samples.column(Channel::SpindleLoadPercent))
         else {
@@ -300,15 +383,21 @@ impl Motion<'_> {
         }
         let mut spindle = 0.0;
         for (index, load) in load.iter().enumerate() {
-            let share = if rating.reference.follows_torque() {
-                (self.speed_rpm(index)? / rating.base_speed_rpm?).min(1.0)
-            } else {
-                1.0
-            };
+            let share = self.rated_share(index, context)?;
             spindle += load / 100.0 * rated * share * self.clock.width_s(index);
         }
         let feed = self.rated_feed(context);
         Some(Energy::of_parts(EnergyBasis::RatedPower, spindle, feed, IdlePower::Included))
+    }
+
+    /// min(1, S/S_base) where the spindle's percent follows torque, else 1.
+    fn rated_share(&self, index: usize, context: Context<'_>) -> Option<f64> {
+        let rating = &context.machine.spindle;
+        if rating.reference.follows_torque() {
+            Some((self.speed_rpm(index)? / rating.base_speed_rpm?).min(1.0))
+        } else {
+            Some(1.0)
+        }
     }
 
     /// The feed drive's percent is a force: load × rated thrust × way, where the thrust is declared.

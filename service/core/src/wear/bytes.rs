@@ -1,13 +1,15 @@
 //! The fold's state as bytes, for the store's cache: bit for bit, versioned, and refused when damaged.
 
+use super::basis::{CompensatedRatio, FeedMemory, KEPT_RATIOS};
 use super::facts::OrderKey;
 use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold};
 use super::key::{Baseline, Change, KeyState, Measured, Usual};
 use super::trend::TrendPoints;
 use super::verdict::{BaselineKey, Exclusion};
 use crate::cycle::ProfileVersion;
+use crate::friction::relation::Relation;
 use crate::ids::{CycleId, MachineId, OperationId, ProfileId};
-use crate::summary::EnergyBasis;
+use crate::summary::{DepthDigest, EnergyBasis, relation_config};
 use crate::units::{Strategy, Timestamp};
 
 /// Longest list that a state can hold; a longer one is damage.
@@ -188,6 +190,51 @@ impl Field for [u64; Exclusion::ALL.len()] {
     }
 }
 
+impl<const N: usize> Field for [f64; N] {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.iter().for_each(|value| value.put(out));
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = f64::take(input)?;
+        }
+        Some(values)
+    }
+}
+
+impl Field for Relation {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.to_parts().put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        Self::of_parts(relation_config()?, Field::take(input)?)
+    }
+}
+
+impl Field for DepthDigest {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.to_bytes().put(out);
+    }
+    fn take(input: &mut &[u8]) -> Option<Self> {
+        Self::from_bytes(&Vec::take(input)?)
+    }
+}
+
+fields!(CompensatedRatio { number, own, reference, sd_at_limit });
+fields!(FeedMemory {
+    varied,
+    ever_varied,
+    every,
+    reference_feed_mm_min,
+    references,
+    reference_trend,
+    last_reference,
+    reference_count,
+    compensated,
+    compensated_trend,
+    masked,
+});
 fields!(OrderKey { started_at, machine, seq, cycle });
 fields!(ProfileVersion { profile, version });
 fields!(BaselineKey {
@@ -211,6 +258,7 @@ fields!(Measured {
     depth_mm,
     fall_depth_mm,
     operator_percent,
+    digest,
 });
 fields!(Baseline { joules, duration_ms, depth_mm, fall_depth_mm, operator_percent, learnt_from });
 fields!(Usual { joules, duration_ms, depth_mm });
@@ -232,6 +280,8 @@ fields!(KeyState {
     seen,
     flips,
     change,
+    relation,
+    reference_feed_mm_min,
     used,
 });
 
@@ -257,6 +307,7 @@ fields!(ToolFold {
     worn,
     suspects,
     trend,
+    feeds,
 });
 
 impl ToolFold {
@@ -278,7 +329,10 @@ impl ToolFold {
         let sound = fold.keys.len() <= MAX_KEYS
             && fold.last_excluded.len() <= LAST_EXCLUDED
             && fold.current.is_none_or(|at| at < fold.keys.len())
-            && fold.last_counted <= fold.cycles;
+            && fold.last_counted <= fold.cycles
+            && fold.feeds.last_reference.is_none_or(|number| number <= fold.cycles)
+            && fold.feeds.references.len() <= KEPT_RATIOS
+            && fold.feeds.compensated.len() <= KEPT_RATIOS;
         (sound && input.is_empty()).then_some(fold)
     }
 }

@@ -1,8 +1,8 @@
 //! What the fold needs of one cycle.
 
 use crate::cycle::{Cycle, Flags, ProfileVersion};
-use crate::ids::{CycleId, MachineId, OperationId};
-use crate::summary::{CycleSummary, EnergyBasis, IdlePower};
+use crate::ids::{CycleId, MachineId, OperationId, RecommendationId};
+use crate::summary::{CycleSummary, DepthDigest, EnergyBasis, IdlePower};
 use crate::units::{Strategy, Timestamp};
 
 /// The place of a cycle in its tool's history: device time first, then what tells equal times apart.
@@ -45,6 +45,10 @@ pub struct CycleFacts {
     pub fall_depth_mm: Option<f64>,
     /// Operator's override, mean, %.
     pub operator_override_percent: Option<f64>,
+    /// Way, time and energy over depth, of a friction cycle that sampled them.
+    pub digest: Option<DepthDigest>,
+    /// Whether it followed a recommendation that asked for a reference cycle.
+    pub asked_as_reference: bool,
     /// Share of the cycle's time that samples cover, 0 to 1.
     pub coverage: f64,
     /// Quality flags.
@@ -76,8 +80,27 @@ impl CycleFacts {
             max_depth_mm: summary.max_depth_mm,
             fall_depth_mm: summary.spindle_load_fall_depth_mm,
             operator_override_percent: summary.operator_override_percent,
+            digest: summary.digest.clone(),
+            asked_as_reference: cycle
+                .recommendation
+                .as_ref()
+                .is_some_and(RecommendationId::asks_for_reference),
             coverage: summary.coverage,
             flags: summary.flags,
         }
+    }
+
+    /// Whether it is a reference cycle: one feed from end to end. The strategy says so, or it was asked for as one and
+    /// its samples show that it was run as one: a machine may name the advice that it did not follow.
+    pub fn is_reference(&self) -> bool {
+        match self.strategy {
+            Some(Strategy::FConst) => true,
+            _ => self.asked_as_reference && self.digest.as_ref().is_some_and(DepthDigest::is_constant_feed),
+        }
+    }
+
+    /// The strategy that its energy is compared under.
+    pub(super) fn compared_as(&self) -> Option<Strategy> {
+        if self.is_reference() { Some(Strategy::FConst) } else { self.strategy }
     }
 }

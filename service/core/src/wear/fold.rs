@@ -3,22 +3,26 @@
 //! Nothing here looks ahead: a cycle whose meaning only the next ones can tell is held, and counted or left out
 //! when they have come. So the state after a cycle depends on the cycles up to it and on nothing else.
 
+use super::basis::{FeedMemory, varies_feed};
 use super::facts::{CycleFacts, OrderKey};
-use super::key::{Change, KeyState, Look, Measured, Usual};
+use super::key::{Change, HELD_DIGESTS, KeyState, Look, Measured, Usual};
 use super::trend::TrendPoints;
 use super::verdict::{BaselineKey, Exclusion, ExclusionCounts};
 use super::{WARNING_CLEARED_LEVEL, WARNING_LEVEL, WORN_LEVEL};
 use crate::cycle::Flag;
 use crate::ids::{CycleId, MachineId};
-use crate::operation::{WINDOW_CYCLES, WearSettings};
+use crate::operation::{Operation, WINDOW_CYCLES, WearSettings};
 use crate::summary::{COVERAGE_FLOOR, DEPTH_FLOOR, median};
 use crate::tool::ToolEventKind;
+use crate::units::{Process, Strategy};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 1;
+pub const FOLD_VERSION: u16 = 2;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
+/// Keys whose energy over depth and feed is kept.
+const MAX_RELATIONS: usize = 16;
 /// Cycles left out that are kept by name.
 pub(super) const LAST_EXCLUDED: usize = 20;
 /// Newest undercuts in a row that are kept apart; beyond them the tool is not less broken.
@@ -41,6 +45,23 @@ pub struct FoldSettings {
     pub depth_mm: Option<f64>,
     /// The operation's commanded spindle speed, rpm.
     pub spindle_speed_rpm: Option<f64>,
+    /// Whether it is friction drilling, which alone has strategies, energy over feed, and reference cycles.
+    pub is_friction: bool,
+    /// Constant feed of its reference cycles, mm/min.
+    pub reference_feed_mm_min: Option<f64>,
+}
+
+impl FoldSettings {
+    /// What `operation` says.
+    pub fn of(operation: &Operation) -> Self {
+        Self {
+            wear: operation.wear,
+            depth_mm: operation.depth_mm,
+            spindle_speed_rpm: operation.spindle_speed_rpm,
+            is_friction: operation.process == Process::Friction,
+            reference_feed_mm_min: operation.reference_feed_mm_min(),
+        }
+    }
 }
 
 /// State of the fold over one tool's cycles and events.
@@ -78,6 +99,7 @@ pub struct ToolFold {
     /// Undercuts that no usual cycle has followed yet: whether each was short of its usual time.
     pub(super) suspects: Vec<bool>,
     pub(super) trend: TrendPoints,
+    pub(super) feeds: FeedMemory,
 }
 
 impl Default for ToolFold {
@@ -104,6 +126,7 @@ impl Default for ToolFold {
             worn: false,
             suspects: Vec::new(),
             trend: TrendPoints::default(),
+            feeds: FeedMemory::default(),
         }
     }
 }
@@ -127,11 +150,12 @@ impl ToolFold {
                 last: self.last.take(),
                 life: self.life + 1,
                 unworn: kind.starts_unworn(),
+                feeds: self.feeds.next_life(),
                 ..Self::default()
             };
             return;
         }
-        let level = self.level();
+        let level = self.standing();
         let mut announced = true;
         for key in &mut self.keys {
             announced &= key.change.is_none() && !key.unconfirmed && !key.stepped;
@@ -152,6 +176,7 @@ impl ToolFold {
         }
         self.last = Some(facts.order.clone());
         self.cycles += 1;
+        self.note_feeds(facts, settings);
         let (joules, settings) = match self.countable(facts, settings) {
             Ok(found) => found,
             Err(why) => {
@@ -163,7 +188,11 @@ impl ToolFold {
             }
         };
         let at = self.key_of(facts, settings);
-        let cycle = Measured::of(facts, joules, self.cycles);
+        let mut cycle = Measured::of(facts, joules, self.cycles);
+        if !settings.is_friction {
+            cycle.digest = None;
+        }
+        self.keys[at].reference_feed_mm_min = settings.reference_feed_mm_min;
         self.current = Some(at);
         self.keys[at].used = self.cycles;
         self.keys[at].seen += 1;
@@ -179,6 +208,20 @@ impl ToolFold {
         }
         if self.counted > counted && !(learning && self.keys[at].baseline.is_some()) {
             self.judge();
+        }
+        if settings.is_friction && self.masked().is_some() {
+            self.feeds.masked += 1;
+        }
+    }
+
+    /// Notes how the tool is used; whether it is worn does not depend on it.
+    fn note_feeds(&mut self, facts: &CycleFacts, settings: Option<&FoldSettings>) {
+        let friction = settings.filter(|settings| settings.is_friction);
+        self.feeds.every = friction.and_then(|settings| settings.wear.reference_every_cycles);
+        self.feeds.reference_feed_mm_min = friction.and_then(|settings| settings.reference_feed_mm_min);
+        if friction.is_some() && varies_feed(facts.compared_as()) {
+            self.feeds.varied = true;
+            self.feeds.ever_varied = true;
         }
     }
 
@@ -212,6 +255,8 @@ impl ToolFold {
         let (basis, idle_subtracted) = facts
             .energy
             .map_or((crate::summary::EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
+        // What else a machine names with a reference cycle it was asked for is what runs between them.
+        let as_told = facts.compared_as() == facts.strategy;
         let key = BaselineKey {
             machine: facts.order.machine.clone(),
             operation: facts.operation.clone(),
@@ -219,9 +264,9 @@ impl ToolFold {
             basis,
             idle_subtracted,
             energy_scale: facts.energy_scale,
-            strategy: facts.strategy,
-            law_version: facts.law_version.clone(),
-            profile: facts.profile.clone(),
+            strategy: facts.compared_as(),
+            law_version: facts.law_version.clone().filter(|_| as_told),
+            profile: facts.profile.clone().filter(|_| as_told),
         };
         if let Some(at) = self.keys.iter().position(|known| known.matches(&key)) {
             return at;
@@ -234,7 +279,7 @@ impl ToolFold {
         // A speed that is changed in mid-life is often changed because of the wear: the level that is carried over
         // then says nothing good until somebody confirms the new conditions.
         let speed_changed = level.is_some() && self.keys.iter().any(|known| known.differs_in_speed(&key));
-        let mut state = KeyState::new(key, settings.wear, level.unwrap_or(1.0));
+        let mut state = KeyState::new(key, settings.wear, self.standing().unwrap_or(1.0));
         if speed_changed || self.evicted {
             state.unconfirmed = !std::mem::take(&mut self.change_announced);
         }
@@ -268,15 +313,21 @@ impl ToolFold {
         if centre.is_some_and(|centre| key.look(&cycle, &centre) == Look::Usual) {
             self.settle_suspects();
         }
+        self.note_reference(at, cycle.number);
         let key = &mut self.keys[at];
+        let mut cycle = cycle;
+        if key.learning.iter().filter(|held| held.digest.is_some()).count() >= HELD_DIGESTS {
+            cycle.digest = None;
+        }
         key.learning.push(cycle);
         if let Some(judged) = key.complete() {
             for (cycle, why) in judged {
                 match why {
-                    None => self.count(at, cycle),
+                    None => self.count_taught(at, cycle),
                     Some(why) => self.leave_out(&cycle, why),
                 }
             }
+            self.bound_relations();
         } else if key.learning.len() > key.learning_bound() {
             let first = key.learning.remove(0);
             self.leave_out(&first, Exclusion::BaselineOutlier);
@@ -323,7 +374,7 @@ impl ToolFold {
 
     /// Enough cycles in a row are off: a lasting step, or wear that runs away.
     fn judge_step(&mut self, at: usize, usual: Usual) {
-        let level = self.level();
+        let level = self.standing();
         let key = &mut self.keys[at];
         let level_step = key.off_is_level();
         let off = std::mem::take(&mut key.off);
@@ -380,7 +431,34 @@ impl ToolFold {
         }
     }
 
+    /// Counts a cycle, with what it says beside its ratio as run.
     fn count(&mut self, at: usize, cycle: Measured) {
+        let Some(baseline) = &self.keys[at].baseline else { return };
+        let said = (cycle.number, cycle.joules / baseline.joules);
+        let found = self.compensated(at, cycle.digest.as_ref());
+        self.note_reference(at, cycle.number);
+        self.remember(at, said, found);
+        self.count_taught(at, cycle);
+    }
+
+    fn note_reference(&mut self, at: usize, number: u64) {
+        if self.keys[at].key.strategy == Some(Strategy::FConst) {
+            self.feeds.last_reference = self.feeds.last_reference.max(Some(number));
+            self.feeds.reference_count += 1;
+        }
+    }
+
+    /// Relations are by far the largest part of the state: only the keys that ran last keep theirs.
+    fn bound_relations(&mut self) {
+        while self.keys.iter().filter(|key| key.relation.is_some()).count() > MAX_RELATIONS {
+            let oldest = self.keys.iter_mut().filter(|key| key.relation.is_some()).min_by_key(|key| key.used);
+            let Some(oldest) = oldest else { return };
+            oldest.relation = None;
+        }
+    }
+
+    /// Counts a cycle that its baseline was learnt from: it says how cycles scatter, not how the tool wears.
+    fn count_taught(&mut self, at: usize, cycle: Measured) {
         let key = &mut self.keys[at];
         let Some(baseline) = &key.baseline else { return };
         let ratio = cycle.joules / baseline.joules;
@@ -404,10 +482,12 @@ impl ToolFold {
         if self.window().len() < LEAST_RATIOS.min(self.window as usize) {
             return;
         }
-        if let Some(level) = self.level() {
+        if let Some(decision) = self.decision() {
+            let level = decision.level;
             self.worn |= level >= WORN_LEVEL - ROUNDING;
-            self.warned =
-                level >= WARNING_LEVEL - ROUNDING || (self.warned && level >= WARNING_CLEARED_LEVEL);
+            // Where nothing decides, nothing clears a warning either.
+            let held = decision.basis.is_none() || level >= WARNING_CLEARED_LEVEL;
+            self.warned = level >= WARNING_LEVEL - ROUNDING || (self.warned && held);
         }
     }
 

@@ -4,13 +4,16 @@ use super::WARNING_LEVEL;
 use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::remaining;
-use super::verdict::{BaselineEvidence, Exclusion, Level, SecondIndicators, ToolState, Verdict};
+use super::verdict::{BaselineEvidence, Exclusion, LevelBasis, Masked, SecondIndicators, ToolState, Verdict};
 use crate::ids::{CycleId, MachineId};
 use crate::summary::PeakShift;
 use crate::units::{Strategy, Timestamp};
 
 /// A level with so many cycles since, or four windows, is outdated: nothing can be said of the tool as it is now.
 const OUTDATED_CYCLES: u64 = 20;
+
+/// Shift of the spindle load's falling edge, mm, that may be wear; the paper's worn tool moves the maximum by 2 mm.
+const FALL_SHIFT_MM: f64 = 1.0;
 
 impl ToolFold {
     /// The last cycles that were not counted so far, oldest first; a reason may change until a later cycle settles it.
@@ -25,11 +28,19 @@ impl ToolFold {
         }
         let mut reasons = Vec::new();
         let state = self.state(&mut reasons);
+        let decision = self.decision();
+        let points = match decision.and_then(|decision| decision.basis) {
+            Some(LevelBasis::ReferenceCycles) => &self.feeds.reference_trend,
+            Some(LevelBasis::FeedCompensated) => &self.feeds.compensated_trend,
+            Some(LevelBasis::AsRun) | None => &self.trend,
+        };
         let level = if self.unworn { self.level_evidence() } else { None };
-        let trend = if self.unworn { self.trend.trend() } else { None };
+        let trend = if self.unworn { points.trend() } else { None };
         let sure = matches!(state, ToolState::Good | ToolState::Warning);
-        let remaining = match (&trend, &level) {
-            (Some(trend), Some(level)) if sure => remaining(&self.trend, trend, level),
+        let remaining = match (&trend, &decision) {
+            (Some(trend), Some(decision)) if sure && decision.basis.is_some() => {
+                remaining(points, trend, (decision.level, decision.n))
+            }
             _ => None,
         };
         let current = self.current.map(|at| &self.keys[at]);
@@ -41,7 +52,11 @@ impl ToolFold {
             level,
             trend,
             remaining,
-            indicators: current.map(indicators).unwrap_or_default(),
+            indicators: SecondIndicators {
+                masked_by_control: self.masked() == Some(Masked::ByControl),
+                ..current.map(indicators).unwrap_or_default()
+            },
+            feed: self.feed_evidence(),
             life: self.life,
             started_unworn: self.unworn,
             baselines: baselines.into_iter().map(evidence).collect(),
@@ -58,11 +73,27 @@ impl ToolFold {
     fn state(&self, reasons: &mut Vec<(&'static str, String)>) -> ToolState {
         let mut say = |code, why: String| reasons.push((code, why));
         let current = self.current.map(|at| &self.keys[at]);
-        if current.is_some_and(|key| key.key.strategy == Some(Strategy::FAc)) {
-            say(
+        let decision = self.decision();
+        let basis = decision.and_then(|decision| decision.basis);
+        match (self.masked(), basis) {
+            (Some(Masked::ByControl), _) => say(
                 "masked_by_control",
                 "the control slows the feed as the tool wears, so energy hides wear".into(),
-            );
+            ),
+            (Some(Masked::ByFeed), _) => say(
+                "masked_by_feed",
+                "the feeds run are so far from the reference feed that nobody knows what the energy means there"
+                    .into(),
+            ),
+            (None, Some(LevelBasis::FeedCompensated)) => say(
+                "decided_by_compensation",
+                "energy is compared with what the new tool would have needed at the feeds run".into(),
+            ),
+            (None, Some(LevelBasis::ReferenceCycles)) => say(
+                "decided_by_reference_cycles",
+                "the feed varies, so reference cycles at one constant feed are compared".into(),
+            ),
+            (None, Some(LevelBasis::AsRun) | None) => {}
         }
         if current.is_some_and(|key| (key.level_at_entry - 1.0).abs() > f64::EPSILON) {
             say(
@@ -76,8 +107,7 @@ impl ToolFold {
                 "the tool was not new at its first measured cycle: no new-tool baseline".into(),
             );
         }
-        let level = self.level();
-        let percent = level.map_or(0.0, |level| 100.0 * (level - 1.0));
+        let percent = decision.map_or(0.0, |decision| 100.0 * (decision.level - 1.0));
         let against = if self.unworn { "the new tool" } else { "its first measured cycles" };
         if !self.suspects.is_empty() {
             let n = self.excluded[Exclusion::BrokenSuspected as usize];
@@ -136,6 +166,26 @@ impl ToolFold {
             );
             return ToolState::Unknown;
         }
+        if let (Some(Strategy::FAc), Some(Masked::ByControl), Some(shift)) =
+            (key.key.strategy, self.masked(), indicators(key).fall_depth)
+            && shift.shift_mm().abs() >= FALL_SHIFT_MM
+        {
+            let shift = shift.shift_mm();
+            say(
+                "fall_shifted",
+                format!("the spindle load's falling edge has moved by {shift:+.1} mm: run a reference cycle"),
+            );
+            return ToolState::Unknown;
+        }
+        if self.masked().is_some() && self.may_be_worn() {
+            say(
+                "maybe_worn",
+                "compensated for the feed, the level is too uncertain to call the tool good: run a reference \
+                 cycle"
+                    .into(),
+            );
+            return ToolState::Unknown;
+        }
         if key.unconfirmed {
             say(
                 "speed_changed",
@@ -156,17 +206,6 @@ impl ToolFold {
             Some(why) => (why.as_str(), format!("no cycle of this life could be compared: {}", why.as_str())),
             None => ("no_cycles", "no cycle since the tool was mounted".into()),
         }
-    }
-
-    fn level_evidence(&self) -> Option<Level> {
-        let window = self.window();
-        Some(Level {
-            as_run: self.level()?,
-            lowest: window.iter().copied().fold(f64::INFINITY, f64::min),
-            highest: window.iter().copied().fold(f64::NEG_INFINITY, f64::max),
-            n: u32::try_from(window.len()).unwrap_or(u32::MAX),
-            window: self.window,
-        })
     }
 }
 
@@ -198,6 +237,6 @@ fn indicators(key: &KeyState) -> SecondIndicators {
     SecondIndicators {
         fall_depth: fall.map(|(baseline_mm, now_mm)| PeakShift { baseline_mm, now_mm }),
         cycle_time_ratio: time.filter(|(before, _)| *before > 0.0).map(|(before, now)| now / before),
-        masked_by_control: key.key.strategy == Some(Strategy::FAc),
+        masked_by_control: false,
     }
 }

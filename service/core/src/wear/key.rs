@@ -2,9 +2,11 @@
 
 use super::facts::CycleFacts;
 use super::verdict::{BaselineKey, Exclusion};
+use crate::friction::relation::{FeedSource, Per, Relation};
 use crate::ids::{CycleId, MachineId};
 use crate::operation::WearSettings;
-use crate::summary::median;
+use crate::summary::{DepthDigest, median, relation_config};
+use crate::units::Strategy;
 
 /// Below this share of what is usual, hardly anything was cut.
 pub(super) const UNDERCUT: f64 = 0.6;
@@ -44,6 +46,10 @@ const NOISE_KNOWN: usize = 6;
 const USUAL_LENGTH: usize = 5;
 /// Counted cycles that the second indicators are the median of.
 const INDICATOR_LENGTH: usize = 5;
+/// Digests that are held while a baseline is being learnt: more cycles make the relation hardly better.
+pub(super) const HELD_DIGESTS: usize = 64;
+/// Cycles that a relation is learnt from at the least.
+const LEAST_RELATION: u32 = 3;
 /// Normal distribution: median of |a − b| over sigma, √2 · 0.6745.
 const DIFFERENCE_MEDIAN: f64 = 0.953_87;
 
@@ -60,6 +66,8 @@ pub(super) struct Measured {
     pub(super) depth_mm: Option<f64>,
     pub(super) fall_depth_mm: Option<f64>,
     pub(super) operator_percent: Option<f64>,
+    /// Energy over depth; dropped once the cycle was counted.
+    pub(super) digest: Option<DepthDigest>,
 }
 
 impl Measured {
@@ -74,6 +82,7 @@ impl Measured {
             depth_mm: facts.max_depth_mm,
             fall_depth_mm: facts.fall_depth_mm,
             operator_percent: facts.operator_override_percent,
+            digest: facts.digest.clone(),
         }
     }
 
@@ -144,6 +153,10 @@ pub(super) struct KeyState {
     pub(super) seen: u64,
     pub(super) flips: Vec<u64>,
     pub(super) change: Option<Change>,
+    /// The new tool's energy over depth and feed, where the baseline's cycles told it.
+    pub(super) relation: Option<Relation>,
+    /// Constant feed of reference cycles, mm/min, as the operation says.
+    pub(super) reference_feed_mm_min: Option<f64>,
     /// Running number of the last cycle, to evict the key that was not run for longest.
     pub(super) used: u64,
 }
@@ -187,6 +200,8 @@ impl KeyState {
             seen: 0,
             flips: Vec::new(),
             change: None,
+            relation: None,
+            reference_feed_mm_min: None,
             used: 0,
         }
     }
@@ -212,12 +227,48 @@ impl KeyState {
         }
     }
 
+    /// Whether it holds reference cycles of the same work as `other`.
+    pub(super) fn is_reference_of(&self, other: &Self) -> bool {
+        self.key.strategy == Some(Strategy::FConst) && {
+            let (strategy, law_version) = (self.key.strategy, self.key.law_version.clone());
+            let profile = self.key.profile.clone();
+            self.matches(&BaselineKey { strategy, law_version, profile, ..other.key.clone() })
+        }
+    }
+
+    /// Who chose its feeds.
+    fn feed_source(&self) -> FeedSource {
+        if self.key.strategy == Some(Strategy::FAc) || self.key.law_version.is_some() {
+            FeedSource::Controlled
+        } else {
+            FeedSource::Programmed
+        }
+    }
+
+    /// Learns the new tool's energy over depth and feed from the baseline's cycles.
+    fn learn_relation(&self, fit: &[&Measured]) -> Option<Relation> {
+        let mut relation = Relation::new(relation_config()?);
+        for cycle in fit {
+            if let Some(profile) = cycle.digest.as_ref().and_then(DepthDigest::profile) {
+                relation.observe(&profile, Per::Depth, self.feed_source());
+            }
+        }
+        // One cycle alone says nothing of how cycles scatter.
+        (relation.cycles() >= LEAST_RELATION).then_some(relation)
+    }
+
     /// Forgets the baseline and learns a new one that carries `level` over.
     pub(super) fn relearn(&mut self, level: f64) {
-        let settings = WearSettings { baseline_cycles: self.needed, window_cycles: self.window };
-        let used = self.used;
-        *self = Self::new(self.key.clone(), settings, level);
-        self.used = used;
+        let settings = WearSettings {
+            baseline_cycles: self.needed,
+            window_cycles: self.window,
+            ..WearSettings::default()
+        };
+        *self = Self {
+            used: self.used,
+            reference_feed_mm_min: self.reference_feed_mm_min,
+            ..Self::new(self.key.clone(), settings, level)
+        };
     }
 
     /// Whether the operator's override keeps `cycle` from being compared with the baseline.
@@ -312,7 +363,8 @@ impl KeyState {
     }
 
     /// Keeps a counted cycle for what is usual, noise and indicators.
-    pub(super) fn keep(&mut self, cycle: Measured) {
+    pub(super) fn keep(&mut self, mut cycle: Measured) {
+        cycle.digest = None;
         if let Some(last) = self.recent.last() {
             let apart = |now: f64, before: f64| (now / before).ln().abs();
             push_bounded(&mut self.energy_noise, apart(cycle.joules, last.joules), NOISE_LENGTH);
@@ -391,6 +443,7 @@ impl KeyState {
             operator_percent: medians(fit.iter().map(|cycle| cycle.operator_percent)),
             learnt_from: self.needed,
         });
+        self.relation = self.learn_relation(&fit);
         self.learning.clear();
         left_out.extend(judged);
         Some(left_out)

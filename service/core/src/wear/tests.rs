@@ -12,7 +12,13 @@ use proptest::prelude::*;
 const NEW: f64 = 1992.0;
 
 fn settings() -> FoldSettings {
-    FoldSettings { wear: WearSettings::default(), depth_mm: None, spindle_speed_rpm: None }
+    FoldSettings {
+        wear: WearSettings::default(),
+        depth_mm: None,
+        spindle_speed_rpm: None,
+        is_friction: true,
+        reference_feed_mm_min: None,
+    }
 }
 
 fn facts(number: u32, joules: f64) -> CycleFacts {
@@ -34,6 +40,8 @@ fn facts(number: u32, joules: f64) -> CycleFacts {
         max_depth_mm: None,
         fall_depth_mm: None,
         operator_override_percent: None,
+        digest: None,
+        asked_as_reference: false,
         coverage: 1.0,
         flags: Flags::NONE,
     }
@@ -385,7 +393,8 @@ fn remaining_cycles_are_told_only_on_evidence() {
 
 #[test]
 fn a_window_of_the_operation_is_obeyed() {
-    let wide = FoldSettings { wear: WearSettings { baseline_cycles: 100, window_cycles: 100 }, ..settings() };
+    let wear = WearSettings { baseline_cycles: 100, window_cycles: 100, ..WearSettings::default() };
+    let wide = FoldSettings { wear, ..settings() };
     let mut fold = ToolFold::default();
     (1..=99).for_each(|k| fold.cycle(&facts(k, NEW), Some(&wide)));
     assert_eq!(fold.verdict().state, ToolState::Learning);

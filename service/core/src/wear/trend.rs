@@ -1,7 +1,7 @@
 //! Trend of the ratios over a tool's life, from a bounded number of points.
 
+use super::WORN_LEVEL;
 use super::verdict::{Remaining, Trend};
-use super::{WORN_LEVEL, verdict::Level};
 use crate::summary::median;
 
 /// Points kept; when there are more, neighbours are merged and each stands for twice as many cycles.
@@ -35,11 +35,16 @@ impl Default for TrendPoints {
 }
 
 impl TrendPoints {
-    #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
     pub(super) fn push(&mut self, ratio: f64) {
+        self.push_at(self.count + 1, ratio);
+    }
+
+    /// Adds a ratio at a place of its own, for those that are not there at every cycle.
+    #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
+    pub(super) fn push_at(&mut self, place: u64, ratio: f64) {
         self.count += 1;
         let (counts, ratios, n) = &mut self.filling;
-        *counts += self.count as f64;
+        *counts += place as f64;
         *ratios += ratio;
         *n += 1;
         if *n < self.per_point {
@@ -95,19 +100,21 @@ fn clamp_index(place: f64, len: usize) -> usize {
 }
 
 /// Cycles until the level reaches 1.10; `None` where the trend does not surely rise.
-pub(super) fn remaining(points: &TrendPoints, trend: &Trend, level: &Level) -> Option<Remaining> {
+pub(super) fn remaining(points: &TrendPoints, trend: &Trend, (level, n): (f64, usize)) -> Option<Remaining> {
     if trend.slope_low <= 0.0 {
         return None;
     }
+    #[expect(clippy::cast_precision_loss, reason = "at most 500 ratios")]
+    let n_sqrt = (n.max(1) as f64).sqrt();
     // The level is a median of few ratios: its own error widens the interval of what is left to climb.
-    let error = Z_90 * 1.2533 * points.scatter(trend.slope_per_cycle) / f64::from(level.n.max(1)).sqrt();
+    let error = Z_90 * 1.2533 * points.scatter(trend.slope_per_cycle) / n_sqrt;
     let cycles = |climb: f64, slope: f64| {
         let cycles = (climb.max(0.0) / slope).min(MOST_REMAINING);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to ten million")]
         let whole = cycles as u64;
         whole
     };
-    let climb = WORN_LEVEL - level.as_run;
+    let climb = WORN_LEVEL - level;
     if climb / trend.slope_per_cycle > MOST_REMAINING {
         return None;
     }
@@ -144,8 +151,7 @@ mod tests {
         assert_eq!(filled((0..9).map(|k| 1.0 + 0.01 * f64::from(k))).trend(), None);
         let flat = filled((0..200).map(|k| if k % 2 == 0 { 1.01 } else { 0.99 }));
         let trend = flat.trend().unwrap();
-        let level = Level { as_run: 1.0, lowest: 0.99, highest: 1.01, n: 5, window: 5 };
-        assert_eq!(remaining(&flat, &trend, &level), None);
+        assert_eq!(remaining(&flat, &trend, (1.0, 5)), None);
     }
 
     #[test]
@@ -153,8 +159,7 @@ mod tests {
         // A saw-tooth of ±0.5 % on a rise of 0.02 % per cycle, at 1.04 after 200 cycles: 300 remain.
         let noisy =
             filled((0..200).map(|k| 1.0 + 0.0002 * f64::from(k) + 0.005 * (f64::from(k % 5) - 2.0) / 2.0));
-        let level = Level { as_run: 1.04, lowest: 1.03, highest: 1.05, n: 5, window: 5 };
-        let remaining = remaining(&noisy, &noisy.trend().unwrap(), &level).unwrap();
+        let remaining = remaining(&noisy, &noisy.trend().unwrap(), (1.04, 5)).unwrap();
         assert!(remaining.low <= remaining.cycles && remaining.cycles <= remaining.high, "{remaining:?}");
         assert!(remaining.low > 200 && remaining.high < 420, "{remaining:?}");
         assert!((290..=310).contains(&remaining.cycles), "{remaining:?}");

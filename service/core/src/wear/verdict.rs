@@ -2,6 +2,7 @@
 
 use super::facts::OrderKey;
 use crate::cycle::ProfileVersion;
+use crate::friction::relation::Estimate;
 use crate::ids::{CycleId, MachineId, OperationId};
 use crate::summary::{EnergyBasis, PeakShift};
 use crate::units::{Strategy, Timestamp};
@@ -166,6 +167,93 @@ pub struct BaselineEvidence {
     pub operator_override_percent: Option<f64>,
 }
 
+/// What a level rests on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum LevelBasis {
+    /// The median of the last ratios as run.
+    AsRun,
+    /// The median of the last ratios, compensated for their feeds.
+    FeedCompensated,
+    /// The median of the last reference cycles.
+    ReferenceCycles,
+}
+
+impl LevelBasis {
+    /// Every basis, in the order of the enum.
+    pub const ALL: [Self; 3] = [Self::AsRun, Self::FeedCompensated, Self::ReferenceCycles];
+
+    /// The word used in the API and in storage.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::AsRun => "as_run",
+            Self::FeedCompensated => "feed_compensated",
+            Self::ReferenceCycles => "reference_cycles",
+        }
+    }
+
+    /// The basis of that word.
+    pub fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|basis| basis.as_str() == text)
+    }
+}
+
+/// What keeps wear from being told by energy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Masked {
+    /// A law that answers to the load slows the feed as the tool wears.
+    ByControl,
+    /// A program whose feeds are so far from the reference feed that nobody knows what its energy means there.
+    ByFeed,
+}
+
+impl Masked {
+    /// The word used in the API.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::ByControl => "by_control",
+            Self::ByFeed => "by_feed",
+        }
+    }
+}
+
+/// Reference cycles of a tool that needs them: one constant feed, no override.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReferenceCycles {
+    /// One is asked for after so many cycles.
+    pub every: u32,
+    /// Cycles until the next one is due; 0 is now.
+    pub due_in: u64,
+    /// Whether their baseline is complete; until then every cycle should be one.
+    pub learnt: bool,
+    /// The feed to run, mm/min; `None` where the operation declares none.
+    pub feed_mm_min: Option<f64>,
+    /// How many were run in this life.
+    pub count: u64,
+    /// Cycles since the last one.
+    pub age_cycles: Option<u64>,
+}
+
+/// What is known of a tool's wear beside the ratios as run.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FeedEvidence {
+    /// Median energy over what the new tool would have needed at the feeds run, with its standard deviation.
+    pub at_own_feed: Option<Estimate>,
+    /// The same extra energy carried over to the reference feed.
+    pub at_reference_feed: Option<Estimate>,
+    /// Cycles that these are medians of.
+    pub compensated_n: u32,
+    /// Level by reference cycles, while they are fresh.
+    pub by_references: Option<Estimate>,
+    /// Reference cycles that it is the median of.
+    pub reference_n: u32,
+    /// What keeps the wear from being told, where something does.
+    pub masked: Option<Masked>,
+    /// Cycles of this life after which something did.
+    pub masked_cycles: u64,
+    /// Reference cycles, where the tool needs them.
+    pub references: Option<ReferenceCycles>,
+}
+
 /// The level of wear.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Level {
@@ -179,6 +267,20 @@ pub struct Level {
     pub n: u32,
     /// How many it may hold.
     pub window: u32,
+    /// What the deciding level rests on; `None` where nothing decides and `value` is only the level as run.
+    pub decides: Option<LevelBasis>,
+    /// The level that is compared with the limits.
+    pub value: f64,
+    /// Its standard deviation, where it is known.
+    pub sd: Option<f64>,
+}
+
+impl Level {
+    /// A level that was judged as run.
+    pub const fn as_run(as_run: f64, (lowest, highest): (f64, f64), n: u32, window: u32) -> Self {
+        let decides = Some(LevelBasis::AsRun);
+        Self { as_run, lowest, highest, n, window, decides, value: as_run, sd: None }
+    }
 }
 
 /// The trend of the level.
@@ -212,7 +314,7 @@ pub struct SecondIndicators {
     pub fall_depth: Option<PeakShift>,
     /// Cycle time over the baseline's, for the key that ran last; 1 is the new tool.
     pub cycle_time_ratio: Option<f64>,
-    /// Whether a law that slows the feed ran, so that energy hides wear (`F_AC`).
+    /// Whether a law that slows the feed ran and nothing else tells the wear (`F_AC`).
     pub masked_by_control: bool,
 }
 
@@ -231,6 +333,8 @@ pub struct Verdict {
     pub remaining: Option<Remaining>,
     /// Indicators beside energy.
     pub indicators: SecondIndicators,
+    /// Energy compensated for the feed, reference cycles, and what masks the wear.
+    pub feed: FeedEvidence,
     /// Which life of the tool this is, counted from 1; 0 where no cycle and no event is known.
     pub life: u32,
     /// Whether the life began with an unworn tool.
@@ -263,6 +367,7 @@ impl Verdict {
             trend: None,
             remaining: None,
             indicators: SecondIndicators::default(),
+            feed: FeedEvidence::default(),
             life: 0,
             started_unworn: true,
             baselines: Vec::new(),

@@ -68,6 +68,7 @@ impl System {
 }
 
 fn main() {
+    feedwright_server::tls::use_ring();
     let arguments: Vec<String> = std::env::args().collect();
     let given = |name: &str| arguments.iter().position(|argument| argument == name);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");

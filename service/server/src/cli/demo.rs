@@ -1,6 +1,6 @@
 //! `feedwright demo`: a service of its own with real recordings in it.
 
-use super::{log, print};
+use super::print;
 use crate::auth::Issued;
 use crate::clock::Clock;
 use crate::config::{Config, Sources};
@@ -12,6 +12,7 @@ use crate::replay::recordings::{embedded, read_embedded};
 use crate::replay::run::{Options, run as post};
 use crate::replay::{Start, report, shift};
 use crate::server::{RunningServer, Server, StartError};
+use crate::telemetry::Telemetry;
 use anyhow::{Context, bail};
 use clap::Args;
 use feedwright_store::{Actor, Page, Role, Store};
@@ -49,7 +50,7 @@ pub struct Arguments {
 /// Runs the command.
 pub async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let config = configuration(&arguments.dir, arguments.port)?;
-    log(&config.log)?;
+    let telemetry = Telemetry::begin(&config.log, Some(&config.traces))?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
     let Database { store, mut lock } = database::open(&config).await?;
@@ -74,6 +75,7 @@ pub async fn run(arguments: Arguments) -> anyhow::Result<()> {
         }
     };
     server.shutdown().await?;
+    telemetry.end().await;
     match failed {
         None => told,
         Some(why) => bail!("{why}"),

@@ -1,6 +1,8 @@
 //! `feedwright healthcheck`: for containers, which have no curl.
 
 use super::Settings;
+use crate::config::Config;
+use crate::tls;
 use anyhow::{Context, ensure};
 use clap::Args;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -19,15 +21,22 @@ pub struct Arguments {
 
 /// Fails where the service is not ready.
 pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()> {
-    let url = match arguments.server {
-        Some(url) => url,
-        None => format!("http://{}", reachable(settings.load(Vec::new())?.server.listen)),
+    let (url, is_own) = match arguments.server {
+        Some(url) => (url, false),
+        None => (own_url(&settings.load(Vec::new())?), true),
     };
-    let client = reqwest::Client::builder().timeout(PATIENCE).no_proxy().build()?;
+    // The service of this very machine has a certificate for the name that others call it by. It is asked whether it is
+    // ready, and told nothing.
+    let client = tls::client(&url).timeout(PATIENCE).tls_danger_accept_invalid_certs(is_own).build()?;
     let url = format!("{}/readyz", url.trim_end_matches('/'));
     let answer = client.get(&url).send().await.with_context(|| format!("cannot reach {url}"))?;
     ensure!(answer.status().is_success(), "{url} answers {}", answer.status());
     super::print("ready\n")
+}
+
+/// Where the service of this machine is reached.
+pub(super) fn own_url(config: &Config) -> String {
+    format!("{}://{}", config.tls.scheme(), reachable(config.server.listen))
 }
 
 /// An address to connect to for an address that is listened on: "any" is no destination.

@@ -6,3 +6,8 @@ use crate::http::openapi;
 pub fn run() -> anyhow::Result<()> {
     super::print(&openapi::json().map_err(anyhow::Error::msg)?)
 }
+
+/// Prints the description of the machines' streams as it is checked in.
+pub fn run_asyncapi() -> anyhow::Result<()> {
+    super::print(&crate::stream::asyncapi::json())
+}

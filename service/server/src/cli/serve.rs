@@ -1,12 +1,18 @@
 //! `feedwright serve`.
 
-use super::{Settings, log};
+use super::Settings;
 use crate::clock::Clock;
+use crate::config::Config;
 use crate::database::{self, Database};
 use crate::server::{RunningServer, Server};
+use crate::telemetry::Telemetry;
 use anyhow::{Context, bail};
 use clap::Args;
-use secrecy::ExposeSecret;
+use secrecy::{ExposeSecret, SecretString};
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
 use tokio::signal::unix::{SignalKind, signal};
 
 /// Arguments of the command.
@@ -18,6 +24,10 @@ pub struct Arguments {
     /// Serve plain HTTP on an address that other machines reach.
     #[arg(long)]
     allow_plain_http_on_public_address: bool,
+    /// Write the admin's token of a first start into this file instead of showing it: under a supervisor, what is shown
+    /// ends up in a log. The file must not exist yet.
+    #[arg(long, value_name = "FILE")]
+    first_token_file: Option<PathBuf>,
 }
 
 /// Serves until SIGTERM or SIGINT.
@@ -28,20 +38,30 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
         flags.push(("server.allow_plain_http_on_public_address".to_owned(), "true".to_owned()));
     }
     let config = settings.load(flags)?;
-    log(&config.log)?;
+    let telemetry = Telemetry::begin(&config.log, Some(&config.traces))?;
+    let served = serve(config, arguments.first_token_file.as_deref()).await;
+    telemetry.end().await;
+    served
+}
+
+async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Result<()> {
     // Before anything is opened: a signal during the start must not be lost, nor kill half a migration.
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut hangup = signal(SignalKind::hangup())?;
     let Database { store, mut lock } = database::open(&config).await?;
     let server = Server::start(config, store, Clock::system()).await?;
     if let Some(lock) = &mut lock {
         lock.publish(&server.local_addr.to_string()).context("cannot write the lock file")?;
     }
-    greet(&server);
-    let failed = tokio::select! {
-        _ = terminate.recv() => None,
-        _ = interrupt.recv() => None,
-        why = server.failed() => Some(why),
+    greet(&server, first_token_file)?;
+    let failed = loop {
+        tokio::select! {
+            _ = terminate.recv() => break None,
+            _ = interrupt.recv() => break None,
+            _ = hangup.recv() => server.reload().await,
+            why = server.failed() => break Some(why),
+        }
     };
     server.shutdown().await?;
     match failed {
@@ -50,17 +70,29 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     }
 }
 
-/// Says where it listens; and the first token, to a person, past the log.
-fn greet(server: &RunningServer) {
+/// Says where it listens; and the first token, to a person or into a file, past the log.
+fn greet(server: &RunningServer, first_token_file: Option<&Path>) -> anyhow::Result<()> {
     tracing::info!(address = %server.local_addr, "listening");
     if let Some(address) = server.metrics_addr {
         tracing::info!(%address, "metrics");
     }
-    if let Some(token) = &server.first_admin_token {
-        eprintln!(
-            "\nThis is the first start. The admin's token, shown now and never again:\n\n    {}\n\n\
-             Keep it safe; make others with `feedwright token create`.\n",
-            token.expose_secret()
-        );
+    let Some(token) = &server.first_admin_token else { return Ok(()) };
+    if let Some(file) = first_token_file {
+        leave(token, file).with_context(|| format!("cannot write {}", file.display()))?;
+        tracing::warn!(file = %file.display(), "this is the first start: the admin's token is in this file");
+        return Ok(());
     }
+    eprintln!(
+        "\nThis is the first start. The admin's token, shown now and never again:\n\n    {}\n\n\
+         Keep it safe; make others with `feedwright token create`.\n",
+        token.expose_secret()
+    );
+    Ok(())
+}
+
+/// Writes a token into a file of its owner's.
+fn leave(token: &SecretString, file: &Path) -> std::io::Result<()> {
+    let mut made = OpenOptions::new().write(true).create_new(true).mode(0o600).open(file)?;
+    writeln!(made, "{}", token.expose_secret())?;
+    made.sync_all()
 }

@@ -1,7 +1,7 @@
 //! `feedwright simulate`: a shop of friction drills that drive a running server over HTTP, as real machines do.
 //!
-//! Each machine drills on the process model, posts its cycles one by one, reads the answer, and changes its tool when
-//! it is told to. Faults are injected on request. Everything follows from the seed but the order in which the
+//! Each machine drills on the process model, posts its cycles one by one, reads the answer, runs a reference cycle when
+//! it is asked to, and changes its tool when it is told to. Faults are injected on request. Everything follows from the seed but the order in which the
 //! machines' requests arrive.
 
 mod fault;
@@ -66,6 +66,9 @@ pub struct Arguments {
     /// Share of cycles with a fault, 0 to 1.
     #[arg(long, default_value_t = 0.02)]
     fault_share: f64,
+    /// Fail unless tools are changed within this share of the limit's wear, by the median, and none is overdue.
+    #[arg(long, value_name = "SHARE")]
+    tolerance: Option<f64>,
     /// When the last cycle begins, RFC 3339; now where it is left out.
     #[arg(long)]
     until: Option<String>,
@@ -84,12 +87,13 @@ fn secret(text: &str) -> Result<SecretString, String> {
 pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()> {
     ensure!((0.0..=1.0).contains(&arguments.fault_share), "--fault-share must be within 0 and 1");
     ensure!(arguments.rate.is_none_or(|rate| rate > 0.0 && rate <= 1e5), "--rate must be above 0");
+    ensure!(
+        arguments.tolerance.is_none_or(|tolerance| tolerance > 0.0 && tolerance < 1.0),
+        "--tolerance must be within 0 and 1"
+    );
     let url = match &arguments.server {
         Some(url) => url.clone(),
-        None => {
-            let listen = settings.load(Vec::new())?.server.listen;
-            format!("http://{}", super::healthcheck::reachable(listen))
-        }
+        None => super::healthcheck::own_url(&settings.load(Vec::new())?),
     };
     let office = Client::new(&url, Some(arguments.token.clone()), PATIENCE)?;
     let until = match &arguments.until {
@@ -104,7 +108,8 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     });
     let reports = try_join_all(machines).await?;
     let report = reports.into_iter().fold(Report::default(), Report::plus);
-    print(&format!("{}\n", report.json(begun.elapsed().as_secs_f64())?))
+    print(&format!("{}\n", report.json(begun.elapsed().as_secs_f64())?))?;
+    arguments.tolerance.map_or(Ok(()), |tolerance| report.check(tolerance))
 }
 
 fn plan(arguments: &Arguments, number: u32, begin: Timestamp) -> anyhow::Result<Plan> {
@@ -112,7 +117,7 @@ fn plan(arguments: &Arguments, number: u32, begin: Timestamp) -> anyhow::Result<
     let turn = Strategy::ALL[(number as usize - 1) % Strategy::ALL.len()];
     let word = arguments.strategy.unwrap_or(turn);
     let strategy = match word {
-        Strategy::FConst => paper.constant,
+        Strategy::FConst => paper.constant.clone(),
         Strategy::FSec => paper.stepped,
         Strategy::FLin => paper.linear,
         Strategy::FAc => paper.adaptive,
@@ -126,6 +131,7 @@ fn plan(arguments: &Arguments, number: u32, begin: Timestamp) -> anyhow::Result<
         begin,
         cadence_ms: CADENCE_MS,
         word,
+        reference: paper.constant.clone(),
         strategy,
         faults: arguments.faults.clone(),
         fault_share: arguments.fault_share,

@@ -8,7 +8,7 @@ use crate::data_dir::DataDirError;
 use crate::database::{self, Database, OpenError};
 use crate::http::dto::token::{NewToken, TokenBody, TokenRequest, TokenView};
 use crate::http::dto::word::RoleWord;
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use clap::{Args, Subcommand};
 use feedwright_core::invalid::Violation;
 use feedwright_store::{Actor, Page, Role, Store};
@@ -100,6 +100,11 @@ async fn way(config: Config, arguments: &Arguments) -> anyhow::Result<Way> {
         Ok(database) => Ok(Way::Database(database)),
         Err(OpenError::DataDir(DataDirError::InUse { address: Some(address), .. })) => {
             let listen = address.parse().context("the lock file holds no address")?;
+            // An admin's token goes only to whom its name is verified of.
+            ensure!(
+                !config.tls.is_on(),
+                "a server with TLS runs here: give its name with --server https://…"
+            );
             let url = format!("http://{}", super::healthcheck::reachable(listen));
             Ok(Way::Server(Remote::new(&url, arguments)?))
         }
@@ -129,7 +134,7 @@ impl Remote {
                 )
             }
         };
-        let client = reqwest::Client::builder().timeout(PATIENCE).no_proxy().build()?;
+        let client = crate::tls::client(url).timeout(PATIENCE).build()?;
         Ok(Self { client, url: format!("{}/v1/tokens", url.trim_end_matches('/')), token })
     }
 

@@ -10,7 +10,7 @@ const DEFAULTS: &str = include_str!("default.toml");
 /// Begins the name of every environment variable that is a setting.
 const PREFIX: &str = "FEEDWRIGHT__";
 /// The settings that hold secrets.
-const SECRETS: [&str; 2] = ["database.url", "database.direct_url"];
+const SECRETS: [&str; 3] = ["database.url", "database.direct_url", "traces.headers"];
 
 /// Where settings come from beside the defaults.
 #[derive(Debug, Clone, Default)]
@@ -160,6 +160,7 @@ fn set(
         Some(Value::Integer(_)) => {
             text.parse().map(Value::Integer).map_err(|_| "must be a whole number".to_owned())
         }
+        Some(Value::Float(_)) => text.parse().map(Value::Float).map_err(|_| "must be a number".to_owned()),
         Some(_) => Ok(Value::String(text.to_owned())),
     };
     match (leaf, parsed) {
@@ -276,6 +277,8 @@ mod tests {
                 None,
                 "watch.machine_silent_after_ms_by_machine: `M 2=0` is not MACHINE=MILLISECONDS",
             ),
+            (vec![("FEEDWRIGHT__TLS__CERTIFICATE", "a.pem")], None, "tls.key: certificate and key belong"),
+            (vec![("FEEDWRIGHT__TLS__KEY", "a.pem")], None, "tls.key: certificate and key belong"),
             (vec![("FEEDWRIGHT__DATABASE__URL", "mysql://x")], None, "database.url: must be empty or begin"),
         ] {
             let error = load(&environment, file).unwrap_err();
@@ -291,13 +294,18 @@ mod tests {
             let flag = ("FEEDWRIGHT__SERVER__ALLOW_PLAIN_HTTP_ON_PUBLIC_ADDRESS", "true");
             assert!(load(&[("FEEDWRIGHT__SERVER__LISTEN", listen), flag], None).is_ok());
             assert!(load(&[("FEEDWRIGHT__METRICS__LISTEN", listen)], None).is_err());
+            let tls = [("FEEDWRIGHT__TLS__CERTIFICATE", "a.pem"), ("FEEDWRIGHT__TLS__KEY", "b.pem")];
+            let with = |name| load(&[tls[0], tls[1], (name, listen)], None);
+            assert!(with("FEEDWRIGHT__SERVER__LISTEN").is_ok());
+            assert!(with("FEEDWRIGHT__METRICS__LISTEN").is_err(), "its listener is plain");
         }
     }
 
     #[test]
     fn a_password_is_never_printed() {
         let url = "postgres://fw:hunt@er2@db.example/fw?password=hunter3";
-        let config = load(&[("FEEDWRIGHT__DATABASE__URL", url)], None).unwrap();
+        let headers = ("FEEDWRIGHT__TRACES__HEADERS", "authorization=Bearer hunter4");
+        let config = load(&[("FEEDWRIGHT__DATABASE__URL", url), headers], None).unwrap();
         assert_eq!(config.database.url.expose_secret(), url);
         for text in [config.print(), format!("{config:?}")] {
             assert!(!text.contains("hunt") && !text.contains("er2"), "{text}");

@@ -77,5 +77,10 @@ async fn acknowledge_one(state: &AppState, caller: &Caller, id: RowNumber) -> Re
     let (actor, now) = (caller.actor(), state.clock.now());
     let alarm = state.commit(|store| async move { store.acknowledge_alarm(id, &actor, now).await }).await?;
     state.live.alarms_may_have_changed();
+    if let Some(machine) =
+        alarm.as_ref().filter(|alarm| alarm.kind == AlarmKind::Overload).and_then(|a| a.machine.as_ref())
+    {
+        state.streams.acknowledged(machine);
+    }
     alarm.ok_or_else(|| Problem::not_found("alarm", &id.to_string()))
 }

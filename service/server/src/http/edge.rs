@@ -3,6 +3,7 @@
 use super::problem::Problem;
 use crate::auth::Peer;
 use crate::state::AppState;
+use crate::telemetry;
 use axum::extract::{MatchedPath, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -29,7 +30,22 @@ pub(crate) async fn answer(State(state): State<AppState>, mut request: Request, 
     let route = request.extensions().get::<MatchedPath>().cloned();
     let route = route.as_ref().map_or("unmatched", MatchedPath::as_str);
     let peer = request.extensions().get::<Peer>().map(|peer| tracing::field::display(peer.0));
-    let span = tracing::info_span!("request", id, %method, route, peer, token = tracing::field::Empty);
+    let empty = tracing::field::Empty;
+    let span = tracing::info_span!(
+        "request",
+        id,
+        %method,
+        route,
+        peer,
+        token = empty,
+        trace_id = empty,
+        otel.name = empty,
+        otel.kind = empty,
+        http.response.status_code = empty
+    );
+    if state.config.traces.is_on() {
+        telemetry::adopt(&span, method.as_str(), route, request.headers());
+    }
 
     let ran = AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await;
     let response = ran.unwrap_or_else(|_| Problem::internal("a handler panicked").into_response());
@@ -37,6 +53,9 @@ pub(crate) async fn answer(State(state): State<AppState>, mut request: Request, 
 
     let status = response.status();
     let elapsed = begun.elapsed();
+    if state.config.traces.is_on() {
+        span.record("http.response.status_code", status.as_u16());
+    }
     state.metrics.http(route, &method, status, elapsed);
     span.in_scope(|| {
         let elapsed_ms = elapsed.as_secs_f64() * 1000.0;

@@ -67,7 +67,7 @@ pub async fn get_recommendation(
         ran: None,
         settings: state.config.recommendation.settings(),
     });
-    let id = RecommendationId::parse("id", &uuid::Uuid::now_v7().to_string())?;
+    let id = RecommendationId::parse("id", &format!("{}{}", uuid::Uuid::now_v7(), advice.id_ending()))?;
     let issued = IssuedRecommendation { id, recommendation: advice };
     let body = (&issued).into();
     state.metrics.recommendation(&issued.recommendation);

@@ -4,7 +4,7 @@ use super::{
     alarms, audit, calibrations, continuity, course, cycles, edge, feed_profiles, fleet, friction, health,
     jobs, library, life, live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence,
     profile_files, profile_optimise, quarantine, recommendations, retention, samples, series, session,
-    summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
+    stream, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
@@ -210,6 +210,8 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(jobs::cancel), READ),
         Route::new(routes!(friction::simulate), READ),
         Route::new(routes!(live::events), READ),
+        Route::new(routes!(stream::open), OWN),
+        Route::new(routes!(stream::overrides), READ_OR_OWN),
         Route::new(routes!(what_if::of_cycle), READ),
         Route::new(routes!(what_if::of_many), READ),
         Route::new(routes!(calibrations::fit), ENGINEER),

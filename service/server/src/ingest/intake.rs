@@ -300,6 +300,27 @@ impl CycleIntake {
         result
     }
 
+    /// Takes what there is of a cycle whose end never came in: as [`CycleIntake::accept`], flagged incomplete.
+    pub async fn accept_incomplete(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        refused: Refused,
+    ) -> Result<Accepted, Problem> {
+        let result = match self.prepare(machine, json, refused).await {
+            Ok(mut ready) => {
+                ready.cycle.summary.flags.insert(Flag::Incomplete);
+                match self.enqueue_patiently(ready).await {
+                    Ok((ready, answered)) => self.settle(ready, answered, refused).await,
+                    Err(problem) => Err(problem),
+                }
+            }
+            Err(problem) => Err(problem),
+        };
+        self.observe(machine, refused, &result);
+        result
+    }
+
     /// Takes several cycles in, in their order: where two have the same id, the first is the one that is stored.
     /// Waits for room in the queue, so that a batch does not crowd out live posts by filling it.
     pub async fn accept_all(&self, machine: &MachineId, lines: Vec<Bytes>) -> Vec<Result<Accepted, Problem>> {

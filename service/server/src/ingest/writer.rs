@@ -9,6 +9,7 @@ use feedwright_store::{Committed, NewCycle, Store, StoreError, StoreResult};
 use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
+use tracing::Instrument;
 
 /// Part of a group's places, one in so many, that live posts leave to a batch that waits.
 const BATCH_SHARE: usize = 8;
@@ -146,7 +147,8 @@ async fn run(
             group.drain(..).map(|queued| (queued.cycle, queued.answer)).unzip();
         let begun = std::time::Instant::now();
         let count = cycles.len();
-        let outcomes = store.commit_cycles(cycles, clock.now(), settings).await;
+        let span = tracing::info_span!("commit", cycles = count);
+        let outcomes = store.commit_cycles(cycles, clock.now(), settings).instrument(span).await;
         observer.committed(count, begun.elapsed().as_secs_f64());
         for (answer, outcome) in answers.into_iter().zip(outcomes) {
             if let Err(error @ StoreError::NotWritable(_)) = &outcome {

@@ -5,7 +5,7 @@
 
 use super::event::Event;
 use crate::state::AppState;
-use feedwright_store::{Alarm, AlarmFilter, Page, StoreResult};
+use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, StoreResult};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -74,6 +74,10 @@ fn tell(state: &AppState, before: &Open, now: &Open) {
     }
     for (id, alarm) in before {
         if !now.contains_key(id) {
+            // An overload is cleared by whoever acknowledges it, perhaps at another server.
+            if let (AlarmKind::Overload, Some(machine)) = (alarm.kind, &alarm.machine) {
+                state.streams.acknowledged(machine);
+            }
             state.live.show(Event::alarm_cleared(alarm));
         }
     }

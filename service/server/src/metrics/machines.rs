@@ -13,8 +13,18 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Reasons of a recommendation that leaves the feed as it is, the one that someone can do something about first; what
 /// is none of these is "other".
-const NEUTRAL_REASONS: [&str; 5] =
-    ["data_stale", "tool_unregistered", "operation_unregistered", "no_programmed_feed", "no_profile"];
+const NEUTRAL_REASONS: [&str; 8] = [
+    "data_stale",
+    "tool_unregistered",
+    "operation_unregistered",
+    "profile_wear_unknown",
+    "profile_outside_machine",
+    "profile_other_material",
+    "no_programmed_feed",
+    "no_profile",
+];
+/// The reason that names the feed profile to run: with it a recommendation is not neutral although its override is.
+const PROFILE_ACTIVE: &str = "profile_active";
 
 /// What is remembered of a machine that has a label.
 #[derive(Default)]
@@ -108,14 +118,15 @@ impl MachineMetrics {
     pub(super) fn verdict(&self, machine: &MachineId, verdict: &Verdict) {
         self.labelled(machine, |_| {
             // A tool that is being learnt has no level: that of the one before it must not stay.
-            set(&self.wear_level, machine, verdict.level.map(|level| level.as_run));
+            set(&self.wear_level, machine, verdict.level.map(|level| level.value));
             #[expect(clippy::cast_precision_loss, reason = "a count of cycles")]
             set(&self.remaining_cycles, machine, verdict.remaining.map(|left| left.cycles as f64));
         });
     }
 
     pub(super) fn recommendation(&self, recommendation: &Recommendation) {
-        let is_neutral = recommendation.override_percent == NEUTRAL_OVERRIDE_PERCENT;
+        let is_neutral = recommendation.override_percent == NEUTRAL_OVERRIDE_PERCENT
+            && !has(recommendation, PROFILE_ACTIVE);
         let machine = &recommendation.machine;
         self.labelled(machine, |known| {
             let now = is_neutral.then(|| {
@@ -167,7 +178,10 @@ fn set(gauges: &GaugeVec, machine: &MachineId, value: Option<f64>) {
     }
 }
 
+fn has(recommendation: &Recommendation, code: &str) -> bool {
+    recommendation.reasons.iter().any(|(reason, _)| reason == code)
+}
+
 fn reason(recommendation: &Recommendation) -> &'static str {
-    let has = |code: &str| recommendation.reasons.iter().any(|(reason, _)| reason == code);
-    NEUTRAL_REASONS.into_iter().find(|code| has(code)).unwrap_or("other")
+    NEUTRAL_REASONS.into_iter().find(|code| has(recommendation, code)).unwrap_or("other")
 }

@@ -67,8 +67,7 @@ impl Client {
     /// A client of the service at `base`; gives up when nothing was answered for `patience`.
     pub fn new(base: &str, token: Option<SecretString>, patience: Duration) -> Result<Self, ReplayError> {
         let base = base.trim_end_matches('/').to_owned();
-        // The service stands in the shop: a proxy towards the internet only gets in the way.
-        let http = reqwest::Client::builder().timeout(REQUEST_TIME).no_proxy().build().map_err(|error| {
+        let http = crate::tls::client(&base).timeout(REQUEST_TIME).build().map_err(|error| {
             ReplayError::GivenUp { url: base.clone(), seconds: 0, detail: error.to_string() }
         })?;
         Ok(Self { http, base, token, patience })

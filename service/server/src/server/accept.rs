@@ -15,8 +15,10 @@ use std::net::SocketAddr;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
+use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
@@ -48,29 +50,29 @@ impl Acceptor {
         }
     }
 
-    /// Serves what connects to `listener` until the shutdown begins.
-    pub(super) fn accept(&self, listener: TcpListener, router: Router) {
+    /// Serves what connects to `listener`, over TLS where there is an acceptor for it, until the shutdown begins.
+    pub(super) fn accept(&self, listener: TcpListener, router: Router, tls: Option<TlsAcceptor>) {
         let (this, stopping) = (self.clone(), self.state.clone());
         self.listeners.spawn(async move {
             tokio::select! {
-                () = this.accept_forever(&listener, &router) => {}
+                () = this.accept_forever(&listener, &router, tls.as_ref()) => {}
                 () = stopping.lifecycle.stopping() => {}
             }
         });
     }
 
-    async fn accept_forever(&self, listener: &TcpListener, router: &Router) {
+    async fn accept_forever(&self, listener: &TcpListener, router: &Router, tls: Option<&TlsAcceptor>) {
         loop {
             // The permit comes first: beyond the bound, connections wait in the kernel's backlog, which is bounded.
             let Ok(permit) = self.permits.clone().acquire_owned().await else { return };
             match listener.accept().await {
                 Ok((stream, peer)) => {
-                    let (this, router) = (self.clone(), router.clone());
+                    let (this, router, tls) = (self.clone(), router.clone(), tls.cloned());
                     self.connections.spawn(async move {
                         let open = this.state.metrics.connections();
                         open.inc();
                         tokio::select! {
-                            () = this.serve(stream, peer, router) => {}
+                            () = this.serve(stream, peer, router, tls) => {}
                             () = this.cut.cancelled() => tracing::warn!(%peer, "connection cut at shutdown"),
                         }
                         open.dec();
@@ -85,10 +87,30 @@ impl Acceptor {
         }
     }
 
-    async fn serve(&self, stream: TcpStream, peer: SocketAddr, router: Router) {
-        let config = &self.state.config.server;
+    async fn serve(&self, stream: TcpStream, peer: SocketAddr, router: Router, tls: Option<TlsAcceptor>) {
         // Answers are small and wanted at once.
         let _ = stream.set_nodelay(true);
+        let Some(tls) = tls else { return self.serve_http(stream, peer, router).await };
+        let patience = self.state.config.tls.handshake_timeout();
+        // The handshake has its connection's permit already: silent ones are as bounded as silent requests.
+        match tokio::time::timeout(patience, tls.accept(stream)).await {
+            Ok(Ok(stream)) => self.serve_http(stream, peer, router).await,
+            Ok(Err(error)) => {
+                self.state.metrics.handshake_failed();
+                tracing::debug!(%peer, %error, "TLS handshake failed");
+            }
+            Err(_) => {
+                self.state.metrics.handshake_failed();
+                tracing::debug!(%peer, "TLS handshake took too long");
+            }
+        }
+    }
+
+    async fn serve_http<S>(&self, stream: S, peer: SocketAddr, router: Router)
+    where
+        S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    {
+        let config = &self.state.config.server;
         let (stall, total) = (config.body_stall_timeout(), config.body_read_timeout());
         let service = service_fn(move |request: Request<Incoming>| {
             let mut request = request.map(|body| Body::new(TimedBody::new(body, stall, total)));

@@ -6,19 +6,18 @@ use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::TcpStream;
 use tokio::time::{Sleep, sleep};
 
 /// Fails a write that makes no progress for `stall`: a client that does not read its answer holds a connection and
 /// what is buffered for it.
-pub(super) struct TimedStream {
-    inner: TcpStream,
+pub(super) struct TimedStream<S> {
+    inner: S,
     stall: Duration,
     waiting: Option<Pin<Box<Sleep>>>,
 }
 
-impl TimedStream {
-    pub(super) const fn new(inner: TcpStream, stall: Duration) -> Self {
+impl<S> TimedStream<S> {
+    pub(super) const fn new(inner: S, stall: Duration) -> Self {
         Self { inner, stall, waiting: None }
     }
 
@@ -36,7 +35,7 @@ impl TimedStream {
     }
 }
 
-impl AsyncRead for TimedStream {
+impl<S: AsyncRead + Unpin> AsyncRead for TimedStream<S> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -46,7 +45,7 @@ impl AsyncRead for TimedStream {
     }
 }
 
-impl AsyncWrite for TimedStream {
+impl<S: AsyncWrite + Unpin> AsyncWrite for TimedStream<S> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
         let wrote = Pin::new(&mut self.inner).poll_write(cx, buf);
         self.timed(cx, wrote)

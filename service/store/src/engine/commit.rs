@@ -285,11 +285,12 @@ async fn count_tool(
 }
 
 /// A UUIDv7 of the moment: recommendations sort by when they were made.
-pub(super) fn recommendation_id(now: Timestamp) -> StoreResult<RecommendationId> {
+/// `ending` as the recommendation wants it.
+pub(super) fn recommendation_id(now: Timestamp, ending: &str) -> StoreResult<RecommendationId> {
     let micros = u64::try_from(now.micros()).unwrap_or(0);
     let nanos = u32::try_from(micros % 1_000_000 * 1000).unwrap_or(0);
     let time = uuid::Timestamp::from_unix(uuid::NoContext, micros / 1_000_000, nanos);
-    crate::rows::id("recommendation_id", &uuid::Uuid::new_v7(time).to_string())
+    crate::rows::id("recommendation_id", &format!("{}{ending}", uuid::Uuid::new_v7(time)))
 }
 
 fn answer(
@@ -307,22 +308,21 @@ fn answer(
         .ok_or_else(|| StoreError::Damaged { what: "a cycle of no machine".to_owned() })?;
     let operation = registry.operations.get(&cycle.operation).map(AsRef::as_ref);
     let tool_registered = registry.tools.contains(&cycle.tool);
-    let recommendation = IssuedRecommendation {
-        id: recommendation_id(now)?,
-        recommendation: recommend(&Question {
-            now,
-            machine,
-            operation_id: &cycle.operation,
-            operation,
-            tool_id: &cycle.tool,
-            tool_registered,
-            verdict: &verdict,
-            knowledge: &known.process,
-            profiles: &known.profiles,
-            ran: cycle.profile.as_ref(),
-            settings,
-        }),
-    };
+    let recommendation = recommend(&Question {
+        now,
+        machine,
+        operation_id: &cycle.operation,
+        operation,
+        tool_id: &cycle.tool,
+        tool_registered,
+        verdict: &verdict,
+        knowledge: &known.process,
+        profiles: &known.profiles,
+        ran: cycle.profile.as_ref(),
+        settings,
+    });
+    let id = recommendation_id(now, recommendation.id_ending())?;
+    let recommendation = IssuedRecommendation { id, recommendation };
     Ok(Box::new(CycleAnswer {
         summary,
         received_at,

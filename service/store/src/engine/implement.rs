@@ -2,8 +2,8 @@
 
 use super::{
     Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, fleet, life, machines, models,
-    operations, quarantine, recommendations, registry, retention, series, sessions, tokens, tools, verify,
-    watch, wear,
+    operations, quarantine, recommendations, registry, retention, series, sessions, streams, tokens, tools,
+    verify, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
@@ -12,11 +12,11 @@ use crate::feed_profile::{
 };
 use crate::notice::Notices;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CyclePoint,
-    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
-    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, Surroundings, TokenRecord,
-    ToolLife, Versioned, WatchSettings, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
+    CyclePoint, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
+    NewCycle, Page, PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round,
+    RowNumber, SampleDrop, SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
+    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -606,6 +606,59 @@ impl Store for Engine {
     ) -> StoreResult<Option<TokenRecord>> {
         let (id, actor) = (id.to_owned(), actor.clone());
         write!(self, |conn| tokens::revoke(conn, &id, &actor, now).await)
+    }
+
+    async fn take_stream(
+        &self,
+        machine: &MachineId,
+        holder: &str,
+        takeover: bool,
+        now: Timestamp,
+        until: Timestamp,
+    ) -> StoreResult<StreamLease> {
+        let (machine, holder) = (machine.clone(), holder.to_owned());
+        write!(self, |conn| streams::take(conn, &machine, &holder, takeover, (now, until)).await)
+    }
+
+    async fn renew_streams(
+        &self,
+        holder: &str,
+        now: Timestamp,
+        until: Timestamp,
+    ) -> StoreResult<Vec<(MachineId, i64)>> {
+        let holder = holder.to_owned();
+        write!(self, |conn| streams::renew(conn, &holder, (now, until)).await)
+    }
+
+    async fn release_stream(
+        &self,
+        machine: &MachineId,
+        holder: &str,
+        generation: i64,
+        now: Timestamp,
+    ) -> StoreResult<()> {
+        let (machine, holder) = (machine.clone(), holder.to_owned());
+        write!(self, |conn| streams::release(conn, &machine, &holder, generation, now).await)
+    }
+
+    async fn put_overrides(&self, overrides: &CycleOverrides) -> StoreResult<()> {
+        let overrides = overrides.clone();
+        write!(self, |conn| streams::put_overrides(conn, &overrides).await)
+    }
+
+    async fn overrides(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<CycleOverrides>> {
+        streams::overrides(&mut *self.reader().await?, machine, id).await
+    }
+
+    async fn raise_overload(
+        &self,
+        machine: &MachineId,
+        tool: &ToolId,
+        message: &str,
+        now: Timestamp,
+    ) -> StoreResult<()> {
+        let (machine, tool, message) = (machine.clone(), tool.clone(), message.to_owned());
+        write!(self, |conn| streams::raise_overload(conn, &machine, &tool, &message, now).await)
     }
 
     async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()> {

@@ -23,6 +23,7 @@ mod registry;
 mod retention;
 mod series;
 mod sessions;
+mod streams;
 mod tokens;
 mod tools;
 mod verify;

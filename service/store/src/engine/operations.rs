@@ -15,7 +15,8 @@ macro_rules! select {
         concat!(
             "SELECT operation_id, name, process, program, feature, work_material, thickness_mm, depth_mm,
                     spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
-                    feed_drive_load_set_percent, baseline_cycles, window_cycles, setup, version, updated_at_us
+                    feed_drive_load_set_percent, baseline_cycles, window_cycles, reference_every_cycles,
+                    reference_feed_mm_min, setup, version, updated_at_us
              FROM operations ",
             $tail
         )
@@ -49,6 +50,8 @@ fn judged_alike(before: Option<&Operation>, after: &Operation) -> bool {
         before.wear == after.wear
             && before.depth_mm == after.depth_mm
             && before.spindle_speed_rpm == after.spindle_speed_rpm
+            && before.process == after.process
+            && before.reference_feed_mm_min() == after.reference_feed_mm_min()
     })
 }
 
@@ -70,8 +73,9 @@ pub(super) async fn put(
     sqlx::query::<Db>(
         "INSERT INTO operations (operation_id, name, process, program, feature, work_material, thickness_mm,
              depth_mm, spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
-             feed_drive_load_set_percent, baseline_cycles, window_cycles, setup, version, updated_at_us)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17)
+             feed_drive_load_set_percent, baseline_cycles, window_cycles, setup, version, updated_at_us,
+             reference_every_cycles, reference_feed_mm_min)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19)
          ON CONFLICT (operation_id) DO UPDATE SET name = excluded.name, process = excluded.process,
              program = excluded.program, feature = excluded.feature, work_material = excluded.work_material,
              thickness_mm = excluded.thickness_mm, depth_mm = excluded.depth_mm,
@@ -80,7 +84,8 @@ pub(super) async fn put(
              spindle_load_set_percent = excluded.spindle_load_set_percent,
              feed_drive_load_set_percent = excluded.feed_drive_load_set_percent,
              baseline_cycles = excluded.baseline_cycles, window_cycles = excluded.window_cycles,
-             setup = excluded.setup,
+             reference_every_cycles = excluded.reference_every_cycles,
+             reference_feed_mm_min = excluded.reference_feed_mm_min, setup = excluded.setup,
              version = excluded.version, updated_at_us = excluded.updated_at_us",
     )
     .bind(operation.id.as_str())
@@ -100,6 +105,8 @@ pub(super) async fn put(
     .bind(setup.as_ref().map(ToString::to_string))
     .bind(count("version", outcome.version())?)
     .bind(now.micros())
+    .bind(operation.wear.reference_every_cycles.map(i64::from))
+    .bind(optional_float("reference_feed_mm_min", operation.wear.reference_feed_mm_min)?)
     .execute(&mut *conn)
     .await?;
     let before = match existing.as_ref().map(|existing| &existing.value) {

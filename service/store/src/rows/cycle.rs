@@ -4,7 +4,7 @@ use super::{ReportedCutRow, count, float, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
 use feedwright_core::cycle::{Cycle, CycleDraft, Flags, Outcome, ProfileVersion, Reported, Samples};
-use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis, IdlePower, Peak};
+use feedwright_core::summary::{CycleSummary, DepthDigest, Energy, EnergyBasis, IdlePower, Peak};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 
 /// Hands every column of `cycles`, with its type and placeholder, to a macro: the list stands once.
@@ -77,6 +77,7 @@ macro_rules! cycle_columns {
                 reported_mean_feed_drive_load_percent: Option<f64> = "$64",
                 reported_operator_override_percent: Option<f64> = "$65",
                 energy_scale: i64 = "$66",
+                depth_digest: Option<Vec<u8>> = "$67",
         }
     };
 }
@@ -104,6 +105,7 @@ impl Column for String {}
 impl Column for i64 {}
 impl Column for f64 {}
 impl Column for Vec<u8> {}
+impl Column for Option<Vec<u8>> {}
 impl Column for Option<String> {}
 impl Column for Option<i64> {}
 impl Column for Option<f64> {
@@ -237,6 +239,7 @@ impl CycleRow {
             reported_mean_feed_drive_load_percent: reported.mean_feed_drive_load_percent,
             reported_operator_override_percent: reported.operator_override_percent,
             energy_scale: summary.energy_scale,
+            depth_digest: summary.digest.as_ref().map(DepthDigest::to_bytes),
         };
         row.settle_quantities()?;
         if row.energy() != summary.energy {
@@ -340,6 +343,7 @@ impl CycleRow {
             operator_override_percent: self.operator_override_percent,
             median_spindle_speed_rpm: self.median_spindle_speed_rpm,
             spindle_load_fall_depth_mm: self.spindle_load_fall_depth_mm,
+            digest: self.depth_digest.as_deref().map(super::facts::digest).transpose()?,
             coverage: self.coverage,
             flags: Flags::from_bits(number("flags", self.flags)?),
         })

@@ -1,15 +1,20 @@
 //! What the fold reads: facts of cycles with the settings of their operation, and events with their place.
 
-use super::{CycleRow, id, number, word};
+use super::{CycleRow, damaged, id, number, word};
 use crate::error::StoreResult;
 use crate::record::StoredToolEvent;
 use feedwright_core::cycle::{Flags, ProfileVersion};
-use feedwright_core::ids::{CycleId, MachineId};
+use feedwright_core::ids::{CycleId, MachineId, RecommendationId};
 use feedwright_core::operation::{Operation, WearSettings};
-use feedwright_core::summary::EnergyBasis;
+use feedwright_core::summary::{DepthDigest, EnergyBasis};
 use feedwright_core::tool::{ToolEvent, ToolEventKind};
-use feedwright_core::units::{Strategy, Timestamp};
+use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey};
+
+/// The stored digest.
+pub(super) fn digest(bytes: &[u8]) -> StoreResult<DepthDigest> {
+    DepthDigest::from_bytes(bytes).ok_or_else(|| damaged("depth_digest"))
+}
 
 /// What wear needs of one cycle.
 #[derive(Debug, Clone, sqlx::FromRow)]
@@ -36,10 +41,16 @@ pub(crate) struct FactsRow {
     pub(crate) max_depth_mm: Option<f64>,
     pub(crate) spindle_load_fall_depth_mm: Option<f64>,
     pub(crate) operator_override_percent: Option<f64>,
+    pub(crate) depth_digest: Option<Vec<u8>>,
+    pub(crate) recommendation_id: Option<String>,
     pub(crate) coverage: f64,
     pub(crate) flags: i64,
     pub(crate) baseline_cycles: Option<i64>,
     pub(crate) window_cycles: Option<i64>,
+    pub(crate) reference_every_cycles: Option<i64>,
+    pub(crate) reference_feed_mm_min: Option<f64>,
+    pub(crate) operation_process: Option<String>,
+    pub(crate) operation_feed_mm_min: Option<f64>,
     pub(crate) operation_depth_mm: Option<f64>,
     pub(crate) operation_speed_rpm: Option<f64>,
 }
@@ -70,10 +81,18 @@ impl FactsRow {
             max_depth_mm: row.max_depth_mm,
             spindle_load_fall_depth_mm: row.spindle_load_fall_depth_mm,
             operator_override_percent: row.operator_override_percent,
+            depth_digest: row.depth_digest.clone(),
+            recommendation_id: row.recommendation_id.clone(),
             coverage: row.coverage,
             flags: row.flags,
             baseline_cycles: operation.map(|operation| i64::from(operation.wear.baseline_cycles)),
             window_cycles: operation.map(|operation| i64::from(operation.wear.window_cycles)),
+            reference_every_cycles: operation
+                .and_then(|operation| operation.wear.reference_every_cycles)
+                .map(i64::from),
+            reference_feed_mm_min: operation.and_then(|operation| operation.wear.reference_feed_mm_min),
+            operation_process: operation.map(|operation| operation.process.as_str().to_owned()),
+            operation_feed_mm_min: operation.and_then(|operation| operation.programmed_feed_mm_min),
             operation_depth_mm: operation.and_then(|operation| operation.depth_mm),
             operation_speed_rpm: operation.and_then(|operation| operation.spindle_speed_rpm),
         }
@@ -129,21 +148,43 @@ impl FactsRow {
             max_depth_mm: self.max_depth_mm,
             fall_depth_mm: self.spindle_load_fall_depth_mm,
             operator_override_percent: self.operator_override_percent,
+            digest: self.depth_digest.as_deref().map(digest).transpose()?,
+            asked_as_reference: self
+                .recommendation_id
+                .as_deref()
+                .map(|text| id::<RecommendationId>("recommendation_id", text))
+                .transpose()?
+                .is_some_and(|recommendation| recommendation.asks_for_reference()),
             coverage: self.coverage,
             flags: Flags::from_bits(number("flags", self.flags)?),
         };
-        let settings = match (self.baseline_cycles, self.window_cycles) {
-            (Some(baseline), Some(window)) => Some(FoldSettings {
-                wear: WearSettings {
-                    baseline_cycles: number("baseline_cycles", baseline)?,
-                    window_cycles: number("window_cycles", window)?,
-                },
-                depth_mm: self.operation_depth_mm,
-                spindle_speed_rpm: self.operation_speed_rpm,
-            }),
-            _ => None,
+        Ok((facts, self.settings()?))
+    }
+
+    /// What the operation says, where it is registered; as [`FoldSettings::of`] takes it.
+    fn settings(&self) -> StoreResult<Option<FoldSettings>> {
+        let (Some(baseline), Some(window), Some(process)) =
+            (self.baseline_cycles, self.window_cycles, &self.operation_process)
+        else {
+            return Ok(None);
         };
-        Ok((facts, settings))
+        let process = word("process", process, Process::parse)?;
+        let wear = WearSettings {
+            baseline_cycles: number("baseline_cycles", baseline)?,
+            window_cycles: number("window_cycles", window)?,
+            reference_every_cycles: self
+                .reference_every_cycles
+                .map(|every| number("reference_every_cycles", every))
+                .transpose()?,
+            reference_feed_mm_min: self.reference_feed_mm_min,
+        };
+        Ok(Some(FoldSettings {
+            wear,
+            depth_mm: self.operation_depth_mm,
+            spindle_speed_rpm: self.operation_speed_rpm,
+            is_friction: process == Process::Friction,
+            reference_feed_mm_min: wear.reference_feed_of(process, self.operation_feed_mm_min),
+        }))
     }
 }
 

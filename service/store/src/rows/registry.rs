@@ -218,6 +218,8 @@ pub(crate) struct OperationRow {
     feed_drive_load_set_percent: Option<f64>,
     baseline_cycles: i64,
     window_cycles: i64,
+    reference_every_cycles: Option<i64>,
+    reference_feed_mm_min: Option<f64>,
     setup: Option<String>,
     version: i64,
     updated_at_us: i64,
@@ -243,6 +245,11 @@ impl OperationRow {
                 wear: WearSettings {
                     baseline_cycles: number("baseline_cycles", self.baseline_cycles)?,
                     window_cycles: number("window_cycles", self.window_cycles)?,
+                    reference_every_cycles: self
+                        .reference_every_cycles
+                        .map(|every| number("reference_every_cycles", every))
+                        .transpose()?,
+                    reference_feed_mm_min: self.reference_feed_mm_min,
                 },
                 turning,
                 plunge,
@@ -269,6 +276,8 @@ pub(crate) fn operation_json(operation: &Operation, setup: Option<&Value>) -> Va
         "feed_drive_load_set_percent": operation.feed_drive_load_set_percent,
         "baseline_cycles": operation.wear.baseline_cycles,
         "window_cycles": operation.wear.window_cycles,
+        "reference_every_cycles": operation.wear.reference_every_cycles,
+        "reference_feed_mm_min": operation.wear.reference_feed_mm_min,
         "setup": setup,
     })
 }

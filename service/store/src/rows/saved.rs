@@ -1,9 +1,9 @@
 //! Rows that a group writes many of at once.
 
-use super::{AdviceBody, count, float};
+use super::{AdviceBody, count, float, optional_float};
 use crate::error::{StoreError, StoreResult};
 use crate::record::IssuedRecommendation;
-use feedwright_core::wear::{Level, Remaining};
+use feedwright_core::wear::{Level, LevelBasis, Remaining};
 
 /// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
 pub(crate) const ADVICE_HASH_BYTES: usize = 16;
@@ -34,6 +34,9 @@ pub(crate) struct IssuedRow {
     pub(crate) remaining_low: Option<i64>,
     pub(crate) remaining_high: Option<i64>,
     pub(crate) data_age_ms: Option<i64>,
+    pub(crate) level_decides: Option<&'static str>,
+    pub(crate) level_value: Option<f64>,
+    pub(crate) level_sd: Option<f64>,
 }
 
 impl IssuedRow {
@@ -65,6 +68,9 @@ impl IssuedRow {
             remaining_low: remaining_count("remaining_low", |remaining| remaining.low)?,
             remaining_high: remaining_count("remaining_high", |remaining| remaining.high)?,
             data_age_ms: recommendation.data_age_ms,
+            level_decides: level.and_then(|level| level.decides).map(LevelBasis::as_str),
+            level_value: level_float("level_value", |level| level.value)?,
+            level_sd: optional_float("level_sd", level.and_then(|level| level.sd))?,
         })
     }
 }

@@ -4,9 +4,9 @@ use super::{ProcessAdviceBody, ProfileAdviceBody, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{Alarm, AlarmKind, AuditEntry, IssuedRecommendation, QuarantineEntry, Role, TokenRecord};
 use feedwright_core::machine::FeedLimits;
-use feedwright_core::recommend::{Action, DataQuality, Recommendation};
+use feedwright_core::recommend::{Action, DataQuality, Recommendation, ReferenceRequest};
 use feedwright_core::units::{Process, Timestamp};
-use feedwright_core::wear::{Level, Remaining, ToolState};
+use feedwright_core::wear::{Level, LevelBasis, Remaining, ToolState};
 use serde::{Deserialize, Serialize};
 
 /// What repeats from one recommendation to the next; kept once, under the hash of its JSON.
@@ -28,6 +28,9 @@ pub(crate) struct AdviceBody {
     quality: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     process_advice: Option<ProcessAdviceBody>,
+    /// Cycles from one reference cycle to the next, and the feed, where this advice asks for one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    reference_cycle: Option<(u32, Option<f64>)>,
     reasons: Vec<(String, String)>,
     law_version: String,
 }
@@ -55,6 +58,7 @@ impl AdviceBody {
             tool_state: recommendation.tool_state.as_str().to_owned(),
             quality: recommendation.quality.as_str().to_owned(),
             process_advice: recommendation.process_advice.as_ref().map(Into::into),
+            reference_cycle: recommendation.reference_cycle.map(|asked| (asked.every, asked.feed_mm_min)),
             reasons: recommendation.reasons.clone(),
             law_version: recommendation.law_version.clone(),
         }
@@ -76,27 +80,34 @@ pub(crate) struct RecommendationRow {
     remaining_low: Option<i64>,
     remaining_high: Option<i64>,
     data_age_ms: Option<i64>,
+    level_decides: Option<String>,
+    level_value: Option<f64>,
+    level_sd: Option<f64>,
     body: String,
 }
 
 impl RecommendationRow {
+    fn level(&self) -> StoreResult<Option<Level>> {
+        let (Some(as_run), Some(lowest), Some(highest), Some(n), Some(window)) =
+            (self.level_as_run, self.level_lowest, self.level_highest, self.level_n, self.level_window)
+        else {
+            return Ok(None);
+        };
+        let judged_as_run =
+            Level::as_run(as_run, (lowest, highest), number("level_n", n)?, number("level_window", window)?);
+        // Advice from before there was anything else was judged as run.
+        let Some(value) = self.level_value else { return Ok(Some(judged_as_run)) };
+        let decides = self.level_decides.as_deref();
+        let decides = decides.map(|text| word("level_decides", text, LevelBasis::parse)).transpose()?;
+        Ok(Some(Level { decides, value, sd: self.level_sd, ..judged_as_run }))
+    }
+
     pub(crate) fn issued(&self) -> StoreResult<IssuedRecommendation> {
         let body: AdviceBody = serde_json::from_str(&self.body)
             .map_err(|error| StoreError::Damaged { what: format!("advice: {error}") })?;
         let [min, max, low, high] = body.limits;
         let limits = FeedLimits::new(min, max, low, high).map_err(|_| super::damaged("advices.body"))?;
-        let level =
-            match (self.level_as_run, self.level_lowest, self.level_highest, self.level_n, self.level_window)
-            {
-                (Some(as_run), Some(lowest), Some(highest), Some(n), Some(window)) => Some(Level {
-                    as_run,
-                    lowest,
-                    highest,
-                    n: number("level_n", n)?,
-                    window: number("level_window", window)?,
-                }),
-                _ => None,
-            };
+        let level = self.level()?;
         let remaining = match (self.remaining_cycles, self.remaining_low, self.remaining_high) {
             (Some(cycles), Some(low), Some(high)) => Some(Remaining {
                 cycles: number("remaining_cycles", cycles)?,
@@ -131,6 +142,9 @@ impl RecommendationRow {
                 quality: word("quality", &body.quality, DataQuality::parse)?,
                 data_age_ms: self.data_age_ms,
                 process_advice: body.process_advice.map(|advice| advice.advice()).transpose()?,
+                reference_cycle: body
+                    .reference_cycle
+                    .map(|(every, feed_mm_min)| ReferenceRequest { every, feed_mm_min }),
                 reasons: body.reasons,
                 law_version: body.law_version,
             },

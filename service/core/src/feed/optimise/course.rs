@@ -67,12 +67,14 @@ struct Sample {
 }
 
 impl Course {
-    /// Reads a cycle. `idle` overrides what its samples before contact say; `memory_s` is how long heat lasts.
+    /// Reads a cycle. `idle` overrides what its samples before contact say; `memory_s` is how long heat lasts,
+    /// `later_s` how much later than told its loads are.
     pub(super) fn read(
         cycle: &RecordedCycle,
         grid: &Grid,
         idle: Option<[f64; 2]>,
         memory_s: f64,
+        later_s: f64,
     ) -> Result<Self, SkipReason> {
         let mut samples = usable(cycle);
         if samples.len() < FEWEST_SAMPLES {
@@ -86,6 +88,7 @@ impl Course {
             LoadSignal::Filtered(weights) => weights.ramp_lag_samples() * period_s,
             LoadSignal::Delayed(seconds) => seconds,
         };
+        let delay_s = delay_s + later_s;
         if delay_s > 0.0 {
             samples = shifted(&samples, delay_s);
         }

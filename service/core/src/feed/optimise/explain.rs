@@ -159,6 +159,7 @@ fn text(planner: &Planner<'_>, section: &Section) -> String {
         }
         Binding::SpindleLoad => format!("the spindle's set load of {} %", settings.set_spindle_percent),
         Binding::Acceleration => "the axis' acceleration".to_owned(),
+        Binding::SeenOverload => "a load above its set load that the last tried cycle showed".to_owned(),
         Binding::Step => "the step from the last tried profile".to_owned(),
         Binding::Unknown => "nothing known at this depth, so the last feed stays".to_owned(),
         Binding::Objective => "the cost: faster would take more energy than the time is worth".to_owned(),

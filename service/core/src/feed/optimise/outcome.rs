@@ -95,6 +95,26 @@ pub struct Deviation {
     pub deviations: Option<f64>,
 }
 
+/// Filtered loads of every usable sample in contact, after the depth there.
+pub(super) fn filtered(cycle: &RecordedCycle, mut each: impl FnMut(f64, [f64; 2])) {
+    let is_filtered = matches!(cycle.signal, LoadSignal::Filtered(_));
+    let weights = FilterWeights::default();
+    let mut filters = [LoadFilter::new(), LoadFilter::new()];
+    for at in 0..cycle.depth_mm.len().min(cycle.spindle_percent.len()).min(cycle.feed_drive_percent.len()) {
+        let depth = cycle.depth_mm[at];
+        let raw = [cycle.feed_drive_percent[at], cycle.spindle_percent[at]];
+        if !(depth.is_finite() && raw.iter().all(|load| load.is_finite())) || depth < 0.0 {
+            continue;
+        }
+        each(
+            depth,
+            [0, 1].map(
+                |drive| if is_filtered { raw[drive] } else { filters[drive].step(&weights, raw[drive]) },
+            ),
+        );
+    }
+}
+
 impl Deviation {
     fn of(predicted: Band, actual: f64) -> Self {
         let relative = if predicted.expected > 0.0 { actual / predicted.expected - 1.0 } else { 0.0 };

@@ -3,7 +3,7 @@
 use super::grid::Grid;
 use super::predict::Expected;
 use super::profile::Knots;
-use super::relation::{Node, Relation};
+use super::relation::{LnLoad, Node, Relation};
 use super::settings::Settings;
 use crate::friction::program::Knot;
 use libm::erf;
@@ -46,6 +46,8 @@ pub enum Binding {
     SpindleLoad,
     /// Acceleration of the axis.
     Acceleration,
+    /// A load above its set load that was seen here in the last tried cycle.
+    SeenOverload,
     /// The step from the last tried profile.
     Step,
     /// Nothing is known at this depth: the last tried feed stays.
@@ -68,6 +70,7 @@ impl Binding {
             Self::FeedDriveLoad => "feed_drive_load",
             Self::SpindleLoad => "spindle_load",
             Self::Acceleration => "acceleration",
+            Self::SeenOverload => "seen_overload",
             Self::Step => "step",
             Self::Unknown => "unknown",
             Self::Objective => "objective",
@@ -75,6 +78,32 @@ impl Binding {
         }
     }
 }
+
+/// Lag of the load filter of Stryczek & Błaszczak 2020, Eq. 1, in samples.
+pub(super) const FILTER_LAG_SAMPLES: f64 = 4.0;
+
+/// The load filter for uneven steps of time: two first-order lags in a row, as its two poles are.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct LagFilter {
+    first: f64,
+    second: f64,
+}
+
+impl LagFilter {
+    pub(super) fn step(&mut self, load: f64, time_s: f64, lag_s: f64) -> f64 {
+        // A load that lasts for ever before the first step: it starts settled.
+        let share = if time_s > 0.0 { 1.0 - (-time_s / lag_s).exp() } else { 1.0 };
+        self.first += share * (load - self.first);
+        self.second += share * (self.first - self.second);
+        self.second
+    }
+}
+
+/// ln of a filtered load over its set load beyond which it is corrected where it was seen; how far before that depth the
+/// feed is lowered, because a filtered load is late; and the smallest slope that a correction counts on.
+const SEEN_OVERLOAD: f64 = 0.02;
+const OVERLOAD_REACH_MM: f64 = 0.5;
+const LEAST_CORRECTING_SLOPE: f64 = 0.4;
 
 /// Everything that planning asks, prepared once.
 pub(super) struct Planner<'a> {
@@ -91,6 +120,8 @@ pub(super) struct Planner<'a> {
     known_z: f64,
     cycle_z: f64,
     pub(super) heating_until_mm: f64,
+    /// How far the axis lags behind the programmed feed, s.
+    pub(super) servo_s: f64,
 }
 
 /// A feed at every node, and what bounds it.
@@ -170,8 +201,41 @@ impl<'a> Planner<'a> {
             known_z: normal_quantile(settings.confidence),
             cycle_z: 0.0,
             heating_until_mm,
+            servo_s: 0.0,
         }
         .with_risk()
+    }
+
+    /// The same plan on an axis that lags.
+    pub(super) fn with_servo(self, servo_s: f64) -> Self {
+        Self { servo_s, ..self }
+    }
+
+    /// Lowers the limits where the cycle that ran the last profile had a filtered load above its set load: what was seen
+    /// outweighs what the relation says. `seen` is ln of the filtered load over the set load at each node.
+    pub(super) fn after_overload(mut self, seen: &[Option<f64>]) -> Self {
+        let reach = super::grid::whole(OVERLOAD_REACH_MM / self.relation.grid.step_mm()).max(1);
+        for (node, seen) in seen.iter().enumerate() {
+            let Some(over) = seen.filter(|over| *over > SEEN_OVERLOAD) else { continue };
+            for near in node.saturating_sub(reach)..=node {
+                let slope = self.relation.nodes[near]
+                    .as_ref()
+                    .map_or(1.0, |known| known.drives[0].slope.min(known.drives[1].slope))
+                    .clamp(LEAST_CORRECTING_SLOPE, 1.0);
+                let most = self.last[near] * (-over / slope).exp();
+                if most < self.caps[near].0 {
+                    self.caps[near] = (most.max(self.floors[near]), Binding::SeenOverload);
+                }
+            }
+        }
+        self
+    }
+
+    /// Actual feed at a node, mm/min, from the programmed one there and the actual one a node before.
+    pub(super) fn acting_feed(&self, programmed: f64, before: Option<f64>) -> f64 {
+        let Some(before) = before.filter(|_| self.servo_s > 1e-4) else { return programmed };
+        let time = self.relation.grid.step_mm() * 120.0 / (programmed + before);
+        before + (1.0 - (-time / self.servo_s).exp()) * (programmed - before)
     }
 
     /// How many standard deviations of one cycle stay below the tolerance: unevenness that lasts `UNEVEN_S` gets as
@@ -180,7 +244,7 @@ impl<'a> Planner<'a> {
         let step = self.relation.grid.step_mm();
         let time: f64 = self.last.iter().map(|feed| step / feed * 60.0).sum();
         let chances = (time / UNEVEN_S).clamp(1.0, 200.0);
-        self.cycle_z = normal_quantile(1.0 - OVERLOAD_RISK / chances.sqrt().max(1.0));
+        self.cycle_z = normal_quantile(1.0 - OVERLOAD_RISK / chances);
         self
     }
 
@@ -190,6 +254,16 @@ impl<'a> Planner<'a> {
         let expected = load.mean + self.known_z * load.known_sd - self.set_ln[drive];
         let one = load.mean + self.cycle_z * load.cycle_sd - self.tolerated_ln[drive];
         expected.max(one)
+    }
+
+    /// How far loads that passed the load filter cross their bounds, in ln load: uncertain as the loads of the node.
+    fn filtered_excess(&self, loads: &[LnLoad; 2], filtered: &[f64; 2]) -> f64 {
+        let one = |drive: usize| {
+            let mean = filtered[drive].max(1e-6).ln();
+            let expected = mean + self.known_z * loads[drive].known_sd - self.set_ln[drive];
+            expected.max(mean + self.cycle_z * loads[drive].cycle_sd - self.tolerated_ln[drive])
+        };
+        one(0).max(one(1))
     }
 
     fn worst(&self, node: &Node, x: f64, phi: f64) -> (f64, usize) {
@@ -331,6 +405,7 @@ impl<'a> Planner<'a> {
         let mut out = Outlook::default();
         let (mut heat, mut at) = (0.0, 0);
         let mut before = 0.0;
+        let mut filters: [LagFilter; 2] = [LagFilter::default(); 2];
         for node in 0..grid.count() {
             let depth = grid.depth_mm(node);
             while at + 1 < knots.len() && knots[at + 1].depth_mm <= depth {
@@ -343,24 +418,30 @@ impl<'a> Planner<'a> {
                 }
                 _ => knots[at].feed_mm_min,
             };
+            let programmed = feed;
+            let feed = self.acting_feed(programmed, (node > 0).then_some(before));
             let time = if node == 0 { 0.0 } else { grid.step_mm() * 120.0 / (feed + before) };
             before = feed;
-            let mut load = 0.0;
+            let mut spindle = 0.0;
             heat *= (-time / super::relation::MEMORY_S).exp();
             if let Some(known) = &self.relation.nodes[node] {
                 let (x, phi) = (feed.ln(), self.relation.phi(heat));
-                load = self.relation.load(known, 1, x, phi, 0.0).mean.exp();
+                let loads = [0, 1].map(|drive| self.relation.load(known, drive, x, phi, 0.0));
+                let means = loads.map(|load| load.mean.exp());
+                spindle = means[1];
+                let lag = FILTER_LAG_SAMPLES / 2.0 * self.relation.period_s;
+                let filtered = [0, 1].map(|drive| filters[drive].step(means[drive], time, lag));
                 // Where even the floor crosses, the floor is no fault of the knots.
                 if feed > self.floors[node] * 1.001 {
-                    let crossed = self.worst(known, x, phi).0.max(0.0);
+                    let crossed = self.filtered_excess(&loads, &filtered).max(0.0);
                     out.crossed += crossed;
                     out.most_crossed = out.most_crossed.max(crossed);
                 }
             }
-            out.crossed += (feed / self.caps[node].0).ln().max(0.0) * CAP_WEIGHT;
-            heat += load * time;
+            out.crossed += (programmed / self.caps[node].0).ln().max(0.0) * CAP_WEIGHT;
+            heat += spindle * time;
             out.time_s += time;
-            out.percent_s += load * time;
+            out.percent_s += spindle * time;
         }
         out.cost = weights.0 * out.time_s + weights.1 * out.percent_s;
         out

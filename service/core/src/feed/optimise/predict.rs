@@ -1,6 +1,6 @@
 //! What a profile is expected to do, with bands.
 
-use super::plan::{Planner, normal_quantile};
+use super::plan::{FILTER_LAG_SAMPLES, LagFilter, Planner, normal_quantile};
 use super::relation::MEMORY_S;
 use crate::friction::program::Knot;
 
@@ -62,7 +62,9 @@ pub struct Prediction {
 pub(super) struct Expected {
     pub(super) feed: f64,
     pub(super) time_s: f64,
-    /// Loads with the idle load, percent; `None` where nothing is known.
+    /// Spindle load over idle before the filter, percent.
+    pub(super) spindle: f64,
+    /// Filtered loads with the idle load, percent; `None` where nothing is known.
     pub(super) load: Option<[f64; 2]>,
     /// Standard deviation of ln load over idle: of what is expected, per drive.
     pub(super) known_sd: [f64; 2],
@@ -75,16 +77,23 @@ pub(super) fn follow(planner: &Planner<'_>, knots: &[Knot], more_wear: f64) -> V
     let grid = &relation.grid;
     let mut all: Vec<Expected> = Vec::with_capacity(grid.count());
     let mut heat = 0.0;
+    let mut filters = [LagFilter::default(); 2];
+    let lag = FILTER_LAG_SAMPLES / 2.0 * relation.period_s;
     for node in 0..grid.count() {
-        let feed = super::profile::feed_at(knots, grid.depth_mm(node));
+        let programmed = super::profile::feed_at(knots, grid.depth_mm(node));
+        let feed = planner.acting_feed(programmed, all.last().map(|before| before.feed));
         let time_s = all.last().map_or(0.0, |before| grid.step_mm() * 120.0 / (feed + before.feed));
         let mut expected = Expected { feed, time_s, ..Expected::default() };
         heat *= (-time_s / MEMORY_S).exp();
         if let Some(known) = &relation.nodes[node] {
             let loads =
                 [0, 1].map(|drive| relation.load(known, drive, feed.ln(), relation.phi(heat), more_wear));
-            heat += loads[1].mean.exp() * time_s;
-            expected.load = Some([0, 1].map(|drive| loads[drive].mean.exp() + relation.idle[drive]));
+            let means = loads.map(|load| load.mean.exp());
+            expected.spindle = means[1];
+            heat += means[1] * time_s;
+            expected.load = Some(
+                [0, 1].map(|drive| filters[drive].step(means[drive], time_s, lag) + relation.idle[drive]),
+            );
             expected.known_sd = loads.map(|load| load.known_sd);
             expected.cycle_sd = loads.map(|load| load.cycle_sd);
         }
@@ -101,11 +110,9 @@ pub(super) fn predict(planner: &Planner<'_>, knots: &[Knot]) -> Prediction {
     let mut work = 0.0;
     let mut work_sd = 0.0;
     for node in &nodes {
-        if let Some(load) = node.load {
-            let step = (load[1] - idle[1]) * node.time_s;
-            work += step;
-            work_sd += step * node.known_sd[1];
-        }
+        let step = node.spindle * node.time_s;
+        work += step;
+        work_sd += step * node.known_sd[1];
     }
     let common = planner.relation.noise[1].common;
     let work_sd = if work > 0.0 { (work_sd / work).hypot(common) } else { common };

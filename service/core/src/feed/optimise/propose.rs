@@ -27,6 +27,14 @@ const HAIR: f64 = 0.01;
 /// Offset of a cycle from the others beyond which it is another process, in ln load.
 const OUTLIER: f64 = 0.25;
 
+/// Delays of the loads that are tried, s, and how much better than none one has to fit.
+const DELAYS_S: [f64; 5] = [0.01, 0.02, 0.03, 0.04, 0.06];
+const CLEARLY_BETTER: f64 = 0.85;
+
+/// Median difference in ln feed up to which a cycle ran the profile tried last, and the longest lag of an axis.
+const SAME_FEED: f64 = 0.04;
+const MOST_SERVO_LAG_S: f64 = 0.1;
+
 /// Steps in which the wear is tried up to which a profile holds, and where the trying ends.
 const WEAR_STEP: f64 = 0.0025;
 const MOST_MORE_WEAR: f64 = 0.2;
@@ -148,7 +156,7 @@ pub fn optimise(
     corners.extend(settings.heating.map(|heating| heating.until_mm));
     corners.extend(settings.bushing.map(|bushing| bushing.to_mm));
     let grid = Grid::new(settings.depth_mm, &corners);
-    let (mut courses, mut skipped) = read(cycles, settings, &grid);
+    let (mut courses, mut skipped) = read(cycles, settings, &grid, 0.0);
     if courses.is_empty() {
         return Err(nothing_usable(&skipped));
     }
@@ -163,6 +171,20 @@ pub fn optimise(
         Relation::learn(grid, courses, &about, idle, settings.wear_ratio, settings.spread_scale)
     };
     let mut relation = learn(&courses);
+    if courses.len() >= 2 {
+        // Loads that arrive late fit no depth once the feeds differ; the delay that fits best is taken, if clearly.
+        let mut least = relation.missed * CLEARLY_BETTER;
+        for later_s in DELAYS_S {
+            let (late, _) = read(cycles, settings, &grid, later_s);
+            if late.len() != courses.len() {
+                continue;
+            }
+            let other = learn(&late);
+            if other.missed < least {
+                (least, relation, courses) = (other.missed, other, late);
+            }
+        }
+    }
     if courses.len() >= 3 {
         let strange: Vec<bool> = relation.offsets.iter().map(|offset| offset.abs() > OUTLIER).collect();
         let kept = strange.iter().filter(|strange| !**strange).count();
@@ -180,7 +202,10 @@ pub fn optimise(
         }
     }
     skipped.sort_by(|a, b| a.id.cmp(&b.id).then(a.reason.as_str().cmp(b.reason.as_str())));
-    let planner = Planner::new(&relation, settings, feed, &least);
+    let servo_s = last.map_or(0.0, |_| servo_lag_s(&courses, &feed, &grid));
+    let planner = Planner::new(&relation, settings, feed, &least).with_servo(servo_s);
+    let seen = seen_loads(cycles, &courses, &planner.last, settings, &grid);
+    let planner = if last.is_some() { planner.after_overload(&seen) } else { planner };
     let envelope = planner.envelope();
     let last_knots =
         last.map_or_else(|| on_grid(&planner.last, &grid), |knots| scaled(knots.as_slice(), factor));
@@ -270,7 +295,12 @@ fn assemble(
 }
 
 /// Reads the cycles in the order of time, latest last.
-fn read(cycles: &[RecordedCycle], settings: &Settings, grid: &Grid) -> (Vec<Course>, Vec<Skipped>) {
+fn read(
+    cycles: &[RecordedCycle],
+    settings: &Settings,
+    grid: &Grid,
+    later_s: f64,
+) -> (Vec<Course>, Vec<Skipped>) {
     let mut sorted: Vec<&RecordedCycle> = cycles.iter().collect();
     sorted.sort_by(|a, b| compare_cycles(a, b));
     let mut skipped = Vec::new();
@@ -282,7 +312,7 @@ fn read(cycles: &[RecordedCycle], settings: &Settings, grid: &Grid) -> (Vec<Cour
         } else {
             cycle
                 .check(&settings.operation)
-                .and_then(|()| Course::read(cycle, grid, settings.idle_percent, MEMORY_S))
+                .and_then(|()| Course::read(cycle, grid, settings.idle_percent, MEMORY_S, later_s))
         };
         match result {
             Ok(course) => courses.push(course),
@@ -348,6 +378,60 @@ fn run_feed(courses: &[Course], grid: &Grid, settings: &Settings) -> (Vec<f64>, 
         })
         .collect();
     (feed, least)
+}
+
+/// How far the axis lags behind the programmed feed, s: the difference of programmed and actual feed over the
+/// acceleration, from the latest cycle if it ran the profile tried last; else 0.
+fn servo_lag_s(courses: &[Course], programmed: &[f64], grid: &Grid) -> f64 {
+    let Some(latest) = courses.last() else { return 0.0 };
+    let mut off: Vec<f64> = (latest.readings.iter().zip(programmed))
+        .filter_map(|(reading, feed)| Some((reading.as_ref()?.x - feed.ln()).abs()))
+        .collect();
+    if off.is_empty() || super::course::quantile(&mut off, 0.5) > SAME_FEED {
+        return 0.0;
+    }
+    let (mut product, mut square) = (0.0, 0.0);
+    for node in 1..grid.count() - 1 {
+        let speed = |at: usize| latest.readings[at].as_ref().map(|reading| reading.x.exp() / 60.0);
+        let (Some(before), Some(here), Some(after)) = (speed(node - 1), speed(node), speed(node + 1)) else {
+            continue;
+        };
+        let acceleration = here * (after - before) / (2.0 * grid.step_mm());
+        // Weighted by time, and not where the axis stops at the end of the path.
+        if grid.end_mm() - grid.depth_mm(node) > 0.5 {
+            product += (programmed[node] / 60.0 - here) * acceleration / here;
+            square += acceleration * acceleration / here;
+        }
+    }
+    if square > 0.0 { (product / square).clamp(0.0, MOST_SERVO_LAG_S) } else { 0.0 }
+}
+
+/// ln of the larger filtered load over its set load at each node, from the latest cycle if it ran the profile tried last.
+fn seen_loads(
+    cycles: &[RecordedCycle],
+    courses: &[Course],
+    programmed: &[f64],
+    settings: &Settings,
+    grid: &Grid,
+) -> Vec<Option<f64>> {
+    let mut seen: Vec<Option<f64>> = vec![None; grid.count()];
+    let Some(latest) = courses.last() else { return seen };
+    let mut off: Vec<f64> = (latest.readings.iter().zip(programmed))
+        .filter_map(|(reading, feed)| Some((reading.as_ref()?.x - feed.ln()).abs()))
+        .collect();
+    if off.is_empty() || super::course::quantile(&mut off, 0.5) > SAME_FEED {
+        return seen;
+    }
+    let matching =
+        cycles.iter().filter(|cycle| cycle.id == latest.id && cycle.operation == settings.operation);
+    let Some(cycle) = matching.min_by(|a, b| compare_cycles(a, b)) else { return seen };
+    let set = settings.set_percent();
+    super::outcome::filtered(cycle, |depth, load| {
+        let node = grid.nearest(depth);
+        let over = (load[0] / set[0]).max(load[1] / set[1]).max(1e-3).ln();
+        seen[node] = Some(seen[node].map_or(over, |before| before.max(over)));
+    });
+    seen
 }
 
 fn on_grid(feed: &[f64], grid: &Grid) -> Vec<Knot> {

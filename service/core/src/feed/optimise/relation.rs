@@ -44,6 +44,15 @@ const PRIOR_UNEVEN: f64 = 0.02;
 const PRIOR_COMMON: f64 = 0.015;
 const PRIOR_NOISE_WEIGHT: f64 = 2.0;
 
+/// Unevenness beyond which a depth is a case of its own; how far around a depth its unevenness is told from; and the
+/// weight of what is usual, in degrees of freedom.
+const MOST_USUAL_UNEVEN: f64 = 0.06;
+const UNEVEN_REACH_MM: f64 = 1.5;
+const LOCAL_NOISE_WEIGHT: f64 = 2.0;
+
+/// Largest square of a residual that counts in how far the relation misses.
+const MOST_MISSED: f64 = 0.04;
+
 /// Slopes outside this are not believed: a load that falls with the feed is heat or noise.
 const SLOPES: std::ops::RangeInclusive<f64> = 0.1..=2.0;
 
@@ -64,6 +73,8 @@ pub(super) struct DriveNode {
     pub(super) wear_var: f64,
     /// Standard deviation of the noise of reading in ln load, of one filtered sample.
     pub(super) reading: f64,
+    /// Unevenness within a cycle around here, relative.
+    pub(super) uneven: f64,
 }
 
 /// Both drives at one depth, and the point about which they are expanded.
@@ -96,9 +107,13 @@ pub(super) struct Relation {
     pub(super) wear_ratio: Option<f64>,
     /// Whether cycles at different wear taught what wear does.
     pub(super) wear_known: bool,
+    /// How far the relation misses the cycles' loads, those that matter most.
+    pub(super) missed: f64,
     /// Offset of each cycle from what all have in common, ln load: that of the drive where it is larger.
     pub(super) offsets: Vec<f64>,
     pub(super) spread_scale: f64,
+    /// Period of the samples, s: what the load filter's lag is counted in.
+    pub(super) period_s: f64,
     /// Whether feeds varied enough to tell a slope, per drive: standard deviation of the common slope.
     pub(super) slope: [(f64, f64); 2],
 }
@@ -128,6 +143,10 @@ struct Fit {
     wear_var: f64,
     offsets: Vec<f64>,
     noise: Noise,
+    /// Unevenness at each node.
+    uneven: Vec<f64>,
+    /// Squares that the relation misses, loads that matter most.
+    missed: f64,
 }
 
 impl Relation {
@@ -166,8 +185,14 @@ impl Relation {
             heat_scale,
             wear_ratio,
             wear_known: spread >= TOLD_WEAR,
+            missed: fits[0].missed + fits[1].missed,
             offsets,
             spread_scale,
+            period_s: courses
+                .iter()
+                .map(|course| course.period_s)
+                .fold(f64::INFINITY, f64::min)
+                .clamp(1e-4, 0.1),
             slope: [(fits[0].slope, fits[0].slope_var.sqrt()), (fits[1].slope, fits[1].slope_var.sqrt())],
         }
     }
@@ -190,8 +215,7 @@ impl Relation {
         let wear_var = one.wear_var * more_wear * more_wear;
         let known = one.level_var + slope_var + self.memory_var[drive] * dphi * dphi + wear_var;
         let noise = self.noise[drive];
-        let all =
-            known + noise.common * noise.common + noise.uneven * noise.uneven + one.reading * one.reading;
+        let all = known + noise.common * noise.common + one.uneven * one.uneven + one.reading * one.reading;
         LnLoad { mean, known_sd: known.sqrt() * self.spread_scale, cycle_sd: all.sqrt() * self.spread_scale }
     }
 }
@@ -251,13 +275,10 @@ impl<'a> Table<'a> {
     /// What a drive has in common at all depths: slope, memory, wear and each cycle's offset; twice, because the
     /// weights need the noise that the residuals tell.
     fn fit(&self, drive: usize) -> Fit {
-        let mut noise = Noise { uneven: PRIOR_UNEVEN, common: PRIOR_COMMON };
-        let mut fit = self.fit_once(drive, noise);
-        for _ in 0..2 {
-            noise = self.noise(drive, &fit);
-            fit = self.fit_once(drive, noise);
-        }
-        fit
+        let mut fit = self.fit_once(drive, Noise { uneven: PRIOR_UNEVEN, common: PRIOR_COMMON });
+        self.noise(drive, &mut fit);
+        let (uneven, missed) = (std::mem::take(&mut fit.uneven), fit.missed);
+        Fit { uneven, missed, ..self.fit_once(drive, fit.noise) }
     }
 
     fn fit_once(&self, drive: usize, noise: Noise) -> Fit {
@@ -318,13 +339,18 @@ impl<'a> Table<'a> {
             wear_var: variances[2],
             offsets: values[3..].to_vec(),
             noise,
+            uneven: Vec::new(),
+            missed: 0.0,
         }
     }
 
-    /// Unevenness that the residuals about the local slopes show, drawn towards what is expected.
-    fn noise(&self, drive: usize, fit: &Fit) -> Noise {
-        let (mut squares, mut freedom) = (0.0, 0.0);
+    /// Unevenness that the residuals about the local slopes show, drawn towards what is expected; and how far the
+    /// relation misses the loads that matter.
+    fn noise(&self, drive: usize, fit: &mut Fit) {
         let stride = super::grid::whole(UNEVEN_MM / 2.0 / self.grid.step_mm()).max(1);
+        let largest = self.rows.iter().flatten().map(|row| row.y[drive]).fold(f64::NEG_INFINITY, f64::max);
+        let mut found: Vec<(usize, f64, f64)> = Vec::new();
+        let mut missed = 0.0;
         for (at, rows) in self.rows.iter().enumerate().step_by(stride) {
             // Loads that are barely read tell of the reading and not of the process.
             let rows: Vec<&Row> = rows.iter().filter(|row| row.var[drive] < 0.01).collect();
@@ -342,21 +368,42 @@ impl<'a> Table<'a> {
             let mean = residuals.iter().sum::<f64>() / residuals.len() as f64;
             let spread = rows.iter().map(|row| (row.x - mean_x).powi(2)).sum::<f64>();
             let share = (stride as f64 * self.share()).min(1.0);
+            let mut squares = 0.0;
             for (row, residual) in rows.iter().zip(&residuals) {
-                squares += share * ((residual - mean).powi(2) - row.var[drive]).max(0.0);
+                let square = (residual - mean).powi(2);
+                squares += share * (square - row.var[drive]).max(0.0);
+                missed += share * square.min(MOST_MISSED) * (2.0 * (row.y[drive] - largest)).exp();
             }
-            // A local slope that the feeds of these very rows told takes one degree of freedom, shared by its neighbours.
+            // A local slope that the feeds of these very rows told takes part of a degree of freedom.
             let slope_taken = spread / (spread + (fit.noise.uneven / LOCAL_SLOPE_SD).powi(2));
-            freedom += share * ((rows.len() - 1) as f64 - 0.3 * slope_taken).max(0.3);
+            found.push((at, squares, share * ((rows.len() - 1) as f64 - 0.3 * slope_taken).max(0.3)));
         }
-        let depth_units = self.grid.end_mm() / UNEVEN_MM;
-        let weight = PRIOR_NOISE_WEIGHT * depth_units / 4.0;
-        let uneven = ((weight * PRIOR_UNEVEN.powi(2) + squares) / (weight + freedom)).sqrt();
+        let weight = PRIOR_NOISE_WEIGHT * self.grid.end_mm() / UNEVEN_MM / 4.0;
+        let (mut squares, mut freedom) = (weight * PRIOR_UNEVEN.powi(2), weight);
+        for (_, square, free) in &found {
+            // What is very uneven at a few depths is told there and not everywhere.
+            squares += square.min(free * MOST_USUAL_UNEVEN * MOST_USUAL_UNEVEN);
+            freedom += free;
+        }
+        let uneven = (squares / freedom).sqrt().clamp(0.004, 0.3);
+        let reach = UNEVEN_REACH_MM / self.grid.step_mm();
+        fit.uneven = (0..self.rows.len())
+            .map(|node| {
+                let near = |at: usize| (1.0 - (at.abs_diff(node) as f64 / reach).powi(2)).max(0.0);
+                let (mut squares, mut freedom) = (LOCAL_NOISE_WEIGHT * uneven * uneven, LOCAL_NOISE_WEIGHT);
+                for (at, square, free) in &found {
+                    squares += near(*at) * square;
+                    freedom += near(*at) * free;
+                }
+                (squares / freedom).sqrt().clamp(0.004, 0.3)
+            })
+            .collect();
         let offsets: f64 = fit.offsets.iter().map(|offset| offset * offset).sum();
         let seen = (self.cycles.saturating_sub(1)) as f64;
         let common =
             ((PRIOR_NOISE_WEIGHT * PRIOR_COMMON.powi(2) + offsets) / (PRIOR_NOISE_WEIGHT + seen)).sqrt();
-        Noise { uneven: uneven.clamp(0.004, 0.3), common: common.clamp(0.003, 0.3) }
+        fit.noise = Noise { uneven, common: common.clamp(0.003, 0.3) };
+        fit.missed = missed;
     }
 
     fn residual(&self, row: &Row, drive: usize, fit: &Fit) -> f64 {
@@ -381,7 +428,7 @@ impl<'a> Table<'a> {
     fn drive_node(&self, at: usize, about: f64, phi: f64, drive: usize, fit: &Fit) -> DriveNode {
         let Local { slope, slope_var, wear, wear_var } = self.local(at, drive, fit);
         let curvature = slope_var + CURVATURE_SD * CURVATURE_SD;
-        let noise = fit.noise;
+        let noise = Noise { uneven: fit.uneven[at], ..fit.noise };
         let (mut total, mut level, mut off_x, mut off_phi, mut off_wear, mut common) =
             (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         let mut reading = 0.0;
@@ -415,6 +462,7 @@ impl<'a> Table<'a> {
             wear,
             wear_var,
             reading: (reading / total).sqrt(),
+            uneven: noise.uneven,
         }
     }
 

@@ -38,7 +38,7 @@ pub const OVERLOAD_FACTOR: f64 = 1.05;
 pub const OVERLOAD_S: f64 = 0.05;
 
 /// Variations that the planner with full knowledge tries.
-pub const REFERENCE_TRIALS: usize = 4000;
+pub const REFERENCE_TRIALS: usize = 1500;
 
 /// A number that is not negative, as a count.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "not negative, saturating")]
@@ -128,15 +128,23 @@ pub fn recorded(run: &Run, order: i64) -> RecordedCycle {
     }
 }
 
-/// Runs a case: the recorded cycle, then [`TRIALS`] proposals, each tried once.
+/// Runs a case against the planner with full knowledge, which varies its feed `reference_trials` times.
+///
+/// # Errors
+/// When no feed keeps the loads, a hole cannot be finished, or the optimiser refuses.
+pub fn run_case(case: &Case, reference_trials: usize) -> Result<CaseOutcome, Invalid> {
+    let best = reference(&case.plant, &case.limits, REFERENCE_MARGIN, reference_trials, case.seed)?;
+    try_case(case, best.duration_s)
+}
+
+/// The recorded cycle, then [`TRIALS`] proposals, each tried once.
 ///
 /// # Errors
 /// When a hole cannot be finished, or the optimiser refuses.
-pub fn run_case(case: &Case, reference_trials: usize) -> Result<CaseOutcome, Invalid> {
+pub fn try_case(case: &Case, reference_s: f64) -> Result<CaseOutcome, Invalid> {
     let limits = &case.limits;
-    let best = reference(&case.plant, limits, REFERENCE_MARGIN, reference_trials, case.seed)?;
     let settings = settings(limits)?;
-    let case = &case.quickened(best.duration_s)?;
+    let case = &case.quickened(reference_s)?;
     let mut noise = Noise::seeded(case.seed ^ 0x5eed);
     let first_s = case.plant.drill(&case.first, None)?.duration_s;
     let mut cycles = vec![recorded(&case.plant.drill(&case.first, Some(&mut noise))?, 0)];
@@ -163,7 +171,7 @@ pub fn run_case(case: &Case, reference_trials: usize) -> Result<CaseOutcome, Inv
         seed: case.seed,
         start: case.start,
         first_s,
-        reference_s: best.duration_s,
+        reference_s,
         trials,
         noise_factor: case.noise_factor,
         wear: case.wear,

@@ -121,6 +121,12 @@ impl Reasons {
         self.0 & reason.bit() != 0
     }
 
+    /// The set as bits, in the order of [`Reason::ALL`] from the lowest.
+    #[must_use]
+    pub const fn bits(self) -> u32 {
+        self.0
+    }
+
     /// Whether there is none.
     #[must_use]
     pub const fn is_empty(self) -> bool {

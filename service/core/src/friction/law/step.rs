@@ -74,6 +74,21 @@ impl LawState {
         }
     }
 
+    /// The state of a cycle that goes on after its memory was lost, at the override that the machine says is in force:
+    /// the lower of 100 % and that, and no rise before `settling_samples` good samples.
+    #[must_use]
+    pub fn resuming(config: &LawConfig, in_force_percent: f64) -> Self {
+        let mut state = Self { settling: config.params().settling_samples, ..Self::new() };
+        state.ovr = config.params().bounds.clamp(in_force_percent).0.neutral_from();
+        state
+    }
+
+    /// Takes a sample that may not be judged, whatever it says: neutral, as for bad data. The reason is the caller's.
+    pub fn withhold(&mut self, config: &LawConfig, time_ms: Option<f64>) -> FeedOverride {
+        self.last_time_ms = time_ms.filter(|time| time.is_finite()).or(self.last_time_ms);
+        self.neutral(config.params().settling_samples, Reasons::default(), config).ovr
+    }
+
     /// The override in force.
     #[must_use]
     pub const fn ovr(&self) -> FeedOverride {

@@ -201,6 +201,13 @@ impl Relation {
         self.at(self.config.bin_of(depth_mm)?, feed_mm_min)
     }
 
+    /// Geometric mean of the feeds at which a bin was run, mm/min; `None` where it never was.
+    #[must_use]
+    pub fn feed_mm_min(&self, bin: usize) -> Option<f64> {
+        let fit = self.bins.get(bin).filter(|fit| fit.count > 0.0)?;
+        Some(self.config.params().reference_feed_mm_min * fit.mean_x.exp())
+    }
+
     /// What the new tool would need in each bin in which a profile went deeper, at `feed(bin)` mm/min; `None`
     /// where the profile or the relation says nothing.
     pub(crate) fn predict(
@@ -208,12 +215,66 @@ impl Relation {
         profile: &DepthProfile,
         feed: impl Fn(&DepthBin) -> Option<f64>,
     ) -> Vec<Option<Prediction>> {
+        self.predict_each(profile, |_, bin| feed(bin))
+    }
+
+    /// As [`Relation::predict`], at a feed that may depend on the bin's number.
+    pub(crate) fn predict_each(
+        &self,
+        profile: &DepthProfile,
+        feed: impl Fn(usize, &DepthBin) -> Option<f64>,
+    ) -> Vec<Option<Prediction>> {
         let spread = self.spread();
         let one = |(index, bin): (usize, &DepthBin)| {
             Per::Depth.of(bin, self.config.params().bin_mm)?;
-            Some(self.predict_bin(index, feed(bin)?, spread)?.times(bin.way_mm))
+            Some(self.predict_bin(index, feed(index, bin)?, spread)?.times(bin.way_mm))
         };
         profile.bins.iter().enumerate().map(one).collect()
+    }
+
+    /// The state as numbers, for whoever stores it: cycles, the three sums of the spread, and eight numbers for each
+    /// bin up to the last that was ever run.
+    pub(crate) fn to_parts(&self) -> (u32, [f64; 3], Vec<[f64; 8]>) {
+        let used = self.bins.iter().rposition(|bin| bin.count > 0.0).map_or(0, |last| last + 1);
+        let bins = self.bins[..used].iter().map(BinFit::parts).collect();
+        (self.cycles, [self.common_squares, self.own_squares, self.spread_cycles], bins)
+    }
+
+    /// The relation of [`Relation::to_parts`]; `None` where there are more bins than the configuration has.
+    pub(crate) fn of_parts(
+        config: RelationConfig,
+        (cycles, sums, bins): (u32, [f64; 3], Vec<[f64; 8]>),
+    ) -> Option<Self> {
+        let mut relation = Self::new(config);
+        if bins.len() > relation.bins.len() {
+            return None;
+        }
+        for (place, parts) in relation.bins.iter_mut().zip(bins) {
+            *place = BinFit::of_parts(parts);
+        }
+        [relation.common_squares, relation.own_squares, relation.spread_cycles] = sums;
+        relation.cycles = cycles;
+        Some(relation)
+    }
+}
+
+impl BinFit {
+    const fn parts(&self) -> [f64; 8] {
+        [
+            self.count,
+            self.mean_x,
+            self.mean_y,
+            self.programmed,
+            self.programmed_x,
+            self.programmed_y,
+            self.sxx,
+            self.sxy,
+        ]
+    }
+
+    const fn of_parts(parts: [f64; 8]) -> Self {
+        let [count, mean_x, mean_y, programmed, programmed_x, programmed_y, sxx, sxy] = parts;
+        Self { count, mean_x, mean_y, programmed, programmed_x, programmed_y, sxx, sxy }
     }
 }
 

@@ -35,6 +35,16 @@ impl DepthProfile {
         Self { bins: vec![DepthBin::default(); config.bins()] }
     }
 
+    /// A profile of bins that are known already, from contact downwards; what lies beyond the last bin is dropped.
+    #[must_use]
+    pub fn of_bins(config: &RelationConfig, bins: impl Iterator<Item = DepthBin>) -> Self {
+        let mut profile = Self::new(config);
+        for (place, bin) in profile.bins.iter_mut().zip(bins) {
+            *place = bin;
+        }
+        profile
+    }
+
     /// Adds the way from one depth to a deeper one (mm), made in `time_s` with `total` of the quantity.
     ///
     /// A way over several bins is shared between them by length. A step that does not go deeper adds its time

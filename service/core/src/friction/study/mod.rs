@@ -1,17 +1,23 @@
 //! Life studies on the process model: is wear called when constant feed would have reached the limit?
 //!
 //! One life is one tool, drilled until its horizon under one strategy or several in turn, with noise of the
-//! readings, of the process and of the material. Its wear rate is drawn too. Only every n-th cycle is drilled
-//! ("thinned"): windows and the distance of reference cycles count drilled cycles. Everything follows from the
-//! seed, so that a study can be run in parts and on any number of threads.
+//! readings, of the process and of the material. Its wear rate is drawn too. What judges it is the fold that judges
+//! the tools of a shop ([`crate::wear::ToolFold`]), on the digests that are stored with their cycles. Only every n-th
+//! cycle is drilled ("thinned"): windows and the distance of reference cycles count drilled cycles. Everything follows
+//! from the seed, so that a study can be run in parts and on any number of threads.
 
 use super::energy::torque_energy_j;
 use super::error::{Invalid, InvalidCode, between};
 use super::noise::Noise;
 use super::program::Strategy;
-use super::relation::{DepthProfile, FeedSource};
-use super::twin::{CycleSetup, PAPER_END_DEPTH_MM, PAPER_SPINDLE_RPM, PaperStrategies, Twin};
-use super::wear::{WearConfig, WearCycle, WearParams, WearState, WearVerdict};
+use super::relation::{DepthProfile, RelationConfig, RelationParams};
+use super::twin::{CycleSetup, PAPER_SPINDLE_RPM, PaperStrategies, PreparedHole, Twin};
+use crate::cycle::Flags;
+use crate::ids::{CycleId, MachineId, OperationId};
+use crate::operation::WearSettings;
+use crate::summary::{DIGEST_DEPTH_MM, DepthDigest, EnergyBasis};
+use crate::units::{self, Timestamp};
+use crate::wear::{CycleFacts, FoldSettings, OrderKey, ToolFold, ToolState, WORN_LEVEL};
 
 /// Most cycles that one simulated life drills.
 pub const MOST_DRILLED_CYCLES: u32 = 200_000;
@@ -22,20 +28,23 @@ const BISECTION_STEPS: u32 = 40;
 /// Cycles in a row under one strategy, where several take turns.
 const BLOCK_CYCLES: u32 = 20;
 
+/// Time from one cycle to the next, µs; nothing depends on it but their order.
+const CADENCE_US: i64 = 20_000_000;
+
 /// What is studied, as plain values; [`LifeStudy::new`] checks them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LifeStudyParams {
-    /// Strategies that take turns in blocks of twenty cycles; one or more.
-    pub strategies: Vec<Strategy>,
+    /// Strategies that take turns in blocks of twenty cycles, each with the word its cycles are told under.
+    pub strategies: Vec<(units::Strategy, Strategy)>,
     /// The reference: constant feed at which the limit is defined.
     pub reference: Strategy,
-    /// Wear detection.
-    pub wear: WearConfig,
-    /// Reference cycles at the start of a life, before anything else.
-    pub first_references: u32,
-    /// Factors on the programmed feed with which each strategy's program is run, without its law, while the tool
-    /// is new: what makes the relation identifiable.
+    /// How wear is judged; without `reference_every_cycles` no reference cycle is asked for.
+    pub wear: WearSettings,
+    /// Factors on the feed of a program without a law, with which its first cycles are run while the tool is new:
+    /// what makes its energy over the feed known. Empty for none.
     pub exploration: Vec<f64>,
+    /// First cycles of a life, none of which is thinned out: what the tool is learnt from.
+    pub new_cycles: u32,
     /// Only every n-th cycle is drilled, once the tool is no longer new.
     pub thin: u32,
     /// Cycles after which a life ends.
@@ -51,27 +60,31 @@ pub struct LifeStudyParams {
 impl LifeStudyParams {
     /// The study of the paper's tool under these strategies.
     ///
-    /// Sixty learning cycles for the reference and for every strategy, fifteen of them at 0.8 to 1.25 times the
-    /// programmed feed; then every 20th cycle is drilled, every third of those a reference cycle; windows of 41
-    /// cycles and 31 reference cycles; wear rates vary by 15 % from tool to tool.
+    /// Baselines of sixty cycles; then every 20th cycle is drilled, every third of those a reference cycle where one
+    /// is asked for; windows of 31 cycles; wear rates vary by 15 % from tool to tool. Without reference cycles the
+    /// first fifteen of each program explore its feed by −20 to +25 %.
     ///
     /// # Errors
     /// Never with these values; they are checked like any other.
-    pub fn paper(strategies: Vec<Strategy>, wears: bool) -> Result<Self, Invalid> {
+    pub fn paper(
+        strategies: Vec<(units::Strategy, Strategy)>,
+        wears: bool,
+        with_references: bool,
+    ) -> Result<Self, Invalid> {
         let reference = PaperStrategies::new()?.constant;
-        let wear = WearParams {
-            learning_cycles: 60,
-            window_cycles: 41,
-            reference_window: 31,
-            reference_every: Some(2),
-            ..WearParams::new(PAPER_END_DEPTH_MM, reference.program.feed_at(0.0))
+        let wear = WearSettings {
+            baseline_cycles: 60,
+            window_cycles: 31,
+            reference_every_cycles: with_references.then_some(2),
+            reference_feed_mm_min: Some(reference.program.feed_at(0.0)),
         };
+        let keys = u32::try_from(strategies.len()).unwrap_or(u32::MAX).saturating_add(1);
         Ok(Self {
             strategies,
             reference,
-            wear: WearConfig::new(wear)?,
-            first_references: 60,
-            exploration: [0.8, 0.9, 1.0, 1.12, 1.25].repeat(3),
+            wear,
+            exploration: if with_references { Vec::new() } else { [0.8, 0.9, 1.0, 1.12, 1.25].repeat(3) },
+            new_cycles: keys.saturating_mul(wear.baseline_cycles),
             thin: 20,
             horizon_cycles: 20_000,
             wear_rate_sd: 0.15,
@@ -81,18 +94,25 @@ impl LifeStudyParams {
     }
 }
 
-/// A cycle of the learning at the start of a life; no key is a reference cycle.
+/// A strategy that is drilled over and over.
 #[derive(Debug, Clone, PartialEq)]
-struct Planned {
+struct Ready {
+    word: units::Strategy,
     strategy: Strategy,
-    key: Option<u32>,
+    hole: Option<PreparedHole>,
+    /// The same program at each factor of the exploration.
+    explored: Vec<Option<PreparedHole>>,
 }
 
-/// A checked study.
+/// A checked study on one model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LifeStudy {
     params: LifeStudyParams,
+    twin: Twin,
+    bins: RelationConfig,
     unit_life: f64,
+    reference: Ready,
+    strategies: Vec<Ready>,
 }
 
 /// One life's outcome, in cycles.
@@ -103,9 +123,9 @@ pub struct LifeOutcome {
     pub true_life: Option<f64>,
     /// Cycle at which wear was called.
     pub called_at: Option<u32>,
-    /// Drilled cycles that were flagged "wear masked by control".
+    /// Drilled cycles after which the wear was flagged as masked, by the control or by the feed.
     pub masked_cycles: u32,
-    /// Reference cycles that were run after the learning.
+    /// Reference cycles that were run.
     pub reference_cycles: u32,
     /// Cycles that were drilled.
     pub drilled_cycles: u32,
@@ -132,7 +152,7 @@ pub struct LifeSummary {
     pub ratio_min_median_max: (f64, f64, f64),
     /// 1st and 99th percentile of the same.
     pub ratio_p01_p99: (f64, f64),
-    /// Share of drilled cycles flagged "wear masked by control".
+    /// Share of drilled cycles flagged as masked.
     pub masked_share: f64,
 }
 
@@ -147,28 +167,29 @@ impl LifeStudy {
         }
         between("thin", f64::from(params.thin), 1.0, 1e5)?;
         between("horizon_cycles", f64::from(params.horizon_cycles), 1.0, 1e7)?;
-        between("wear_rate_sd", params.wear_rate_sd, 0.0, 0.5)?;
         for factor in &params.exploration {
             between("exploration", *factor, 0.1, 5.0)?;
         }
-        if params.horizon_cycles / params.thin > MOST_DRILLED_CYCLES {
+        between("wear_rate_sd", params.wear_rate_sd, 0.0, 0.5)?;
+        if params.horizon_cycles / params.thin > MOST_DRILLED_CYCLES
+            || params.new_cycles > MOST_DRILLED_CYCLES
+        {
             let text = format!("a life would drill more than {MOST_DRILLED_CYCLES} cycles; thin more");
             return Err(Invalid::new("thin", InvalidCode::OutOfRange, text));
         }
-        let limit = params.wear.params().worn;
         let energy = |wear: f64| -> Result<f64, Invalid> {
             let setup = CycleSetup::new(params.spindle_rpm, wear);
             Ok(twin.drill(&params.reference, &setup, None, |_| {})?.energy_j)
         };
         let new = energy(0.0)?;
         let (mut low, mut high) = (0.0, 5.0);
-        if energy(high)? < limit * new {
+        if energy(high)? < WORN_LEVEL * new {
             let text = "constant feed does not reach the limit within five units of wear";
             return Err(Invalid::new("wear", InvalidCode::NotIdentifiable, text));
         }
         for _ in 0..BISECTION_STEPS {
             let middle = f64::midpoint(low, high);
-            if energy(middle)? < limit * new {
+            if energy(middle)? < WORN_LEVEL * new {
                 low = middle;
             } else {
                 high = middle;
@@ -176,7 +197,27 @@ impl LifeStudy {
         }
         let law = &twin.params().wear;
         let unit_life = high.powf(1.0 / law.growth_exponent) * law.cycles_per_unit;
-        Ok(Self { params, unit_life })
+        let bins = RelationConfig::new(RelationParams::energy(DIGEST_DEPTH_MM))?;
+        let setup = CycleSetup::new(params.spindle_rpm, 0.0);
+        let ready = |word, strategy: &Strategy| {
+            let hole = twin.prepare(strategy, &setup, &bins)?;
+            let mut explored = Vec::new();
+            if hole.is_some() && word != units::Strategy::FConst {
+                for factor in &params.exploration {
+                    let program = strategy.program.scaled(*factor)?;
+                    let scaled = Strategy::new(&*strategy.name, program, strategy.end_depth_mm(), None)?;
+                    explored.push(twin.prepare(&scaled, &setup, &bins)?);
+                }
+            }
+            Ok::<_, Invalid>(Ready { word, strategy: strategy.clone(), hole, explored })
+        };
+        let reference = ready(units::Strategy::FConst, &params.reference)?;
+        let strategies = params
+            .strategies
+            .iter()
+            .map(|(word, strategy)| ready(*word, strategy))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { params, twin: twin.clone(), bins, unit_life, reference, strategies })
     }
 
     /// Life of the nominal tool in cycles: where constant feed reaches the limit.
@@ -189,12 +230,19 @@ impl LifeStudy {
     ///
     /// # Errors
     /// When a hole of it cannot be finished.
-    pub fn life(&self, twin: &Twin, seed: u64) -> Result<LifeOutcome, Invalid> {
+    pub fn life(&self, seed: u64) -> Result<LifeOutcome, Invalid> {
         let params = &self.params;
         let mut noise = Noise::seeded(seed);
         let spread = (params.wear_rate_sd * noise.normal()).exp();
         let rate = if params.wears { spread } else { 0.0 };
-        let mut state = WearState::new();
+        let settings = FoldSettings {
+            wear: params.wear,
+            depth_mm: None,
+            spindle_speed_rpm: Some(params.spindle_rpm),
+            is_friction: true,
+            reference_feed_mm_min: params.wear.reference_feed_mm_min,
+        };
+        let mut fold = ToolFold::default();
         let mut outcome = LifeOutcome {
             true_life: params.wears.then(|| self.unit_life / rate),
             called_at: None,
@@ -202,91 +250,107 @@ impl LifeStudy {
             reference_cycles: 0,
             drilled_cycles: 0,
         };
-        let learning = self.learning_plan()?;
-        let mut reference_due = false;
-        let mut cycle = 0_u32;
+        let (mut cycle, mut turn, mut reference_due) = (0_u32, 0_u32, false);
+        let mut turns = vec![0_usize; self.strategies.len()];
         while cycle < params.horizon_cycles {
-            let drilled = outcome.drilled_cycles;
-            let planned = learning.get(drilled as usize);
-            let turn = (drilled / BLOCK_CYCLES) as usize % params.strategies.len();
-            let (strategy, key) = match planned {
-                Some(plan) => (&plan.strategy, plan.key),
-                None if reference_due => (&params.reference, None),
-                None => (&params.strategies[turn], u32::try_from(turn).ok()),
+            let place = (turn / BLOCK_CYCLES) as usize % self.strategies.len();
+            let (ready, explored) = if reference_due {
+                (&self.reference, None)
+            } else {
+                let own = &self.strategies[place];
+                turns[place] += 1;
+                turn += 1;
+                (own, own.explored.get(turns[place] - 1).and_then(Option::as_ref))
             };
-            let wear = twin.wear_after(f64::from(cycle) * rate);
-            let energy = self.measure(twin, strategy, wear, &mut noise)?;
-            let source = if strategy.law.is_some() { FeedSource::Controlled } else { FeedSource::Programmed };
-            let is_reference = key.is_none();
-            let counted = WearCycle { energy: &energy, source, is_reference, key: key.unwrap_or(0) };
-            let reading = state.step(&params.wear, &counted);
+            outcome.reference_cycles += u32::from(reference_due);
+            let wear = self.twin.wear_after(f64::from(cycle) * rate);
+            let (energy, duration_s) = self.measure(ready, explored, wear, &mut noise)?;
+            let facts = self.facts(outcome.drilled_cycles, ready.word, &energy, duration_s)?;
+            fold.cycle(&facts, Some(&settings));
             outcome.drilled_cycles += 1;
-            outcome.masked_cycles += u32::from(reading.masked_by_control);
-            outcome.reference_cycles += u32::from(is_reference && planned.is_none());
-            reference_due = reading.reference_due;
-            if reading.verdict == WearVerdict::Worn {
+            let verdict = fold.verdict();
+            outcome.masked_cycles = u32::try_from(verdict.feed.masked_cycles).unwrap_or(u32::MAX);
+            reference_due = verdict.feed.references.is_some_and(|references| references.due_in == 0);
+            if verdict.state == ToolState::Worn {
                 outcome.called_at = Some(cycle);
                 break;
             }
-            let is_new = (outcome.drilled_cycles as usize) < learning.len();
-            cycle += if is_new { 1 } else { params.thin };
+            cycle += if outcome.drilled_cycles < params.new_cycles { 1 } else { params.thin };
         }
         Ok(outcome)
     }
 
-    /// The first cycles of a life, until every key has learned: references, and for each strategy its program
-    /// alone at every exploration factor, then the strategy as it is.
-    fn learning_plan(&self) -> Result<Vec<Planned>, Invalid> {
-        let params = &self.params;
-        let learning = params.wear.params().learning_cycles as usize;
-        let reference = Planned { strategy: params.reference.clone(), key: None };
-        let mut plan = vec![reference; params.first_references as usize];
-        for (turn, strategy) in params.strategies.iter().enumerate() {
-            let key = u32::try_from(turn).ok();
-            let start = plan.len();
-            for factor in &params.exploration {
-                let program = strategy.program.scaled(*factor)?;
-                let strategy = Strategy::new(&*strategy.name, program, strategy.end_depth_mm(), None)?;
-                plan.push(Planned { strategy, key });
-            }
-            plan.resize(start + learning, Planned { strategy: strategy.clone(), key });
-        }
-        Ok(plan)
-    }
-
-    /// Drills one hole and cuts its energy, as the spindle load tells it, into depth bins.
+    /// Drills one hole: its energy over depth, as the spindle load over idle tells it, and its time in s.
     fn measure(
         &self,
-        twin: &Twin,
-        strategy: &Strategy,
+        ready: &Ready,
+        explored: Option<&PreparedHole>,
         wear: f64,
         noise: &mut Noise,
-    ) -> Result<DepthProfile, Invalid> {
-        let bins = self.params.wear.bins();
-        let machine = &twin.params().machine;
+    ) -> Result<(DepthProfile, f64), Invalid> {
+        if let Some(hole) = explored.or(ready.hole.as_ref()) {
+            return Ok(self.twin.drill_prepared(hole, wear, Some(noise)));
+        }
+        let machine = &self.twin.params().machine;
         let setup = CycleSetup::new(self.params.spindle_rpm, wear);
         let rated_nm = machine.spindle_rated_torque_nm();
-        let mut profile = DepthProfile::new(bins);
+        let mut profile = DepthProfile::new(&self.bins);
         let mut before = 0.0;
-        twin.drill(strategy, &setup, Some(noise), |sample| {
+        let figures = self.twin.drill(&ready.strategy, &setup, Some(noise), |sample| {
             if sample.depth_mm > 0.0 {
                 let over_idle = sample.process.spindle_percent - machine.spindle_idle_percent;
                 let torque_nm = over_idle / 100.0 * rated_nm;
                 let energy = torque_energy_j(torque_nm, setup.spindle_rpm, setup.period_s);
-                profile.add(bins, before, sample.depth_mm, setup.period_s, energy);
+                profile.add(&self.bins, before, sample.depth_mm, setup.period_s, energy);
                 before = sample.depth_mm;
             }
         })?;
-        Ok(profile)
+        Ok((profile, figures.duration_s))
+    }
+
+    /// What is stored of a drilled cycle.
+    fn facts(
+        &self,
+        number: u32,
+        word: units::Strategy,
+        energy: &DepthProfile,
+        duration_s: f64,
+    ) -> Result<CycleFacts, Invalid> {
+        let named = |error: crate::invalid::Violation| {
+            Invalid::new("cycle", InvalidCode::OutOfRange, error.to_string())
+        };
+        Ok(CycleFacts {
+            order: OrderKey {
+                started_at: Timestamp::from_micros(i64::from(number) * CADENCE_US),
+                machine: MachineId::try_from("model").map_err(named)?,
+                seq: Some(u64::from(number)),
+                cycle: CycleId::try_from(format!("c{number}").as_str()).map_err(named)?,
+            },
+            operation: OperationId::try_from("bushing").map_err(named)?,
+            spindle_speed_rpm: Some(self.params.spindle_rpm),
+            strategy: Some(word),
+            law_version: None,
+            profile: None,
+            energy: Some((EnergyBasis::Calibrated, false, energy.total())),
+            energy_scale: 1,
+            duration_ms: Some(duration_s * 1e3),
+            max_depth_mm: None,
+            fall_depth_mm: None,
+            operator_override_percent: None,
+            digest: DepthDigest::of(energy),
+            asked_as_reference: false,
+            coverage: 1.0,
+            flags: Flags::NONE,
+        })
     }
 
     /// Studies the lives of the seeds `first_seed .. first_seed + lives`.
     ///
     /// # Errors
     /// When a hole cannot be finished.
-    pub fn run(&self, twin: &Twin, first_seed: u64, lives: u32) -> Result<LifeSummary, Invalid> {
+    pub fn run(&self, first_seed: u64, lives: u32) -> Result<LifeSummary, Invalid> {
         let outcomes: Result<Vec<LifeOutcome>, Invalid> =
-            (0..lives).map(|life| self.life(twin, first_seed.wrapping_add(u64::from(life)))).collect();
+            (0..lives).map(|life| self.life(first_seed.wrapping_add(u64::from(life)))).collect();
         Ok(summarise(&outcomes?))
     }
 }

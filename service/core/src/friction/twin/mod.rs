@@ -27,6 +27,7 @@ mod cycle;
 mod geometry;
 mod model;
 mod paper;
+mod prepared;
 #[cfg(test)]
 mod tests;
 
@@ -35,3 +36,4 @@ pub use config::{MachineRatings, Material, NoiseLevels, Sheet, ToolGeometry, Twi
 pub use cycle::{CycleFigures, CycleSample, CycleSetup, Peak};
 pub use model::{Twin, TwinInput, TwinOutput, TwinState};
 pub use paper::{PAPER_END_DEPTH_MM, PAPER_SPINDLE_RPM, PaperStrategies, paper_params, typical_noise};
+pub use prepared::PreparedHole;

@@ -1,7 +1,7 @@
 //! State and step of the process model.
 
-use super::config::TwinParams;
-use super::geometry::ContactTable;
+use super::config::{NoiseLevels, TwinParams};
+use super::geometry::{Contact, ContactTable};
 use crate::friction::energy::{thrust_energy_j, torque_energy_j};
 use crate::friction::error::{Invalid, between, positive};
 use crate::friction::noise::Noise;
@@ -9,6 +9,17 @@ use std::f64::consts::PI;
 
 /// Correlation time of the process fluctuation in s: what a hole's own unevenness lasts.
 const FLUCTUATION_S: f64 = 0.1;
+
+/// What the process fluctuation keeps of itself from one step to the next, and the scatter that is added.
+pub(super) fn fluctuation(levels: &NoiseLevels, dt_s: f64) -> (f64, f64) {
+    let keep = (-dt_s / FLUCTUATION_S).exp();
+    (keep, (1.0 - keep * keep).sqrt() * levels.process)
+}
+
+/// A material's strength within what is sane.
+pub(super) const fn strength(strength: f64) -> f64 {
+    strength.clamp(0.1, 10.0)
+}
 
 /// A checked model with its contact tables.
 #[derive(Debug, Clone, PartialEq)]
@@ -80,7 +91,7 @@ impl TwinState {
     /// The same hole in material of another strength (1 is nominal), as it varies from piece to piece.
     #[must_use]
     pub fn with_strength(self, strength: f64) -> Self {
-        Self { strength: strength.clamp(0.1, 10.0), ..self }
+        Self { strength: self::strength(strength), ..self }
     }
 }
 
@@ -127,6 +138,38 @@ impl Twin {
         Ok(self.advance(state, input, noise))
     }
 
+    /// Torque of a new tool in cold nominal material, and what a unit of wear adds, N·m.
+    pub(super) fn cold_torque_nm(&self, input: &TwinInput) -> (f64, f64) {
+        self.cold_torque_of(input, &self.contact.at(input.depth_mm))
+    }
+
+    fn cold_torque_of(&self, input: &TwinInput, contact: &Contact) -> (f64, f64) {
+        let (material, wear) = (&self.params.material, &self.params.wear);
+        let per_revolution =
+            if input.spindle_rpm > 1.0 { input.feed_mm_min.max(0.0) / input.spindle_rpm } else { 0.0 };
+        let rate = per_revolution / material.reference_feed_mm;
+        let torque_rate = rate.powf(material.torque_rate_exponent);
+        let drag_rate = if wear.rate_exponent > 0.0 { rate.powf(wear.rate_exponent) } else { 1.0 };
+        let turning = if input.spindle_rpm > 0.0 { 1.0 } else { 0.0 };
+        let flash_mm3 = self.collar_ring_mm2() * self.collar_middle_mm() * contact.flash;
+        // MPa × mm³ is N·mm.
+        let new_nm = 1e-3
+            * turning
+            * (torque_rate
+                * (material.forming_mpa * contact.forming_mm3 + material.flash_shear_mpa * flash_mm3)
+                + material.friction_mpa * contact.sliding_mm3);
+        (new_nm, 1e-3 * turning * wear.drag_mpa * drag_rate * contact.worn_mm3)
+    }
+
+    fn collar_ring_mm2(&self) -> f64 {
+        let (collar, tool) = (self.params.tool.collar_diameter_mm / 2.0, self.params.tool.diameter_mm / 2.0);
+        PI * (collar * collar - tool * tool)
+    }
+
+    fn collar_middle_mm(&self) -> f64 {
+        f64::midpoint(self.params.tool.collar_diameter_mm / 2.0, self.params.tool.diameter_mm / 2.0)
+    }
+
     /// [`Twin::step`] for input that is known to be in range.
     ///
     /// Torque = strength × softening × (rate × forming + sliding + wear × drag), each with its contact integral;
@@ -145,18 +188,15 @@ impl Twin {
         let per_revolution =
             if input.spindle_rpm > 1.0 { input.feed_mm_min.max(0.0) / input.spindle_rpm } else { 0.0 };
         let rate = per_revolution / material.reference_feed_mm;
-        let torque_rate = rate.powf(material.torque_rate_exponent);
         let thrust_rate = rate.powf(material.thrust_rate_exponent);
-        let drag_rate = if wear.rate_exponent > 0.0 { rate.powf(wear.rate_exponent) } else { 1.0 };
         let soft = 1.0 / (1.0 + state.temperature_rise_k / material.softening_k);
 
         let mut samples = [0.0; 4];
         if let Some(noise) = noise {
             let levels = &self.params.noise;
             if levels.process > 0.0 {
-                let keep = (-input.dt_s / FLUCTUATION_S).exp();
-                state.fluctuation =
-                    keep * state.fluctuation + (1.0 - keep * keep).sqrt() * levels.process * noise.normal();
+                let (keep, scatter) = fluctuation(levels, input.dt_s);
+                state.fluctuation = keep * state.fluctuation + scatter * noise.normal();
             }
             let scales = [levels.thrust_n, levels.torque_nm, levels.load_points, levels.load_points];
             for (sample, scale) in samples.iter_mut().zip(scales) {
@@ -167,22 +207,12 @@ impl Twin {
         }
         let strength = state.strength * (1.0 + state.fluctuation).max(0.0) * soft;
         let turning = if omega > 0.0 { 1.0 } else { 0.0 };
-        let (collar_r, tool_r) =
-            (self.params.tool.collar_diameter_mm / 2.0, self.params.tool.diameter_mm / 2.0);
-        let ring_mm2 = PI * (collar_r * collar_r - tool_r * tool_r);
-        let flash_mm3 = ring_mm2 * (collar_r + tool_r) / 2.0 * contact.flash;
-        // MPa × mm³ is N·mm.
-        let torque_nm = 1e-3
-            * turning
-            * strength
-            * (torque_rate
-                * (material.forming_mpa * contact.forming_mm3 + material.flash_shear_mpa * flash_mm3)
-                + material.friction_mpa * contact.sliding_mm3
-                + state.wear * wear.drag_mpa * drag_rate * contact.worn_mm3);
+        let (new_nm, worn_nm) = self.cold_torque_of(input, &contact);
+        let torque_nm = strength * (new_nm + state.wear * worn_nm);
         let thrust_n = strength
             * thrust_rate
             * (material.normal_mpa * (1.0 + state.wear * wear.thrust_rise) * contact.thrust_mm2
-                + material.flash_normal_mpa * ring_mm2 * contact.flash);
+                + material.flash_normal_mpa * self.collar_ring_mm2() * contact.flash);
 
         let power = torque_nm * omega;
         let keep = (-input.dt_s / material.cooling_s).exp();

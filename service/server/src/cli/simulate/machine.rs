@@ -18,7 +18,7 @@ use std::time::Duration;
 
 /// Wear at which the paper's tool needs 10 % more energy at constant feed, in units of the wear law.
 const WORN: f64 = 1.1;
-/// Wear over [`WORN`] at which a tool is changed although nobody was told so: under F_AC wear is masked.
+/// Wear over [`WORN`] at which a tool is changed although nobody was told so.
 const OVERDUE: f64 = 1.6;
 /// How far above the sheet a recording begins, mm: the spindle is at its speed there.
 const RECORDED_FROM_MM: f64 = -0.6;
@@ -28,6 +28,15 @@ const THICKER: (f64, u32) = (1.3, 12);
 const HELD: usize = 5;
 /// Depth at which a tool breaks, mm.
 const BREAKS_AT_MM: f64 = 3.0;
+
+/// What the simulated operation says of wear: tools that last longer are learnt and judged from more cycles, and a
+/// reference cycle in 25 cycles of a life tells its end on time.
+fn wear_settings(life: u32, reference_feed_mm_min: f64) -> Value {
+    json!({
+        "baseline_cycles": (life / 10).clamp(5, 60), "window_cycles": (life / 25).clamp(5, 31),
+        "reference_every_cycles": (life / 25).clamp(2, 50), "reference_feed_mm_min": reference_feed_mm_min,
+    })
+}
 
 /// What a machine is to do.
 pub(super) struct Plan {
@@ -39,6 +48,8 @@ pub(super) struct Plan {
     pub(super) cadence_ms: i64,
     pub(super) word: units::Strategy,
     pub(super) strategy: Strategy,
+    /// What runs when a reference cycle is asked for: one constant feed.
+    pub(super) reference: Strategy,
     pub(super) faults: Vec<Fault>,
     pub(super) fault_share: f64,
     pub(super) pause: Option<Duration>,
@@ -97,6 +108,8 @@ pub(super) struct SimulatedMachine {
     thick_left: u32,
     is_broken: bool,
     held: Vec<String>,
+    /// The last advice: its id, and whether it asks for a reference cycle.
+    advice: Option<(String, bool)>,
 }
 
 impl SimulatedMachine {
@@ -114,6 +127,7 @@ impl SimulatedMachine {
             thick_left: 0,
             is_broken: false,
             held: Vec::new(),
+            advice: None,
             plan,
         })
     }
@@ -129,6 +143,11 @@ impl SimulatedMachine {
     /// Wear over that at which constant feed needs 10 % more energy.
     pub(super) fn wear(&self) -> f64 {
         self.wear / WORN
+    }
+
+    /// What is said of wear follows from the life: another life is another operation.
+    fn operation(&self) -> String {
+        format!("sim-bushing-{}", self.plan.life)
     }
 
     fn tool(&self) -> String {
@@ -168,8 +187,9 @@ impl SimulatedMachine {
         let operation = json!({
             "name": "Simulated bushing", "process": "friction", "thickness_mm": 2, "depth_mm": 20.5,
             "spindle_speed_rpm": PAPER_SPINDLE_RPM,
+            "wear": wear_settings(self.plan.life, self.plan.reference.program.feed_at(0.0)),
         });
-        must(office, Method::PUT, "/v1/operations/sim-bushing", &operation).await?;
+        must(office, Method::PUT, &format!("/v1/operations/{}", self.operation()), &operation).await?;
         self.event(office, "mounted_new", "the simulation begins").await
     }
 
@@ -190,7 +210,12 @@ impl SimulatedMachine {
             Some(Fault::BrokenTool) => self.is_broken = true,
             _ => {}
         }
-        let body = self.drill(fault)?;
+        if self.advice.is_none() {
+            self.ask(shop).await?;
+        }
+        let is_reference = self.advice.as_ref().is_some_and(|(_, reference)| *reference);
+        report.reference_cycles += u64::from(is_reference);
+        let body = self.drill(fault, is_reference)?;
         self.drilled += 1;
         self.wear += WORN / f64::from(self.plan.life);
         report.cycles += 1;
@@ -208,9 +233,32 @@ impl SimulatedMachine {
                 self.post(shop, body, report).await.map(drop)
             }
             _ => {
-                let answer = self.post(shop, body, report).await?;
-                self.react(shop, &answer.json()["wear"]["state"], report).await
+                let answer = self.post(shop, body, report).await?.json();
+                self.heed(&answer["recommendation"]);
+                self.react(shop, &answer["wear"]["state"], report).await
             }
+        }
+    }
+
+    /// Asks what to run next, as a machine does before its first cycle with a tool.
+    async fn ask(&mut self, shop: &Clients) -> anyhow::Result<()> {
+        let path = format!(
+            "/v1/recommendations?machine={}&operation={}&tool={}",
+            self.plan.name(),
+            self.operation(),
+            self.tool()
+        );
+        let answer = shop.own.get(&path).await?;
+        if !answer.status.is_success() {
+            bail!("{path}: {}", answer.problem());
+        }
+        self.heed(&answer.json());
+        Ok(())
+    }
+
+    fn heed(&mut self, recommendation: &Value) {
+        if let Some(id) = recommendation["id"].as_str() {
+            self.advice = Some((id.to_owned(), recommendation["reference_cycle"].is_object()));
         }
     }
 
@@ -230,11 +278,16 @@ impl SimulatedMachine {
     }
 
     /// The body of the next cycle.
-    fn drill(&mut self, fault: Option<Fault>) -> anyhow::Result<String> {
+    fn drill(&mut self, fault: Option<Fault>, is_reference: bool) -> anyhow::Result<String> {
         let twin = if self.thick_left > 0 { &self.thick } else { &self.twin };
         self.thick_left = self.thick_left.saturating_sub(1);
         let setup = CycleSetup::new(PAPER_SPINDLE_RPM, self.wear);
-        let (samples, _) = twin.record(&self.plan.strategy, &setup, Some(&mut self.noise))?;
+        let (strategy, word) = if is_reference {
+            (&self.plan.reference, units::Strategy::FConst)
+        } else {
+            (&self.plan.strategy, self.plan.word)
+        };
+        let (samples, _) = twin.record(strategy, &setup, Some(&mut self.noise))?;
         let machine = twin.params().machine;
         let idles_from = match fault {
             Some(Fault::AirCut) => f64::NEG_INFINITY,
@@ -252,8 +305,9 @@ impl SimulatedMachine {
         };
         Ok(json!({
             "cycle_id": format!("{}-{:06}", self.plan.begin.micros(), self.drilled + 1),
-            "tool": self.tool(), "operation": "sim-bushing", "seq": self.drilled + 1,
-            "started_at": time::show(self.now()), "strategy": self.plan.word.as_str(),
+            "tool": self.tool(), "operation": self.operation(), "seq": self.drilled + 1,
+            "started_at": time::show(self.now()), "strategy": word.as_str(),
+            "recommendation_id": self.advice.as_ref().map(|(id, _)| id),
             "spindle_speed_rpm": PAPER_SPINDLE_RPM,
             "samples": {
                 "period_ms": 10,
@@ -316,6 +370,6 @@ impl SimulatedMachine {
         self.event(&shop.office, "changed", why).await?;
         self.wear = 0.0;
         self.is_broken = false;
-        Ok(())
+        self.ask(shop).await
     }
 }

@@ -1,5 +1,6 @@
 //! What became of a simulated shift.
 
+use anyhow::{Context, ensure};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -15,6 +16,8 @@ pub(super) struct Report {
     pub(super) faults: BTreeMap<&'static str, u64>,
     /// Tools changed: `worn` and `broken_suspected` because the server said so, `overdue` because it did not.
     pub(super) tool_changes: BTreeMap<&'static str, u64>,
+    /// Cycles that were drilled at one constant feed because the server asked for a reference.
+    pub(super) reference_cycles: u64,
     /// Conditions that the server found changed and an engineer confirmed.
     pub(super) conditions_confirmed: u64,
     /// Wear over the limit's at each change for wear: 1 is +10 % at constant feed.
@@ -22,12 +25,23 @@ pub(super) struct Report {
     pub(super) wear_at_change: Vec<f64>,
 }
 
+/// Wear over the limit's at the tool changes that the server called: 1 is +10 % at constant feed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct WearAtChange {
+    tools: usize,
+    lowest: f64,
+    pub(super) median: f64,
+    highest: f64,
+    /// Share of the tools within ±15 %.
+    within_15_percent: f64,
+}
+
 #[derive(Serialize)]
 struct Summary<'a> {
     #[serde(flatten)]
     report: &'a Report,
-    /// Median of wear over the limit's where the server called it.
-    median_wear_at_change: Option<f64>,
+    /// Wear over the limit's where the server called it.
+    wear_at_change: Option<WearAtChange>,
     seconds: f64,
     cycles_per_second: f64,
 }
@@ -41,6 +55,7 @@ impl Report {
         self.machines += other.machines;
         self.cycles += other.cycles;
         self.conditions_confirmed += other.conditions_confirmed;
+        self.reference_cycles += other.reference_cycles;
         for (outcome, count) in other.outcomes {
             *self.outcomes.entry(outcome).or_insert(0) += count;
         }
@@ -54,13 +69,46 @@ impl Report {
         self
     }
 
+    /// What the tool changes that the server called amount to; `None` where it called none.
+    pub(super) fn wear_at_change(&self) -> Option<WearAtChange> {
+        let mut wear = self.wear_at_change.clone();
+        wear.sort_by(f64::total_cmp);
+        let within = wear.iter().filter(|wear| (**wear - 1.0).abs() <= 0.15).count();
+        #[expect(clippy::cast_precision_loss, reason = "a count of tools")]
+        let within_15_percent = within as f64 / wear.len().max(1) as f64;
+        Some(WearAtChange {
+            tools: wear.len(),
+            lowest: *wear.first()?,
+            median: wear[wear.len() / 2],
+            highest: *wear.last()?,
+            within_15_percent,
+        })
+    }
+
+    /// Whether tools were changed when they were worn: by the median, no farther off than `tolerance`, and none only
+    /// because it was overdue.
+    ///
+    /// # Errors
+    /// In a sentence, what is not so.
+    pub(super) fn check(&self, tolerance: f64) -> anyhow::Result<()> {
+        let overdue = self.tool_changes.get("overdue").copied().unwrap_or(0);
+        ensure!(overdue == 0, "{overdue} tools were overdue before anybody called them worn");
+        let wear = self.wear_at_change().context("no tool was called worn: drill more cycles")?;
+        let off = (wear.median - 1.0).abs();
+        ensure!(
+            off <= tolerance,
+            "tools are changed at {:.2} times the limit's wear by the median",
+            wear.median
+        );
+        Ok(())
+    }
+
     /// The summary that is printed.
-    pub(super) fn json(mut self, seconds: f64) -> serde_json::Result<String> {
-        self.wear_at_change.sort_by(f64::total_cmp);
-        let median_wear_at_change = self.wear_at_change.get(self.wear_at_change.len() / 2).copied();
+    pub(super) fn json(&self, seconds: f64) -> serde_json::Result<String> {
         #[expect(clippy::cast_precision_loss, reason = "a count of cycles")]
         let cycles_per_second = self.cycles as f64 / seconds.max(1e-9);
-        let summary = Summary { report: &self, median_wear_at_change, seconds, cycles_per_second };
+        let wear_at_change = self.wear_at_change();
+        let summary = Summary { report: self, wear_at_change, seconds, cycles_per_second };
         serde_json::to_string_pretty(&summary)
     }
 }

@@ -68,12 +68,40 @@ pub struct WearSettingsBody {
     pub baseline_cycles: u32,
     /// Last counted ratios whose median is the level.
     pub window_cycles: u32,
+    /// Cycles after which a reference cycle is asked for where wear cannot be told without; null never asks. Only
+    /// friction drilling has reference cycles.
+    #[schema(example = 50)]
+    pub reference_every_cycles: Option<u32>,
+    /// Constant feed of a reference cycle, at which the limit of +10 % is meant, mm/min; the operation's programmed
+    /// feed where it is left out.
+    pub reference_feed_mm_min: Option<f64>,
 }
 
 impl Default for WearSettingsBody {
     fn default() -> Self {
-        let WearSettings { baseline_cycles, window_cycles } = WearSettings::default();
-        Self { baseline_cycles, window_cycles }
+        WearSettings::default().into()
+    }
+}
+
+impl From<WearSettings> for WearSettingsBody {
+    fn from(wear: WearSettings) -> Self {
+        Self {
+            baseline_cycles: wear.baseline_cycles,
+            window_cycles: wear.window_cycles,
+            reference_every_cycles: wear.reference_every_cycles,
+            reference_feed_mm_min: wear.reference_feed_mm_min,
+        }
+    }
+}
+
+impl From<WearSettingsBody> for WearSettings {
+    fn from(wear: WearSettingsBody) -> Self {
+        Self {
+            baseline_cycles: wear.baseline_cycles,
+            window_cycles: wear.window_cycles,
+            reference_every_cycles: wear.reference_every_cycles,
+            reference_feed_mm_min: wear.reference_feed_mm_min,
+        }
     }
 }
 
@@ -81,7 +109,6 @@ impl OperationBody {
     /// The operation of that id.
     pub fn into_operation(self, id: OperationId) -> Result<Operation, Vec<Violation>> {
         let mut wrong = Vec::new();
-        let WearSettingsBody { baseline_cycles, window_cycles } = self.wear;
         let turning = self.turning.and_then(|setup| setup.setup().map_err(|bad| wrong.push(bad)).ok());
         let plunge = self.plunge.and_then(|setup| setup.setup().map_err(|bad| wrong.push(bad)).ok());
         let operation = Operation {
@@ -97,7 +124,7 @@ impl OperationBody {
             programmed_feed_mm_min: self.programmed_feed_mm_min,
             spindle_load_set_percent: self.spindle_load_set_percent,
             feed_drive_load_set_percent: self.feed_drive_load_set_percent,
-            wear: WearSettings { baseline_cycles, window_cycles },
+            wear: self.wear.into(),
             turning,
             plunge,
         };
@@ -108,7 +135,6 @@ impl OperationBody {
 impl From<Versioned<Operation>> for Registered<OperationBody> {
     fn from(stored: Versioned<Operation>) -> Self {
         let operation = stored.value;
-        let WearSettings { baseline_cycles, window_cycles } = operation.wear;
         let body = OperationBody {
             name: operation.name,
             process: ProcessWord(operation.process),
@@ -121,7 +147,7 @@ impl From<Versioned<Operation>> for Registered<OperationBody> {
             programmed_feed_mm_min: operation.programmed_feed_mm_min,
             spindle_load_set_percent: operation.spindle_load_set_percent,
             feed_drive_load_set_percent: operation.feed_drive_load_set_percent,
-            wear: WearSettingsBody { baseline_cycles, window_cycles },
+            wear: operation.wear.into(),
             turning: operation.turning.map(Into::into),
             plunge: operation.plunge.map(Into::into),
         };

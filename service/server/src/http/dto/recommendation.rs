@@ -47,10 +47,24 @@ pub struct RecommendationBody {
     /// What the operation's process adds, where the operation asks for it and enough is known; the reasons say why
     /// not.
     pub process_advice: Option<ProcessAdviceBody>,
+    /// The next cycle should be a reference cycle; null where it need not be.
+    pub reference_cycle: Option<ReferenceRequestBody>,
     /// Why; never empty.
     pub reasons: Vec<ReasonBody>,
     /// Version of the rules that made it.
     pub law_version: String,
+}
+
+/// A reference cycle that is asked for: one constant feed from end to end, no override. Post it with the strategy
+/// `f_const`, or with the id of this recommendation.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ReferenceRequestBody {
+    /// One is asked for after so many cycles.
+    #[schema(example = 50)]
+    pub every_cycles: u32,
+    /// The feed to run, mm/min; null where the operation declares none: the one that reference cycles ran before.
+    #[schema(example = 110.0)]
+    pub feed_mm_min: Option<f64>,
 }
 
 /// What a process adds.
@@ -268,6 +282,10 @@ impl From<&IssuedRecommendation> for RecommendationBody {
             },
             data: DataBody { quality: advice.quality.as_str(), age_ms: advice.data_age_ms },
             process_advice: advice.process_advice.clone().map(Into::into),
+            reference_cycle: advice.reference_cycle.map(|asked| ReferenceRequestBody {
+                every_cycles: asked.every,
+                feed_mm_min: asked.feed_mm_min,
+            }),
             reasons: advice
                 .reasons
                 .iter()

@@ -1,8 +1,12 @@
 //! The verdict on a tool as JSON.
 
 use crate::http::dto::time;
+use feedwright_core::friction::relation::Estimate;
 use feedwright_core::summary::EnergyBasis;
-use feedwright_core::wear::{BaselineEvidence, Exclusion, Level, Remaining, Trend, Verdict};
+use feedwright_core::wear::{
+    BaselineEvidence, Exclusion, FeedEvidence, Level, LevelBasis, Masked, ReferenceCycles, Remaining, Trend,
+    Verdict,
+};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
@@ -35,6 +39,8 @@ pub struct WearBody {
     pub remaining: Option<RemainingBody>,
     /// Indicators beside energy.
     pub indicators: IndicatorsBody,
+    /// Energy compensated for the feed, reference cycles, and what masks the wear.
+    pub feed: FeedEvidenceBody,
     /// Which life of the tool this is, counted from 1.
     pub life: u32,
     /// Whether the life began with an unworn tool.
@@ -72,6 +78,15 @@ pub struct LevelBody {
     pub n: u32,
     /// How many it may hold.
     pub window: u32,
+    /// Which level is compared with the limits: `as_run`, `feed_compensated`, `reference_cycles`; null where nothing
+    /// decides because the wear is masked.
+    #[schema(example = "as_run")]
+    pub decides: Option<&'static str>,
+    /// That level; as run where nothing decides.
+    #[schema(example = 1.034)]
+    pub value: f64,
+    /// Its standard deviation, where it is known.
+    pub sd: Option<f64>,
     /// Level of a warning.
     pub warning_at: f64,
     /// Level of a worn tool.
@@ -86,6 +101,9 @@ impl From<Level> for LevelBody {
             highest: level.highest,
             n: level.n,
             window: level.window,
+            decides: level.decides.map(LevelBasis::as_str),
+            value: level.value,
+            sd: level.sd,
             warning_at: feedwright_core::wear::WARNING_LEVEL,
             worn_at: feedwright_core::wear::WORN_LEVEL,
         }
@@ -140,8 +158,96 @@ pub struct IndicatorsBody {
     pub spindle_load_fall_shift_mm: Option<f64>,
     /// Cycle time over the baseline's.
     pub cycle_time_ratio: Option<f64>,
-    /// Whether a law that slows the feed ran, so that energy hides wear.
+    /// Whether a law that slows the feed ran and nothing else tells the wear.
     pub masked_by_control: bool,
+}
+
+/// What is known of the wear beside the ratio as run (Stryczek & Błaszczak 2020 for the effect: a law that slows the
+/// feed hides wear, and so does a fast program).
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct FeedEvidenceBody {
+    /// Median energy over what the new tool would have needed at the feeds actually run.
+    pub compensated: Option<EstimateBody>,
+    /// The same extra energy carried over to the constant feed of reference cycles, at which +10 % is the limit.
+    pub at_reference_feed: Option<EstimateBody>,
+    /// Cycles that these two are medians of.
+    pub compensated_cycles: u32,
+    /// The level by reference cycles, while they are fresh.
+    pub by_reference_cycles: Option<EstimateBody>,
+    /// Reference cycles that it is the median of.
+    pub reference_cycles: u32,
+    /// `by_control` or `by_feed`: what keeps the wear from being told now; null where it is told.
+    #[schema(example = "by_control")]
+    pub masked: Option<&'static str>,
+    /// Share of the life's cycles after which the wear was masked, 0 to 1.
+    pub masked_share: f64,
+    /// Reference cycles, where the tool needs them and the operation asks for them.
+    pub references: Option<ReferencesBody>,
+}
+
+/// A value with its standard deviation.
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct EstimateBody {
+    /// The value; 1 is the new tool.
+    #[schema(example = 1.034)]
+    pub value: f64,
+    /// Its standard deviation.
+    #[schema(example = 0.006)]
+    pub sd: f64,
+}
+
+impl From<Estimate> for EstimateBody {
+    fn from(estimate: Estimate) -> Self {
+        Self { value: estimate.value, sd: estimate.sd }
+    }
+}
+
+/// Reference cycles: one constant feed, no override.
+#[derive(Debug, Clone, Copy, Serialize, ToSchema)]
+pub struct ReferencesBody {
+    /// One is asked for after so many cycles.
+    #[schema(example = 50)]
+    pub every_cycles: u32,
+    /// Cycles until the next one is due; 0 is now.
+    pub due_in_cycles: u64,
+    /// Whether their baseline is complete; until then every cycle should be one.
+    pub learnt: bool,
+    /// The feed to run, mm/min, where the operation declares it.
+    pub feed_mm_min: Option<f64>,
+    /// How many were run in this life.
+    pub count: u64,
+    /// Cycles since the last one.
+    pub age_cycles: Option<u64>,
+}
+
+impl From<ReferenceCycles> for ReferencesBody {
+    fn from(references: ReferenceCycles) -> Self {
+        Self {
+            every_cycles: references.every,
+            due_in_cycles: references.due_in,
+            learnt: references.learnt,
+            feed_mm_min: references.feed_mm_min,
+            count: references.count,
+            age_cycles: references.age_cycles,
+        }
+    }
+}
+
+impl FeedEvidenceBody {
+    fn of(feed: FeedEvidence, cycles: u64) -> Self {
+        #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
+        let masked_share = if cycles == 0 { 0.0 } else { feed.masked_cycles as f64 / cycles as f64 };
+        Self {
+            compensated: feed.at_own_feed.map(Into::into),
+            at_reference_feed: feed.at_reference_feed.map(Into::into),
+            compensated_cycles: feed.compensated_n,
+            by_reference_cycles: feed.by_references.map(Into::into),
+            reference_cycles: feed.reference_n,
+            masked: feed.masked.map(Masked::as_str),
+            masked_share,
+            references: feed.references.map(Into::into),
+        }
+    }
 }
 
 /// One baseline, and what it compares.
@@ -238,6 +344,7 @@ impl From<&Verdict> for WearBody {
                 cycle_time_ratio: verdict.indicators.cycle_time_ratio,
                 masked_by_control: verdict.indicators.masked_by_control,
             },
+            feed: FeedEvidenceBody::of(verdict.feed, verdict.cycles),
             life: verdict.life,
             started_unworn: verdict.started_unworn,
             baselines: verdict.baselines.iter().map(Into::into).collect(),

@@ -48,7 +48,9 @@ pub struct WhatIfQuestion {
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ControlBody {
-    /// Another feed over depth; where it is left out, and a law is asked for, the cycle's programmed feed.
+    /// Another feed over depth, piecewise held or linear; where it is left out, and a law is asked for, the cycle's
+    /// programmed feed. Also taken under the name `profile`.
+    #[serde(alias = "profile")]
     pub program: Option<ProgramBody>,
     /// A law on top, over the operation's set loads and within the machine's override range; none where it is left out.
     pub law: Option<LawBody>,

@@ -149,9 +149,9 @@ pub(in crate::sqlite) async fn save_wear(
 const RECOMMENDATIONS: [&str; 4] = statements!(
     "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
          level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-         data_age_ms)
+         data_age_ms, level_decides, level_value, level_sd)
      SELECT * FROM (VALUES ",
-    "(?,?,?,?,?,?,?,?,?,?,?,?,?)",
+    "(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
     ") WHERE column1 IS NOT NULL"
 );
 
@@ -176,7 +176,10 @@ pub(in crate::sqlite) async fn insert_recommendations(
                 .bind(row.remaining_cycles)
                 .bind(row.remaining_low)
                 .bind(row.remaining_high)
-                .bind(row.data_age_ms);
+                .bind(row.data_age_ms)
+                .bind(row.level_decides)
+                .bind(row.level_value)
+                .bind(row.level_sd);
         }
         query.execute(&mut *conn).await?;
     }

@@ -1,0 +1,357 @@
+//! What answers a sample that may be judged: one enum over the processes.
+
+use super::plunge::{PlungeLoop, PlungeStep};
+use super::reason::{LoopReason, LoopReasons};
+use crate::cycle::Channel;
+use crate::friction::error::Invalid;
+use crate::friction::feed_override::{FeedOverride, HIGHEST_OVERRIDE_PERCENT, OverrideBounds, OverrideRange};
+use crate::friction::filter::FilterWeights;
+use crate::friction::law::{Heating, LawConfig, LawParams, LawSample, LawState, OverloadHold};
+use crate::friction::program::FeedProgram;
+use crate::machine::{FeedLimits, LoadReference, Machine};
+use crate::operation::Operation;
+use crate::units::Process;
+use crate::wear::ToolState;
+
+/// Version of the law and of the envelope around it, part of every answer.
+pub const LOOP_LAW_VERSION: &str = "fac-1";
+
+/// The reported programmed feed may lie this far from the program within [`PROGRAM_WINDOW_MM`]: controls round it.
+const PROGRAM_SHARE: f64 = 0.05;
+/// The same in mm/min.
+const PROGRAM_MM_MIN: f64 = 1.0;
+/// A control interpolates ahead of the tip that it reports, and steps a linear feed in short blocks.
+const PROGRAM_WINDOW_MM: f64 = 0.5;
+
+/// How the law is set; from the configuration, checked when a cycle begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LawSettings {
+    /// Intensity b of Eq. 3.
+    pub intensity: f64,
+    /// Largest rise per IPO, points.
+    pub rise_limit_points: f64,
+    /// The law is off for so long after the cycle's start, ms.
+    pub heating_ms: f64,
+    /// Good samples in a row, after a bad one, before the law may raise again.
+    pub settling_samples: u32,
+    /// What an overload does.
+    pub overload: OverloadHold,
+    /// The overrides that a program without limits of its own permits, percent.
+    pub program_range: (f64, f64),
+}
+
+/// The feed that the cycle runs.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Program {
+    /// None was named.
+    Unknown,
+    /// A program that the machine told, or the active version of a profile, with the overrides it permits, percent.
+    Told {
+        /// Programmed feed over depth.
+        program: FeedProgram,
+        /// Least and greatest override, percent; the settings' where it has none.
+        range: Option<(f64, f64)>,
+    },
+    /// A profile that is not the active version.
+    NotActive,
+}
+
+/// What is known when a cycle begins.
+#[derive(Debug, Clone, Copy)]
+pub struct Standing<'a> {
+    /// The machine.
+    pub machine: &'a Machine,
+    /// The operation, where it is registered.
+    pub operation: Option<&'a Operation>,
+    /// State of the tool; `None` where it is not registered.
+    pub tool: Option<ToolState>,
+    /// The feed that the cycle runs.
+    pub program: &'a Program,
+    /// Whether an overload of the machine waits to be acknowledged.
+    pub overload_open: bool,
+}
+
+/// Where the law finds its inputs among the channels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Inputs {
+    depth: Option<usize>,
+    feed_drive: Option<usize>,
+    spindle: Option<usize>,
+    programmed: Option<usize>,
+    actual: Option<usize>,
+}
+
+impl Inputs {
+    /// Finds them.
+    #[must_use]
+    pub fn among(channels: &[Channel]) -> Self {
+        let at = |wanted: Channel| channels.iter().position(|channel| *channel == wanted);
+        Self {
+            depth: at(Channel::DepthMm),
+            feed_drive: at(Channel::FeedDriveLoadPercent),
+            spindle: at(Channel::SpindleLoadPercent),
+            programmed: at(Channel::FeedProgrammedMmMin),
+            actual: at(Channel::FeedActualMmMin),
+        }
+    }
+}
+
+/// One sample as the control sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// Time since the start of the cycle, ms.
+    pub time_ms: f64,
+    /// Its age, ms.
+    pub age_ms: f64,
+    /// Depth, mm.
+    pub depth_mm: Option<f64>,
+    /// Feed-drive load, percent.
+    pub feed_drive_percent: Option<f64>,
+    /// Spindle load, percent.
+    pub spindle_percent: Option<f64>,
+    /// Programmed feed, mm/min.
+    pub programmed_mm_min: Option<f64>,
+    /// Actual feed, mm/min.
+    pub actual_mm_min: Option<f64>,
+}
+
+impl Seen {
+    /// Sample `i` of `count`, column after column.
+    #[must_use]
+    pub fn of(inputs: &Inputs, values: &[f64], count: usize, i: usize, time_ms: f64, age_ms: f64) -> Self {
+        let value = |at: Option<usize>| at.map(|c| values[c * count + i]);
+        Self {
+            time_ms,
+            age_ms,
+            depth_mm: value(inputs.depth),
+            feed_drive_percent: value(inputs.feed_drive),
+            spindle_percent: value(inputs.spindle),
+            programmed_mm_min: value(inputs.programmed),
+            actual_mm_min: value(inputs.actual),
+        }
+    }
+}
+
+/// The adaptive law with the program that it multiplies.
+#[derive(Debug, Clone)]
+pub struct FrictionLoop {
+    config: LawConfig,
+    state: LawState,
+    program: Option<FeedProgram>,
+}
+
+/// What answers samples.
+#[derive(Debug, Clone)]
+pub enum Control {
+    /// Friction drilling: the adaptive law (Stryczek & Błaszczak 2020).
+    Friction(Box<FrictionLoop>),
+    /// Plunge: feeds by contact and breakthrough (Lengerov); the override stays neutral.
+    Plunge(Box<PlungeLoop>),
+    /// Nothing closes a loop: the override stays neutral.
+    Neutral,
+}
+
+/// The control of a cycle that begins, with the reasons for which it stays neutral and those that only cap it.
+///
+/// # Errors
+/// Settings that the law refuses.
+pub fn control(
+    standing: &Standing<'_>,
+    settings: &LawSettings,
+    period_ms: f64,
+    plunge: Option<PlungeLoop>,
+) -> Result<(Control, LoopReasons, LoopReasons), Invalid> {
+    let mut neutral = LoopReasons::NONE;
+    let mut capped = LoopReasons::NONE;
+    match standing.tool {
+        None => neutral.add(LoopReason::ToolUnregistered),
+        Some(ToolState::BrokenSuspected) => neutral.add(LoopReason::BrokenSuspected),
+        Some(ToolState::Changed) => neutral.add(LoopReason::ConditionsChanged),
+        Some(ToolState::Worn) => capped.add(LoopReason::ToolWorn),
+        Some(ToolState::Unknown | ToolState::Learning | ToolState::Good | ToolState::Warning) => {}
+    }
+    if standing.overload_open {
+        neutral.add(LoopReason::OverloadUnacknowledged);
+    }
+    let Some(operation) = standing.operation else {
+        neutral.add(LoopReason::OperationUnregistered);
+        return Ok((Control::Neutral, neutral, capped));
+    };
+    match operation.process {
+        Process::Friction => {}
+        Process::Plunge => {
+            let Some(plunge) = plunge else {
+                neutral.add(LoopReason::NoPlungeFeed);
+                return Ok((Control::Neutral, neutral, capped));
+            };
+            return Ok((Control::Plunge(Box::new(plunge)), neutral, capped));
+        }
+        Process::Drilling | Process::Turning | Process::Vibratory | Process::Milling => {
+            neutral.add(LoopReason::NoLaw);
+            return Ok((Control::Neutral, neutral, capped));
+        }
+    }
+    let program = match standing.program {
+        Program::Told { program, range } => Some((program, range.unwrap_or(settings.program_range))),
+        Program::Unknown => {
+            neutral.add(LoopReason::NoProgram);
+            None
+        }
+        Program::NotActive => {
+            neutral.add(LoopReason::ProfileNotActive);
+            None
+        }
+    };
+    let (feed_drive, spindle) = (operation.feed_drive_load_set_percent, operation.spindle_load_set_percent);
+    // A preferred load that somebody declared is a limit; without knowing what its percent means it cannot be kept.
+    let unrated = |set: Option<f64>, reference| set.is_some() && reference == LoadReference::Unknown;
+    if unrated(feed_drive, standing.machine.feed_drive.reference)
+        || unrated(spindle, standing.machine.spindle.reference)
+    {
+        neutral.add(LoopReason::UnknownRating);
+    }
+    if feed_drive.is_none() && spindle.is_none() {
+        neutral.add(LoopReason::NoSetLoad);
+        return Ok((Control::Neutral, neutral, capped));
+    }
+    let (low, high) = program.map_or(settings.program_range, |(_, range)| range);
+    let ceiling = if capped.is_empty() { high } else { 100.0 };
+    let profile = OverrideRange::new(low, ceiling)?;
+    let config = LawConfig::new(LawParams {
+        weights: FilterWeights::default(),
+        set_feed_drive_percent: feed_drive,
+        set_spindle_percent: spindle,
+        intensity: settings.intensity,
+        bounds: OverrideBounds::new(range_of(&standing.machine.limits)?, profile),
+        // Sampling faster than the interpolator must not make the override rise faster.
+        rise_limit_points: Some(
+            settings.rise_limit_points * (period_ms / standing.machine.ipo_period_ms).min(1.0),
+        ),
+        heating: if settings.heating_ms > 0.0 {
+            Heating::Time { ms: settings.heating_ms }
+        } else {
+            Heating::None
+        },
+        period_ms,
+        longest_gap_ms: 2.5 * period_ms,
+        settling_samples: settings.settling_samples,
+        overload: settings.overload,
+    })?;
+    let program = program.map(|(program, _)| program.clone());
+    Ok((
+        Control::Friction(Box::new(FrictionLoop { config, state: LawState::new(), program })),
+        neutral,
+        capped,
+    ))
+}
+
+fn range_of(limits: &FeedLimits) -> Result<OverrideRange, Invalid> {
+    OverrideRange::new(
+        limits.override_min_percent(),
+        limits.override_max_percent().min(HIGHEST_OVERRIDE_PERCENT),
+    )
+}
+
+impl Control {
+    /// The override in force.
+    #[must_use]
+    pub const fn in_force(&self) -> FeedOverride {
+        match self {
+            Self::Friction(friction) => friction.state.ovr(),
+            Self::Plunge(_) | Self::Neutral => FeedOverride::NEUTRAL,
+        }
+    }
+
+    /// Judges one sample.
+    pub fn step(&mut self, seen: &Seen) -> (FeedOverride, LoopReasons, Option<PlungeStep>) {
+        match self {
+            Self::Friction(friction) => {
+                if friction.strays(seen) {
+                    let ovr = friction.state.withhold(&friction.config, Some(seen.time_ms));
+                    return (ovr, LoopReasons::of(LoopReason::ProgramMismatch), None);
+                }
+                let step = friction.state.step(
+                    &friction.config,
+                    &LawSample {
+                        time_ms: seen.time_ms,
+                        depth_mm: seen.depth_mm,
+                        feed_drive_percent: seen.feed_drive_percent,
+                        spindle_percent: seen.spindle_percent,
+                    },
+                );
+                (step.ovr, step.reasons.into(), None)
+            }
+            Self::Plunge(plunge) => {
+                let (step, reasons) = plunge.step(seen);
+                (FeedOverride::NEUTRAL, reasons, Some(step))
+            }
+            Self::Neutral => (FeedOverride::NEUTRAL, LoopReasons::NONE, None),
+        }
+    }
+
+    /// Passes a sample that may not be judged: neutral.
+    pub fn withhold(&mut self, time_ms: Option<f64>) -> (FeedOverride, Option<PlungeStep>) {
+        match self {
+            Self::Friction(friction) => (friction.state.withhold(&friction.config, time_ms), None),
+            Self::Plunge(plunge) => (FeedOverride::NEUTRAL, Some(plunge.withhold())),
+            Self::Neutral => (FeedOverride::NEUTRAL, None),
+        }
+    }
+
+    /// Goes on in the midst of a cycle whose memory was lost, at the override that the machine says is in force.
+    pub fn resume_at(&mut self, in_force_percent: f64) {
+        if let Self::Friction(friction) = self {
+            friction.state = LawState::resuming(&friction.config, in_force_percent);
+        }
+    }
+
+    /// Somebody has acknowledged the overload.
+    pub fn acknowledge(&mut self) {
+        if let Self::Friction(friction) = self {
+            friction.state.acknowledge(&friction.config);
+        }
+    }
+
+    /// Whether an overload of this cycle still holds the override.
+    #[must_use]
+    pub const fn is_overloaded(&self) -> bool {
+        match self {
+            Self::Friction(friction) => friction.state.is_overloaded(),
+            Self::Plunge(_) | Self::Neutral => false,
+        }
+    }
+
+    /// Forgets what the loads of a cycle have taught, since it is judged from its start again.
+    pub fn bounds_percent(&self) -> Option<(f64, f64)> {
+        match self {
+            Self::Friction(friction) => {
+                let range = friction.config.params().bounds.effective();
+                Some((range.min_percent(), range.max_percent()))
+            }
+            Self::Plunge(_) | Self::Neutral => None,
+        }
+    }
+}
+
+impl FrictionLoop {
+    /// Whether the machine runs another feed than the program's at this depth: then it is another program.
+    fn strays(&self, seen: &Seen) -> bool {
+        let (Some(program), Some(depth), Some(feed)) = (&self.program, seen.depth_mm, seen.programmed_mm_min)
+        else {
+            return false;
+        };
+        if !depth.is_finite() || !feed.is_finite() || depth < 0.0 {
+            // Above the work the approach has a feed of its own; what is not a number is the law's to refuse.
+            return false;
+        }
+        let ends = [program.feed_at(depth - PROGRAM_WINDOW_MM), program.feed_at(depth + PROGRAM_WINDOW_MM)];
+        let inside = program.knots().iter().filter(|knot| (knot.depth_mm - depth).abs() <= PROGRAM_WINDOW_MM);
+        let (mut least, mut greatest) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+        for knot in inside {
+            least = least.min(knot.feed_mm_min);
+            greatest = greatest.max(knot.feed_mm_min);
+        }
+        feed < least * (1.0 - PROGRAM_SHARE) - PROGRAM_MM_MIN
+            || feed > greatest * (1.0 + PROGRAM_SHARE) + PROGRAM_MM_MIN
+    }
+}

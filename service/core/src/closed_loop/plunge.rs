@@ -1,0 +1,182 @@
+//! Approach, work and retract feeds of a plunge, switched by contact and breakthrough in the load stream (Lengerov).
+//!
+//! A loop through a network bites before it knows: the advised approach is at most the permitted bite over the
+//! detector's lag and the answer's age. Fast is only what is known to be in air: while the idle band is being learnt,
+//! and after anything unusable, the advice is the working feed.
+
+use super::control::Seen;
+use super::reason::{LoopReason, LoopReasons};
+use crate::contact::{ContactDetector, ContactEvent, ContactSample, ContactSettings, Ignored, Phase};
+use crate::machine::FeedLimits;
+
+/// A feed in mm/min that lies within the limits it was made for.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct BoundedFeed(f64);
+
+impl BoundedFeed {
+    /// The feed nearest to a wish within a machine's limits; `None` for a wish that is not a number above 0.
+    #[must_use]
+    pub fn within(limits: &FeedLimits, wish_mm_min: f64) -> Option<Self> {
+        (wish_mm_min > 0.0).then(|| Self(wish_mm_min.clamp(limits.min_mm_min(), limits.max_mm_min())))
+    }
+
+    /// The feed, mm/min.
+    #[must_use]
+    pub const fn mm_min(self) -> f64 {
+        self.0
+    }
+}
+
+/// The part of a plunge that the machine is to run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlungePhase {
+    /// In air, towards the work.
+    Approach,
+    /// In the work, or where that is not known.
+    Work,
+    /// Through the work: out again.
+    Retract,
+}
+
+impl PlungePhase {
+    /// The word used in answers.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Approach => "approach",
+            Self::Work => "work",
+            Self::Retract => "retract",
+        }
+    }
+}
+
+/// What a plunge is to do now.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlungeStep {
+    /// The part that it is in.
+    pub phase: PlungePhase,
+    /// The feed to run.
+    pub feed: BoundedFeed,
+    /// How far the drill would bite at this feed before the axis reacts, mm.
+    pub bite_mm: f64,
+    /// Where contact was found, relative to the programmed surface, mm.
+    pub contact_offset_mm: Option<f64>,
+    /// Where the load fell back, below the programmed surface, mm.
+    pub breakthrough_depth_mm: Option<f64>,
+}
+
+/// Feeds and delays of a plunge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlungeLimits {
+    /// The most the drill and the machine bear in air, before the loop's bound, mm/min.
+    pub plunge: BoundedFeed,
+    /// Working feed, mm/min.
+    pub work: BoundedFeed,
+    /// Feed out of the hole, mm/min.
+    pub retract: BoundedFeed,
+    /// How far the drill may bite at plunge feed, mm.
+    pub allowed_bite_mm: f64,
+    /// Time from a sample to the axis acting on its answer that is reckoned with, ms.
+    pub answer_age_ms: f64,
+    /// Time between samples, ms.
+    pub period_ms: f64,
+}
+
+/// A plunge that runs.
+#[derive(Debug, Clone)]
+pub struct PlungeLoop {
+    limits: PlungeLimits,
+    detector: ContactDetector,
+    confirm_samples: u32,
+    phase: PlungePhase,
+    /// Good samples still needed before it may be fast.
+    settling: u32,
+    settling_samples: u32,
+    contact_offset_mm: Option<f64>,
+    breakthrough_depth_mm: Option<f64>,
+}
+
+impl PlungeLoop {
+    /// Starts above the work.
+    #[must_use]
+    pub const fn new(limits: PlungeLimits, detector: ContactSettings, settling_samples: u32) -> Self {
+        Self {
+            limits,
+            confirm_samples: detector.data().confirm_samples,
+            detector: ContactDetector::new(detector),
+            phase: PlungePhase::Work,
+            settling: 0,
+            settling_samples,
+            contact_offset_mm: None,
+            breakthrough_depth_mm: None,
+        }
+    }
+
+    /// Judges one sample.
+    pub fn step(&mut self, seen: &Seen) -> (PlungeStep, LoopReasons) {
+        let mut reasons = LoopReasons::NONE;
+        let found = self.detector.step(ContactSample {
+            position_mm: seen.depth_mm.unwrap_or(f64::NAN),
+            feed_mm_min: seen.actual_mm_min.unwrap_or(f64::NAN),
+            load_percent: seen.feed_drive_percent,
+        });
+        self.contact_offset_mm = found.contact_offset_mm;
+        self.breakthrough_depth_mm = found.breakthrough_depth_mm;
+        if found.ignored == Some(Ignored::Unusable) {
+            reasons.add(LoopReason::UnusableSample);
+            self.settling = self.settling_samples;
+        } else {
+            self.settling = self.settling.saturating_sub(1);
+        }
+        self.phase = match (found.event, found.phase) {
+            (Some(ContactEvent::Contact), _) | (_, Phase::InWork) => PlungePhase::Work,
+            (_, Phase::Through) => PlungePhase::Retract,
+            (_, Phase::Learning) => {
+                reasons.add(LoopReason::IdleUnknown);
+                PlungePhase::Work
+            }
+            (_, Phase::Approach) if self.settling > 0 => PlungePhase::Work,
+            (_, Phase::Approach) => PlungePhase::Approach,
+        };
+        let step = self.advice(seen.age_ms, &mut reasons);
+        (step, reasons)
+    }
+
+    /// Passes a sample that may not be judged: the working feed, unless the tool is through already.
+    pub fn withhold(&mut self) -> PlungeStep {
+        self.settling = self.settling_samples;
+        if self.phase == PlungePhase::Approach {
+            self.phase = PlungePhase::Work;
+        }
+        self.advice(0.0, &mut LoopReasons::default())
+    }
+
+    /// Seconds from contact to the axis acting on it.
+    fn delay_s(&self, age_ms: f64) -> f64 {
+        let lag_ms = f64::from(self.confirm_samples) * self.limits.period_ms;
+        (lag_ms + age_ms.max(self.limits.answer_age_ms)) / 1000.0
+    }
+
+    fn advice(&self, age_ms: f64, reasons: &mut LoopReasons) -> PlungeStep {
+        let delay_s = self.delay_s(age_ms);
+        let feed = match self.phase {
+            PlungePhase::Work => self.limits.work,
+            PlungePhase::Retract => self.limits.retract,
+            PlungePhase::Approach => {
+                let bitten = self.limits.allowed_bite_mm / delay_s * 60.0;
+                if bitten < self.limits.plunge.mm_min() {
+                    reasons.add(LoopReason::BiteLimited);
+                }
+                // Never below the working feed: that is permitted in the work itself.
+                BoundedFeed(self.limits.plunge.0.min(bitten).max(self.limits.work.0))
+            }
+        };
+        PlungeStep {
+            phase: self.phase,
+            feed,
+            bite_mm: feed.mm_min() / 60.0 * delay_s,
+            contact_offset_mm: self.contact_offset_mm,
+            breakthrough_depth_mm: self.breakthrough_depth_mm,
+        }
+    }
+}

@@ -1,0 +1,489 @@
+//! The envelope, whatever comes in; and the sequence rules told one by one.
+
+use super::control::{LawSettings, Program, control};
+use super::monitor::Monitor;
+use super::plunge::{BoundedFeed, PlungeLimits, PlungeLoop, PlungePhase};
+use super::record::Timing;
+use super::{
+    Answer, Batch, Begun, LoopReason, LoopReasons, LoopSettings, Mode, RunningCycle, SampleAdvice, Standing,
+};
+use crate::contact::{ContactInput, ContactSettings};
+use crate::cycle::{Channel, TimeBase};
+use crate::friction::law::{OverloadHold, Reason};
+use crate::friction::program::{Between, FeedProgram};
+use crate::machine::{FeedDriveRating, FeedLimits, LoadReference, Machine, SpindleRating};
+use crate::operation::{Operation, WearSettings};
+use crate::units::{Process, Timestamp};
+use crate::vibratory::peak_to_peak::{ControllerInput, ControllerSettings, VibrationSample};
+use crate::wear::ToolState;
+use proptest::prelude::*;
+
+const START: i64 = 1_777_874_400_000_000;
+const PERIOD_MS: f64 = 10.0;
+const CHANNELS: [Channel; 3] = [Channel::DepthMm, Channel::FeedDriveLoadPercent, Channel::SpindleLoadPercent];
+
+fn machine() -> Machine {
+    Machine {
+        id: "M1".try_into().unwrap(),
+        name: "M1".to_owned(),
+        control: "linuxcnc".to_owned(),
+        ipo_period_ms: 10.0,
+        spindle: SpindleRating { reference: LoadReference::RatedPower, ..SpindleRating::default() },
+        feed_drive: FeedDriveRating { reference: LoadReference::RatedTorque, rated_thrust_newtons: None },
+        limits: FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap(),
+    }
+}
+
+fn operation(process: Process) -> Operation {
+    Operation {
+        id: "O1".try_into().unwrap(),
+        name: "O1".to_owned(),
+        process,
+        program: None,
+        feature: None,
+        work_material: None,
+        thickness_mm: None,
+        depth_mm: None,
+        spindle_speed_rpm: None,
+        programmed_feed_mm_min: Some(150.0),
+        spindle_load_set_percent: Some(40.0),
+        feed_drive_load_set_percent: Some(30.0),
+        wear: WearSettings::default(),
+        turning: None,
+        plunge: None,
+    }
+}
+
+fn law(overload: OverloadHold) -> LawSettings {
+    LawSettings {
+        intensity: 2.0,
+        rise_limit_points: 5.0,
+        heating_ms: 0.0,
+        settling_samples: 4,
+        overload,
+        program_range: (5.0, 200.0),
+    }
+}
+
+fn settings() -> LoopSettings {
+    LoopSettings { oldest_sample_ms: 500.0, validity_ms: 250, most_samples: 1000, longest_cycle_ms: 9000.0 }
+}
+
+fn program() -> Program {
+    let program = FeedProgram::from_pairs(Between::Linear, &[(0.0, 100.0), (10.0, 300.0)]).unwrap();
+    Program::Told { program, range: None }
+}
+
+fn begun() -> Begun {
+    let at = Timestamp::from_micros(START);
+    Begun { started_at: at, sent_at: at, received_at: at }
+}
+
+fn running_with(
+    machine: &Machine,
+    operation: &Operation,
+    tool: Option<ToolState>,
+    told: &Program,
+) -> RunningCycle {
+    let standing =
+        Standing { machine, operation: Some(operation), tool, program: told, overload_open: false };
+    let overload = OverloadHold::UntilAcknowledged { relative_load: 2.0 };
+    let control = control(&standing, &law(overload), PERIOD_MS, None).unwrap();
+    let timing = Timing::Period { period_ms: PERIOD_MS };
+    RunningCycle::new(begun(), control, (CHANNELS.to_vec(), timing), (Mode::Advise, settings()))
+}
+
+fn running() -> RunningCycle {
+    running_with(&machine(), &operation(Process::Friction), Some(ToolState::Good), &program())
+}
+
+/// When sample `n` has just been taken.
+fn at(n: u64) -> Timestamp {
+    Timestamp::from_micros(START + (i64::try_from(n).unwrap() + 1) * 10_000)
+}
+
+/// Samples of one load each on both drives.
+fn send(cycle: &mut RunningCycle, now: Timestamp, first: u64, loads: &[f64]) -> (Answer, Vec<SampleAdvice>) {
+    let values: Vec<f64> =
+        loads.iter().map(|_| 1.0).chain(loads.iter().copied()).chain(loads.iter().copied()).collect();
+    let mut each = Vec::new();
+    let batch = Batch { first, count: loads.len(), values: &values, times_ms: &[] };
+    let answer = cycle.take(now, &batch, &mut each);
+    (answer, each)
+}
+
+#[test]
+fn low_loads_raise_by_the_permitted_points_and_high_ones_lower_at_once() {
+    let mut cycle = running();
+    let mut before = 100.0;
+    for n in 0..5 {
+        let (answer, _) = send(&mut cycle, at(n), n, &[10.0]);
+        assert!(answer.ovr.percent() > before && answer.ovr.percent() <= before + 5.0);
+        assert!(answer.reasons.has_law(Reason::LoadBelowSet) && answer.quality.as_str() == "good");
+        assert_eq!((answer.valid_for_ms, answer.next), (250, n + 1));
+        before = answer.ovr.percent();
+    }
+    for n in 5..30 {
+        send(&mut cycle, at(n), n, &[55.0]);
+    }
+    let (answer, _) = send(&mut cycle, at(30), 30, &[55.0]);
+    assert!(answer.ovr.percent() < 100.0, "{answer:?}");
+}
+
+#[test]
+fn every_break_of_the_sequence_is_named_and_never_raises() {
+    let mut cycle = running();
+    let (first, each) = send(&mut cycle, at(2), 0, &[10.0, 10.0, 10.0]);
+    assert!(first.ovr.percent() > 110.0);
+    // The same again is its earlier answer, and does not live longer for it.
+    let later = Timestamp::from_micros(at(2).micros() + 100_000);
+    let (again, same) = send(&mut cycle, later, 0, &[10.0, 10.0, 10.0]);
+    assert_eq!((again.ovr, again.valid_until, again.valid_for_ms), (first.ovr, first.valid_until, 150));
+    for (early, late) in each.iter().zip(&same) {
+        assert_eq!(early.ovr, late.ovr);
+        assert!(late.reasons.contains(LoopReason::Repeated));
+    }
+    // A gap is neutral: from above at once.
+    let (gap, each) = send(&mut cycle, at(13), 13, &[10.0]);
+    assert_eq!(gap.ovr.percent(), 100.0);
+    assert!(each[0].reasons.contains(LoopReason::MissingSamples), "{each:?}");
+    assert_eq!((gap.next, cycle.record().first_missing()), (14, 3));
+    // What was missing fills its place, and raises nothing.
+    let (late, each) = send(&mut cycle, at(14), 3, &[10.0]);
+    assert!(each[0].reasons.contains(LoopReason::OutOfOrder) && late.ovr.percent() <= 100.0);
+    // Another content under a number that was taken.
+    let (other, each) = send(&mut cycle, at(14), 1, &[90.0]);
+    assert!(each[0].reasons.contains(LoopReason::RepeatDiffers) && other.ovr.percent() <= 100.0);
+    // Too old, and from a time that has not been.
+    let (old, each) = send(&mut cycle, at(200), 14, &[10.0]);
+    assert!(each[0].reasons.contains(LoopReason::TooOld) && old.ovr.percent() <= 100.0);
+    let (_, each) = send(&mut cycle, at(16), 500, &[10.0]);
+    assert!(each[0].reasons.contains(LoopReason::FromFuture), "{each:?}");
+    let (_, each) = send(&mut cycle, at(2000), 2000, &[10.0]);
+    assert!(each[0].reasons.contains(LoopReason::TooManySamples));
+    assert!(each[0].reasons.contains(LoopReason::CycleTooLong) && cycle.was_cut_short());
+}
+
+#[test]
+fn what_is_not_known_keeps_neutral_and_says_so() {
+    let with = |change: &dyn Fn(&mut Machine, &mut Operation), tool, told: &Program| {
+        let (mut machine, mut operation) = (machine(), operation(Process::Friction));
+        change(&mut machine, &mut operation);
+        let mut cycle = running_with(&machine, &operation, tool, told);
+        let mut last = None;
+        for n in 0..40 {
+            last = Some(send(&mut cycle, at(n), n, &[5.0]).0);
+        }
+        let last = last.unwrap();
+        assert_eq!(last.ovr.percent(), 100.0, "{:?}", last.reasons.codes().collect::<Vec<_>>());
+        last.reasons
+    };
+    let good = Some(ToolState::Good);
+    let none = |_: &mut Machine, _: &mut Operation| {};
+    assert!(with(&none, None, &program()).contains(LoopReason::ToolUnregistered));
+    assert!(with(&none, Some(ToolState::BrokenSuspected), &program()).contains(LoopReason::BrokenSuspected));
+    assert!(with(&none, Some(ToolState::Changed), &program()).contains(LoopReason::ConditionsChanged));
+    assert!(with(&none, good, &Program::Unknown).contains(LoopReason::NoProgram));
+    assert!(with(&none, good, &Program::NotActive).contains(LoopReason::ProfileNotActive));
+    assert!(
+        with(&|m, _| m.spindle.reference = LoadReference::Unknown, good, &program())
+            .contains(LoopReason::UnknownRating)
+    );
+    assert!(with(&|_, o| o.process = Process::Milling, good, &program()).contains(LoopReason::NoLaw));
+    assert!(with(&|_, o| o.process = Process::Plunge, good, &program()).contains(LoopReason::NoPlungeFeed));
+    let no_loads = |_: &mut Machine, o: &mut Operation| {
+        o.spindle_load_set_percent = None;
+        o.feed_drive_load_set_percent = None;
+    };
+    assert!(with(&no_loads, good, &program()).contains(LoopReason::NoSetLoad));
+    // A worn tool may be slowed down, not sped up.
+    assert!(with(&none, Some(ToolState::Worn), &program()).contains(LoopReason::ToolWorn));
+    let mut worn = running_with(&machine(), &operation(Process::Friction), Some(ToolState::Worn), &program());
+    let mut last = 100.0;
+    for n in 0..30 {
+        last = send(&mut worn, at(n), n, &[60.0]).0.ovr.percent();
+    }
+    assert!(last < 90.0);
+}
+
+#[test]
+fn another_programs_feed_is_told_from_rounding() {
+    let channels = [
+        Channel::DepthMm,
+        Channel::FeedDriveLoadPercent,
+        Channel::SpindleLoadPercent,
+        Channel::FeedProgrammedMmMin,
+    ];
+    let (machine, operation, told) = (machine(), operation(Process::Friction), program());
+    let standing = Standing {
+        machine: &machine,
+        operation: Some(&operation),
+        tool: Some(ToolState::Good),
+        program: &told,
+        overload_open: false,
+    };
+    let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, None).unwrap();
+    let timing = Timing::Period { period_ms: PERIOD_MS };
+    let mut cycle =
+        RunningCycle::new(begun(), control, (channels.to_vec(), timing), (Mode::Advise, settings()));
+    let mut ask = |n: u64, depth: f64, feed: f64| {
+        let mut each = Vec::new();
+        let values = [depth, 10.0, 10.0, feed];
+        cycle.take(at(n), &Batch { first: n, count: 1, values: &values, times_ms: &[] }, &mut each);
+        each[0].reasons.contains(LoopReason::ProgramMismatch)
+    };
+    assert!(!ask(0, 5.0, 200.0));
+    assert!(!ask(1, 5.0, 210.0), "half a millimetre ahead");
+    assert!(!ask(2, -3.0, 1000.0), "the approach above the work");
+    assert!(ask(3, 5.0, 260.0));
+    assert!(ask(4, 5.0, 120.0));
+}
+
+#[test]
+fn an_overload_holds_until_it_is_acknowledged_and_a_lost_memory_starts_no_higher_than_it_was() {
+    let mut cycle = running();
+    for n in 0..30 {
+        send(&mut cycle, at(n), n, &[200.0]);
+    }
+    assert!(cycle.is_overloaded());
+    for n in 30..90 {
+        send(&mut cycle, at(n), n, &[5.0]);
+    }
+    let held = send(&mut cycle, at(90), 90, &[5.0]).0;
+    assert!(held.overloaded && held.ovr.percent() < 100.0 && held.reasons.has_law(Reason::OverloadHeld));
+    cycle.acknowledge();
+    let freed = send(&mut cycle, at(91), 91, &[5.0]).0;
+    assert!(!freed.overloaded && freed.ovr > held.ovr);
+
+    let mut low = running().restarted(60.0);
+    assert_eq!(send(&mut low, at(0), 0, &[5.0]).0.ovr.percent(), 60.0, "it settles first");
+    let mut high = running().restarted(140.0);
+    assert_eq!(send(&mut high, at(0), 0, &[5.0]).0.ovr.percent(), 100.0);
+}
+
+#[test]
+fn what_is_kept_is_what_a_post_would_have_said() {
+    let mut cycle = running();
+    send(&mut cycle, at(2), 0, &[1.0, 2.0, 3.0]);
+    let (time, columns) = cycle.record().columns().unwrap();
+    assert_eq!(time, TimeBase::Period { period_ms: 10.0 });
+    assert_eq!(columns[1], (Channel::FeedDriveLoadPercent, vec![1.0, 2.0, 3.0]));
+    // A hole and a value that is none: their rows are left out, and the times show it.
+    send(&mut cycle, at(4), 4, &[5.0]);
+    send(&mut cycle, at(5), 5, &[f64::NAN]);
+    send(&mut cycle, at(6), 6, &[7.0]);
+    let (time, columns) = cycle.record().columns().unwrap();
+    assert_eq!(time, TimeBase::Stamps { time_ms: vec![10.0, 20.0, 30.0, 50.0, 70.0] });
+    assert_eq!(columns[2].1, [1.0, 2.0, 3.0, 5.0, 7.0]);
+    assert_eq!(cycle.record().counts(), (6, 5));
+}
+
+#[test]
+fn times_that_run_backwards_and_numbers_beyond_all_bounds_do_no_harm() {
+    let mut each = Vec::new();
+    let control = (super::Control::Neutral, LoopReasons::NONE, LoopReasons::NONE);
+    let timing = Timing::Stamps { usual_ms: PERIOD_MS };
+    let mut cycle =
+        RunningCycle::new(begun(), control, (vec![Channel::DepthMm], timing), (Mode::Advise, settings()));
+    let (values, times) = ([1.0, 2.0, 3.0, 4.0, 5.0], [10.0, 20.0, 15.0, -1.0, 30.0]);
+    cycle.take(at(5), &Batch { first: 0, count: 5, values: &values, times_ms: &times }, &mut each);
+    let (time, columns) = cycle.record().columns().unwrap();
+    assert_eq!(time, TimeBase::Stamps { time_ms: vec![10.0, 20.0, 30.0] });
+    assert_eq!(columns[0].1, [1.0, 2.0, 5.0]);
+    let mut cycle = running();
+    let (answer, _) = send(&mut cycle, at(0), u64::MAX, &[10.0, 10.0]);
+    assert_eq!((answer.ovr.percent(), answer.next), (100.0, 0));
+}
+
+#[test]
+fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
+    let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
+    let feed = |mm_min| BoundedFeed::within(&limits, mm_min).unwrap();
+    let plunge = PlungeLimits {
+        plunge: feed(2500.0),
+        work: feed(120.0),
+        retract: feed(9999.0),
+        allowed_bite_mm: 0.5,
+        answer_age_ms: 20.0,
+        period_ms: 10.0,
+    };
+    assert_eq!(plunge.retract.mm_min(), 3000.0);
+    let detector = ContactSettings::new(ContactInput::DEFAULT).unwrap();
+    let (machine, operation) = (machine(), operation(Process::Plunge));
+    let standing = Standing {
+        machine: &machine,
+        operation: Some(&operation),
+        tool: Some(ToolState::Good),
+        program: &Program::Unknown,
+        overload_open: false,
+    };
+    let looped = PlungeLoop::new(plunge, detector, 4);
+    let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, Some(looped)).unwrap();
+    let channels = vec![Channel::DepthMm, Channel::FeedActualMmMin, Channel::FeedDriveLoadPercent];
+    let timing = Timing::Period { period_ms: PERIOD_MS };
+    let mut cycle = RunningCycle::new(begun(), control, (channels, timing), (Mode::Advise, settings()));
+    let mut n = 0;
+    let mut step = |depth: f64, load: f64| {
+        let mut each = Vec::new();
+        let values = [depth, 500.0, load];
+        let answer =
+            cycle.take(at(n), &Batch { first: n, count: 1, values: &values, times_ms: &[] }, &mut each);
+        n += 1;
+        assert_eq!(answer.ovr.percent(), 100.0);
+        (answer.plunge.unwrap(), answer.reasons)
+    };
+    let (learning, why) = step(-10.0, 3.0);
+    assert_eq!((learning.phase, learning.feed.mm_min()), (PlungePhase::Work, 120.0));
+    assert!(why.contains(LoopReason::IdleUnknown));
+    let mut approach = step(-9.9, 3.0);
+    for k in 0..30 {
+        approach = step(-9.8 + f64::from(k) * 0.1, 3.0);
+    }
+    // 0.5 mm within 4 samples of 10 ms and 20 ms of age: 500 mm/min.
+    assert_eq!(approach.0.phase, PlungePhase::Approach);
+    assert!((approach.0.feed.mm_min() - 500.0).abs() < 1e-9 && (approach.0.bite_mm - 0.5).abs() < 1e-12);
+    assert!(approach.1.contains(LoopReason::BiteLimited));
+    // One reading that is none: back to the working feed until four are good again.
+    let (blind, why) = step(-6.0, f64::NAN);
+    assert_eq!(blind.phase, PlungePhase::Work);
+    assert!(why.contains(LoopReason::UnusableSample));
+    for _ in 0..3 {
+        assert_eq!(step(-5.9, 3.0).0.phase, PlungePhase::Work);
+    }
+    assert_eq!(step(-5.8, 3.0).0.phase, PlungePhase::Approach);
+    let mut work = step(0.1, 30.0);
+    for _ in 0..5 {
+        work = step(0.3, 30.0);
+    }
+    assert_eq!(work.0.phase, PlungePhase::Work);
+    assert!(work.0.contact_offset_mm.is_some_and(|offset| (offset - 0.1).abs() < 1e-12));
+    for _ in 0..6 {
+        work = step(8.0, 3.0);
+    }
+    assert_eq!((work.0.phase, work.0.feed.mm_min()), (PlungePhase::Retract, 3000.0));
+    assert!(work.0.breakthrough_depth_mm.is_some_and(|depth| (depth - 8.0).abs() < 1e-12));
+}
+
+#[test]
+fn a_monitor_answers_as_the_controller_does_and_restarts_after_a_gap() {
+    let settings = ControllerSettings::new(ControllerInput::IVANOV_2024).unwrap();
+    let wave = |n: u64| {
+        #[expect(clippy::cast_precision_loss, reason = "a few thousand")]
+        let phase = std::f64::consts::TAU * 70.0 * n as f64 * 300e-6;
+        VibrationSample {
+            velocity_mm_s: 20.0 * phase.cos(),
+            acceleration_mm_s2: -20.0 * std::f64::consts::TAU * 70.0 * phase.sin(),
+        }
+    };
+    let block = |from: u64| (from..from + 500).map(wave).collect::<Vec<_>>();
+    let mut whole = crate::vibratory::peak_to_peak::Controller::new(settings);
+    let expected: Vec<_> = (0..1000).map(|n| whole.step(wave(n)).unwrap()).collect();
+    let mut monitor = Monitor::new(settings);
+    let first = monitor.take(0, &block(0));
+    assert_eq!((first.gain, first.amplitude_mm), (expected[499].gain, expected[499].displacement_mm));
+    let second = monitor.take(500, &block(500));
+    assert_eq!((second.gain, second.next), (expected[999].gain, 1000));
+    assert!((second.frequency_hz - 70.0).abs() < 0.5 && second.reasons.is_empty());
+    let again = monitor.take(500, &block(500));
+    assert!(again.reasons.contains(LoopReason::Repeated) && again.gain == second.gain);
+    let gap = monitor.take(2000, &block(0));
+    assert!(gap.reasons.contains(LoopReason::MissingSamples));
+    assert_eq!(gap.gain, first.gain, "it began anew");
+    let bad = monitor.take(2500, &[VibrationSample { velocity_mm_s: f64::NAN, acceleration_mm_s2: 0.0 }]);
+    assert_eq!((bad.gain, bad.unusable), (0.0, 1));
+}
+
+/// Something that may happen to a running cycle.
+#[derive(Debug, Clone)]
+enum Deed {
+    /// Samples whose number is this far from the next one, after so many ms.
+    Samples {
+        shift: i64,
+        loads: Vec<f64>,
+        wait_ms: i64,
+    },
+    Fault,
+    Acknowledge,
+    Passing(bool),
+}
+
+fn load() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        6 => 0.0..60.0_f64,
+        2 => 60.0..500.0_f64,
+        1 => proptest::num::f64::ANY,
+        1 => Just(f64::NAN),
+        1 => Just(-5.0),
+    ]
+}
+
+fn deed() -> impl Strategy<Value = Deed> {
+    let shift = prop_oneof![8 => Just(0_i64), 1 => -20..40_i64, 1 => Just(5000_i64)];
+    let wait = prop_oneof![6 => Just(-1_i64), 1 => 0..50_i64, 1 => Just(2000_i64)];
+    prop_oneof![
+        12 => (shift, proptest::collection::vec(load(), 1..8), wait)
+            .prop_map(|(shift, loads, wait_ms)| Deed::Samples { shift, loads, wait_ms }),
+        1 => Just(Deed::Fault),
+        1 => Just(Deed::Acknowledge),
+        1 => proptest::bool::ANY.prop_map(Deed::Passing),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn no_input_makes_the_override_leave_its_bounds_rise_on_bad_data_or_rise_too_fast(
+        deeds in proptest::collection::vec(deed(), 1..120),
+    ) {
+        let mut cycle = running();
+        let mut now = START;
+        let mut before = 100.0_f64;
+        for deed in deeds {
+            let (answer, each) = match &deed {
+                Deed::Samples { shift, loads, wait_ms } => {
+                    // As fast as the samples come, or at some other time.
+                    let samples = i64::try_from(loads.len()).unwrap();
+                    now += if *wait_ms < 0 { samples * 10_000 } else { wait_ms * 1000 };
+                    let next = i64::try_from(cycle.record().next()).unwrap();
+                    let first = u64::try_from((next + shift).max(0)).unwrap();
+                    send(&mut cycle, Timestamp::from_micros(now), first, loads)
+                }
+                Deed::Fault => (cycle.fault(Timestamp::from_micros(now), LoopReason::Malformed), vec![]),
+                Deed::Acknowledge => {
+                    cycle.acknowledge();
+                    (cycle.standing(Timestamp::from_micros(now)), vec![])
+                }
+                Deed::Passing(on) => {
+                    cycle.set_passing(if *on { LoopReasons::of(LoopReason::LeaseUnknown) } else { LoopReasons::NONE });
+                    (cycle.standing(Timestamp::from_micros(now)), vec![])
+                }
+            };
+            let ovr = answer.ovr.percent();
+            prop_assert!((20.0..=150.0).contains(&ovr), "{deed:?} gives {ovr}");
+            let mut in_force = before;
+            for advice in &each {
+                if advice.reasons.contains(LoopReason::Repeated) {
+                    continue;
+                }
+                let next = advice.ovr.percent();
+                prop_assert!(next <= in_force + 5.0 + 1e-9, "{deed:?}: {in_force} to {next}");
+                let judged = advice.reasons.has_law(Reason::LoadBelowSet)
+                    || advice.reasons.has_law(Reason::LoadAtSet)
+                    || advice.reasons.has_law(Reason::LoadAboveSet);
+                if judged {
+                    prop_assert!(advice.reasons.has_law(Reason::LoadBelowSet) || next <= in_force);
+                } else {
+                    prop_assert!(next <= in_force.min(100.0), "{deed:?}: {:?}", advice.reasons.codes().collect::<Vec<_>>());
+                }
+                prop_assert!(!advice.reasons.is_empty(), "an answer without a reason");
+                in_force = next;
+            }
+            if !each.is_empty() {
+                prop_assert_eq!(in_force.to_bits(), ovr.to_bits());
+            }
+            if matches!(deed, Deed::Fault) {
+                prop_assert!(ovr <= before.min(100.0));
+            }
+            before = ovr;
+        }
+    }
+}

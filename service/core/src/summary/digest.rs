@@ -1,0 +1,212 @@
+//! What a cycle did over depth, in few bytes: way, time and energy of every millimetre.
+//!
+//! It is what feed-compensated wear needs of a cycle whose samples may be gone. Quantised when it is made, so that the
+//! stored form and the one in memory are the same.
+
+use super::energy::Energy;
+use super::{Context, SampleClock, energy};
+use crate::cycle::{Channel, Cycle, Flag, Flags, Samples};
+use crate::friction::relation::{DepthBin, DepthProfile, RelationConfig, RelationParams};
+use crate::units::Process;
+
+/// Depth that a digest may cover, mm, in bins of one millimetre; bushings are shorter than their tools' 40 mm.
+pub const DIGEST_DEPTH_MM: f64 = 64.0;
+/// Bins of a digest at the most.
+pub const MOST_DIGEST_BINS: usize = 64;
+/// Longest stored form: two bytes, and three numbers of at most 5, 5 and 10 bytes a bin.
+pub const MOST_DIGEST_BYTES: usize = 2 + MOST_DIGEST_BINS * 20;
+
+const FORMAT: u8 = 1;
+const WAY_MM: f64 = 1e-3;
+const TIME_S: f64 = 1e-5;
+const ENERGY_J: f64 = 1e-3;
+/// Feeds of a constant program differ by no more than this factor from bin to bin: drives settle, percents round.
+const CONSTANT_WITHIN: f64 = 1.15;
+
+/// One millimetre of depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct DigestBin {
+    /// Way, µm.
+    way: u32,
+    /// Time, 10 µs.
+    time: u32,
+    /// Energy, mJ.
+    energy: i64,
+}
+
+/// Way, time and energy over depth, from contact to the largest depth.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DepthDigest {
+    bins: Vec<DigestBin>,
+}
+
+/// Bins of a digest, and what is expected of energy over feed before any cycle was seen.
+pub(crate) fn relation_config() -> Option<RelationConfig> {
+    RelationConfig::new(RelationParams::energy(DIGEST_DEPTH_MM)).ok()
+}
+
+/// The digest of a friction cycle; `None` where depth or energy was not sampled, where the tool went back and forth
+/// or deeper than [`DIGEST_DEPTH_MM`], and for every other process.
+pub(super) fn of(
+    samples: &Samples,
+    clock: &SampleClock,
+    cycle: &Cycle,
+    context: Context<'_>,
+    (best, flags): (&Energy, Flags),
+) -> Option<DepthDigest> {
+    let process = cycle.process.or_else(|| context.operation.map(|operation| operation.process));
+    // Not registered yet: its operation may turn out to be friction drilling.
+    if process.is_some_and(|process| process != Process::Friction) || flags.contains(Flag::DepthReversal) {
+        return None;
+    }
+    let depth = samples.column(Channel::DepthMm)?;
+    let mut deepest = 0;
+    for (index, z) in depth.iter().enumerate() {
+        if *z > depth[deepest] {
+            deepest = index;
+        }
+    }
+    if depth[deepest] > DIGEST_DEPTH_MM || depth[deepest] <= 0.0 {
+        return None;
+    }
+    let commanded = cycle
+        .spindle_speed_rpm
+        .or_else(|| context.operation.and_then(|operation| operation.spindle_speed_rpm));
+    let joules = energy::by_sample(samples, clock, commanded, context, best)?;
+    let config = relation_config()?;
+    let mut profile = DepthProfile::new(&config);
+    for index in 1..=deepest {
+        if depth[index] >= 0.0 {
+            let width = clock.width_s(index);
+            profile.add(&config, depth[index - 1], depth[index], width, joules[index]);
+        }
+    }
+    DepthDigest::of(&profile)
+}
+
+impl DepthDigest {
+    /// Quantises a profile whose bins are a millimetre each; `None` where it is empty or its numbers are absurd.
+    pub fn of(profile: &DepthProfile) -> Option<Self> {
+        let used = profile.bins().iter().rposition(|bin| bin.way_mm > 0.0)? + 1;
+        let bins = profile.bins()[..used].iter().map(quantised).collect::<Option<Vec<_>>>()?;
+        (used <= MOST_DIGEST_BINS && bins.iter().any(|bin| bin.time > 0)).then_some(Self { bins })
+    }
+
+    /// The same as a profile.
+    pub fn profile(&self) -> Option<DepthProfile> {
+        #[expect(clippy::cast_precision_loss, reason = "energies were checked to be below 2^53 mJ")]
+        let bins = self.bins.iter().map(|bin| DepthBin {
+            way_mm: f64::from(bin.way) * WAY_MM,
+            time_s: f64::from(bin.time) * TIME_S,
+            total: bin.energy as f64 * ENERGY_J,
+        });
+        Some(DepthProfile::of_bins(&relation_config()?, bins))
+    }
+
+    /// Whether one feed was run from end to end: its first and last millimetre, where drives speed up and brake, are
+    /// not looked at.
+    pub fn is_constant_feed(&self) -> bool {
+        let inner = self.bins.get(1..self.bins.len().saturating_sub(1)).unwrap_or_default();
+        let feed = |bin: &DigestBin| f64::from(bin.way) / f64::from(bin.time);
+        let feeds: Vec<f64> = inner.iter().filter(|bin| bin.way > 0 && bin.time > 0).map(feed).collect();
+        let highest = feeds.iter().copied().fold(0.0, f64::max);
+        let lowest = feeds.iter().copied().fold(f64::INFINITY, f64::min);
+        feeds.len() >= 3 && highest <= CONSTANT_WITHIN * lowest
+    }
+
+    /// The stored form.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(2 + 8 * self.bins.len());
+        out.push(FORMAT);
+        out.push(u8::try_from(self.bins.len()).unwrap_or(u8::MAX));
+        for bin in &self.bins {
+            put(&mut out, u64::from(bin.way));
+            put(&mut out, u64::from(bin.time));
+            // Zig-zag: small energies of either sign stay short.
+            put(&mut out, ((bin.energy << 1) ^ (bin.energy >> 63)).cast_unsigned());
+        }
+        out
+    }
+
+    /// The digest of that stored form; `None` where it is damaged.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (&[format, count], mut rest) = bytes.split_first_chunk::<2>()?;
+        let count = usize::from(count);
+        if format != FORMAT || count == 0 || count > MOST_DIGEST_BINS {
+            return None;
+        }
+        let mut bins = Vec::with_capacity(count);
+        for _ in 0..count {
+            let way = u32::try_from(take(&mut rest)?).ok()?;
+            let time = u32::try_from(take(&mut rest)?).ok()?;
+            let zigzag = take(&mut rest)?;
+            let energy = (zigzag >> 1).cast_signed() ^ -((zigzag & 1).cast_signed());
+            bins.push(DigestBin { way, time, energy });
+        }
+        rest.is_empty().then_some(Self { bins })
+    }
+}
+
+fn quantised(bin: &DepthBin) -> Option<DigestBin> {
+    const MOST: f64 = 4_294_967_295.0;
+    const MOST_ENERGY: f64 = 9_007_199_254_740_992.0;
+    let (way, time) = ((bin.way_mm / WAY_MM).round(), (bin.time_s / TIME_S).round());
+    let energy = (bin.total / ENERGY_J).round();
+    let fits = (0.0..=MOST).contains(&way) && (0.0..=MOST).contains(&time) && energy.abs() < MOST_ENERGY;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to fit")]
+    let bin = DigestBin { way: way as u32, time: time as u32, energy: energy as i64 };
+    fits.then_some(bin)
+}
+
+fn put(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push((value & 0x7f) as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push((value & 0x7f) as u8);
+}
+
+fn take(input: &mut &[u8]) -> Option<u64> {
+    let mut value = 0_u64;
+    for shift in (0..64).step_by(7) {
+        let (&byte, rest) = input.split_first()?;
+        *input = rest;
+        if shift == 63 && byte > 1 {
+            return None;
+        }
+        value |= u64::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_is_stored_comes_back_and_damage_is_seen(
+            bins in proptest::collection::vec((0_u32.., 0_u32.., -(1_i64 << 53)..(1_i64 << 53)), 1..=64),
+            cut in any::<prop::sample::Index>(),
+        ) {
+            let bins = bins.into_iter().map(|(way, time, energy)| DigestBin { way, time, energy }).collect();
+            let digest = DepthDigest { bins };
+            let bytes = digest.to_bytes();
+            prop_assert!(bytes.len() <= MOST_DIGEST_BYTES);
+            prop_assert_eq!(DepthDigest::from_bytes(&bytes), Some(digest));
+            prop_assert_eq!(DepthDigest::from_bytes(&bytes[..cut.index(bytes.len())]), None);
+        }
+
+        #[test]
+        fn any_bytes_are_a_digest_or_none(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+            if let Some(digest) = DepthDigest::from_bytes(&bytes) {
+                prop_assert!(digest.profile().is_some());
+                let _ = digest.is_constant_feed();
+            }
+        }
+    }
+}

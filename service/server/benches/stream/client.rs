@@ -1,0 +1,234 @@
+//! Machines that send at a pace, and measure how long an answer takes. Frames are made by hand: the clients must not
+//! cost more than what they measure.
+
+use crate::process::Running;
+use serde_json::json;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::time::{MissedTickBehavior, interval_at};
+
+/// How many connections at which pace for how long.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Load {
+    pub(crate) connections: u32,
+    pub(crate) per_second: u32,
+    pub(crate) seconds: u32,
+}
+
+/// What is spoken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Wire {
+    Binary,
+    Text,
+    EchoBinary,
+    EchoText,
+}
+
+impl Wire {
+    pub(crate) const fn is_echo(self) -> bool {
+        matches!(self, Self::EchoBinary | Self::EchoText)
+    }
+}
+
+/// What came of a round.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Outcome {
+    pub(crate) messages: u64,
+    pub(crate) asked: u64,
+    pub(crate) p50: Duration,
+    pub(crate) p99: Duration,
+}
+
+/// Registers machines `B0`, `B1`, …, a tool and an operation with set loads.
+pub(crate) async fn register(server: &Running, machines: u32) {
+    let client = reqwest::Client::new();
+    let put = async |path: String, body: serde_json::Value| {
+        let request = client.put(format!("{}{path}", server.address)).bearer_auth(&server.token).json(&body);
+        let status = request.send().await.expect("an answer").status();
+        assert!(status.is_success(), "{path}: {status}");
+    };
+    for machine in 0..machines {
+        let body = json!({
+            "name": "bench", "control": "bench", "ipo_period_ms": 1.0,
+            "spindle": {"reference": "rated_power", "rated_power_watts": 7000.0},
+            "feed_drive": {"reference": "rated_torque", "rated_thrust_newtons": 9000.0},
+            "limits": {"feed_min_mm_min": 1.0, "feed_max_mm_min": 3000.0, "override_min_percent": 20.0,
+                       "override_max_percent": 150.0}
+        });
+        put(format!("/v1/machines/B{machine}"), body).await;
+    }
+    put("/v1/tools/T1".to_owned(), json!({"name": "T1", "tool_type": "bench"})).await;
+    let operation = json!({"name": "O1", "process": "friction", "programmed_feed_mm_min": 150.0,
+                           "feed_drive_load_set_percent": 30.0, "spindle_load_set_percent": 40.0});
+    put("/v1/operations/O1".to_owned(), operation).await;
+}
+
+/// One round: every connection at its pace, spread over the period.
+pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) -> Outcome {
+    let begin = Instant::now() + Duration::from_millis(500) + Duration::from_millis(2) * load.connections;
+    let machines = (0..load.connections).map(|index| {
+        let (address, token) = (peer.address.trim_start_matches("http://").to_owned(), peer.token.clone());
+        tokio::spawn(machine(address, token, wire, load, (index, round), begin))
+    });
+    let tasks: Vec<_> = machines.collect();
+    let mut times = Vec::new();
+    for task in tasks {
+        times.extend(task.await.expect("a machine ends"));
+    }
+    times.sort_unstable();
+    let at = |share: f64| {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            clippy::cast_precision_loss,
+            reason = "an index"
+        )]
+        let index = (times.len() as f64 * share) as usize;
+        times.get(index.min(times.len().saturating_sub(1))).copied().unwrap_or_default()
+    };
+    Outcome {
+        messages: times.len() as u64,
+        asked: u64::from(load.connections) * u64::from(load.per_second) * u64::from(load.seconds),
+        p50: at(0.5),
+        p99: at(0.99),
+    }
+}
+
+static CYCLE: AtomicU32 = AtomicU32::new(0);
+
+async fn machine(
+    address: String,
+    token: String,
+    wire: Wire,
+    load: Load,
+    (index, round): (u32, usize),
+    begin: Instant,
+) -> Vec<Duration> {
+    let mut stream = TcpStream::connect(&address).await.expect("a connection");
+    stream.set_nodelay(true).expect("an option");
+    let period_ms = 1000.0 / f64::from(load.per_second);
+    let mut spoken = Spoken { wire, answer: Vec::new() };
+    if wire.is_echo() {
+        let lengths = [spoken.question(0, 0).len(), if wire == Wire::EchoBinary { 66 } else { 520 }];
+        let head: Vec<u8> =
+            lengths.iter().flat_map(|length| u32::try_from(*length).expect("short").to_le_bytes()).collect();
+        stream.write_all(&head).await.expect("a head");
+        spoken.answer.resize(lengths[1], 0);
+    } else {
+        upgrade(&mut stream, &address, &token, index).await;
+    }
+    tokio::time::sleep_until(begin.into()).await;
+    if !wire.is_echo() {
+        let cycle = CYCLE.fetch_add(1, Ordering::Relaxed);
+        start(&mut stream, &format!("b{index}-{round}-{cycle}"), period_ms, &mut spoken).await;
+    }
+    let period = Duration::from_secs_f64(period_ms / 1000.0);
+    let shift = period * index / load.connections;
+    let mut ticks = interval_at(tokio::time::Instant::now() + period + shift, period);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Burst);
+    let mut times = Vec::with_capacity((load.per_second * load.seconds) as usize);
+    for sample in 0..load.per_second * load.seconds {
+        ticks.tick().await;
+        // The echo's questions are all as long as its first one.
+        let question =
+            if wire.is_echo() { spoken.question(0, 0) } else { spoken.question(sample + 2, sample) };
+        let asked = Instant::now();
+        if stream.write_all(&question).await.is_err() || spoken.read(&mut stream).await.is_err() {
+            break;
+        }
+        times.push(asked.elapsed());
+    }
+    times
+}
+
+async fn upgrade(stream: &mut TcpStream, address: &str, token: &str, index: u32) {
+    let request = format!(
+        "GET /v1/machines/B{index}/stream HTTP/1.1\r\nhost: {address}\r\nupgrade: websocket\r\nconnection: Upgrade\r\n\
+         sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\nsec-websocket-version: 13\r\n\
+         sec-websocket-protocol: feedwright.v1\r\nauthorization: Bearer {token}\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes()).await.expect("an upgrade");
+    let mut head = Vec::new();
+    while !head.ends_with(b"\r\n\r\n") {
+        head.push(stream.read_u8().await.expect("an answer to the upgrade"));
+    }
+    assert!(head.starts_with(b"HTTP/1.1 101"), "{}", String::from_utf8_lossy(&head));
+}
+
+async fn start(stream: &mut TcpStream, cycle: &str, period_ms: f64, spoken: &mut Spoken) {
+    let now = jiff::Timestamp::now().to_string();
+    let message = json!({
+        "type": "start", "n": 1, "cycle_id": cycle, "tool": "T1", "operation": "O1", "started_at": now, "sent_at": now,
+        "period_ms": period_ms, "channels": ["depth_mm", "feed_drive_load_percent", "spindle_load_percent"],
+        "program": {"between": "held", "knots": [{"depth_mm": 0.0, "feed_mm_min": 150.0}]}
+    });
+    stream.write_all(&frame(0x81, message.to_string().as_bytes())).await.expect("a start");
+    spoken.read(stream).await.expect("it started");
+    let text = String::from_utf8_lossy(&spoken.answer);
+    assert!(text.contains("\"started\""), "{text}");
+}
+
+/// A frame as a client has to send it; a mask of zeros leaves the payload as it is.
+fn frame(first: u8, payload: &[u8]) -> Vec<u8> {
+    let mut out = vec![first];
+    match u8::try_from(payload.len()) {
+        Ok(length) if length < 126 => out.push(0x80 | length),
+        _ => {
+            out.push(0x80 | 126);
+            out.extend(u16::try_from(payload.len()).expect("a short message").to_be_bytes());
+        }
+    }
+    out.extend([0; 4]);
+    out.extend(payload);
+    out
+}
+
+struct Spoken {
+    wire: Wire,
+    answer: Vec<u8>,
+}
+
+impl Spoken {
+    /// One sample of depth and both loads.
+    fn question(&self, n: u32, sample: u32) -> Vec<u8> {
+        if matches!(self.wire, Wire::Binary | Wire::EchoBinary) {
+            let mut payload = vec![1, 0, 1, 0];
+            payload.extend(n.to_le_bytes());
+            payload.extend(sample.to_le_bytes());
+            for value in [i32::try_from(sample % 20_000).unwrap_or(0), 280, 360] {
+                payload.extend(value.to_le_bytes());
+            }
+            return frame(0x82, &payload);
+        }
+        let text = format!(
+            "{{\"type\":\"samples\",\"n\":{n},\"first\":{sample},\"depth_mm\":12.345,\
+             \"feed_drive_load_percent\":28.0,\"spindle_load_percent\":36.0}}"
+        );
+        frame(0x81, text.as_bytes())
+    }
+
+    /// Reads one answer, past pings.
+    async fn read(&mut self, stream: &mut TcpStream) -> std::io::Result<()> {
+        if self.wire.is_echo() {
+            return stream.read_exact(&mut self.answer).await.map(drop);
+        }
+        loop {
+            let mut head = [0; 2];
+            stream.read_exact(&mut head).await?;
+            let length = match head[1] & 0x7f {
+                126 => usize::from(stream.read_u16().await?),
+                127 => usize::try_from(stream.read_u64().await?).unwrap_or(usize::MAX),
+                short => usize::from(short),
+            };
+            self.answer.resize(length, 0);
+            stream.read_exact(&mut self.answer).await?;
+            match head[0] & 0x0f {
+                1 | 2 => return Ok(()),
+                8 => return Err(std::io::Error::other("closed")),
+                _ => stream.write_all(&frame(0x8a, &[])).await?,
+            }
+        }
+    }
+}

@@ -1,0 +1,615 @@
+//! One socket: a message at a time, answered before the next is read.
+
+use super::answer::{self, OverrideMessage, PlainMessage, ResumedMessage, StartedMessage, StoredMessage};
+use super::binary::{self, Frame, Told};
+use super::cycle::{self, Checked, Ordered, StreamedCycle};
+use super::finish::{self, connection_gone, show};
+use super::message::{
+    self, EndMessage, Incoming, MonitorMessage, ResumeMessage, SamplesMessage, StartMessage, VibrationMessage,
+};
+use super::slots::{Held, Ownership};
+use crate::http::dto::mirror::{To, violation};
+use crate::http::dto::time;
+use crate::http::problem::Problem;
+use crate::live::{Event, Kind, MachineState};
+use crate::state::AppState;
+use axum::extract::ws::{CloseFrame, Message, WebSocket};
+use bytes::Bytes;
+use feedwright_core::closed_loop::monitor::{MOST_BLOCK, Monitor};
+use feedwright_core::closed_loop::{Answer, Batch, LoopReason, LoopReasons, SampleAdvice};
+use feedwright_core::invalid::Violation;
+use feedwright_core::units::Timestamp;
+use feedwright_core::vibratory::peak_to_peak::{ControllerInput, ControllerSettings, VibrationSample};
+use std::pin::pin;
+use std::time::Duration;
+use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
+
+/// Unreadable messages in a row after which a connection is closed: it speaks something else.
+const MOST_UNREADABLE: u32 = 100;
+/// How long the other end has to answer a close.
+const CLOSE_PATIENCE: Duration = Duration::from_secs(1);
+
+/// Why a stream is closed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Closing {
+    /// The server stops.
+    GoingAway,
+    /// A message or frame is too large.
+    TooLarge,
+    /// The frames are no WebSocket's.
+    Protocol,
+    /// Another stream of the machine was opened.
+    TakenOver,
+    /// Nothing was heard for too long.
+    Idle,
+    /// Too many messages in a row could not be read.
+    Unreadable,
+}
+
+impl Closing {
+    /// Code and text of the close frame.
+    pub const fn frame(self) -> (u16, &'static str) {
+        match self {
+            Self::GoingAway => (1001, "the server stops"),
+            Self::TooLarge => (1009, "the message is too large"),
+            Self::Protocol => (1002, "no WebSocket frame"),
+            Self::TakenOver => (4001, "another stream of this machine was opened"),
+            Self::Idle => (4008, "nothing was heard for too long"),
+            Self::Unreadable => (4400, "too many messages could not be read"),
+        }
+    }
+}
+
+/// What goes on the wire.
+enum Out {
+    Text(String),
+    Binary(Vec<u8>),
+}
+
+/// Serves one stream until it ends.
+pub async fn serve(state: AppState, ownership: Ownership, mut socket: WebSocket) {
+    let machine = ownership.slot.machine.clone();
+    state.metrics.streams_open().inc();
+    tracing::info!(%machine, "a stream is open");
+    let running = ownership.slot.lock().cycle.is_some();
+    show(&state, &ownership.slot, if running { MachineState::Interrupted } else { MachineState::Connected });
+    let mut connection = Connection::new(state.clone(), ownership.clone());
+    let closing = connection.run(&mut socket).await;
+    if let Some(closing) = closing {
+        close(&mut socket, closing).await;
+    }
+    drop(socket);
+    tracing::info!(%machine, ?closing, "a stream is closed");
+    connection_gone(&state, &ownership).await;
+    state.metrics.streams_open().dec();
+}
+
+async fn close(socket: &mut WebSocket, closing: Closing) {
+    let (code, reason) = closing.frame();
+    let frame = CloseFrame { code, reason: reason.into() };
+    let shaken = async {
+        if socket.send(Message::Close(Some(frame))).await.is_ok() {
+            // Until the other end has answered, or the connection is gone.
+            while let Some(Ok(_)) = socket.recv().await {}
+        }
+    };
+    let _ = timeout(CLOSE_PATIENCE, shaken).await;
+}
+
+struct Connection {
+    state: AppState,
+    ownership: Ownership,
+    /// Number of the last message sent.
+    sent: u32,
+    unreadable: u32,
+    monitor: Option<Monitor>,
+    each: Vec<SampleAdvice>,
+}
+
+impl Connection {
+    const fn new(state: AppState, ownership: Ownership) -> Self {
+        Self { state, ownership, sent: 0, unreadable: 0, monitor: None, each: Vec::new() }
+    }
+
+    /// Answers messages until the stream ends; why it is to be closed, where the other end did not close it.
+    async fn run(&mut self, socket: &mut WebSocket) -> Option<Closing> {
+        let config = self.state.config.stream.clone();
+        let lifecycle = self.state.lifecycle.clone();
+        let leave = self.ownership.leave.clone();
+        let mut stopping = pin!(lifecycle.stopping());
+        let mut left = pin!(leave.cancelled());
+        let mut beats = interval(config.heartbeat());
+        beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut heard = Instant::now();
+        loop {
+            tokio::select! {
+                received = socket.recv() => {
+                    heard = Instant::now();
+                    let out = match received {
+                        None | Some(Ok(Message::Close(_))) => return None,
+                        Some(Err(error)) => return Some(broken(&error)),
+                        Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
+                        Some(Ok(Message::Text(text))) => self.text(text.as_str()).await,
+                        Some(Ok(Message::Binary(bytes))) => self.binary(&bytes),
+                    };
+                    let Some(out) = out else { return Some(Closing::TakenOver) };
+                    let message = match out {
+                        Out::Text(text) => Message::Text(text.into()),
+                        Out::Binary(bytes) => Message::Binary(bytes.into()),
+                    };
+                    if socket.send(message).await.is_err() {
+                        return None;
+                    }
+                    if self.unreadable >= MOST_UNREADABLE {
+                        return Some(Closing::Unreadable);
+                    }
+                }
+                _ = beats.tick() => {
+                    if heard.elapsed() >= config.idle() {
+                        return Some(Closing::Idle);
+                    }
+                    if socket.send(Message::Ping(Bytes::new())).await.is_err() {
+                        return None;
+                    }
+                }
+                () = &mut left => return Some(Closing::TakenOver),
+                () = &mut stopping => return Some(Closing::GoingAway),
+            }
+        }
+    }
+
+    const fn number(&mut self) -> u32 {
+        self.sent = self.sent.wrapping_add(1);
+        self.sent
+    }
+
+    /// Answers a text message; `None` where another connection owns the machine's place.
+    async fn text(&mut self, text: &str) -> Option<Out> {
+        let now = self.state.clock.now();
+        match message::read(text) {
+            Ok(incoming) => {
+                self.unreadable = 0;
+                match incoming {
+                    Incoming::Samples(message) => self.samples(now, message),
+                    Incoming::Start(message) => self.start(now, *message).await,
+                    Incoming::End(message) => self.end(now, *message).await,
+                    Incoming::Resume(message) => self.resume(now, &message),
+                    Incoming::Heartbeat(message) => self.heartbeat(now, message.n),
+                    Incoming::Monitor(message) => Some(self.begin_monitor(now, *message)),
+                    Incoming::Vibration(message) => Some(self.vibration(message)),
+                }
+            }
+            Err(unreadable) => self.fault(now, unreadable.n, &unreadable.violation),
+        }
+    }
+
+    /// A message that cannot be used: neutral where a cycle runs, and said.
+    fn fault(&mut self, now: Timestamp, re: Option<u32>, violation: &Violation) -> Option<Out> {
+        self.unreadable += 1;
+        self.state.metrics.stream_refusal(violation.code);
+        let n = self.number();
+        let mut held = self.ownership.held()?;
+        let standing = held.cycle.as_mut().map(|cycle| {
+            let answer = cycle.running.fault(now, LoopReason::Malformed);
+            answer::standing(cycle, &answer)
+        });
+        Some(Out::Text(answer::text(&answer::error(n, re, violation, standing))))
+    }
+
+    /// A refusal that says nothing about the cycle that runs.
+    fn refuse(&mut self, now: Timestamp, re: u32, problem: &Problem) -> Option<Out> {
+        self.state.metrics.stream_refusal(problem.code);
+        let n = self.number();
+        let held = self.ownership.held()?;
+        let standing = held.cycle.as_ref().map(|cycle| answer::standing(cycle, &cycle.running.standing(now)));
+        Some(Out::Text(answer::text(&answer::problem(n, Some(re), problem, standing))))
+    }
+
+    fn samples(&mut self, now: Timestamp, message: SamplesMessage) -> Option<Out> {
+        let re = message.n;
+        let most = self.state.config.stream.samples_per_message;
+        let ordered = {
+            let held = self.ownership.held()?;
+            match &held.cycle {
+                Some(cycle) => cycle.order(message, most),
+                None => Err(no_cycle()),
+            }
+        };
+        let ordered = match ordered {
+            Ok(ordered) => ordered,
+            Err(violation) => return self.fault(now, Some(re), &violation),
+        };
+        let n = self.number();
+        let mut held = self.ownership.held()?;
+        let answered = judge(&self.state, &self.ownership, &mut held, (now, &ordered), &mut self.each)?;
+        let cycle = held.cycle.as_ref()?;
+        let message = OverrideMessage {
+            kind: "override",
+            n,
+            re: Some(re),
+            standing: answer::standing(cycle, &answered),
+            each: Some(answer::each(cycle.running.mode(), &self.each)),
+        };
+        Some(Out::Text(answer::text(&message)))
+    }
+
+    fn binary(&mut self, bytes: &[u8]) -> Option<Out> {
+        let now = self.state.clock.now();
+        let decimals = {
+            let held = self.ownership.held()?;
+            held.cycle.as_ref().map(|cycle| cycle.decimals.clone()).unwrap_or_default()
+        };
+        let frame = match binary::read(bytes, &decimals) {
+            Ok(frame) => frame,
+            Err(bad) => {
+                let violation = Violation::new("", "malformed_frame", bad.why);
+                return self.fault(now, bad.n, &violation);
+            }
+        };
+        self.unreadable = 0;
+        match frame {
+            Frame::Samples { n: re, first, count, values, times_ms } => {
+                let most = self.state.config.stream.samples_per_message;
+                let fits = {
+                    let held = self.ownership.held()?;
+                    held.cycle
+                        .as_ref()
+                        .map_or(Err(no_cycle()), |cycle| cycle.fits(count, times_ms.len(), most))
+                };
+                if let Err(violation) = fits {
+                    return self.fault(now, Some(re), &violation);
+                }
+                let n = self.number();
+                let mut held = self.ownership.held()?;
+                let ordered = Ordered { first, count, values, times_ms };
+                let answered =
+                    judge(&self.state, &self.ownership, &mut held, (now, &ordered), &mut self.each)?;
+                let mode = held.cycle.as_ref()?.running.mode();
+                drop(held);
+                let mut out = Vec::with_capacity(48 + 16 * self.each.len());
+                binary::overrides(&mut out, Told { n, re, mode }, &answered, &self.each);
+                Some(Out::Binary(out))
+            }
+            Frame::Vibration { n: re, first, block } => {
+                let Some(monitor) = &mut self.monitor else {
+                    return self.fault(now, Some(re), &no_monitor());
+                };
+                let advice = monitor.take(first, &block);
+                let n = self.number();
+                let mut out = Vec::new();
+                binary::gain(&mut out, n, re, &advice);
+                Some(Out::Binary(out))
+            }
+        }
+    }
+
+    async fn start(&mut self, now: Timestamp, message: StartMessage) -> Option<Out> {
+        let re = message.n;
+        let checked = match cycle::check(message, now, &self.state.config.stream) {
+            Ok(checked) => checked,
+            Err(violations) => return self.refuse(now, re, &Problem::invalid(violations)),
+        };
+        match self.begin(checked).await {
+            Ok(()) => {}
+            Err(problem) => return self.refuse(now, re, &problem),
+        }
+        let n = self.number();
+        let held = self.ownership.held()?;
+        let cycle = held.cycle.as_ref()?;
+        let mut standing = answer::standing(cycle, &cycle.running.standing(now));
+        standing.reasons.0 = standing.reasons.0.and(cycle.running.standing_reasons());
+        if cycle.meta.resend {
+            standing.reasons.0.add(LoopReason::Restarted);
+        }
+        let text = answer::text(&StartedMessage {
+            kind: "started",
+            n,
+            re,
+            standing,
+            channels: cycle.running.record().channels().iter().map(|channel| channel.as_str()).collect(),
+            decimals: cycle.decimals.clone(),
+            override_range_percent: cycle.running.bounds_percent(),
+        });
+        drop(held);
+        show(&self.state, &self.ownership.slot, MachineState::Running);
+        Some(Out::Text(text))
+    }
+
+    /// Puts a new cycle into the machine's place; one that was left there without its end is stored as incomplete.
+    async fn begin(&self, checked: Checked) -> Result<(), Problem> {
+        let id = checked.id().clone();
+        let machine = &self.ownership.slot.machine;
+        let running =
+            self.ownership.held().and_then(|held| held.cycle.as_ref().map(|cycle| cycle.id.clone()));
+        if running.as_ref() == Some(&id) && !checked.resends() {
+            let detail = "this cycle runs already: resume it, or start it with resend to send it from its first sample";
+            return Err(Problem::new(http::StatusCode::CONFLICT, "cycle_running", detail));
+        }
+        if !self.state.streams.has_room() {
+            return Err(Problem::unavailable(
+                "too_many_samples_held",
+                "running cycles hold too many samples",
+                5,
+            ));
+        }
+        let begun = cycle::begin(&self.state, machine, checked).await?;
+        let begun = begun.ok_or_else(|| {
+            let detail = format!("there is no machine `{machine}`");
+            Problem::new(http::StatusCode::NOT_FOUND, "unknown_machine", detail)
+        })?;
+        let left = match self.ownership.held() {
+            Some(mut held) => {
+                let left = held.cycle.replace(begun);
+                self.state.streams.charge(&mut held);
+                left
+            }
+            None => None,
+        };
+        if let Some(left) = left.filter(|left| left.id != id) {
+            let (state, machine) = (self.state.clone(), machine.clone());
+            self.state.lifecycle.spawn(async move { finish::store_incomplete(&state, &machine, left).await });
+        }
+        Ok(())
+    }
+
+    fn resume(&mut self, now: Timestamp, message: &ResumeMessage) -> Option<Out> {
+        let n = self.number();
+        let held = self.ownership.held()?;
+        let running = held.cycle.as_ref().filter(|cycle| cycle.id.as_str() == message.cycle_id);
+        if let Some(cycle) = running {
+            let text = answer::text(&ResumedMessage {
+                kind: "resumed",
+                n,
+                re: message.n,
+                cycle_id: cycle.id.as_str(),
+                resume_from: Some(cycle.running.record().first_missing()),
+                restart_from: None,
+                standing: Some(answer::standing(cycle, &cycle.running.standing(now))),
+            });
+            drop(held);
+            show(&self.state, &self.ownership.slot, MachineState::Running);
+            return Some(Out::Text(text));
+        }
+        if let Some((id, status, answer)) = &held.ended
+            && id.as_str() == message.cycle_id
+        {
+            let (status, answer) = (*status, answer.clone());
+            return Some(Out::Text(answer::text(&StoredMessage {
+                kind: "stored",
+                n,
+                re: message.n,
+                status,
+                answer,
+            })));
+        }
+        Some(Out::Text(answer::text(&ResumedMessage {
+            kind: "resumed",
+            n,
+            re: message.n,
+            cycle_id: &message.cycle_id,
+            resume_from: None,
+            restart_from: Some(0),
+            standing: None,
+        })))
+    }
+
+    fn heartbeat(&mut self, now: Timestamp, re: u32) -> Option<Out> {
+        let n = self.number();
+        let held = self.ownership.held()?;
+        Some(Out::Text(match &held.cycle {
+            Some(cycle) => answer::text(&OverrideMessage {
+                kind: "heartbeat",
+                n,
+                re: Some(re),
+                standing: answer::standing(cycle, &cycle.running.standing(now)),
+                each: None,
+            }),
+            None => answer::text(&PlainMessage { kind: "heartbeat", n, re, at: time::show(now) }),
+        }))
+    }
+
+    async fn end(&mut self, now: Timestamp, message: EndMessage) -> Option<Out> {
+        let re = message.n;
+        let cycle = match self.take_ended(&message)? {
+            Ending::Cycle(cycle) => cycle,
+            Ending::Known(status, answer) => {
+                let n = self.number();
+                return Some(Out::Text(answer::text(&StoredMessage {
+                    kind: "stored",
+                    n,
+                    re,
+                    status,
+                    answer,
+                })));
+            }
+            Ending::Refused(problem) => return self.refuse(now, re, &problem),
+        };
+        let id = cycle.id.clone();
+        let (state, machine) = (self.state.clone(), self.ownership.slot.machine.clone());
+        // The machine may hang up; what was taken in goes on to its commit all the same.
+        let storing = self.state.lifecycle.spawn(async move {
+            finish::store(&state, &machine, *cycle, message.outcome, message.reported).await
+        });
+        let stored = storing.await;
+        let n = self.number();
+        let text = match stored {
+            Ok(Ok(stored)) => {
+                if let Some(mut held) = self.ownership.held() {
+                    held.ended = Some((id, stored.status, stored.answer.clone()));
+                    self.state.streams.charge(&mut held);
+                }
+                answer::text(&StoredMessage {
+                    kind: "stored",
+                    n,
+                    re,
+                    status: stored.status,
+                    answer: stored.answer,
+                })
+            }
+            Ok(Err(not_stored)) => {
+                if let (Some(mut held), Some(cycle)) = (self.ownership.held(), not_stored.cycle)
+                    && held.cycle.is_none()
+                {
+                    held.cycle = Some(cycle);
+                }
+                answer::text(&answer::problem(n, Some(re), &not_stored.problem, None))
+            }
+            Err(panicked) => {
+                let problem = Problem::internal(panicked.to_string());
+                answer::text(&answer::problem(n, Some(re), &problem, None))
+            }
+        };
+        show(&self.state, &self.ownership.slot, MachineState::Connected);
+        Some(Out::Text(text))
+    }
+
+    /// Takes the cycle that ends out of its place, once every sample of it is there.
+    fn take_ended(&self, message: &EndMessage) -> Option<Ending> {
+        let mut held = self.ownership.held()?;
+        let asked = message.cycle_id.as_deref();
+        let Some(cycle) = held.cycle.as_ref().filter(|cycle| asked.is_none_or(|id| id == cycle.id.as_str()))
+        else {
+            return Some(match &held.ended {
+                Some((id, status, answer)) if asked.is_none_or(|asked| asked == id.as_str()) => {
+                    Ending::Known(*status, answer.clone())
+                }
+                _ => Ending::Refused(no_cycle().into()),
+            });
+        };
+        let record = cycle.running.record();
+        if let Some(samples) = message.samples {
+            let from = record.first_missing();
+            if from < samples && !cycle.running.was_cut_short() {
+                let detail = format!("sample {from} is missing: send from there again, then end");
+                let problem = Problem::new(http::StatusCode::CONFLICT, "samples_missing", detail);
+                return Some(Ending::Refused(problem));
+            }
+            if record.next() > samples {
+                let detail = format!("{} samples came, {samples} are told", record.next());
+                let problem = Problem::new(http::StatusCode::CONFLICT, "samples_contradictory", detail);
+                return Some(Ending::Refused(problem));
+            }
+        }
+        held.cycle.take().map(Box::new).map(Ending::Cycle)
+    }
+
+    fn begin_monitor(&mut self, now: Timestamp, message: MonitorMessage) -> Out {
+        let n = self.number();
+        let input: ControllerInput = message.settings.map_or(ControllerInput::IVANOV_2024, To::to);
+        match ControllerSettings::new(input) {
+            Ok(settings) => {
+                self.monitor = Some(Monitor::new(settings));
+                Out::Text(answer::text(&PlainMessage {
+                    kind: "monitoring",
+                    n,
+                    re: message.n,
+                    at: time::show(now),
+                }))
+            }
+            Err(error) => {
+                let violation = violation("settings", error);
+                Out::Text(answer::text(&answer::error(n, Some(message.n), &violation, None)))
+            }
+        }
+    }
+
+    fn vibration(&mut self, message: VibrationMessage) -> Out {
+        let n = self.number();
+        let (re, count) = (message.n, message.velocity_mm_s.len());
+        let refused =
+            |violation: &Violation| Out::Text(answer::text(&answer::error(n, Some(re), violation, None)));
+        if count != message.acceleration_mm_s2.len() {
+            let why =
+                format!("has {} samples where velocity_mm_s has {count}", message.acceleration_mm_s2.len());
+            return refused(&Violation::new("acceleration_mm_s2", "length_mismatch", why));
+        }
+        if count > MOST_BLOCK {
+            return refused(&Violation::new(
+                "velocity_mm_s",
+                "too_many_samples",
+                format!("at most {MOST_BLOCK}"),
+            ));
+        }
+        let Some(monitor) = &mut self.monitor else { return refused(&no_monitor()) };
+        let samples = message.velocity_mm_s.into_iter().zip(message.acceleration_mm_s2);
+        let block: Vec<VibrationSample> = samples
+            .map(|(velocity_mm_s, acceleration_mm_s2)| VibrationSample { velocity_mm_s, acceleration_mm_s2 })
+            .collect();
+        let advice = monitor.take(message.first, &block);
+        Out::Text(answer::text(&answer::gain(n, re, &advice)))
+    }
+}
+
+/// What becomes of the wish to end a cycle.
+enum Ending {
+    Cycle(Box<StreamedCycle>),
+    Known(u16, serde_json::Value),
+    Refused(Problem),
+}
+
+fn no_cycle() -> Violation {
+    Violation::new("type", "no_cycle", "no cycle runs: start or resume one first")
+}
+
+fn no_monitor() -> Violation {
+    Violation::new("type", "no_monitor", "nothing is monitored: send monitor first")
+}
+
+/// Passes samples to the running cycle, and tells of them whoever has to know.
+fn judge(
+    state: &AppState,
+    ownership: &Ownership,
+    held: &mut Held,
+    (now, ordered): (Timestamp, &Ordered),
+    each: &mut Vec<SampleAdvice>,
+) -> Option<Answer> {
+    let leased = ownership.slot.is_leased(now);
+    let cycle = held.cycle.as_mut()?;
+    cycle.running.set_passing(if leased {
+        LoopReasons::NONE
+    } else {
+        LoopReasons::of(LoopReason::LeaseUnknown)
+    });
+    let Ordered { first, count, values, times_ms } = ordered;
+    let batch = Batch { first: *first, count: *count, values, times_ms };
+    each.clear();
+    let answered = cycle.running.take(now, &batch, each);
+    state.metrics.stream_samples(*count);
+    let machine = &ownership.slot.machine;
+    if answered.overloaded && !cycle.overload_told {
+        cycle.overload_told = true;
+        let message = format!("cycle {}: the load exceeded the limit of an overload", cycle.id);
+        let tasks = state.lifecycle.clone();
+        let (state, machine, tool) = (state.clone(), machine.clone(), cycle.tool.clone());
+        let raising = async move {
+            let raised = state
+                .commit(|store| async move { store.raise_overload(&machine, &tool, &message, now).await })
+                .await;
+            if let Err(error) = raised {
+                tracing::warn!(%error, "an overload could not be raised");
+            }
+            state.live.alarms_may_have_changed();
+        };
+        tasks.spawn(raising);
+    }
+    let interval_us =
+        i64::try_from(state.live.config().sample_interval_ms).unwrap_or(i64::MAX).saturating_mul(1000);
+    if now.micros().saturating_sub(cycle.shown_us) >= interval_us && state.live.samples_are_watched() {
+        cycle.shown_us = now.micros();
+        if let Some(last) = each.last() {
+            state.live.publish(Event::new(Kind::Sample, Some(machine), cycle.shown(machine, ordered, last)));
+        }
+    }
+    state.streams.charge(held);
+    Some(answered)
+}
+
+/// Why reading failed. The protocol library's own error type is not part of the web framework's interface.
+fn broken(error: &axum::Error) -> Closing {
+    let text = error.to_string();
+    if text.contains("too long") || text.contains("Space limit") {
+        Closing::TooLarge
+    } else {
+        Closing::Protocol
+    }
+}

@@ -1,0 +1,194 @@
+//! The end of a cycle: stored on the same way as a posted one, and answered as that.
+
+use super::cycle::StreamedCycle;
+use super::slots::{Ownership, Slot};
+use crate::http::dto::cycle::CycleAnswerBody;
+use crate::http::problem::Problem;
+use crate::ingest::intake::{Accepted, Refused};
+use crate::live::{Event, MachineState};
+use crate::state::AppState;
+use bytes::Bytes;
+use feedwright_core::ids::{CycleId, MAX_ID_LENGTH, MachineId};
+use feedwright_store::{CycleOverrides, StreamLease, codec};
+use serde_json::Value;
+use std::sync::Arc;
+
+/// What a machine is told of a cycle that is stored.
+#[derive(Debug)]
+pub struct Stored {
+    /// 201 or 200.
+    pub status: u16,
+    /// The answer of a post.
+    pub answer: Value,
+}
+
+/// A cycle that could not be stored, with the cycle where its machine may try again.
+pub struct NotStored {
+    /// Why.
+    pub problem: Problem,
+    /// The cycle, unless it was refused for good.
+    pub cycle: Option<StreamedCycle>,
+}
+
+/// Stores a cycle that has ended, and its overrides beside it.
+pub async fn store(
+    state: &AppState,
+    machine: &MachineId,
+    cycle: StreamedCycle,
+    outcome: Option<String>,
+    reported: Option<Value>,
+) -> Result<Stored, Box<NotStored>> {
+    match try_store(state, machine, &cycle, outcome.as_deref(), reported.as_ref()).await {
+        Ok(accepted) => {
+            let answer = serde_json::to_value(CycleAnswerBody::of(&accepted)).unwrap_or_default();
+            Ok(Stored { status: if accepted.new { 201 } else { 200 }, answer })
+        }
+        Err(problem) => {
+            // A refusal for its content stands, and its body is in quarantine; everything else may pass.
+            let again = !problem.members.contains_key("quarantine_id");
+            Err(Box::new(NotStored { problem, cycle: again.then_some(cycle) }))
+        }
+    }
+}
+
+async fn try_store(
+    state: &AppState,
+    machine: &MachineId,
+    cycle: &StreamedCycle,
+    outcome: Option<&str>,
+    reported: Option<&Value>,
+) -> Result<Accepted, Problem> {
+    // Before the cycle: with the cycle stored and these lost, nobody would send them again.
+    keep_overrides(state, machine, &cycle.id, cycle).await?;
+    let body = cycle.body(cycle.id.as_str(), outcome, reported);
+    let json = Bytes::from(body.to_string());
+    if cycle.running.was_cut_short() {
+        state.intake.accept_incomplete(machine, json, Refused::ToQuarantine).await
+    } else {
+        state.intake.accept(machine, json, Refused::ToQuarantine).await
+    }
+}
+
+async fn keep_overrides(
+    state: &AppState,
+    machine: &MachineId,
+    id: &CycleId,
+    cycle: &StreamedCycle,
+) -> Result<(), Problem> {
+    let advice = cycle.running.record().all_advice();
+    if advice.is_empty() {
+        return Ok(());
+    }
+    let samples: Vec<(f64, u64)> =
+        advice.iter().map(|advice| (advice.ovr.percent(), advice.reasons.bits())).collect();
+    let kept = CycleOverrides {
+        machine: machine.clone(),
+        cycle: id.clone(),
+        mode: cycle.running.mode().as_str().to_owned(),
+        law_version: cycle.law_version.to_owned(),
+        program_hash: cycle.program_hash.clone(),
+        stored_at: state.clock.now(),
+        block: codec::encode_overrides(&samples)?,
+    };
+    state.commit(|store| async move { store.put_overrides(&kept).await }).await?;
+    Ok(())
+}
+
+/// Stores what there is of a cycle whose end never came. It has an id of its own, so that the whole cycle, from its
+/// machine's buffer, is stored under the right one later; it is flagged incomplete and does not count.
+pub async fn store_incomplete(state: &AppState, machine: &MachineId, cycle: StreamedCycle) {
+    let (came, whole) = cycle.running.record().counts();
+    if whole == 0 {
+        tracing::info!(%machine, cycle = %cycle.id, came, "a cycle was left without a usable sample");
+        return;
+    }
+    let Some(id) = incomplete_id(&cycle) else { return };
+    let body = Bytes::from(cycle.body(id.as_str(), Some("aborted"), None).to_string());
+    let kept = keep_overrides(state, machine, &id, &cycle).await;
+    let stored = state.intake.accept_incomplete(machine, body, Refused::ToQuarantine).await;
+    match stored {
+        Ok(_) if kept.is_ok() => {
+            tracing::info!(%machine, cycle = %id, whole, "a cycle was left and stored as incomplete")
+        }
+        Ok(_) => tracing::warn!(%machine, cycle = %id, "a cycle was left and stored without its overrides"),
+        Err(problem) => {
+            tracing::warn!(%machine, cycle = %id, code = problem.code, "a left cycle was not stored")
+        }
+    }
+}
+
+/// `<cycle_id>.incomplete-<hash>`: the same remains always get the same id.
+fn incomplete_id(cycle: &StreamedCycle) -> Option<CycleId> {
+    let content = cycle.body(cycle.id.as_str(), None, None).to_string();
+    let hash = blake3::hash(content.as_bytes()).to_hex();
+    let tail = format!(".incomplete-{}", &hash[..12]);
+    // Identifiers are ASCII: cutting one between bytes is cutting it between characters.
+    let head = &cycle.id.as_str()[..cycle.id.as_str().len().min(MAX_ID_LENGTH - tail.len())];
+    CycleId::parse("cycle_id", &format!("{head}{tail}")).ok()
+}
+
+/// A connection is gone: gives the lease back, and waits for the machine to come back to its cycle.
+pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
+    let slot = ownership.slot.clone();
+    let Some((generation, cycle_left)) = state.streams.leave(ownership) else { return };
+    release(state, &slot, generation).await;
+    if !cycle_left {
+        show(state, &slot, MachineState::Disconnected);
+        return;
+    }
+    show(state, &slot, MachineState::Interrupted);
+    let (waiting, ownership) = (state.clone(), ownership.clone());
+    state.lifecycle.spawn(async move {
+        tokio::select! {
+            () = tokio::time::sleep(waiting.config.stream.resume()) => {}
+            // The machine sends everything again to whoever serves next.
+            () = waiting.lifecycle.stopping() => return,
+        }
+        let Some(cycle) = waiting.streams.take_left(&ownership) else { return };
+        show(&waiting, &slot, MachineState::Disconnected);
+        if went_elsewhere(&waiting, &slot, generation).await {
+            tracing::info!(machine = %slot.machine, cycle = %cycle.id, "the machine went on with another server");
+            return;
+        }
+        store_incomplete(&waiting, &slot.machine, cycle).await;
+    });
+}
+
+async fn release(state: &AppState, slot: &Arc<Slot>, generation: i64) {
+    let (machine, holder) = (slot.machine.clone(), state.streams.holder().to_owned());
+    let now = state.clock.now();
+    let released = state
+        .commit(|store| async move { store.release_stream(&machine, &holder, generation, now).await })
+        .await;
+    if let Err(error) = released {
+        // It ends by itself.
+        tracing::debug!(%error, "a lease could not be given back");
+    }
+}
+
+/// Whether the machine has opened a stream at another server since: then it has sent the cycle there again.
+async fn went_elsewhere(state: &AppState, slot: &Arc<Slot>, generation: i64) -> bool {
+    let (machine, holder) = (slot.machine.clone(), state.streams.holder().to_owned());
+    let now = state.clock.now();
+    let taken = state
+        .commit(|store| async move { store.take_stream(&machine, &holder, false, now, now).await })
+        .await;
+    match taken {
+        Ok(StreamLease::Taken { generation: next }) => next != generation + 1,
+        Ok(StreamLease::Held { .. }) => true,
+        Err(_) => false,
+    }
+}
+
+/// Shows a machine's state to those who watch.
+pub fn show(state: &AppState, slot: &Arc<Slot>, now: MachineState) {
+    let at = state.clock.now();
+    let event = {
+        let held = slot.lock();
+        let cycle = held.cycle.as_ref();
+        let cycle =
+            cycle.map(|cycle| (cycle.id.as_str(), cycle.tool.as_str(), cycle.meta.operation.as_str()));
+        Event::machine(&slot.machine, now, cycle, at)
+    };
+    state.live.publish(event);
+}

@@ -1,0 +1,444 @@
+//! What a machine sends as JSON text, read apart from any socket.
+//!
+//! A message names its type and its number; samples come as columns by the channels' names. What cannot be read is an
+//! error with the path of the field, never a guess.
+
+use crate::http::dto::peak_to_peak::ControllerBody;
+use feedwright_core::cycle::Channel;
+use feedwright_core::invalid::Violation;
+use serde::de::{Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+use std::borrow::Cow;
+use std::fmt;
+use utoipa::ToSchema;
+
+/// Begins a cycle, or one whose memory was lost (`resend`).
+#[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StartMessage {
+    /// `start`.
+    #[serde(rename = "type")]
+    #[schema(value_type = String, example = "start")]
+    pub kind: String,
+    /// Number of the message; the answer names it.
+    pub n: u32,
+    /// The cycle's id, unique within the machine for ever: a UUIDv7 or boot id + counter.
+    pub cycle_id: String,
+    /// The tool in the spindle.
+    pub tool: String,
+    /// What is machined.
+    pub operation: String,
+    /// When the cycle began, RFC 3339, by the machine's clock.
+    pub started_at: String,
+    /// What that clock said when this message was sent: ages are reckoned from the difference to the server's.
+    pub sent_at: String,
+    /// Distance of two samples, ms; the first is taken at the end of the first period.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub period_ms: Option<f64>,
+    /// Instead of `period_ms`: every message of samples has `time_ms`, and this is the usual distance, ms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub usual_period_ms: Option<f64>,
+    /// The channels that samples have, by their names.
+    pub channels: Vec<String>,
+    /// Decimals of each channel in binary messages; those that controls usually have where it is left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decimals: Option<Vec<u8>>,
+    /// `advise` (where it is left out) or `shadow`: computed and stored, not told.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mode: Option<String>,
+    /// The programmed feed over depth that the machine runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub program: Option<ProgramMessage>,
+    /// The feed profile that the machine runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<ProfileMessage>,
+    /// The cycle began before this message and is sent again from its first sample: answers to what is old are neutral.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub resend: bool,
+    /// With `resend`: the override that is in force at the machine, percent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub in_force_percent: Option<f64>,
+    /// The machine's own count of cycles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seq: Option<u64>,
+    /// The process, as in a posted cycle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub process: Option<String>,
+    /// `f_const`, `f_sec`, `f_lin` or `f_ac`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub strategy: Option<String>,
+    /// Version of the control law that the machine applies.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub law_version: Option<String>,
+    /// The recommendation that the cycle follows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recommendation_id: Option<String>,
+    /// Commanded spindle speed, rpm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spindle_speed_rpm: Option<f64>,
+}
+
+/// Programmed feed over depth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProgramMessage {
+    /// `held` (F_Const, F_Sec) or `linear` (F_Lin).
+    pub between: String,
+    /// At most 256 knots with rising depths.
+    pub knots: Vec<KnotMessage>,
+    /// Least override that the program permits, percent; the configuration's where it is left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub override_min_percent: Option<f64>,
+    /// Greatest override that the program permits, percent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub override_max_percent: Option<f64>,
+}
+
+/// A knot of a program.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct KnotMessage {
+    /// Depth below first contact, mm.
+    pub depth_mm: f64,
+    /// Programmed feed, mm/min.
+    pub feed_mm_min: f64,
+}
+
+/// A version of a feed profile.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileMessage {
+    /// Its id.
+    pub id: String,
+    /// Its version.
+    pub version: u32,
+}
+
+/// Ends a cycle: it is stored, and the answer is a post's.
+#[derive(Debug, Clone, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EndMessage {
+    /// `end`.
+    #[serde(rename = "type")]
+    #[schema(value_type = String, example = "end")]
+    pub kind: String,
+    /// Number of the message.
+    pub n: u32,
+    /// The cycle's id: asks again for the answer to a cycle that has ended.
+    pub cycle_id: Option<String>,
+    /// Samples that the machine has sent; where some are missing the answer names the first of them.
+    pub samples: Option<u64>,
+    /// `completed` (where it is left out) or `aborted`.
+    pub outcome: Option<String>,
+    /// What the control itself reports, as in a posted cycle.
+    #[schema(value_type = Option<Object>)]
+    pub reported: Option<serde_json::Value>,
+}
+
+/// Goes on with a cycle after the connection broke.
+#[derive(Debug, Clone, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ResumeMessage {
+    /// `resume`.
+    #[serde(rename = "type")]
+    #[schema(value_type = String, example = "resume")]
+    pub kind: String,
+    /// Number of the message.
+    pub n: u32,
+    /// The cycle's id.
+    pub cycle_id: String,
+}
+
+/// Says that the machine lives; answered with what is in force.
+#[derive(Debug, Clone, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct HeartbeatMessage {
+    /// `heartbeat`.
+    #[serde(rename = "type")]
+    #[schema(value_type = String, example = "heartbeat")]
+    pub kind: String,
+    /// Number of the message.
+    pub n: u32,
+}
+
+/// Begins to watch a vibration, beside any cycle.
+#[derive(Debug, Clone, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MonitorMessage {
+    /// `monitor`.
+    #[serde(rename = "type")]
+    #[schema(value_type = String, example = "monitor")]
+    pub kind: String,
+    /// Number of the message.
+    pub n: u32,
+    /// Settings of the controller; the paper's where they are left out.
+    pub settings: Option<ControllerBody>,
+}
+
+/// A block of vibration.
+#[derive(Debug, Clone, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct VibrationMessage {
+    /// `vibration`.
+    #[serde(rename = "type")]
+    #[schema(value_type = String, example = "vibration")]
+    pub kind: String,
+    /// Number of the message.
+    pub n: u32,
+    /// Number of the block's first sample, counted from 0 since `monitor`.
+    pub first: u64,
+    /// Velocity, mm/s.
+    pub velocity_mm_s: Vec<f64>,
+    /// Acceleration, mm/s², as many.
+    pub acceleration_mm_s2: Vec<f64>,
+}
+
+/// Some samples in a row. A value that was not measured is null; a single value needs no array.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SamplesMessage {
+    /// Number of the message.
+    pub n: u32,
+    /// Number of the first sample within the cycle, counted from 0.
+    pub first: u64,
+    /// Times since the start of the cycle, ms.
+    pub time_ms: Vec<f64>,
+    /// Columns of equal length.
+    pub columns: Vec<(Channel, Vec<f64>)>,
+}
+
+/// The schema of [`SamplesMessage`], which is read by hand: a column for each channel that the start has named.
+#[derive(ToSchema)]
+#[schema(as = SamplesMessage)]
+#[expect(dead_code, reason = "the schema of what is read by hand")]
+pub struct SamplesSchema {
+    /// `samples`.
+    #[schema(rename = "type", example = "samples")]
+    kind: String,
+    /// Number of the message.
+    n: u32,
+    /// Number of the first sample within the cycle, counted from 0.
+    first: u64,
+    /// Times since the start of the cycle, ms; only where the start has `usual_period_ms`.
+    time_ms: Option<Vec<f64>>,
+    /// Tool tip depth, mm; null where it was not measured. So every other channel of a posted cycle, by its name.
+    depth_mm: Option<Vec<Option<f64>>>,
+    /// Feed-drive load, percent.
+    feed_drive_load_percent: Option<Vec<Option<f64>>>,
+    /// Spindle load, percent.
+    spindle_load_percent: Option<Vec<Option<f64>>>,
+}
+
+/// A message of a machine.
+#[derive(Debug, Clone)]
+pub enum Incoming {
+    /// Begins a cycle.
+    Start(Box<StartMessage>),
+    /// Samples.
+    Samples(SamplesMessage),
+    /// Ends a cycle.
+    End(Box<EndMessage>),
+    /// Goes on after a break.
+    Resume(ResumeMessage),
+    /// Lives.
+    Heartbeat(HeartbeatMessage),
+    /// Watches a vibration.
+    Monitor(Box<MonitorMessage>),
+    /// A block of vibration.
+    Vibration(VibrationMessage),
+}
+
+/// A message that could not be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unreadable {
+    /// Its number, where that could be read.
+    pub n: Option<u32>,
+    /// What is wrong.
+    pub violation: Violation,
+}
+
+/// Reads a message of JSON text.
+pub fn read(text: &str) -> Result<Incoming, Unreadable> {
+    // Samples come a hundred times a second and more, everything else once in a while.
+    if text.starts_with("{\"type\":\"samples\"") || text.starts_with("{\"type\": \"samples\"") {
+        return parse(text).map(Incoming::Samples);
+    }
+    #[derive(Deserialize)]
+    struct Head<'a> {
+        #[serde(rename = "type", borrow)]
+        kind: Cow<'a, str>,
+    }
+    let head: Head<'_> = parse(text)?;
+    match head.kind.as_ref() {
+        "start" => parse(text).map(Box::new).map(Incoming::Start),
+        "samples" => parse(text).map(Incoming::Samples),
+        "end" => parse(text).map(Box::new).map(Incoming::End),
+        "resume" => parse(text).map(Incoming::Resume),
+        "heartbeat" => parse(text).map(Incoming::Heartbeat),
+        "monitor" => parse(text).map(Box::new).map(Incoming::Monitor),
+        "vibration" => parse(text).map(Incoming::Vibration),
+        _ => Err(Unreadable {
+            n: number_of(text),
+            violation: Violation::new("type", "unknown_type", "is no type of message that is known"),
+        }),
+    }
+}
+
+fn parse<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, Unreadable> {
+    serde_json::from_str(text)
+        .map_err(|error| Unreadable { n: number_of(text), violation: located(text, &error) })
+}
+
+fn number_of(text: &str) -> Option<u32> {
+    #[derive(Deserialize)]
+    struct OnlyNumber {
+        n: u32,
+    }
+    serde_json::from_str::<OnlyNumber>(text).ok().map(|only| only.n)
+}
+
+fn located(text: &str, error: &serde_json::Error) -> Violation {
+    if let Some((path, literal)) = crate::ingest::scan::first_non_finite(text.as_bytes()) {
+        return Violation::new(path, "not_finite", format!("must be a finite number or null, is {literal}"));
+    }
+    if serde_json::from_str::<IgnoredAny>(text).is_err() {
+        return Violation::new("", "malformed_json", format!("is no JSON: {error}"));
+    }
+    let message = error.to_string();
+    let named = |prefix: &str| message.strip_prefix(prefix)?.split_once('`').map(|(name, _)| name.to_owned());
+    if let Some(name) = named("unknown field `") {
+        Violation::new(name, "unknown_field", "is not a field of this message")
+    } else if let Some(name) = named("missing field `") {
+        Violation::new(name, "missing_field", "is required")
+    } else if let Some(name) = named("duplicate field `") {
+        Violation::new(name, "duplicate_field", "is given twice")
+    } else {
+        Violation::new("", "wrong_type", message)
+    }
+}
+
+/// A number, null, or an array of them; null is kept as what is not a number.
+struct Column(Vec<f64>);
+
+impl<'de> Deserialize<'de> for Column {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Values;
+        impl<'de> Visitor<'de> for Values {
+            type Value = Column;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a number, null or an array of them")
+            }
+            fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<Column, E> {
+                Ok(Column(vec![value]))
+            }
+            #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 every range refuses it")]
+            fn visit_u64<E: serde::de::Error>(self, value: u64) -> Result<Column, E> {
+                Ok(Column(vec![value as f64]))
+            }
+            #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 every range refuses it")]
+            fn visit_i64<E: serde::de::Error>(self, value: i64) -> Result<Column, E> {
+                Ok(Column(vec![value as f64]))
+            }
+            fn visit_unit<E: serde::de::Error>(self) -> Result<Column, E> {
+                Ok(Column(vec![f64::NAN]))
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Column, A::Error> {
+                let mut values = Vec::new();
+                while let Some(value) = seq.next_element::<Option<f64>>()? {
+                    values.push(value.unwrap_or(f64::NAN));
+                }
+                Ok(Column(values))
+            }
+        }
+        deserializer.deserialize_any(Values)
+    }
+}
+
+impl<'de> Deserialize<'de> for SamplesMessage {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields;
+        impl<'de> Visitor<'de> for Fields {
+            type Value = SamplesMessage;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a message of samples")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<SamplesMessage, A::Error> {
+                let (mut n, mut first) = (None, None);
+                let mut message = SamplesMessage::default();
+                while let Some(name) = map.next_key::<Cow<'de, str>>()? {
+                    match name.as_ref() {
+                        "type" => drop(map.next_value::<IgnoredAny>()?),
+                        "n" => n = Some(map.next_value()?),
+                        "first" => first = Some(map.next_value()?),
+                        "time_ms" => message.time_ms = map.next_value::<Column>()?.0,
+                        name => {
+                            let Some(channel) = Channel::parse(name) else {
+                                return Err(A::Error::custom(format!(
+                                    "unknown field `{name}`, expected a channel"
+                                )));
+                            };
+                            if message.columns.iter().any(|(known, _)| *known == channel) {
+                                return Err(A::Error::custom(format!("duplicate field `{name}`")));
+                            }
+                            message.columns.push((channel, map.next_value::<Column>()?.0));
+                        }
+                    }
+                }
+                message.n = n.ok_or_else(|| A::Error::missing_field("n"))?;
+                message.first = first.ok_or_else(|| A::Error::missing_field("first"))?;
+                Ok(message)
+            }
+        }
+        deserializer.deserialize_map(Fields)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn samples(text: &str) -> SamplesMessage {
+        match read(text) {
+            Ok(Incoming::Samples(message)) => message,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn samples_come_one_by_one_or_in_groups_in_any_order_of_their_fields() {
+        let group = samples(
+            r#"{"type":"samples","n":7,"first":40,"depth_mm":[0.1,0.2],"spindle_load_percent":[21,null]}"#,
+        );
+        assert_eq!((group.n, group.first, group.columns.len()), (7, 40, 2));
+        assert_eq!(group.columns[0], (Channel::DepthMm, vec![0.1, 0.2]));
+        assert!(group.columns[1].1[1].is_nan());
+        let one = samples(r#"{"depth_mm":0.1,"first":3,"n":1,"type":"samples","time_ms":40}"#);
+        assert_eq!((one.columns, one.time_ms), (vec![(Channel::DepthMm, vec![0.1])], vec![40.0]));
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_named_with_its_number() {
+        let refused = |text: &str| {
+            let refused = read(text).unwrap_err();
+            (refused.n, refused.violation.path, refused.violation.code)
+        };
+        let at = |n, path: &str, code| (n, path.to_owned(), code);
+        assert_eq!(refused(""), at(None, "", "malformed_json"));
+        assert_eq!(refused("{\"type\":\"samples\""), at(None, "", "malformed_json"));
+        assert_eq!(refused(r#"{"type":"sample","n":4}"#), at(Some(4), "type", "unknown_type"));
+        assert_eq!(refused(r#"{"n":4}"#), at(Some(4), "type", "missing_field"));
+        assert_eq!(
+            refused(r#"{"type":"samples","n":4,"first":0,"load":[1]}"#),
+            at(Some(4), "load", "unknown_field")
+        );
+        assert_eq!(
+            refused(r#"{"type":"samples","n":4,"depth_mm":[1]}"#),
+            at(Some(4), "first", "missing_field")
+        );
+        let nan = r#"{"type":"samples","n":4,"first":0,"depth_mm":[NaN]}"#;
+        assert_eq!(refused(nan), at(None, "depth_mm[0]", "not_finite"));
+        let twice = r#"{"type":"samples","n":4,"first":0,"depth_mm":[1],"depth_mm":[1]}"#;
+        assert_eq!(refused(twice), at(Some(4), "depth_mm", "duplicate_field"));
+        assert_eq!(refused(r#"{"type":"samples","n":-4,"first":0}"#).2, "wrong_type");
+        assert_eq!(refused(r#"{"type":"end","n":1,"more":1}"#), at(Some(1), "more", "unknown_field"));
+    }
+}

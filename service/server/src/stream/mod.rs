@@ -1,0 +1,25 @@
+//! The closed loop over a WebSocket: samples in, overrides out, the cycle stored at its end.
+//!
+//! What a message means is decided without a socket: [`message`] and [`binary`] read, [`answer`] writes, [`cycle`] is a
+//! running cycle with what it will be stored as, and the law and its envelope are the core's. [`connection`] is one
+//! socket; [`slots`] holds each machine's running cycle, so that it survives its connection, and who may use it.
+//!
+//! A new message is a variant of [`message::Incoming`], a step in [`connection`], a line in [`asyncapi`] and one in
+//! docs/stream.md. Laws do not belong here.
+
+pub mod answer;
+pub mod asyncapi;
+pub mod binary;
+pub mod connection;
+pub mod cycle;
+pub mod finish;
+pub mod leases;
+pub mod message;
+pub mod opening;
+pub mod slots;
+
+pub use leases::start;
+pub use slots::Streams;
+
+/// The subprotocol: another version is another name.
+pub const SUBPROTOCOL: &str = "feedwright.v1";

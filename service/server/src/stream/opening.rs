@@ -1,0 +1,131 @@
+//! Before the upgrade: who may open a stream, and whether there is room.
+
+use super::connection::serve;
+use super::slots::Ownership;
+use super::{SUBPROTOCOL, leases};
+use crate::config::SecondStream;
+use crate::http::problem::Problem;
+use crate::state::AppState;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::response::Response;
+use feedwright_core::ids::MachineId;
+use feedwright_store::StreamLease;
+use http::{HeaderMap, StatusCode, header};
+use std::time::Duration;
+
+/// The default of 128 KiB costs twice the time of a message; a message of samples is a few hundred bytes.
+const READ_BUFFER: usize = 4096;
+/// The longest answer is that to a stored cycle, tens of kilobytes; beyond this a machine does not read.
+const WRITE_BUFFER: usize = 1024 * 1024;
+
+/// Refuses a browser's page of another site: it would come with the rights of whoever looks at it.
+pub fn check_origin(headers: &HeaderMap, allowed: &[String]) -> Result<(), Problem> {
+    let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
+    let origin = origin.to_str().unwrap_or_default();
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let own =
+        origin.split_once("://").is_some_and(|(_, site)| !host.is_empty() && site.eq_ignore_ascii_case(host));
+    if own || allowed.iter().any(|allowed| allowed.eq_ignore_ascii_case(origin)) {
+        return Ok(());
+    }
+    Err(Problem::new(StatusCode::FORBIDDEN, "origin_not_allowed", "streams are not opened from other sites"))
+}
+
+/// Answers the wish to open a machine's stream: the upgrade, or why not.
+pub async fn open(
+    state: &AppState,
+    machine: MachineId,
+    headers: &HeaderMap,
+    upgrade: Result<WebSocketUpgrade, StatusCode>,
+) -> Result<Response, Problem> {
+    let config = &state.config.stream;
+    check_origin(headers, &config.origins())?;
+    let upgrade = upgrade.map_err(|status| {
+        let status = if status == StatusCode::UPGRADE_REQUIRED { status } else { StatusCode::BAD_REQUEST };
+        Problem::new(status, "websocket_required", "open it as a WebSocket, RFC 6455")
+            .header(header::UPGRADE, http::HeaderValue::from_static("websocket"))
+    })?;
+    if !upgrade.requested_protocols().any(|protocol| protocol == SUBPROTOCOL) {
+        let detail = "name the subprotocol feedwright.v1 in Sec-WebSocket-Protocol";
+        return Err(Problem::bad_request("subprotocol_required", detail));
+    }
+    if state.lifecycle.is_stopping() {
+        return Err(Problem::unavailable("shutting_down", "the service is shutting down", 5));
+    }
+    if state.store.machine(&machine).await?.is_none() {
+        let detail = format!("there is no machine `{machine}`");
+        return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
+    }
+    let place = state
+        .streams
+        .place()
+        .ok_or_else(|| Problem::unavailable("too_many_streams", "too many streams are open already", 5))?;
+    let takeover = config.second() == SecondStream::Takeover;
+    if !takeover && state.streams.is_connected(&machine) {
+        return Err(held(Duration::from_millis(config.lease_ms)));
+    }
+    let now = state.clock.now();
+    let until = leases::until(state, now);
+    let (holder, wanted) = (state.streams.holder().to_owned(), machine.clone());
+    let lease = state
+        .commit(|store| async move { store.take_stream(&wanted, &holder, takeover, now, until).await })
+        .await?;
+    let generation = match lease {
+        StreamLease::Taken { generation } => generation,
+        StreamLease::Held { until } => {
+            let millis = u64::try_from(until.millis_since(now)).unwrap_or(0);
+            return Err(held(Duration::from_millis(millis)));
+        }
+    };
+    let ownership: Ownership = state.streams.own(&machine, generation, until);
+    let failed = (state.clone(), ownership.clone());
+    // Counted before the upgrade, so that a shutdown in between waits for it.
+    let (tracked, state) = (state.lifecycle.track(), state.clone());
+    Ok(upgrade
+        .protocols([SUBPROTOCOL])
+        .read_buffer_size(READ_BUFFER)
+        // Written at once: an answer that waits for more to come is late.
+        .write_buffer_size(0)
+        .max_write_buffer_size(WRITE_BUFFER)
+        .max_message_size(config.message_bytes)
+        .max_frame_size(config.message_bytes)
+        .on_failed_upgrade(move |error| {
+            tracing::debug!(%error, "a stream was not upgraded");
+            let (state, ownership) = failed;
+            state.streams.leave(&ownership);
+        })
+        .on_upgrade(move |socket| async move {
+            serve(state, ownership, socket).await;
+            drop((place, tracked));
+        }))
+}
+
+fn held(wait: Duration) -> Problem {
+    let detail = "another stream of this machine is open; it is free when that one closes or its lease ends";
+    Problem::new(StatusCode::CONFLICT, "stream_held", detail).retry_after(wait)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checked(host: &str, origin: Option<&str>, allowed: &[&str]) -> bool {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::HOST, host.parse().unwrap());
+        if let Some(origin) = origin {
+            headers.insert(header::ORIGIN, origin.parse().unwrap());
+        }
+        let allowed: Vec<String> = allowed.iter().map(|origin| (*origin).to_owned()).collect();
+        check_origin(&headers, &allowed).is_ok()
+    }
+
+    #[test]
+    fn only_the_own_site_and_those_that_are_allowed_open_streams() {
+        assert!(checked("cell:7878", None, &[]), "a machine sends none");
+        assert!(checked("cell:7878", Some("http://cell:7878"), &[]));
+        assert!(checked("cell:7878", Some("https://mes.example"), &["https://mes.example"]));
+        for foreign in ["http://evil.example", "http://cell", "http://cell:78780", "null", "cell:7878", ""] {
+            assert!(!checked("cell:7878", Some(foreign), &[]), "{foreign}");
+        }
+    }
+}

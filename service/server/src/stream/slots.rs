@@ -1,0 +1,221 @@
+//! Each machine's place: the cycle that runs, and the one connection that may use it.
+//!
+//! A cycle belongs to its machine's slot, not to a connection, so that it outlives one that breaks. Whoever connects
+//! last owns the slot; an older connection finds that out at its next step and leaves.
+
+use super::cycle::StreamedCycle;
+use crate::config::StreamConfig;
+use feedwright_core::ids::{CycleId, MachineId};
+use feedwright_core::units::Timestamp;
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_util::sync::CancellationToken;
+
+/// The streams of one server.
+pub struct Streams {
+    config: StreamConfig,
+    /// Names this run of the server in leases.
+    holder: String,
+    places: Arc<Semaphore>,
+    slots: Mutex<HashMap<MachineId, Arc<Slot>>>,
+    /// Bytes of samples held by running cycles.
+    held_bytes: AtomicUsize,
+}
+
+/// One machine's place.
+pub struct Slot {
+    /// The machine.
+    pub machine: MachineId,
+    held: Mutex<Held>,
+    /// The lease is this server's until then, µs.
+    lease_until_us: AtomicI64,
+}
+
+/// What a slot holds.
+#[derive(Default)]
+pub struct Held {
+    /// Counts connections; the last one owns the slot.
+    owner: u64,
+    /// Whether its owner is connected.
+    connected: bool,
+    /// Ends the owner's connection.
+    leave: CancellationToken,
+    /// Generation of the lease.
+    pub generation: i64,
+    /// The cycle that runs.
+    pub cycle: Option<StreamedCycle>,
+    /// The last cycle that was stored, with its answer: asked for again when the answer was lost.
+    pub ended: Option<(CycleId, u16, serde_json::Value)>,
+    /// Bytes of samples that the cycle was charged.
+    charged: usize,
+}
+
+/// The right to use a slot.
+#[derive(Clone)]
+pub struct Ownership {
+    /// The slot.
+    pub slot: Arc<Slot>,
+    owner: u64,
+    /// Cancelled when another connection owns the slot.
+    pub leave: CancellationToken,
+}
+
+impl Streams {
+    /// No stream yet.
+    pub fn new(config: &StreamConfig) -> Arc<Self> {
+        Arc::new(Self {
+            config: config.clone(),
+            holder: uuid::Uuid::now_v7().simple().to_string(),
+            places: Arc::new(Semaphore::new(config.max_connections)),
+            slots: Mutex::default(),
+            held_bytes: AtomicUsize::new(0),
+        })
+    }
+
+    /// Names this run of the server in leases.
+    pub fn holder(&self) -> &str {
+        &self.holder
+    }
+
+    /// A place for one more stream; `None` where all are taken.
+    pub fn place(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.places).try_acquire_owned().ok()
+    }
+
+    fn slots(&self) -> MutexGuard<'_, HashMap<MachineId, Arc<Slot>>> {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The machine's slot, where it has one.
+    pub fn slot(&self, machine: &MachineId) -> Option<Arc<Slot>> {
+        self.slots().get(machine).cloned()
+    }
+
+    /// Every slot.
+    pub fn all(&self) -> Vec<Arc<Slot>> {
+        self.slots().values().cloned().collect()
+    }
+
+    /// Whether a stream of the machine is connected here.
+    pub fn is_connected(&self, machine: &MachineId) -> bool {
+        self.slot(machine).is_some_and(|slot| slot.lock().connected)
+    }
+
+    /// Gives the machine's slot to a new connection, which has the lease of that generation; an older one leaves.
+    pub fn own(&self, machine: &MachineId, generation: i64, lease_until: Timestamp) -> Ownership {
+        let slot = {
+            let mut slots = self.slots();
+            let made = || {
+                let (held, lease_until_us) = (Mutex::default(), AtomicI64::new(0));
+                Arc::new(Slot { machine: machine.clone(), held, lease_until_us })
+            };
+            slots.entry(machine.clone()).or_insert_with(made).clone()
+        };
+        slot.lease_until_us.store(lease_until.micros(), Ordering::Relaxed);
+        let (owner, leave) = {
+            let mut held = slot.lock();
+            held.leave.cancel();
+            held.leave = CancellationToken::new();
+            held.owner += 1;
+            held.connected = true;
+            held.generation = generation;
+            (held.owner, held.leave.clone())
+        };
+        Ownership { slot, owner, leave }
+    }
+
+    /// Ends a connection's ownership. Returns the lease's generation and whether a cycle is left, where it still owned.
+    pub fn leave(&self, ownership: &Ownership) -> Option<(i64, bool)> {
+        let mut slots = self.slots();
+        let mut held = ownership.slot.lock();
+        if held.owner != ownership.owner {
+            return None;
+        }
+        held.connected = false;
+        let left = (held.generation, held.cycle.is_some());
+        drop(held);
+        if !left.1 {
+            slots.remove(&ownership.slot.machine);
+        }
+        Some(left)
+    }
+
+    /// Takes the cycle that a broken connection has left, unless a connection owns the slot again.
+    pub fn take_left(&self, ownership: &Ownership) -> Option<StreamedCycle> {
+        let mut slots = self.slots();
+        let mut held = ownership.slot.lock();
+        if held.owner != ownership.owner || held.connected {
+            return None;
+        }
+        let cycle = held.cycle.take();
+        let charged = std::mem::take(&mut held.charged);
+        drop(held);
+        self.held_bytes.fetch_sub(charged, Ordering::Relaxed);
+        slots.remove(&ownership.slot.machine);
+        cycle
+    }
+
+    /// Whether there is room for the samples of another cycle.
+    pub fn has_room(&self) -> bool {
+        self.held_bytes.load(Ordering::Relaxed) < self.config.buffered_bytes
+    }
+
+    /// Charges a slot for the samples that its cycle holds now.
+    pub fn charge(&self, held: &mut Held) {
+        let bytes = held.cycle.as_ref().map_or(0, |cycle| cycle.running.record().bytes());
+        if bytes >= held.charged {
+            self.held_bytes.fetch_add(bytes - held.charged, Ordering::Relaxed);
+        } else {
+            self.held_bytes.fetch_sub(held.charged - bytes, Ordering::Relaxed);
+        }
+        held.charged = bytes;
+    }
+
+    /// Somebody has acknowledged the overloads of a machine.
+    pub fn acknowledged(&self, machine: &MachineId) {
+        if let Some(slot) = self.slot(machine)
+            && let Some(cycle) = &mut slot.lock().cycle
+        {
+            cycle.running.acknowledge();
+            cycle.overload_told = false;
+        }
+    }
+}
+
+impl Slot {
+    pub(super) fn lock(&self) -> MutexGuard<'_, Held> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether the machine's lease is known to be this server's.
+    pub fn is_leased(&self, now: Timestamp) -> bool {
+        now.micros() < self.lease_until_us.load(Ordering::Relaxed)
+    }
+
+    /// The lease was prolonged.
+    pub fn leased_until(&self, until: Timestamp) {
+        self.lease_until_us.store(until.micros(), Ordering::Relaxed);
+    }
+
+    /// The lease is another server's: whoever is connected here leaves.
+    pub fn lost(&self) {
+        self.lease_until_us.store(0, Ordering::Relaxed);
+        self.lock().leave.cancel();
+    }
+
+    /// Whether somebody is connected, with the lease of which generation.
+    pub fn connected(&self) -> Option<i64> {
+        let held = self.lock();
+        held.connected.then_some(held.generation)
+    }
+}
+
+impl Ownership {
+    /// What the slot holds, as long as this connection owns it.
+    pub fn held(&self) -> Option<MutexGuard<'_, Held>> {
+        let held = self.slot.lock();
+        (held.owner == self.owner && !self.leave.is_cancelled()).then_some(held)
+    }
+}

@@ -1,0 +1,135 @@
+//! Streams: their leases, and the overrides that were computed for a cycle.
+
+use super::{Conn, Db, alarms};
+use crate::error::StoreResult;
+use crate::record::{AlarmKind, CycleOverrides, StreamLease};
+use crate::rows::id;
+use feedwright_core::ids::{CycleId, MachineId, ToolId};
+use feedwright_core::units::Timestamp;
+
+/// Takes a machine's lease where it is free, expired, already the holder's, or may be taken over.
+pub(super) async fn take(
+    conn: &mut Conn,
+    machine: &MachineId,
+    holder: &str,
+    takeover: bool,
+    (now, until): (Timestamp, Timestamp),
+) -> StoreResult<StreamLease> {
+    let taken: Option<i64> = sqlx::query_scalar::<Db, _>(
+        "INSERT INTO stream_leases (machine_id, holder, generation, expires_at_us) VALUES ($1, $2, 1, $3)
+         ON CONFLICT (machine_id) DO UPDATE SET holder = excluded.holder,
+             generation = stream_leases.generation + 1, expires_at_us = excluded.expires_at_us
+         WHERE $4 = 1 OR stream_leases.expires_at_us <= $5 OR stream_leases.holder = $2
+         RETURNING generation",
+    )
+    .bind(machine.as_str())
+    .bind(holder)
+    .bind(until.micros())
+    .bind(i64::from(takeover))
+    .bind(now.micros())
+    .fetch_optional(&mut *conn)
+    .await?;
+    if let Some(generation) = taken {
+        return Ok(StreamLease::Taken { generation });
+    }
+    let expires_at: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT expires_at_us FROM stream_leases WHERE machine_id = $1")
+            .bind(machine.as_str())
+            .fetch_optional(&mut *conn)
+            .await?;
+    Ok(StreamLease::Held { until: Timestamp::from_micros(expires_at.unwrap_or(until.micros())) })
+}
+
+/// Prolongs every lease of a holder; those that it still holds.
+pub(super) async fn renew(
+    conn: &mut Conn,
+    holder: &str,
+    (now, until): (Timestamp, Timestamp),
+) -> StoreResult<Vec<(MachineId, i64)>> {
+    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
+        "UPDATE stream_leases SET expires_at_us = $2 WHERE holder = $1 AND expires_at_us > $3
+         RETURNING machine_id, generation",
+    )
+    .bind(holder)
+    .bind(until.micros())
+    .bind(now.micros())
+    .fetch_all(&mut *conn)
+    .await?;
+    rows.iter().map(|(machine, generation)| Ok((id("machine_id", machine)?, *generation))).collect()
+}
+
+/// Gives a lease back, unless it is somebody else's by now.
+pub(super) async fn release(
+    conn: &mut Conn,
+    machine: &MachineId,
+    holder: &str,
+    generation: i64,
+    now: Timestamp,
+) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "UPDATE stream_leases SET expires_at_us = $4 WHERE machine_id = $1 AND holder = $2 AND generation = $3",
+    )
+    .bind(machine.as_str())
+    .bind(holder)
+    .bind(generation)
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+/// Keeps what a cycle's samples were answered; sent again, the later answers stand.
+pub(super) async fn put_overrides(conn: &mut Conn, kept: &CycleOverrides) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "INSERT INTO cycle_overrides (machine_id, cycle_id, mode, law_version, program_hash, stored_at_us, block)
+         VALUES ($1, $2, $3, $4, $5, $6, $7)
+         ON CONFLICT (machine_id, cycle_id) DO UPDATE SET mode = excluded.mode, law_version = excluded.law_version,
+             program_hash = excluded.program_hash, stored_at_us = excluded.stored_at_us, block = excluded.block",
+    )
+    .bind(kept.machine.as_str())
+    .bind(kept.cycle.as_str())
+    .bind(&kept.mode)
+    .bind(&kept.law_version)
+    .bind(kept.program_hash.as_deref())
+    .bind(kept.stored_at.micros())
+    .bind(kept.block.as_slice())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+pub(super) async fn overrides(
+    conn: &mut Conn,
+    machine: &MachineId,
+    cycle: &CycleId,
+) -> StoreResult<Option<CycleOverrides>> {
+    type Row = (String, String, Option<String>, i64, Vec<u8>);
+    let row: Option<Row> = sqlx::query_as::<Db, _>(
+        "SELECT mode, law_version, program_hash, stored_at_us, block FROM cycle_overrides
+         WHERE machine_id = $1 AND cycle_id = $2",
+    )
+    .bind(machine.as_str())
+    .bind(cycle.as_str())
+    .fetch_optional(&mut *conn)
+    .await?;
+    Ok(row.map(|(mode, law_version, program_hash, stored_at, block)| CycleOverrides {
+        machine: machine.clone(),
+        cycle: cycle.clone(),
+        mode,
+        law_version,
+        program_hash,
+        stored_at: Timestamp::from_micros(stored_at),
+        block,
+    }))
+}
+
+/// Raises an overload of a machine that a stream has seen, unless one is open.
+pub(super) async fn raise_overload(
+    conn: &mut Conn,
+    machine: &MachineId,
+    tool: &ToolId,
+    message: &str,
+    now: Timestamp,
+) -> StoreResult<()> {
+    alarms::raise(conn, AlarmKind::Overload, Some(machine), Some(tool), message, now).await
+}

@@ -1,0 +1,8 @@
+//! Machines' streams over real sockets, with a client of the tests' own.
+
+mod breaks;
+pub(crate) mod client;
+mod cycles;
+mod doors;
+mod processes;
+mod servers;

@@ -1,0 +1,85 @@
+//! Who gets in, and what is too much.
+
+use super::client::{Came, Machine, samples};
+use crate::live::Served;
+use serde_json::json;
+use tokio_tungstenite::tungstenite::Message;
+
+#[tokio::test]
+async fn only_a_machine_with_its_own_token_and_the_right_protocol_gets_in() {
+    let served =
+        Served::start(&[("stream.max_connections", "1"), ("stream.allowed_origins", "https://hmi.example")])
+            .await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let open =
+        |machine: &'static str, protocol: &'static str, headers: &'static [(&'static str, &'static str)]| {
+            Machine::open(&served, machine, &token, protocol, headers)
+        };
+    let refused = |status, code: &str| Some((status, code.to_owned()));
+    let v1 = "feedwright.v1";
+    assert_eq!(open("M2", v1, &[]).await.err(), refused(403, "other_machine"));
+    assert_eq!(open("M1", "feedwright.v2", &[]).await.err(), refused(400, "subprotocol_required"));
+    assert_eq!(
+        open("M1", v1, &[("origin", "https://evil.example")]).await.err(),
+        refused(403, "origin_not_allowed")
+    );
+    let unknown = Machine::open(&served, "M9", &served.token, v1, &[]).await;
+    assert_eq!(unknown.err(), refused(404, "unknown_machine"));
+    let nobody = Machine::open(&served, "M1", "fwt_nonsense", v1, &[]).await;
+    assert_eq!(nobody.err().map(|refused| refused.0), Some(401));
+    let (status, problem) = served.send("GET", "/v1/machines/M1/stream", None).await;
+    assert_eq!((status, &problem["code"]), (400, &json!("websocket_required")));
+
+    let inside =
+        open("M1", v1, &[("origin", "https://hmi.example")]).await.ok().expect("an allowed page gets in");
+    served.with_a_machine("M2").await;
+    let second = Machine::open(&served, "M2", &served.token, v1, &[]).await;
+    assert_eq!(second.err(), refused(503, "too_many_streams"));
+    drop(inside);
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn what_is_too_large_or_no_protocol_at_all_ends_the_stream_with_its_code() {
+    let served =
+        Served::start(&[("stream.message_bytes", "2000"), ("stream.samples_per_message", "8")]).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    let many = machine.ask(samples(0, 9)).await;
+    assert_eq!(many["code"], "too_many_samples");
+    machine.send(Message::Text("x".repeat(2001).into())).await;
+    assert_eq!(machine.came().await, Came::Closed(Some(1009)));
+
+    let mut babbling = Machine::connect(&served, &token).await;
+    for n in 1..=100 {
+        let garbage =
+            if n % 2 == 0 { Message::Text("garbage".into()) } else { Message::Binary(vec![n; 5].into()) };
+        babbling.send(garbage).await;
+        let Came::Text(answer) = babbling.came().await else { panic!("each is answered") };
+        assert_eq!((&answer["type"], &answer["re"]), (&json!("error"), &json!(null)));
+        assert_eq!(answer["standing"]["override_percent"], 100.0, "the cycle it left runs on, neutral");
+    }
+    assert_eq!(babbling.came().await, Came::Closed(Some(4400)));
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_cycle_longer_or_larger_than_permitted_is_neutral_and_ends_incomplete() {
+    let served = Served::start(&[("stream.samples_per_cycle", "20"), ("stream.heating_ms", "0")]).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    assert!(machine.samples(0, 20).await["override_percent"].as_f64().unwrap() > 100.0);
+    let over = machine.samples(20, 25).await;
+    assert_eq!(over["override_percent"], 100.0);
+    assert!(super::client::codes(&over["reasons"]).contains(&"too_many_samples"));
+    let stored = machine.end(25).await;
+    assert_eq!((&stored["status"], &stored["answer"]["summary"]["sample_count"]), (&json!(201), &json!(20)));
+    let flags = stored["answer"]["summary"]["flags"].to_string();
+    assert!(flags.contains("incomplete"), "{flags}");
+    served.server.shutdown().await.unwrap();
+}
