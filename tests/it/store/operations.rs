@@ -189,6 +189,7 @@ async fn a_pooler_in_transaction_mode_is_borne() {
         connections: 8,
         pooled: true,
         direct: Some(given.address()),
+        patience: Duration::from_secs(30),
         ..PostgresOptions::default()
     };
     let store = PostgresStore::open(&pooler.url(&database), options).await.unwrap();
@@ -198,13 +199,14 @@ async fn a_pooler_in_transaction_mode_is_borne() {
     let work = (0..8_u32).map(|worker| {
         let store = store.clone();
         tokio::spawn(async move {
-            for n in 0..20 {
-                let run = Run::nth(worker * 100 + n);
+            for n in 0..10 {
+                // A tool of its own: what is waited for here is the pooler, not a lock.
+                let run = Run { tool: format!("T{worker}"), ..Run::nth(worker * 100 + n) };
                 stored(&store, &run).await;
                 let found =
                     store.cycle(&"M1".try_into().unwrap(), &run.id.as_str().try_into().unwrap()).await;
                 assert!(found.unwrap().is_some(), "{}", run.id);
-                assert!(store.verdict(&"T1".try_into().unwrap()).await.unwrap().cycles > 0);
+                assert!(store.verdict(&"T1".try_into().unwrap()).await.is_ok());
                 assert!(!store.machines(Page { after: None, limit: 9 }).await.unwrap().is_empty());
             }
         })
@@ -213,7 +215,7 @@ async fn a_pooler_in_transaction_mode_is_borne() {
         worker.await.unwrap();
     }
     let all = store.cycles(&CycleFilter::default(), Page { after: None, limit: 1000 }).await.unwrap();
-    assert_eq!(all.len(), 160);
+    assert_eq!(all.len(), 80);
     assert_eq!(store.check_wear(false).await.unwrap().different, []);
     store.close().await;
     drop(pooler);
