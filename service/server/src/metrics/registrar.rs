@@ -26,10 +26,6 @@ impl Registrar {
         self.add(IntCounterVec::new(Opts::new(name, help), labels)?)
     }
 
-    pub(super) fn counter(&self, name: &str, help: &str) -> Made<IntCounter> {
-        self.add(IntCounter::new(name, help)?)
-    }
-
     pub(super) fn gauge(&self, name: &str, help: &str) -> Made<Gauge> {
         self.add(Gauge::new(name, help)?)
     }
