@@ -7,7 +7,6 @@
 //! It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
 
 #[path = "../posts/process.rs"]
-#[expect(dead_code, reason = "shared with the other bench, which measures more")]
 mod process;
 
 mod client;
