@@ -12,6 +12,7 @@ mod reading;
 mod registry;
 mod replicas;
 mod service;
+mod sessions;
 mod sockets;
 mod tls;
 mod tokens;

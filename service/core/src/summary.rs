@@ -2,10 +2,12 @@
 //!
 //! A pure function of the cycle and of what its machine and operation declare, with bounded cost per sample.
 
+mod course;
 mod digest;
 mod energy;
 mod loads;
 
+pub use course::energy_course;
 pub(crate) use digest::relation_config;
 pub use digest::{DIGEST_DEPTH_MM, DepthDigest, MOST_DIGEST_BINS, MOST_DIGEST_BYTES};
 pub use energy::{Energy, EnergyBasis, IdlePower};

@@ -1,16 +1,19 @@
 //! Who calls, and what they may do.
 //!
-//! A token is looked up by its hash, and believed for two seconds: a revocation acts on the next request of this
-//! process, and within that time where another process or replica did it. Which role may use which
+//! A token, or the session that a browser began with one, is looked up by its hash. A token is believed for two
+//! seconds: a revocation acts on the next request of this process, and within that time where another process or
+//! replica did it. A session is looked up every time. Which role may use which
 //! route stands in one place, the table in `http/routes.rs`; nothing here knows a path.
 
 mod caller;
 mod failures;
 mod known;
+mod session;
 mod token;
 
-pub(crate) use caller::Peer;
 pub use caller::{Caller, authorise};
+pub(crate) use caller::{Peer, authenticate_token};
 pub(crate) use failures::FailedAuthentications;
 pub(crate) use known::KnownTokens;
+pub use session::{BegunSession, MOST_SESSIONS, PAGE_HEADER, Session, forgotten, from_own_page, over_tls};
 pub use token::{Issued, Token};

@@ -48,6 +48,11 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
+    /// How many lives have begun by an event.
+    pub(crate) fn lives(&self) -> usize {
+        self.events[..self.next].iter().filter(|event| event.kind.begins_life()).count()
+    }
+
     /// Whether a checkpoint belongs here.
     pub(crate) const fn at_checkpoint(&self) -> bool {
         self.folded.is_multiple_of(CHECKPOINT_CYCLES)

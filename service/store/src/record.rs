@@ -1,16 +1,16 @@
 //! What the store keeps, as values.
 
-use feedwright_core::cycle::Cycle;
+use feedwright_core::cycle::{Cycle, Outcome};
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::plunge::Material;
 use feedwright_core::recommend::Recommendation;
-use feedwright_core::summary::{CycleSummary, Energy};
+use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
-use feedwright_core::units::{Process, Timestamp};
-use feedwright_core::wear::Verdict;
+use feedwright_core::units::{Process, Strategy, Timestamp};
+use feedwright_core::wear::{CycleFacts, Exclusion, Verdict};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -174,6 +174,81 @@ pub struct TokenRecord {
     pub created_at: Timestamp,
     /// When it was revoked.
     pub revoked_at: Option<Timestamp>,
+}
+
+/// A browser's session as it is kept: never its secret, only the hash.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SessionRecord {
+    /// Hash of the secret in the cookie.
+    pub hash: [u8; 32],
+    /// Id of the token it was begun with; it ends when that is revoked.
+    pub token: String,
+    /// When it began.
+    pub created_at: Timestamp,
+    /// When it ends.
+    pub expires_at: Timestamp,
+}
+
+/// A machine at a glance.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FleetRow {
+    /// The machine.
+    pub machine: Versioned<Machine>,
+    /// Its newest cycles, newest first.
+    pub recent: Vec<FleetCycle>,
+    /// What people call the tool and the operation of the newest cycle, where they are registered.
+    pub names: (Option<String>, Option<String>),
+    /// The verdict on the tool of the newest cycle.
+    pub verdict: Option<Verdict>,
+    /// Its open alarms, oldest first.
+    pub alarms: Vec<Alarm>,
+}
+
+/// What a glance needs of a cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FleetCycle {
+    /// Its machine.
+    pub machine: MachineId,
+    /// Its id.
+    pub id: CycleId,
+    /// Its tool.
+    pub tool: ToolId,
+    /// Its operation.
+    pub operation: OperationId,
+    /// When it began, by the machine's clock.
+    pub started_at: Timestamp,
+    /// When the server received it.
+    pub received_at: Timestamp,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Strategy of the feed.
+    pub strategy: Option<Strategy>,
+    /// Cycle time, ms.
+    pub duration_ms: Option<f64>,
+    /// Energy on the best basis there is, J.
+    pub energy: Option<(EnergyBasis, f64)>,
+    /// Fingerprint of the ratings and fitted lines that it rests on: energies of another do not compare.
+    pub energy_scale: i64,
+}
+
+/// The cycles of a tool's current life, each with what became of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ToolLife {
+    /// The verdict after all of them.
+    pub verdict: Verdict,
+    /// Cycles of this life that came before the first one here.
+    pub before: u64,
+    /// The newest cycles, in the order of the fold.
+    pub cycles: Vec<LifeCycle>,
+}
+
+/// A cycle as the fold saw it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LifeCycle {
+    /// What the fold needed of it.
+    pub facts: CycleFacts,
+    /// Why it was not counted; `None` for a counted cycle and for one that later cycles have yet to settle.
+    pub excluded: Option<Exclusion>,
 }
 
 /// Hash over the canonical decoded content of a cycle .

@@ -5,6 +5,7 @@ mod cut;
 mod cycle;
 mod facts;
 mod feed_profile;
+mod fleet;
 mod library;
 mod registry;
 mod saved;
@@ -15,6 +16,7 @@ pub(crate) use cut::{CutRow, EdgeCycleRow, ReportedCutRow};
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
 pub(crate) use feed_profile::{ActiveProfileRow, FeedProfileRow, ProfileVersionRow, wear_from_column};
+pub(crate) use fleet::FleetCycleRow;
 pub(crate) use library::{ModelRow, content_json, setup_json};
 pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,

@@ -7,10 +7,10 @@ use crate::feed_profile::{
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
-    CyclePoint, DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
-    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
-    Versioned, WatchSettings, WearCheck,
+    CyclePoint, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
+    NewCycle, Page, PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round,
+    RowNumber, SampleDrop, SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
+    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::{ProfileVersion, Samples};
@@ -40,6 +40,13 @@ pub trait Store: Send + Sync + 'static {
 
     /// Proves that the database takes writes, by one.
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
+
+    /// The fleet at a glance: machines by id, each with its newest `recent` cycles, the verdict on the tool it ran last
+    /// and its open alarms, all of one moment.
+    async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>>;
+
+    /// One machine of the fleet; `None` where it is not registered.
+    async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>>;
 
     /// One round of the watch: notes when machines were `heard` of, raises and clears what only a look around can tell
     /// (silence, a quarantine that fills up), and says what was found.
@@ -266,6 +273,8 @@ pub trait Store: Send + Sync + 'static {
 
     /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
+    /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
+    async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair`.
     async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck>;
 
@@ -360,4 +369,10 @@ pub trait Store: Send + Sync + 'static {
         message: &str,
         now: Timestamp,
     ) -> StoreResult<()>;
+    /// Keeps a browser's session; of one token at most `most` are kept, the newest.
+    async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()>;
+    /// The session of that hash with its token, over or not, revoked or not.
+    async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>>;
+    /// Ends a session; `false` where there is none of that hash.
+    async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool>;
 }

@@ -110,7 +110,7 @@ async fn tools_under_the_adaptive_law_are_called_and_changed_in_time() {
 }
 
 #[tokio::test]
-async fn broken_tools_and_thicker_sheets_are_noticed() {
+async fn broken_tools_are_noticed_and_thicker_sheets_lose_nothing() {
     let shop = Shop::open().await;
     let report = simulated(
         &shop,
@@ -158,8 +158,9 @@ async fn broken_tools_and_thicker_sheets_are_noticed() {
     )
     .await;
     assert!(count(&report, "faults", "thickness") >= 1, "{report}");
-    assert!(report["conditions_confirmed"].as_u64().unwrap() >= 1, "{report}");
-    assert_eq!(report["tool_changes"], serde_json::json!({}), "thick sheets are no wear: {report}");
+    // A third more sheet is less than the step that is told from wear: only that nothing is lost is claimed.
+    assert_eq!(count(&report, "outcomes", "stored"), 70, "{report}");
+    assert_eq!(count(&report, "tool_changes", "broken_suspected"), 0, "{report}");
 }
 
 #[tokio::test]

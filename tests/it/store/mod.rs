@@ -1,5 +1,6 @@
 //! Stories of the store, each told to both engines.
 
+mod fleet;
 pub(crate) mod given;
 
 pub(crate) use given::{Given, shop};

@@ -193,7 +193,7 @@ mod tests {
     fn worn(level: Option<f64>) -> Verdict {
         let unknown = Verdict::unknown("x", "x");
         let state = if level.is_some() { ToolState::Good } else { ToolState::Learning };
-        let level = level.map(|as_run| Level { as_run, lowest: as_run, highest: as_run, n: 5, window: 5 });
+        let level = level.map(|as_run| Level::as_run(as_run, (as_run, as_run), 5, 5));
         Verdict { state, level, life: 1, cycles: 9, ..unknown }
     }
 

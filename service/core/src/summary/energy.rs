@@ -191,10 +191,10 @@ pub(super) fn scale(energy: &Energy, context: Context<'_>) -> i64 {
     (hash >> 1).cast_signed()
 }
 
-struct Motion<'a> {
-    samples: &'a Samples,
-    clock: &'a SampleClock,
-    commanded_rpm: Option<f64>,
+pub(super) struct Motion<'a> {
+    pub(super) samples: &'a Samples,
+    pub(super) clock: &'a SampleClock,
+    pub(super) commanded_rpm: Option<f64>,
 }
 
 enum Calibrated {
@@ -218,6 +218,50 @@ impl Motion<'_> {
             joules += torque * TAU * self.speed_rpm(index)? / 60.0 * self.clock.width_s(index);
         }
         Some(joules)
+    }
+
+    /// The terms of [`Self::spindle_work`].
+    pub(super) fn spindle_steps(&self, torque: &[f64]) -> Option<Vec<f64>> {
+        let step = |(index, torque): (usize, &f64)| {
+            Some(torque * TAU * self.speed_rpm(index)? / 60.0 * self.clock.width_s(index))
+        };
+        torque.iter().enumerate().map(step).collect()
+    }
+
+    /// The terms of [`Self::feed_work`].
+    pub(super) fn feed_steps(&self, thrust: &[f64]) -> Option<Vec<f64>> {
+        if let Some(depth) = self.samples.column(Channel::DepthMm) {
+            let way = |k: usize| if k == 0 { 0.0 } else { depth[k] - depth[k - 1] };
+            return Some((0..thrust.len()).map(|k| thrust[k] * way(k) * 1e-3).collect());
+        }
+        let feed = self.samples.column(Channel::FeedActualMmMin)?;
+        let metres = |k: usize| feed[k] / 60.0 * 1e-3 * self.clock.width_s(k);
+        Some((0..thrust.len()).map(|k| thrust[k] * metres(k)).collect())
+    }
+
+    /// The terms of [`Self::integrate`].
+    pub(super) fn power_steps(&self, watts: &[f64]) -> Vec<f64> {
+        if watts.len() == 1 {
+            return vec![watts[0] * self.clock.width_s(0)];
+        }
+        let before = |k: usize| if k == 0 { 0.0 } else { f64::midpoint(watts[k - 1], watts[k]) };
+        (0..watts.len()).map(|k| before(k) * self.clock.width_s(k)).collect()
+    }
+
+    /// The terms of the spindle's part of [`Self::rated_power`].
+    pub(super) fn rated_steps(&self, context: Context<'_>) -> Option<Vec<f64>> {
+        let load = self.samples.column(Channel::SpindleLoadPercent)?;
+        let rating = &context.machine.spindle;
+        let rated = rating.rated_power_watts.filter(|_| rating.reference != LoadReference::Unknown)?;
+        let step = |(index, load): (usize, &f64)| {
+            let share = if rating.reference.follows_torque() {
+                (self.speed_rpm(index)? / rating.base_speed_rpm?).min(1.0)
+            } else {
+                1.0
+            };
+            Some(load / 100.0 * rated * share * self.clock.width_s(index))
+        };
+        load.iter().enumerate().map(step).collect()
     }
 
     /// E_Z = Σ F·ΔZ (Eq. 5), N and mm to J; from the actual feed where depth was not sampled.
@@ -318,7 +362,7 @@ impl Motion<'_> {
     }
 
     /// Median power in the later half of the samples before contact: the earlier half may be spinning up.
-    fn idle_watts(&self, watts: &[f64]) -> Option<f64> {
+    pub(super) fn idle_watts(&self, watts: &[f64]) -> Option<f64> {
         let depth = self.samples.column(Channel::DepthMm)?;
         let before = depth.iter().take_while(|&&z| z < 0.0).count();
         // A recording without any cut has no "before contact".
@@ -361,7 +405,8 @@ impl Motion<'_> {
         self.feed_work(&self.rated_thrust(context)?)
     }
 
-    fn rated_thrust(&self, context: Context<'_>) -> Option<Vec<f64>> {
+    /// The thrust that the feed drive's load stands for, N.
+    pub(super) fn rated_thrust(&self, context: Context<'_>) -> Option<Vec<f64>> {
         let rated = context.machine.feed_drive.rated_thrust_newtons?;
         if context.machine.feed_drive.reference == LoadReference::Unknown {
             return None;

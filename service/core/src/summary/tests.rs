@@ -231,3 +231,32 @@ fn what_is_unusual_is_flagged() {
     let retract = every_10_ms(vec![(Channel::DepthMm, vec![0.0, 2.0, 4.0, 2.0, 0.0])]);
     assert!(!told(&retract, &machine(LoadReference::Unknown), None).flags.contains(Flag::DepthReversal));
 }
+
+#[test]
+fn the_course_of_an_energy_ends_at_the_whole() {
+    let n = 40;
+    let wave =
+        |from: f64, by: f64| (0..n).map(|k| from + by * (f64::from(k) * 0.7).sin()).collect::<Vec<f64>>();
+    let depth: Vec<f64> = (0..n).map(|k| -1.0 + 0.2 * f64::from(k)).collect();
+    let cycle = every_10_ms(vec![
+        (Channel::DepthMm, depth),
+        (Channel::SpindleSpeedRpm, wave(2500.0, 100.0)),
+        (Channel::SpindleLoadPercent, wave(20.0, 9.0)),
+        (Channel::FeedDriveLoadPercent, wave(15.0, 6.0)),
+        (Channel::SpindlePowerWatts, wave(900.0, 300.0)),
+        (Channel::TorqueNewtonMetres, wave(4.0, 2.0)),
+        (Channel::ThrustNewtons, wave(700.0, 200.0)),
+    ]);
+    let machine = machine(LoadReference::RatedTorque);
+    let context = Context { machine: &machine, calibration: None, operation: None };
+    let samples = cycle.samples.as_ref().unwrap();
+    let summary = summarise(&cycle, context);
+    assert!(summary.energy.len() >= 3, "{:?}", summary.energy);
+    for energy in &summary.energy {
+        let course = energy_course(samples, cycle.spindle_speed_rpm, context, energy.basis).unwrap();
+        assert_eq!(course.len(), samples.len());
+        close(*course.last().unwrap(), energy.total_joules);
+    }
+    assert_eq!(energy_course(samples, None, context, EnergyBasis::Calibrated), None);
+    assert_eq!(energy_course(samples, None, context, EnergyBasis::Reported), None);
+}

@@ -5,6 +5,7 @@ use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::remaining;
 use super::verdict::{BaselineEvidence, Exclusion, LevelBasis, Masked, SecondIndicators, ToolState, Verdict};
+use crate::ids::{CycleId, MachineId};
 use crate::summary::PeakShift;
 use crate::units::{Strategy, Timestamp};
 
@@ -15,6 +16,11 @@ const OUTDATED_CYCLES: u64 = 20;
 const FALL_SHIFT_MM: f64 = 1.0;
 
 impl ToolFold {
+    /// The last cycles that were not counted so far, oldest first; a reason may change until a later cycle settles it.
+    pub fn last_excluded(&self) -> &[(MachineId, CycleId, Exclusion)] {
+        &self.last_excluded
+    }
+
     /// What the fold says now.
     pub fn verdict(&self) -> Verdict {
         if self.cycles == 0 && self.life == 0 {

@@ -1,5 +1,6 @@
 //! The caller of a route: found by token, held against the route's roles.
 
+use super::session::{self, Session};
 use super::token::Token;
 use crate::http::problem::Problem;
 use crate::http::routes::Access;
@@ -10,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::MachineId;
 use feedwright_store::{Actor, Role, TokenRecord};
 use http::request::Parts;
-use http::{HeaderMap, HeaderValue, StatusCode, header};
+use http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use std::net::{IpAddr, SocketAddr};
 use std::time::Instant;
 use subtle::ConstantTimeEq;
@@ -19,11 +20,28 @@ use subtle::ConstantTimeEq;
 #[derive(Debug, Clone)]
 pub struct Caller {
     token: String,
+    name: String,
     role: Role,
     machine: Option<MachineId>,
+    session: Option<Session>,
 }
 
 impl Caller {
+    pub(super) fn new(token: TokenRecord, session: Option<Session>) -> Self {
+        let TokenRecord { id, name, role, machine, .. } = token;
+        Self { token: id, name, role, machine, session }
+    }
+
+    /// What people call its token.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The session it came with, where that is a browser's.
+    pub const fn session(&self) -> Option<Session> {
+        self.session
+    }
+
     /// Who is written into the audit.
     pub fn actor(&self) -> Actor {
         Actor { token: self.token.clone(), role: self.role }
@@ -74,7 +92,7 @@ pub async fn authorise(
         return next.run(request).await;
     };
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0.ip());
-    let caller = match authenticate(&state, request.headers(), peer).await {
+    let caller = match authenticate(&state, request.method(), request.headers(), peer).await {
         Ok(caller) => caller,
         Err(problem) => {
             if problem.status == StatusCode::UNAUTHORIZED || problem.status == StatusCode::TOO_MANY_REQUESTS {
@@ -103,25 +121,36 @@ pub(crate) struct Peer(pub(crate) SocketAddr);
 
 async fn authenticate(
     state: &AppState,
+    method: &Method,
     headers: &HeaderMap,
     peer: Option<IpAddr>,
 ) -> Result<Caller, Problem> {
     let Some(presented) = headers.get(header::AUTHORIZATION) else {
+        if let Some(caller) = session::caller(state, method, headers, peer).await? {
+            return Ok(caller);
+        }
         // Not an attempt to guess: not counted.
         return Err(challenge("token_missing", "send `Authorization: Bearer <token>`", false));
     };
     let text = presented.to_str().ok().and_then(|text| text.split_once(' '));
-    let token = text
-        .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
-        .and_then(|(_, token)| Token::parse(token.trim()));
-    let Some(token) = token else {
+    let token =
+        text.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer")).map(|(_, token)| token.trim());
+    let record = authenticate_token(state, token.unwrap_or_default(), peer).await?;
+    Ok(Caller::new(record, None))
+}
+
+/// The record of a token that is known and not revoked; failures are counted by address.
+pub(crate) async fn authenticate_token(
+    state: &AppState,
+    text: &str,
+    peer: Option<IpAddr>,
+) -> Result<TokenRecord, Problem> {
+    let Some(token) = Token::parse(text) else {
         return Err(failed(state, peer, "token_malformed", "this is no token of this service"));
     };
     let hash = token.hash();
     let began = match state.known_tokens.get(&hash, Instant::now()) {
-        Ok(record) if record.id == token.id() => {
-            return Ok(Caller { token: record.id, role: record.role, machine: record.machine });
-        }
+        Ok(record) if record.id == token.id() => return Ok(record),
         Ok(_) => return Err(failed(state, peer, "token_unknown", "the token is not known")),
         Err(began) => began,
     };
@@ -136,13 +165,18 @@ async fn authenticate(
         Some(record) => {
             // From before it was read: its life counts from what was true then.
             state.known_tokens.keep(&record, began, looked_up);
-            Ok(Caller { token: record.id, role: record.role, machine: record.machine })
+            Ok(record)
         }
     }
 }
 
 /// Counts a failure: 401, or 429 where the address had too many.
-fn failed(state: &AppState, peer: Option<IpAddr>, code: &'static str, detail: &'static str) -> Problem {
+pub(super) fn failed(
+    state: &AppState,
+    peer: Option<IpAddr>,
+    code: &'static str,
+    detail: &'static str,
+) -> Problem {
     match state.failed_authentications.count(peer) {
         None => challenge(code, detail, true),
         Some(wait) => Problem::new(
@@ -154,7 +188,7 @@ fn failed(state: &AppState, peer: Option<IpAddr>, code: &'static str, detail: &'
     }
 }
 
-fn challenge(code: &'static str, detail: &'static str, presented: bool) -> Problem {
+pub(super) fn challenge(code: &'static str, detail: &'static str, presented: bool) -> Problem {
     let value = match presented {
         false => HeaderValue::from_static("Bearer realm=\"feedwright\""),
         true => HeaderValue::from_static("Bearer realm=\"feedwright\", error=\"invalid_token\""),

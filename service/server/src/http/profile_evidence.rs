@@ -62,6 +62,7 @@ pub(super) async fn shadow_report(
             spindle_percent: limits.spindle_load_set_percent,
         },
         tolerated_overload_s: TOLERATED_OVERLOAD_S,
+        samples: false,
     };
     let room = room()?;
     let rows = state.store.recent_cycles(&line.operation, &line.tool_type, most).await?;

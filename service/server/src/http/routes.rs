@@ -1,20 +1,23 @@
 //! The one table of routes and roles.
 
 use super::{
-    alarms, audit, calibrations, continuity, cycles, edge, feed_profiles, friction, health, jobs, library,
-    live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence, profile_files,
-    profile_optimise, quarantine, recommendations, retention, samples, series, stream, summaries, tokens,
-    tool_events, tools, turning, viewer, wear, what_if,
+    alarms, audit, calibrations, continuity, course, cycles, edge, feed_profiles, fleet, friction, health,
+    jobs, library, life, live, machines, openapi, operations, peak_to_peak, plunge, profile_evidence,
+    profile_files, profile_optimise, quarantine, recommendations, retention, samples, series, session,
+    stream, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::authorise;
 use crate::http::problem::Problem;
 use crate::state::AppState;
+use crate::ui;
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use axum::routing::{MethodRouter, get};
 use axum::{Router, response::IntoResponse, response::Response};
 use feedwright_store::Role;
-use http::{Method, StatusCode, Uri};
+use http::{HeaderMap, Method, StatusCode, Uri};
+use std::collections::HashMap;
+use std::sync::LazyLock;
 use utoipa::openapi::path::PathItem;
 use utoipa::openapi::{RefOr, Schema};
 use utoipa_axum::router::UtoipaMethodRouter;
@@ -41,6 +44,8 @@ pub const ENGINEER: Access = Access::Roles(&[Role::Engineer, Role::Admin]);
 pub const APPROVER: Access = Access::Roles(&[Role::Approver]);
 /// Brings what is approved into force, and takes it back.
 pub const RELEASE: Access = Access::Roles(&[Role::Engineer, Role::Approver, Role::Admin]);
+/// Whoever has a token.
+pub const EVERYONE: Access = Access::Roles(&Role::ALL);
 /// Manages identities.
 pub const ADMIN: Access = Access::Roles(&[Role::Admin]);
 
@@ -77,7 +82,7 @@ impl Route {
         Self { method, path, access, body: BodyLimit::Registration, item: Some(item), schemas, handler }
     }
 
-    /// A page of the embedded viewer: not part of the described API.
+    /// A page or a file of one: not part of the described API.
     fn page(path: &str, handler: MethodRouter<AppState>) -> Self {
         Self {
             method: Method::GET,
@@ -111,6 +116,11 @@ impl Route {
         self.access
     }
 
+    /// Whether it is part of the described API; pages and their files are not.
+    pub const fn is_described(&self) -> bool {
+        self.item.is_some()
+    }
+
     /// What it adds to the description of the API.
     pub(super) fn description(self) -> Option<Description> {
         let Self { path, item, schemas, access, .. } = self;
@@ -128,7 +138,7 @@ pub(super) struct Description {
 
 /// Every route there is.
 pub fn table() -> Vec<Route> {
-    vec![
+    let mut table = vec![
         Route::new(routes!(machines::put), ENGINEER),
         Route::new(routes!(machines::get), READ_OR_OWN),
         Route::new(routes!(machines::list), READ),
@@ -154,6 +164,12 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(tokens::create), ADMIN),
         Route::new(routes!(tokens::list), ADMIN),
         Route::new(routes!(tokens::revoke), ADMIN),
+        // Open: the token is in the body, and its handler counts failures as `authorise` does.
+        Route::new(routes!(session::begin), Access::Open),
+        Route::new(routes!(session::get), EVERYONE),
+        Route::new(routes!(session::end), EVERYONE),
+        Route::new(routes!(fleet::get), READ),
+        Route::new(routes!(fleet::machine), READ),
         Route::new(routes!(health::healthz), Access::Open),
         Route::new(routes!(health::readyz), Access::Open),
         Route::new(routes!(health::metrics), READ),
@@ -165,8 +181,10 @@ pub fn table() -> Vec<Route> {
         Route::new(routes!(cycles::list_cycles), READ),
         Route::new(routes!(summaries::get_summaries), READ),
         Route::new(routes!(series::get_series), READ),
+        Route::new(routes!(course::get), READ_OR_OWN),
         Route::new(routes!(wear::get_wear), READ),
         Route::new(routes!(wear::get_history), READ),
+        Route::new(routes!(life::get), READ),
         Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
         Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
         Route::new(routes!(library::put_turning), ENGINEER),
@@ -217,7 +235,30 @@ pub fn table() -> Vec<Route> {
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),
-    ]
+        Route::page("/ui/{version}/{*file}", get(ui::file)),
+    ];
+    let page = |(path, name)| Route::page(path, get(move |headers: HeaderMap| ui::page(name, headers)));
+    table.extend(ui::PAGES.map(page));
+    table
+}
+
+/// What a role may use, as in `PUT /v1/tools/{tool}`, in the order of the table.
+pub fn allowed(role: Role) -> &'static [String] {
+    static ALLOWED: LazyLock<Vec<(Access, String)>> = LazyLock::new(|| {
+        let described = table().into_iter().filter(Route::is_described);
+        described.map(|route| (route.access, format!("{} {}", route.method, route.path))).collect()
+    });
+    static BY_ROLE: LazyLock<HashMap<Role, Vec<String>>> = LazyLock::new(|| {
+        let may = |role: Role| {
+            let open = |access: Access| match access {
+                Access::Open => true,
+                Access::Roles(roles) => roles.contains(&role),
+            };
+            ALLOWED.iter().filter(|(access, _)| open(*access)).map(|(_, name)| name.clone()).collect()
+        };
+        Role::ALL.into_iter().map(|role| (role, may(role))).collect()
+    });
+    BY_ROLE.get(&role).map_or(&[], Vec::as_slice)
 }
 
 /// The router over the table.

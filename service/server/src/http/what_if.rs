@@ -68,6 +68,10 @@ pub(super) async fn of_many(
 ) -> Result<axum::Json<ManyAnswer>, Problem> {
     let inside = |wrong: Violation| Violation { path: format!("question.{}", wrong.path), ..wrong };
     let (asked, idle) = question.question.to_asked().map_err(inside)?;
+    if asked.samples {
+        let text = "samples are told of one cycle at a time";
+        return Err(Violation::new("question.samples", "not_of_many", text).into());
+    }
     let most = question.most()?;
     let filter = question.filter.to_filter("filter")?;
     let room = room()?;

@@ -9,7 +9,9 @@ use feedwright_core::friction::feed_override::{HIGHEST_OVERRIDE_PERCENT, Overrid
 use feedwright_core::friction::law::{LawConfig, LawParams};
 use feedwright_core::friction::program::FeedProgram;
 use feedwright_core::friction::twin::{AxisLimits, PaperStrategies};
-use feedwright_core::friction::whatif::{Control, LoadLimits, WhatIf, what_if};
+use feedwright_core::friction::whatif::{
+    Control, LoadLimits, PredictedSample, WhatIf, predicted_course, what_if,
+};
 use feedwright_core::invalid::Violation;
 use feedwright_store::{StoredCycle, Surroundings};
 use std::sync::Arc;
@@ -30,6 +32,8 @@ pub struct Asked {
     pub limits: LoadLimits,
     /// Overload that raises no alarm yet, s.
     pub tolerated_overload_s: f64,
+    /// Whether the predicted samples are told too.
+    pub samples: bool,
 }
 
 impl Asked {
@@ -45,7 +49,7 @@ impl Asked {
         if let Some(law) = &law {
             law.over(paper_law()?, None, "control.law")?;
         }
-        Ok(Self { program, law, axis, limits, tolerated_overload_s })
+        Ok(Self { program, law, axis, limits, tolerated_overload_s, samples: false })
     }
 
     /// The other control for one cycle. Where neither program nor law is asked for it is the feed that ran, and
@@ -107,6 +111,8 @@ pub struct Prediction {
     pub learned: Arc<Learned>,
     /// The core's answer.
     pub answer: WhatIf,
+    /// What is predicted, sample by sample, where that was asked for.
+    pub course: Option<Vec<PredictedSample>>,
 }
 
 /// Predicts one cycle.
@@ -128,5 +134,8 @@ pub fn predict(
     let other = asked.control(&cycle, around, &own).map_err(refused)?;
     let answer = what_if(&cycle.core(), &learned.relations, &asked.axis, &asked.limits, &own, &other);
     let answer = answer.map_err(refused)?;
-    Ok(Prediction { stored, cycle, learned, answer })
+    let course =
+        asked.samples.then(|| predicted_course(&cycle.core(), &learned.relations, &asked.axis, &other));
+    let course = course.transpose().map_err(refused)?;
+    Ok(Prediction { stored, cycle, learned, answer, course })
 }

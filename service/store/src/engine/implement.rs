@@ -1,8 +1,9 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, machines, models, operations,
-    quarantine, recommendations, registry, retention, series, streams, tokens, tools, verify, watch, wear,
+    Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, fleet, life, machines, models,
+    operations, quarantine, recommendations, registry, retention, series, sessions, streams, tokens, tools,
+    verify, watch, wear,
 };
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
@@ -12,10 +13,10 @@ use crate::feed_profile::{
 use crate::notice::Notices;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
-    CyclePoint, DatabaseUsage, Dropped, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
-    SampleRetention, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
-    Versioned, WatchSettings, WearCheck,
+    CyclePoint, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
+    NewCycle, Page, PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round,
+    RowNumber, SampleDrop, SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
+    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -136,6 +137,15 @@ impl Store for Engine {
             .await?;
             Ok(())
         })
+    }
+
+    async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>> {
+        snapshot!(self, |conn| fleet::list(conn, &page, recent).await)
+    }
+
+    async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>> {
+        let machine = machine.clone();
+        snapshot!(self, |conn| fleet::one(conn, &machine, recent).await)
     }
 
     async fn watch(
@@ -488,6 +498,11 @@ impl Store for Engine {
         snapshot!(self, |conn| wear::verdict(conn, &tool).await)
     }
 
+    async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife> {
+        let tool = tool.clone();
+        snapshot!(self, |conn| life::of(conn, &tool, most).await)
+    }
+
     async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck> {
         let mut checked = WearCheck { rows: 0, different: Vec::new() };
         let mut after = None;
@@ -644,5 +659,19 @@ impl Store for Engine {
     ) -> StoreResult<()> {
         let (machine, tool, message) = (machine.clone(), tool.clone(), message.to_owned());
         write!(self, |conn| streams::raise_overload(conn, &machine, &tool, &message, now).await)
+    }
+
+    async fn begin_session(&self, session: SessionRecord, most: u32, actor: &Actor) -> StoreResult<()> {
+        let actor = actor.clone();
+        write!(self, |conn| sessions::begin(conn, &session, most, &actor).await)
+    }
+
+    async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>> {
+        sessions::by_hash(&mut *self.reader().await?, hash).await
+    }
+
+    async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool> {
+        let (hash, actor) = (*hash, actor.clone());
+        write!(self, |conn| sessions::end(conn, &hash, &actor, now).await)
     }
 }

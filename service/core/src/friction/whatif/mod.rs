@@ -209,8 +209,8 @@ pub fn what_if(
     for (&feed_drive, &spindle) in cycle.feed_drive_percent.iter().zip(cycle.spindle_percent) {
         happened.take(cycle, limits, feed_drive, spindle);
     }
-    let (again, _) = anchor.run(axis, limits, own)?;
-    let (predicted, extrapolated) = anchor.run(axis, limits, other)?;
+    let (again, _) = anchor.run(axis, limits, own, |_| {})?;
+    let (predicted, extrapolated) = anchor.run(axis, limits, other, |_| {})?;
     let (feed_drive_rms_points, spindle_rms_points) = anchor.unanchored_error()?;
     let relative = |now: f64, then: f64| if then > 0.0 { now / then - 1.0 } else { 0.0 };
     let error = SelfError {
@@ -224,6 +224,39 @@ pub fn what_if(
         ),
     };
     Ok(WhatIf { happened, predicted, error, extrapolated })
+}
+
+/// One sample of a predicted cycle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictedSample {
+    /// Tip depth, mm.
+    pub depth_mm: f64,
+    /// Actual feed, mm/min.
+    pub feed_mm_min: f64,
+    /// Override in force, percent.
+    pub override_percent: f64,
+    /// Feed-drive load, percent.
+    pub feed_drive_percent: f64,
+    /// Spindle load, percent.
+    pub spindle_percent: f64,
+}
+
+/// The course of what [`what_if`] predicts under `other` control: a sample per period, from contact on.
+///
+/// # Errors
+/// As [`what_if`].
+pub fn predicted_course(
+    cycle: &StoredCycle<'_>,
+    relations: &LoadRelations,
+    axis: &AxisLimits,
+    other: &Control,
+) -> Result<Vec<PredictedSample>, Invalid> {
+    cycle.check()?;
+    axis.check().map_err(|error| error.within("axis"))?;
+    let mut course = Vec::new();
+    let unlimited = LoadLimits { feed_drive_percent: None, spindle_percent: None };
+    Anchor::new(cycle, relations)?.run(axis, &unlimited, other, |sample| course.push(*sample))?;
+    Ok(course)
 }
 
 /// One depth of the recorded cycle.
@@ -306,6 +339,7 @@ impl<'a> Anchor<'a> {
         axis: &AxisLimits,
         limits: &LoadLimits,
         control: &Control,
+        mut watch: impl FnMut(&PredictedSample),
     ) -> Result<(RunFigures, f64), Invalid> {
         let (first, last) = (self.cycle.depth_mm[0], self.rows[self.rows.len() - 1].depth_mm);
         let dt = self.cycle.period_s;
@@ -322,6 +356,13 @@ impl<'a> Anchor<'a> {
                 outside += state.depth_mm() - before;
             }
             figures.take(self.cycle, limits, feed_drive, spindle);
+            watch(&PredictedSample {
+                depth_mm: state.depth_mm(),
+                feed_mm_min: state.feed_mm_min(),
+                override_percent: law.ovr().percent(),
+                feed_drive_percent: feed_drive,
+                spindle_percent: spindle,
+            });
             if done {
                 let way = (last - first).max(f64::MIN_POSITIVE);
                 return Ok((figures, outside / way));

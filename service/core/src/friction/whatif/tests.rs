@@ -145,3 +145,19 @@ fn without_a_rating_there_are_no_joules_and_bad_columns_are_refused_by_path() {
     let empty = LoadRelations::new(config);
     assert_eq!(refused(stored(&columns), &empty).1, InvalidCode::NotIdentifiable);
 }
+
+#[test]
+fn the_course_is_what_the_figures_sum_up() {
+    let s = PaperStrategies::new().unwrap();
+    let (columns, _) = drill(&s.linear, 80);
+    let (cycle, known) = (stored(&columns), relations(&s.linear));
+    let answer = ask(&cycle, &known, &s.linear, &s.adaptive);
+    let control = Control { program: s.adaptive.program.clone(), law: s.adaptive.law };
+    let course = predicted_course(&cycle, &known, &paper_params().machine.axis, &control).unwrap();
+    let highest = |of: fn(&PredictedSample) -> f64| course.iter().map(of).fold(0.0, f64::max);
+    let seconds = course.iter().map(|_| cycle.period_s).sum::<f64>();
+    assert!((seconds - answer.predicted.duration_s).abs() < 1e-9, "{seconds}");
+    assert!((highest(|one| one.spindle_percent) - answer.predicted.peak_spindle_percent).abs() < 1e-12);
+    assert!((highest(|one| one.feed_drive_percent) - answer.predicted.peak_feed_drive_percent).abs() < 1e-12);
+    assert!(course.windows(2).all(|pair| pair[0].depth_mm <= pair[1].depth_mm));
+}

@@ -5,7 +5,7 @@ use super::friction::model::AxisBody;
 use super::time;
 use crate::what_if::{Asked, IdleLoads, IdleSource, Prediction, TorqueSource};
 use feedwright_core::friction::twin::paper_params;
-use feedwright_core::friction::whatif::{LoadLimits, RunFigures};
+use feedwright_core::friction::whatif::{LoadLimits, PredictedSample, RunFigures};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::invalid::{Range, Violation};
 use feedwright_store::CycleFilter;
@@ -40,6 +40,8 @@ pub struct WhatIfQuestion {
     pub axis: AxisBody,
     /// Idle loads; medians before contact where they are left out.
     pub idle: Option<IdleBody>,
+    /// Whether the predicted samples are answered too; not of many cycles.
+    pub samples: bool,
 }
 
 /// The other control. Where both are left out the feed that ran is kept, and only the limits differ.
@@ -164,7 +166,7 @@ impl WhatIfQuestion {
             Ok::<_, Violation>(IdleLoads { feed_drive_percent, spindle_percent })
         });
         let asked = Asked::new(self.control.program.as_ref(), self.control.law, axis, limits, tolerated)?;
-        Ok((asked, idle.transpose()?))
+        Ok((Asked { samples: self.samples, ..asked }, idle.transpose()?))
     }
 }
 
@@ -187,6 +189,40 @@ pub struct WhatIfAnswer {
     pub relation: RelationBody,
     /// What was assumed about the cycle.
     pub assumed: AssumedBody,
+    /// The predicted samples, where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub predicted_samples: Option<PredictedSamplesBody>,
+}
+
+/// A predicted cycle from contact to its deepest point, in columns.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct PredictedSamplesBody {
+    /// Distance of two samples, ms.
+    pub period_ms: f64,
+    /// Tip depth, mm.
+    pub depth_mm: Vec<f64>,
+    /// Actual feed, mm/min.
+    pub feed_actual_mm_min: Vec<f64>,
+    /// Override in force, %.
+    pub override_percent: Vec<f64>,
+    /// Feed-drive load, %.
+    pub feed_drive_load_percent: Vec<f64>,
+    /// Spindle load, %.
+    pub spindle_load_percent: Vec<f64>,
+}
+
+impl PredictedSamplesBody {
+    fn new(period_ms: f64, course: &[PredictedSample]) -> Self {
+        let column = |of: fn(&PredictedSample) -> f64| course.iter().map(of).collect();
+        Self {
+            period_ms,
+            depth_mm: column(|sample| sample.depth_mm),
+            feed_actual_mm_min: column(|sample| sample.feed_mm_min),
+            override_percent: column(|sample| sample.override_percent),
+            feed_drive_load_percent: column(|sample| sample.feed_drive_percent),
+            spindle_load_percent: column(|sample| sample.spindle_percent),
+        }
+    }
 }
 
 /// Figures of a run.
@@ -259,7 +295,7 @@ pub struct AssumedBody {
 impl WhatIfAnswer {
     /// The answer for one cycle.
     pub fn new(prediction: &Prediction, tolerated_s: f64) -> Self {
-        let Prediction { stored, cycle, learned, answer } = prediction;
+        let Prediction { stored, cycle, learned, answer, course } = prediction;
         Self {
             machine: stored.cycle.machine.to_string(),
             cycle_id: stored.cycle.id.to_string(),
@@ -294,6 +330,9 @@ impl WhatIfAnswer {
                     TorqueSource::Unknown => "unknown",
                 },
             },
+            predicted_samples: course
+                .as_ref()
+                .map(|course| PredictedSamplesBody::new(cycle.period_s * 1e3, course)),
         }
     }
 }

@@ -1,0 +1,95 @@
+//! A tool's life in JSON.
+
+use super::time;
+use super::wear::WearBody;
+use feedwright_core::wear::{BaselineEvidence, CycleFacts, Exclusion};
+use feedwright_store::{LifeCycle, ToolLife};
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+/// Speeds within this share belong to one baseline.
+const SAME_SPEED: f64 = 0.02;
+
+/// How much of a life.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct LifeQuery {
+    /// Newest cycles wanted, 1 to 20 000; 5000 where it is left out.
+    pub last: Option<u32>,
+}
+
+/// The newest cycles of a tool's current life, in columns of equal length.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct LifeBody {
+    /// The verdict after all of them.
+    pub wear: WearBody,
+    /// Cycles of this life before the first one here.
+    pub before: u64,
+    /// When each began, RFC 3339.
+    pub started_at: Vec<String>,
+    /// The machine of each.
+    pub machine: Vec<String>,
+    /// The id of each.
+    pub cycle_id: Vec<String>,
+    /// The operation of each.
+    pub operation: Vec<String>,
+    /// Energy of each on the basis that is compared, J.
+    pub energy_joules: Vec<Option<f64>>,
+    /// That over the baseline it is compared with: 1 is the new tool. Null where there is none.
+    pub energy_ratio: Vec<Option<f64>>,
+    /// Cycle time of each, ms.
+    pub duration_ms: Vec<Option<f64>>,
+    /// Depth at which the spindle load of each has fallen to half of its maximum, mm.
+    pub spindle_load_fall_depth_mm: Vec<Option<f64>>,
+    /// Why it does not count; null for one that does, or that later cycles have yet to settle.
+    #[schema(example = json!([null, "air_cut"]))]
+    pub excluded: Vec<Option<&'static str>>,
+}
+
+impl From<&ToolLife> for LifeBody {
+    fn from(life: &ToolLife) -> Self {
+        let facts = || life.cycles.iter().map(|cycle| &cycle.facts);
+        let joules = |facts: &CycleFacts| facts.energy.map(|(_, _, joules)| joules);
+        let baselines = &life.verdict.baselines;
+        let ratio = |cycle: &LifeCycle| {
+            // A basis that could not be told at all is no energy, whatever the verdict on the cycle.
+            let joules = joules(&cycle.facts)?;
+            baseline(baselines, &cycle.facts).map(|baseline| joules / baseline)
+        };
+        Self {
+            wear: (&life.verdict).into(),
+            before: life.before,
+            started_at: facts().map(|facts| time::show(facts.order.started_at)).collect(),
+            machine: facts().map(|facts| facts.order.machine.to_string()).collect(),
+            cycle_id: facts().map(|facts| facts.order.cycle.to_string()).collect(),
+            operation: facts().map(|facts| facts.operation.to_string()).collect(),
+            energy_joules: facts().map(joules).collect(),
+            energy_ratio: life.cycles.iter().map(ratio).collect(),
+            duration_ms: facts().map(|facts| facts.duration_ms).collect(),
+            spindle_load_fall_depth_mm: facts().map(|facts| facts.fall_depth_mm).collect(),
+            excluded: life.cycles.iter().map(|cycle| cycle.excluded.map(Exclusion::as_str)).collect(),
+        }
+    }
+}
+
+/// The baseline that a cycle is compared with, J.
+fn baseline(baselines: &[BaselineEvidence], facts: &CycleFacts) -> Option<f64> {
+    let (basis, idle_subtracted, _) = facts.energy?;
+    let alike = |one: &&BaselineEvidence| {
+        let key = &one.key;
+        key.machine == facts.order.machine
+            && key.operation == facts.operation
+            && key.basis == basis
+            && key.idle_subtracted == idle_subtracted
+            && key.energy_scale == facts.energy_scale
+            && key.strategy == facts.strategy
+            && key.law_version == facts.law_version
+            && key.profile == facts.profile
+            && match (key.spindle_speed_rpm, facts.spindle_speed_rpm) {
+                (Some(usual), Some(speed)) => (speed - usual).abs() <= SAME_SPEED * usual,
+                (usual, speed) => usual == speed,
+            }
+    };
+    baselines.iter().find(alike)?.baseline_joules.filter(|joules| *joules > 0.0)
+}

@@ -1,0 +1,118 @@
+//! The files of the pages: found by name, compressed once.
+
+use bytes::Bytes;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use std::collections::HashMap;
+use std::io::Write;
+use std::sync::LazyLock;
+
+/// Whether files are read at every request, as `rust-embed` does in debug builds.
+pub(super) const FROM_DISK: bool = cfg!(debug_assertions);
+
+#[derive(rust_embed::RustEmbed)]
+#[folder = "src/ui/web/"]
+struct Web;
+
+/// A file as it is answered.
+#[derive(Debug, Clone)]
+pub(super) struct File {
+    pub(super) kind: &'static str,
+    pub(super) bytes: Bytes,
+    /// Where that is smaller.
+    pub(super) gzip: Option<Bytes>,
+    pub(super) etag: String,
+}
+
+impl File {
+    pub(super) fn of(name: &str, bytes: Vec<u8>) -> Self {
+        let kind = kind_of(name);
+        let etag = format!("\"{}\"", &blake3::hash(&bytes).to_hex()[..16]);
+        let gzip =
+            kind.ends_with("utf-8").then(|| gzip(&bytes)).flatten().filter(|zip| zip.len() < bytes.len());
+        Self { kind, bytes: bytes.into(), gzip: gzip.map(Into::into), etag }
+    }
+}
+
+fn kind_of(name: &str) -> &'static str {
+    match name.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("css") => "text/css; charset=utf-8",
+        Some("js") => "text/javascript; charset=utf-8",
+        Some("svg") => "image/svg+xml; charset=utf-8",
+        Some("woff2") => "font/woff2",
+        _ => "text/plain; charset=utf-8",
+    }
+}
+
+fn gzip(bytes: &[u8]) -> Option<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes).ok()?;
+    encoder.finish().ok()
+}
+
+static EMBEDDED: LazyLock<HashMap<String, File>> = LazyLock::new(|| {
+    let named = Web::iter().filter_map(|name| Some((name.to_string(), read(&name)?)));
+    named.collect()
+});
+
+fn read(name: &str) -> Option<File> {
+    Web::get(name).map(|found| File::of(name, found.data.into_owned()))
+}
+
+/// The file of that name.
+pub(super) fn find(name: &str) -> Option<File> {
+    if FROM_DISK { read(name) } else { EMBEDDED.get(name).cloned() }
+}
+
+/// Names all files together: a browser may keep what it has of this version for ever.
+pub(super) fn version() -> &'static str {
+    static VERSION: LazyLock<String> = LazyLock::new(|| {
+        if FROM_DISK {
+            return "dev".to_owned();
+        }
+        let mut tags: Vec<String> =
+            EMBEDDED.iter().map(|(name, file)| format!("{name} {}", file.etag)).collect();
+        tags.sort();
+        blake3::hash(tags.join("\n").as_bytes()).to_hex()[..12].to_owned()
+    });
+    &VERSION
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_module_that_is_imported_is_there() {
+        let mut seen = 0;
+        for name in Web::iter().filter(|name| name.ends_with(".js") && !name.starts_with("vendor/")) {
+            let text = String::from_utf8(Web::get(&name).unwrap().data.into_owned()).unwrap();
+            let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
+            for line in text.lines().filter(|line| line.starts_with("import ") || line.starts_with("export "))
+            {
+                let Some(path) = line.rsplit_once("from \"").map(|(_, rest)| rest) else { continue };
+                let path = path.split('"').next().unwrap();
+                let mut parts: Vec<&str> = folder.split('/').collect();
+                for part in path.split('/') {
+                    match part {
+                        "." => {}
+                        ".." => drop(parts.pop()),
+                        part => parts.push(part),
+                    }
+                }
+                assert!(Web::get(&parts.join("/")).is_some(), "{name} imports {path}");
+                seen += 1;
+            }
+        }
+        assert!(seen > 20, "only {seen} imports were found");
+    }
+
+    #[test]
+    fn a_file_that_shrinks_is_kept_compressed() {
+        let file = File::of("a.js", b"const a = 1;\n".repeat(100));
+        assert!(file.gzip.as_ref().unwrap().len() < file.bytes.len() / 2);
+        assert!(File::of("a.woff2", vec![0; 1000]).gzip.is_none());
+        assert!(File::of("a.js", vec![b'x']).gzip.is_none());
+    }
+}

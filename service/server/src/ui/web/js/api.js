@@ -1,0 +1,68 @@
+// The API with the session's cookie. Every failure is an ApiError with what the server said, in its own words.
+
+export class ApiError extends Error {
+  constructor(status, problem) {
+    super(problem.detail || problem.title || `HTTP ${status}`);
+    Object.assign(this, { status, code: problem.code || "unknown", errors: problem.errors || [], requestId: problem.request_id, retryAfter: problem.retryAfter });
+  }
+}
+
+/** The session is over: on to the sign-in, and back again from there. The page is left, so nothing of it goes on. */
+const signInFrom = () => { location.replace(`/sign-in?next=${encodeURIComponent(location.pathname + location.search)}`); return new Promise(() => {}); };
+
+/** Asks; gives `{ body, etag }`. */
+export async function ask(method, path, { body, signal, etag, headers = {}, text = false } = {}) {
+  const init = { method, signal, credentials: "same-origin", headers: { accept: text ? "*/*" : "application/json", "x-feedwright-page": "1", ...headers } };
+  if (body !== undefined) { init.body = JSON.stringify(body); init.headers["content-type"] = "application/json"; }
+  if (etag) init.headers["if-match"] = etag;
+  let answer;
+  try { answer = await fetch(path, init); } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new ApiError(0, { code: "offline", detail: "no answer" });
+  }
+  if (!answer.ok) {
+    let problem = {};
+    try { problem = await answer.json(); } catch { /* not ours: the status has to do */ }
+    problem.request_id ||= answer.headers.get("x-request-id");
+    problem.retryAfter = answer.headers.get("retry-after");
+    if (answer.status === 401 && document.body.dataset.page !== "sign-in") await signInFrom();
+    throw new ApiError(answer.status, problem);
+  }
+  const content = answer.status === 204 ? null : text ? await answer.text() : await answer.json();
+  return { body: content, etag: answer.headers.get("etag"), status: answer.status };
+}
+export const get = async (path, options) => (await ask("GET", path, options)).body;
+export const post = async (path, body, options) => (await ask("POST", path, { body, ...options })).body;
+
+/** Every row of a list, at most `most`. */
+export async function all(path, most = 5000, options) {
+  const items = [];
+  let cursor = null;
+  do {
+    const page = await get(`${path}${path.includes("?") ? "&" : "?"}limit=1000${cursor ? `&cursor=${encodeURIComponent(cursor)}` : ""}`, options);
+    items.push(...page.items);
+    cursor = page.next_cursor;
+    if (items.length >= most) return { items: items.slice(0, most), complete: !cursor };
+  } while (cursor);
+  return { items, complete: true };
+}
+
+let known = null;
+/** Who is signed in, and what they may do. */
+export const session = () => known ||= get("/v1/session");
+/** Whether the session's role may use a route, as in `PUT /v1/tools/{tool}`: the server's table says so. */
+export const may = (who, route) => who.may.includes(route);
+
+/** A long computation answers 202 with a job: waits for it, and gives what it found. */
+export async function computed(path, body, { signal, progress } = {}) {
+  const answer = await ask("POST", path, { body, signal });
+  if (answer.status !== 202) return answer.body;
+  for (;;) {
+    const job = await get(`/v1/jobs/${answer.body.id}`, { signal });
+    if (job.state === "done") return job.result;
+    if (job.state === "failed" || job.state === "cancelled") throw new ApiError(500, { code: job.state, detail: job.state });
+    progress?.(job);
+    await new Promise((wake) => setTimeout(wake, 300));
+  }
+}
+export const segment = encodeURIComponent;

@@ -1,0 +1,134 @@
+import { $, fill, html, put, trusted } from "../html.js";
+import { icon } from "../icons.js";
+import { shell } from "../shell.js";
+import { empty, failure, notice, skeleton } from "../states.js";
+import { ApiError, all, get, segment, session } from "../api.js";
+import { num, percent, rounded, span, time, timeSeconds, unit } from "../format.js";
+import { levelPercent, shownLevel } from "../wear.js";
+import { listen } from "../live.js";
+import { language, t, told } from "../text.js";
+
+const asked = new URLSearchParams(location.search);
+const MOST_OTHERS = 4;
+let advice = null, fleet = [], skew = 0, known = { operations: [], tools: [] };
+const now = () => Date.now() + skew;
+
+/** The one instruction: a verb, and what it is about. */
+function instruction(one) {
+  if (one.action !== "run") return told("action", one.action, one.action);
+  const override = percent(one.override_percent);
+  const feed = one.feed;
+  if (feed.profile_id ?? feed.profile) return t("next.runProfile", { profile: feed.profile_id ?? feed.profile.id ?? feed.profile, version: feed.profile_version ?? feed.profile.version ?? "", override });
+  if (feed.source === "programmed" && feed.feed_mm_min != null) return t("next.runFeed", { feed: unit(feed.feed_mm_min, "mm/min"), override });
+  return t("next.runProgram", { override });
+}
+function toolLine(one) {
+  const level = one.tool_state.level, left = one.tool_state.remaining, shown = level ? shownLevel(((level.value ?? level.as_run) - 1) * 100) : null;
+  switch (one.tool_state.state) {
+    case "worn": return ["act", t("next.toolWorn", { level: shown ?? "" })];
+    case "broken_suspected": return ["act", t("next.toolBroken")];
+    case "changed": return ["plan", t("next.toolChanged")];
+    case "warning": return ["plan", left ? t("next.toolWarning", { count: rounded(left.cycles) }) : t("next.toolPlan")];
+    case "good": return ["note", left ? t("next.toolGood", { count: rounded(left.cycles) }) : t("next.toolGoodEarly", { level: shown ?? "" })];
+    case "learning": return ["note", t("next.toolLearning")];
+    default: return ["note", t("next.toolUnknown")];
+  }
+}
+const reasonText = (reason) => language === "en" ? sentence(reason.message) : told("reason", reason.code, sentence(reason.message));
+const sentence = (text) => { const first = text.charAt(0).toUpperCase() + text.slice(1); return /[.!?]$/.test(first) ? first : `${first}.`; };
+const ofTool = new Set(["good", "warning", "worn", "learning", "undercut", "conditions_changed", "level_outdated", "level_carried_over", "no_new_tool_baseline", "masked_by_control", "cycle_time_risen", "speed_changed", "no_cycles", "data_stale", "tool_unregistered"]);
+function reasonLink(one, code) {
+  if (ofTool.has(code)) return html`<a href="/tool?id=${segment(one.tool)}">${t("nav.tool")}</a>`;
+  if (code.startsWith("no_profile") || code.includes("profile")) return html`<a href="/settings#operations">${t("set.operations")}</a>`;
+  return html`<a href="/settings#operations">${t("set.operations")}</a>`;
+}
+function evidence(one, code) {
+  const level = one.tool_state.level;
+  if (["good", "warning", "worn"].includes(code) && level) return t("next.evidenceLevel", { n: num(level.n), low: shownLevel((level.lowest - 1) * 100), high: shownLevel((level.highest - 1) * 100) });
+  if (code === "data_stale" && one.data.age_ms != null) return t("next.evidenceAge", { age: span(one.data.age_ms) });
+  return code;
+}
+function validity(one) {
+  const from = Date.parse(one.issued_at), until = Date.parse(one.valid_until), left = until - now(), part = Math.max(0, Math.min(1, left / Math.max(1, until - from)));
+  put($("#valid"), html`<svg viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true"><rect width="100" height="4" fill="var(--sunken)"/><rect width="${trusted((part * 100).toFixed(1))}" height="4" fill="var(--ink-2)"/></svg><p>${left > 0 ? html`<b>${t("next.validUntil", { time: time(until) })}</b>, ${t("next.leftAfter", { left: span(left) })}` : html`<b>${t("next.ranOut", { time: time(until) })}</b>`}</p>`);
+  const over = left <= 0;
+  if (over !== $("#card").classList.contains("over")) { $("#card").classList.toggle("over", over); paintHead(over); }
+}
+// After its time an advice is struck and replaced by the neutral one.
+function paintHead(over) {
+  const one = advice, [level, text] = toolLine(one), stop = one.action !== "run";
+  put($("#rec-h"), over ? html`<s>${instruction(one)}</s> ${t("next.noAdvice")}` : html`${stop ? html`<span class="act-ink">${icon("act", t("level.act"))}</span>` : ""}${instruction(one)}`);
+  put($("#then"), html`<span class="${level === "act" ? "act-ink" : level === "plan" ? "plan-ink" : ""}">${icon(level, t(`level.${level}`))}</span><span>${over ? t("next.askAgain") : text}</span>`);
+}
+function card() {
+  const one = advice, limits = one.load_limits, feed = one.feed, process = one.process_advice;
+  const settings = [
+    [t("next.feed"), feed.profile_id ? html`${feed.profile_id} <span class="unit">${feed.profile_version}</span>` : feed.feed_mm_min == null ? t("next.asProgram") : html`${num(feed.feed_mm_min)} <span class="unit">mm/min</span>`],
+    [t("cycle.override"), html`${num(one.override_percent)} <span class="unit">%</span>`],
+    [t("whatif.feed"), limits.feed_drive_load_set_percent == null ? html`<span class="faint">${t("none")}</span>` : html`${num(limits.feed_drive_load_set_percent)} <span class="unit">%</span>`],
+    [t("whatif.spindle"), limits.spindle_load_set_percent == null ? html`<span class="faint">${t("none")}</span>` : html`${num(limits.spindle_load_set_percent)} <span class="unit">%</span>`],
+    [t("next.machineRange"), html`${num(one.limits.override_min_percent)} ${t("to")} ${num(one.limits.override_max_percent)} <span class="unit">%</span>`],
+  ];
+  const last = fleet.find((item) => item.machine === one.machine)?.last_cycle;
+  fill($("#card"), html`<p class="where"><b>${one.machine}</b><span>${one.operation}</span><span>${t("nav.tool")} <a href="/tool?id=${segment(one.tool)}">${one.tool}</a></span></p>
+    <h1 id="rec-h"></h1><p class="then" id="then"></p><div class="valid" id="valid"></div>
+    <dl class="settings">${settings.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>
+    ${process?.turning?.next ? notice("", t("next.turning"), t("next.turningText", { speed: unit(process.turning.next.speed_m_min, "m/min", 0), feed: unit(process.turning.next.feed_mm_rev, "mm/rev", 3), minutes: unit(process.turning.next.interval_min, "min", 1) })) : ""}
+    ${process?.plunge ? notice("", t("next.plunge"), process.plunge.feed_mm_min == null ? t("next.plungeNone") : t("next.plungeText", { feed: unit(process.plunge.feed_mm_min, "mm/min"), limit: told("bound", process.plunge.limit) })) : ""}
+    <h2>${t("next.why")}</h2><ol class="reasons">${one.reasons.map((reason) => html`<li><span><span class="t">${reasonText(reason)}</span><span class="e">${evidence(one, reason.code)}</span></span>${reasonLink(one, reason.code)}</li>`)}</ol>
+    <div class="rec-do"><button class="btn" id="again">${t("next.again")}</button><a class="btn" href="/tool?id=${segment(one.tool)}">${t("tool.recordChange")}</a>${last ? html`<a class="btn" href="/cycle?machine=${segment(one.machine)}&amp;id=${segment(last.cycle_id)}">${t("tool.lastCycle")}</a>` : ""}<span class="given">${t("next.given", { time: timeSeconds(one.issued_at), quality: told("quality", one.data.quality) })}</span></div>`);
+  paintHead(false);
+  $("#card").classList.remove("over");
+  validity(one);
+  $("#again").addEventListener("click", ask);
+  put($("#json"), JSON.stringify(one, null, 1));
+}
+function others() {
+  const first = fleet.filter((item) => item.machine !== advice?.machine && item.last_cycle).map((item) => ({ item, rank: { worn: 0, broken_suspected: 1, changed: 2, warning: 3, learning: 4 }[item.wear?.state] ?? 9 })).sort((a, b) => a.rank - b.rank).slice(0, MOST_OTHERS);
+  put($("#others"), html`${first.map(({ item }) => { const state = item.wear?.state ?? "unknown", act = state === "worn" || state === "broken_suspected", value = levelPercent(item.wear), last = item.last_cycle;
+    return html`<article class="panel mini ${act ? "act" : ""}"><p class="where"><b>${item.machine}</b><span>${t("nav.tool")} ${last.tool}</span></p><h2><span class="${act ? "act-ink" : state === "warning" || state === "changed" ? "plan-ink" : ""}">${icon(act ? "act" : state === "warning" || state === "changed" ? "plan" : state === "learning" ? "setup" : "note")}</span>${told("action", { worn: "change_tool", broken_suspected: "check_tool", changed: "confirm_conditions" }[state] ?? "run")}</h2><p>${value == null ? t(`toolstate.${state}`) : t("next.miniLevel", { level: shownLevel(value) })}</p><p class="faint small"><a href="/next?machine=${segment(item.machine)}&amp;operation=${segment(last.operation)}&amp;tool=${segment(last.tool)}">${t("next.show")}</a></p></article>`; })}`);
+  $("#others").hidden = first.length === 0;
+}
+async function ask() {
+  try {
+    advice = await get(`/v1/recommendations?machine=${segment(asked.get("machine"))}&operation=${segment(asked.get("operation"))}&tool=${segment(asked.get("tool"))}`);
+    skew = Date.parse(advice.issued_at) - Date.now();
+    card();
+    others();
+  } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#card"), failure(error, t("error.load"))); }
+}
+function picker() {
+  const options = (list, chosen) => { const all_ = list.includes(chosen) || !chosen ? list : [chosen, ...list]; return all_.map((id) => html`<option value="${id}" ${id === chosen ? html`selected` : ""}>${id}</option>`); };
+  fill($("#picker"), html`<label for="p-machine">${t("col.machine")}</label><select id="p-machine">${options(fleet.map((item) => item.machine), asked.get("machine"))}</select><label for="p-operation">${t("col.operation")}</label><select id="p-operation">${options(known.operations, asked.get("operation"))}</select><label for="p-tool">${t("col.tool")}</label><select id="p-tool">${options(known.tools, asked.get("tool"))}</select>`);
+  $("#picker").addEventListener("change", (event) => {
+    if (event.target.id === "p-machine") { // what the machine ran last is what it most likely runs next
+      const last = fleet.find((item) => item.machine === event.target.value)?.last_cycle;
+      if (last) { $("#p-operation").value = last.operation; $("#p-tool").value = last.tool; }
+    }
+    for (const name of ["machine", "operation", "tool"]) asked.set(name, $(`#p-${name}`).value);
+    history.replaceState(null, "", `/next?${asked}`);
+    ask();
+  });
+}
+shell(t("nav.next"));
+fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a href="/">${t("nav.fleet")}</a> / ${t("nav.next")}</p></div><form class="tools" id="picker"></form></div><div class="rec-grid"><article class="panel rec" id="card" aria-label="${t("nav.next")}">${skeleton(5)}</article><div class="stack"><section id="others" class="others" aria-label="${t("next.others")}"></section><section class="panel"><header><h2>${t("next.asMes")}</h2></header><div class="body"><pre class="nc json" tabindex="0" aria-label="JSON" id="json"></pre></div></section></div></div>`);
+try {
+  const [, page, operations, tools] = await Promise.all([session(), get("/v1/fleet?limit=500&recent=2"), all("/v1/operations", 2000), all("/v1/tools", 2000)]);
+  fleet = page.items;
+  known = { operations: operations.items.map((one) => one.id), tools: tools.items.map((one) => one.id) };
+  const newest = [...fleet].filter((item) => item.last_cycle).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at))[0];
+  const from = fleet.find((item) => item.machine === asked.get("machine")) ?? newest;
+  if (!from?.last_cycle && !(asked.get("machine") && asked.get("operation") && asked.get("tool"))) {
+    fill($("#card"), empty(t("next.none"), t("next.noneText"), html`<a class="btn" href="/settings">${t("nav.settings")}</a>`));
+    $("#others").hidden = true;
+    put($("#json"), "{}");
+  } else {
+    if (!asked.get("machine")) asked.set("machine", from.machine);
+    if (!asked.get("operation")) asked.set("operation", from.last_cycle.operation);
+    if (!asked.get("tool")) asked.set("tool", from.last_cycle.tool);
+    picker();
+    await ask();
+    setInterval(() => { if (advice && $("#valid")) validity(advice); }, 1000);
+    listen(`machine=${segment(asked.get("machine"))}`, { cycle: (event) => { if (event.machine === asked.get("machine") && event.tool === asked.get("tool")) ask(); } });
+  }
+} catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#card"), failure(error, t("error.load"))); }

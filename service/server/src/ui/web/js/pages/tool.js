@@ -1,0 +1,245 @@
+import { $, fill, html, put, trusted } from "../html.js";
+import { icon } from "../icons.js";
+import { action, closed, shell } from "../shell.js";
+import { empty, failure, notice, progress, skeleton } from "../states.js";
+import { ApiError, all, get, post, segment, session } from "../api.js";
+import { NB, age, dayMonth, num, rounded, signed, unit } from "../format.js";
+import { FONT, X, Y, chart, clip, dpr, halo, limit, line, phone, ready, splits, token, vline } from "../charts.js";
+import { Track } from "../track.js";
+import { levelPercent, shownLevel } from "../wear.js";
+import { keep, listen } from "../live.js";
+import { t, told } from "../text.js";
+
+const asked = new URLSearchParams(location.search);
+const BEAT_MS = 20_000, MOST_CYCLES = 20_000, MOST_TOOLS = 2000;
+/** Each reason has its own shape; there are more reasons than shapes, so the rest share the circle with a dot. */
+const shapes = { aborted: "cross", incomplete: "square", air_cut: "circle", broken_suspected: "octagon", clock_suspect: "dot", no_energy: "dot", low_coverage: "diamond", operation_unregistered: "dot", operator_override: "triangle", conditions_changed: "bar", baseline_outlier: "down" };
+const glyphs = { square: '<rect x="3" y="3" width="8" height="8"/>', diamond: '<path d="M7 1.5 12.5 7 7 12.5 1.5 7z"/>', triangle: '<path d="M7 2 12 11.5H2z"/>', down: '<path d="M7 12 2 2.5h10z"/>', cross: '<path d="M3 3l8 8M3 11l8-8"/>', circle: '<circle cx="7" cy="7" r="4.5"/>', dot: '<circle cx="7" cy="7" r="4.5"/><circle cx="7" cy="7" r="1" fill="currentColor"/>', octagon: '<path d="M5 2h4l3 3v4l-3 3H5L2 9V5z"/>', bar: '<rect x="2" y="5.5" width="10" height="3"/>' };
+
+let life = null, tool = null, events = [], plots = [], hover = null, who = null;
+const numberOf = (i) => life.before + i + 1;
+
+function level() { // running median over the window that the verdict uses, at least 15 so that the line is readable
+  const counted = [];
+  life.energy_ratio.forEach((ratio, i) => { if (ratio != null && life.excluded[i] == null) counted.push([numberOf(i), (ratio - 1) * 100]); });
+  const half = Math.max(7, Math.floor((life.wear.level?.window ?? 15) / 2)), step = Math.max(1, Math.floor(counted.length / 600)), points = [];
+  for (let i = 0; i < counted.length; i += step) {
+    const from = Math.max(0, i - half), to = Math.min(counted.length, i + half + 1), around = counted.slice(from, to).map((one) => one[1]).sort((a, b) => a - b);
+    points.push([counted[i][0], around[around.length >> 1]]);
+  }
+  return { counted, points, window: 2 * half + 1 };
+}
+
+function mark(c, x, y, shape, size) {
+  c.beginPath();
+  if (shape === "square") c.rect(x - size, y - size, 2 * size, 2 * size);
+  else if (shape === "bar") c.rect(x - size * 1.3, y - size * 0.5, size * 2.6, size);
+  else if (shape === "diamond") { c.moveTo(x, y - size * 1.35); c.lineTo(x + size * 1.35, y); c.lineTo(x, y + size * 1.35); c.lineTo(x - size * 1.35, y); c.closePath(); }
+  else if (shape === "triangle") { c.moveTo(x, y - size * 1.3); c.lineTo(x + size * 1.25, y + size); c.lineTo(x - size * 1.25, y + size); c.closePath(); }
+  else if (shape === "down") { c.moveTo(x, y + size * 1.3); c.lineTo(x + size * 1.25, y - size); c.lineTo(x - size * 1.25, y - size); c.closePath(); }
+  else if (shape === "octagon") { const a = size * 0.5; c.moveTo(x - a, y - size); c.lineTo(x + a, y - size); c.lineTo(x + size, y - a); c.lineTo(x + size, y + a); c.lineTo(x + a, y + size); c.lineTo(x - a, y + size); c.lineTo(x - size, y + a); c.lineTo(x - size, y - a); c.closePath(); }
+  else if (shape === "cross") { c.moveTo(x - size, y - size); c.lineTo(x + size, y + size); c.moveTo(x - size, y + size); c.lineTo(x + size, y - size); c.stroke(); return; }
+  else { c.arc(x, y, size * 1.1, 0, 7); c.fill(); c.stroke(); if (shape === "dot") { c.beginPath(); c.arc(x, y, size * 0.4, 0, 7); c.fillStyle = token("--ink-2"); c.fill(); c.fillStyle = token("--surface"); } return; }
+  c.fill(); c.stroke();
+}
+
+function build() {
+  plots.forEach((plot) => plot.destroy());
+  plots = [];
+  for (const id of ["#energy", "#shift", "#time"]) fill($(id), "");
+  const total = life.energy_ratio.length, now = life.before + total, { counted, points, window } = level(), wear = life.wear;
+  $("#window").textContent = num(window);
+  const warn = ((wear.level?.warning_at ?? 1.07) - 1) * 100, worn = ((wear.level?.worn_at ?? 1.1) - 1) * 100, here = levelPercent(wear), trend = here == null ? null : wear.trend;
+  const reach = wear.remaining ? now + Math.min(wear.remaining.high, Math.max(now - life.before, 20) * 1.2) : now;
+  const first = life.before, end = Math.max(reach + (reach - first) * 0.06, first + 10), xr = [first - (end - first) * 0.006, end];
+  const values = counted.map((one) => one[1]);
+  const outside = life.excluded.map((why, i) => why && life.energy_ratio[i] != null ? [numberOf(i), (life.energy_ratio[i] - 1) * 100, why] : null).filter(Boolean);
+  const low = Math.min(-3.6, Math.floor(Math.min(0, ...values.length ? [quantile(values, 0.002)] : [0])) - 1), high = Math.max(12.8, Math.ceil(Math.max(0, ...values.length ? [quantile(values, 0.998)] : [0])) + 1);
+  const begins = events.findLastIndex((event) => event.kind !== "conditions_confirmed"), marks = events.map((event, i) => ({ ...event, n: i + 1, at: cycleAt(event.at) })).filter((event, i) => i >= begins && event.at >= first);
+  const pinned = (u, c) => { for (const one of marks) vline(u, c, one.at, { color: "--ink-3", dash: [1, 3] }); vline(u, c, now, { color: "--ink-2" }); };
+  const right = phone() ? 12 : 128;
+  if (counted.length || outside.length) plots.push(chart($("#energy"), {
+    height: phone() ? 330 : 392, pad: [phone() ? 26 : 42, right, 0, 0], axisX: true, xr, range: () => [low, high], ysplits: () => { const step = high - low > 40 ? 10 : high - low > 22 ? 5 : 2, list = []; for (let value = Math.ceil(low / step) * step; value <= high; value += step) list.push(value); return list; }, left: 44, zoom: false, yvals: (u, list) => list.map((value) => value === 0 ? "0" : signed(value)), xvals: (u, list) => list.map((value) => value < 0 || value % 1 ? "" : num(value)),
+    aria: t("tool.chartAria", { level: here == null ? t("unknown") : shownLevel(here), left: wear.remaining ? t("tool.chartLeft", { low: rounded(wear.remaining.low), high: rounded(wear.remaining.high) }) : t("tool.chartNoLeft") }),
+    front: (u, c) => {
+      const k = dpr();
+      c.save(); clip(u);
+      const learning = wear.baselines[0];
+      if (life.before === 0 && learning?.learnt_from) { c.fillStyle = token("--stage-b"); c.fillRect(X(u, 0.5), u.bbox.top, Math.max(2 * k, X(u, learning.learnt_from + 0.5) - X(u, 0.5)), u.bbox.height); }
+      const few = counted.length < 400, radius = few ? 2 : 1.1;
+      c.fillStyle = token("--sig-energy"); c.globalAlpha = few ? 0.5 : Math.max(0.14, 90 / Math.sqrt(counted.length * 40));
+      for (const [n, value] of counted) c.fillRect(X(u, n) - radius * k, Y(u, value) - radius * k, 2 * radius * k, 2 * radius * k);
+      c.globalAlpha = 1; c.strokeStyle = token("--ink-2"); c.lineWidth = k; c.fillStyle = token("--surface");
+      for (const [n, value, why] of outside) { c.globalAlpha = hover && hover !== why ? 0.25 : 1; mark(c, X(u, n), Math.min(u.bbox.top + u.bbox.height - 5 * k, Math.max(u.bbox.top + 5 * k, Y(u, value))), shapes[why] ?? "dot", (hover === why ? 4.4 : 3) * k); }
+      c.globalAlpha = 1;
+      if (trend && here != null) { // the cone is drawn as far as the evidence carries
+        const y = (slope) => here + slope * 100 * (end - now);
+        c.beginPath(); c.moveTo(X(u, now), Y(u, here)); c.lineTo(X(u, end), Y(u, y(trend.slope_high))); c.lineTo(X(u, end), Y(u, y(trend.slope_low))); c.closePath(); c.fillStyle = token("--sig-energy"); c.globalAlpha = 0.16; c.fill(); c.globalAlpha = 1;
+        c.beginPath(); c.moveTo(X(u, now), Y(u, here)); c.lineTo(X(u, end), Y(u, y(trend.slope_per_cycle))); c.strokeStyle = token("--sig-energy"); c.lineWidth = 1.75 * k; c.setLineDash([5 * k, 4 * k]); c.stroke(); c.setLineDash([]);
+      }
+      c.beginPath(); points.forEach(([n, value], i) => i ? c.lineTo(X(u, n), Y(u, value)) : c.moveTo(X(u, n), Y(u, value))); c.lineJoin = "round"; c.strokeStyle = token("--surface"); c.lineWidth = 5 * k; c.stroke(); c.strokeStyle = token("--sig-energy"); c.lineWidth = 2.4 * k; c.stroke();
+      c.restore();
+      limit(u, c, 0, phone() ? "" : t("tool.baselineLine"), { color: "--ink-3", dash: [], width: 1 });
+      limit(u, c, warn, t("tool.planLine", { value: signed(warn) + NB + "%" }), { color: "--plan", side: "left" });
+      limit(u, c, worn, t("tool.wornLine", { value: signed(worn) + NB + "%" }), { color: "--act", dash: [], width: 1.5, bold: true, side: "left" });
+      if (wear.remaining) crossing(u, c, now, worn, wear.remaining);
+      vline(u, c, now, { color: "--ink-2" });
+      if (here != null && !phone()) { c.fillStyle = token("--ink"); c.font = `600 ${12 * k}px ${FONT}`; c.textAlign = "right"; c.textBaseline = "bottom"; halo(c, t("tool.now", { level: shownLevel(here) }), X(u, now) - 7 * k, u.bbox.top + u.bbox.height - 8 * k); }
+      eventNames(u, c, marks);
+    },
+  }));
+  const numbers = Array.from({ length: total }, (_, i) => numberOf(i)), baseDepth = median(life.spindle_load_fall_depth_mm.slice(0, Math.max(5, wear.baselines[0]?.learnt_from ?? 5)).filter((value) => value != null));
+  const shift = life.before === 0 && baseDepth != null ? life.spindle_load_fall_depth_mm.map((value, i) => value == null || life.excluded[i] ? null : value - baseDepth) : null;
+  small("#shift", "#shift-title", shift, numbers, xr, right, "--sig-spindle", t("tool.shift"), pinned, (lowest, highest) => [Math.min(-0.2, lowest), Math.max(2.3, highest)]);
+  small("#time", "#time-title", life.duration_ms.map((value, i) => value == null || life.excluded[i] ? null : value / 1000), numbers, xr, right, "--ink-2", t("cycle.time"), pinned, (lowest, highest) => { const room = Math.max((highest - lowest) * 0.15, highest * 0.02); return [Math.max(0, lowest - room), highest + room]; });
+}
+function small(id, title, values, numbers, xr, right, color, name, front, range) {
+  const seen = values?.filter((value) => value != null) ?? [], there = seen.length > 1;
+  $(title).hidden = !there; $(id).hidden = !there;
+  if (!there) return;
+  const [low, high] = range(quantile(seen, 0.002), quantile(seen, 0.998)), track = new Track(numbers, { value: values });
+  const plot = chart($(id), { height: 92, pad: [8, right, 0, 0], xr, range: () => [low, high], ysplits: () => splits(low, high).filter((_, i) => i % 2 === 0), left: 44, zoom: false, aria: name, front: (u, c) => { front(u, c); line(u, track, "value", { color, width: 1.25 }); } });
+  plots.push(plot);
+}
+const sorted = (values) => [...values].sort((a, b) => a - b);
+const quantile = (values, part) => sorted(values)[Math.min(values.length - 1, Math.max(0, Math.round(part * (values.length - 1))))];
+const median = (values) => values.length ? sorted(values)[values.length >> 1] : null;
+/** The number of the first cycle that began after a time. */
+function cycleAt(at) { const when = Date.parse(at); let i = 0; while (i < life.started_at.length && Date.parse(life.started_at[i]) < when) i += 1; return i === 0 ? life.before : numberOf(i) - 1; }
+/** Where the level meets the worn line: interval and the likeliest place. */
+function crossing(u, c, now, worn, remaining) {
+  const k = dpr(), y = Y(u, worn), edge = u.bbox.left + u.bbox.width, a = X(u, now + remaining.low), b = Math.min(edge, X(u, now + remaining.high)), m = X(u, now + remaining.cycles);
+  if (a > edge) return;
+  c.strokeStyle = token("--ink"); c.lineWidth = 2.5 * k; c.beginPath(); c.moveTo(a, y); c.lineTo(b, y); c.moveTo(a, y - 6 * k); c.lineTo(a, y + 6 * k);
+  if (b < edge) { c.moveTo(b, y - 6 * k); c.lineTo(b, y + 6 * k); } else { c.moveTo(edge - 6 * k, y - 5 * k); c.lineTo(edge, y); c.lineTo(edge - 6 * k, y + 5 * k); }
+  c.stroke();
+  if (m <= edge) { c.fillStyle = token("--surface"); c.beginPath(); c.arc(m, y, 5 * k, 0, 7); c.fill(); c.stroke(); }
+  if (!phone()) { const text = t("tool.inCycles", { low: rounded(remaining.low), high: rounded(remaining.high) }); c.fillStyle = token("--ink"); c.font = `600 ${12 * k}px ${FONT}`; const wide = c.measureText(text).width, fits = a + wide < edge; c.textAlign = fits ? "left" : "right"; c.textBaseline = "top"; halo(c, text, fits ? a - 2 * k : edge - 4 * k, y + 14 * k); }
+}
+function eventNames(u, c, marks) {
+  const k = dpr();
+  let free = -Infinity;
+  for (const one of marks) {
+    const x = Math.round(X(u, one.at)) + 0.5;
+    vline(u, c, one.at, { color: "--ink-3", dash: [1, 3] });
+    c.strokeStyle = token("--ink-3"); c.lineWidth = k; c.beginPath(); c.moveTo(x, u.bbox.top); c.lineTo(x, u.bbox.top - 8 * k); c.stroke();
+    c.textBaseline = "bottom"; c.fillStyle = token("--ink-2");
+    const name = `${one.n}  ${told("event", one.kind)}`;
+    c.font = `${12 * k}px ${FONT}`;
+    if (phone() || x < free) { c.font = `600 ${11 * k}px ${FONT}`; c.textAlign = "center"; c.fillText(String(one.n), Math.max(x, u.bbox.left + 4 * k), u.bbox.top - 9 * k); continue; }
+    c.textAlign = "left"; c.fillText(name, x - 1, u.bbox.top - 9 * k); c.fillStyle = token("--ink-3"); c.fillText(dayMonth(one.at_time), x - 1, u.bbox.top - 23 * k);
+    free = x + c.measureText(name).width + 12 * k;
+  }
+}
+
+function head() {
+  const wear = life.wear, here = levelPercent(wear), left = wear.remaining;
+  const sign = { worn: "act", broken_suspected: "act", warning: "plan", changed: "plan" }[wear.state] ?? "note";
+  const value = here == null ? null : `${num(Math.abs(here), 1)}${NB}%`;
+  const first = wear.state === "worn" ? t("tool.saysWorn", { level: here == null ? "" : shownLevel(here) })
+    : wear.state === "broken_suspected" ? t("tool.saysBroken") : wear.state === "changed" ? t("tool.saysChanged")
+    : here == null ? (wear.state === "learning" ? t("tool.saysLearning") : t("tool.saysUnknown", { why: told("reason", wear.reasons[0]?.code, wear.reasons[0]?.message ?? "") }))
+    : here >= 0.05 ? t("tool.saysMore", { value }) : here <= -0.05 ? t("tool.saysLess", { value }) : t("tool.saysSame");
+  const then = here == null || ["worn", "broken_suspected", "changed"].includes(wear.state) ? "" : wear.state === "warning" ? (left ? t("tool.changeWithin", { count: rounded(left.cycles) }) : t("tool.planSoon")) : left ? t("tool.leftAbout", { count: rounded(left.cycles) }) : t("tool.tooEarly");
+  put($("#say"), html`<span class="${sign === "act" ? "act-ink" : sign === "plan" ? "plan-ink" : ""}">${icon(sign, t(`level.${sign}`))}</span><span>${first} ${then}</span>`);
+  const base = wear.baselines[0], excluded = Object.values(wear.excluded).reduce((sum, count) => sum + count, 0);
+  put($("#evidence"), [left ? t("tool.evidenceLeft", { low: rounded(left.low), high: rounded(left.high) }) : null, wear.cycles ? t("tool.evidenceFrom", { counted: num(wear.counted), cycles: num(wear.cycles), basis: base ? t(`basis.${base.basis}`) : t("unknown") }) : t("tool.evidenceNone"), wear.last_cycle_at ? t("tool.evidenceLast", { age: age(Date.now() - Date.parse(wear.last_cycle_at), wear.last_cycle_at) }) : null].filter(Boolean).join(" "));
+  const others = wear.reasons.filter((reason) => ["masked_by_control", "level_carried_over", "no_new_tool_baseline", "level_outdated", "cycle_time_risen", "speed_changed"].includes(reason.code));
+  put($("#reasons"), html`${others.map((reason) => notice(reason.code === "masked_by_control" || reason.code === "cycle_time_risen" ? "plan" : "", told("reason", reason.code, reason.message)))}`);
+  const learning = wear.baselines.find((one) => one.baseline_joules == null);
+  put($("#learning"), learning ? html`<section class="panel body learning"><h2>${t("tool.learning", { have: num(learning.learnt_from), need: num(learning.needed) })}</h2>${progress(learning.learnt_from / learning.needed)}<p class="muted">${t("tool.learningText", { more: num(Math.max(0, learning.needed - learning.learnt_from)) })}</p></section>` : "");
+  put($("#facts"), html`${[[t("tool.id"), tool.id], [t("tool.name"), tool.name || t("none")], [t("tool.serial"), tool.serial ?? t("none")], [t("tool.type"), tool.tool_type || t("none")], [t("tool.diameter"), tool.diameter_mm == null ? t("unknown") : unit(tool.diameter_mm, "mm", 1)], [t("tool.life"), num(wear.life)], [t("tool.cyclesLife"), num(wear.cycles)], ...(base ? [[t("tool.machine"), base.machine], [t("tool.operation"), base.operation], [t("tool.energyNew"), base.baseline_joules == null ? t("wear.noBaseline") : unit(base.baseline_joules, "J")], [t("tool.energyNow"), here == null || base.baseline_joules == null ? t("unknown") : unit(base.baseline_joules * wear.level.as_run, "J")], [t("tool.baseline"), t("tool.baselineOf", { learnt: num(base.learnt_from), basis: t(`basis.${base.basis}`) })]] : []), ...(wear.level?.feed_compensated != null ? [[t("tool.compensated"), shownLevel((wear.level.feed_compensated - 1) * 100)]] : [])].map(([name, text]) => html`<dt>${name}</dt><dd>${text}</dd>`)}`);
+  const counts = Object.entries(wear.excluded);
+  $("#out").textContent = excluded ? num(excluded) : "";
+  put($("#excluded"), html`${counts.map(([why, count]) => html`<tr tabindex="0" data-why="${why}"><td><svg viewBox="0 0 14 14" width="14" height="14" fill="var(--surface)" stroke="var(--ink-2)" stroke-width="1.4" aria-hidden="true">${trusted(glyphs[shapes[why] ?? "dot"])}</svg></td><th scope="row">${told("exclusion", why)}</th><td class="num">${num(count)}</td></tr>`)}`);
+  $("#excluded-none").hidden = counts.length > 0;
+  put($("#events"), html`${[...events].map((event, i) => ({ ...event, n: i + 1 })).reverse().map((event) => html`<tr><td class="faint">${event.n}</td><th scope="row">${told("event", event.kind)}${event.reason ? html`<span class="w">${event.reason}</span>` : ""}</th><td class="num faint">${dayMonth(event.at)}</td></tr>`)}`);
+  $("#events-none").hidden = events.length > 0;
+  const last = life.cycle_id.length - 1;
+  $("#next").href = last < 0 ? "/next" : `/next?machine=${segment(life.machine[last])}&operation=${segment(life.operation[last])}&tool=${segment(tool.id)}`;
+  $("#last").hidden = last < 0;
+  if (last >= 0) $("#last").href = `/cycle?machine=${segment(life.machine[last])}&id=${segment(life.cycle_id[last])}`;
+}
+function frame() {
+  const events_ = "POST /v1/tools/{tool}/events";
+  fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a href="/">${t("nav.fleet")}</a> / ${t("tool.crumb", { id: tool.id })}</p><h1 class="verdict" id="say"></h1><p class="evidence" id="evidence"></p></div>
+    <div class="tools"><label class="sr" for="pick">${t("tool.pick")}</label><select id="pick"></select>${action(who, events_, t("tool.recordChange"), { id: "record" })}<a class="btn" id="last">${t("tool.lastCycle")}</a><a class="btn" id="next" href="/next">${t("nav.next")}</a></div></div>
+    <div id="said"></div><div id="reasons" class="stack"></div><div id="learning"></div>
+    <dialog id="event" aria-labelledby="event-title"><form id="event-form" method="dialog"><h2 id="event-title">${t("tool.recordTitle", { id: tool.id })}</h2><p class="muted">${t("tool.recordText")}</p>
+      <label for="event-kind">${t("tool.what")}</label><select id="event-kind">${["changed", "reground", "conditions_confirmed", "mounted_new", "mounted_used", "reset"].map((kind) => html`<option value="${kind}">${told("event", kind)}</option>`)}</select>
+      <label for="event-reason">${t("tool.reason")}</label><textarea id="event-reason" rows="3" maxlength="2000"></textarea><div id="event-said" role="alert"></div>
+      <div class="knot-tools"><button class="btn primary" type="submit">${t("save")}</button><button class="btn" type="button" id="event-cancel">${t("cancel")}</button></div></form></dialog>
+    <div class="tool-grid"><section class="panel charts-panel" aria-label="${t("tool.charts")}"><div class="key"><span class="strong">${t("tool.energyTitle")}</span>
+        <span><svg viewBox="0 0 20 8" aria-hidden="true"><g fill="var(--sig-energy)" opacity=".65"><rect x="2" y="3" width="2" height="2"/><rect x="8" y="1" width="2" height="2"/><rect x="13" y="4" width="2" height="2"/><rect x="17" y="2" width="2" height="2"/></g></svg>${t("tool.keyCycle")}</span>
+        <span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--sig-energy)" stroke-width="2.6"/></svg><span>${t("tool.keyLevel")} <span id="window"></span></span></span>
+        <span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4 20 0v8z" fill="var(--sig-energy)" opacity=".2"/><path d="M0 4h20" stroke="var(--sig-energy)" stroke-width="1.6" stroke-dasharray="5 3"/></svg>${t("tool.keyTrend")}</span>
+        <span><svg viewBox="0 0 20 8" aria-hidden="true"><circle cx="6" cy="4" r="3" fill="var(--surface)" stroke="var(--ink-2)"/><path d="M14 1h6v6h-6z" fill="var(--surface)" stroke="var(--ink-2)"/></svg>${t("tool.keyExcluded")}</span></div>
+      <div id="energy" class="u-wrap"></div><p class="xname tool-x">${t("tool.x")}</p>
+      <div class="chart-title" id="shift-title"><b>${t("tool.shift")}</b><span>mm</span></div><div id="shift" class="u-wrap"></div>
+      <div class="chart-title" id="time-title"><b>${t("cycle.time")}</b><span>s</span></div><div id="time" class="u-wrap"></div></section>
+    <aside class="stack" aria-label="${t("tool.about")}">
+      <section class="panel"><header><h2>${t("nav.tool")}</h2></header><div class="body"><dl class="facts" id="facts"></dl></div></section>
+      <section class="panel"><header><h2>${t("tool.excluded")}</h2><span class="end small" id="out"></span></header><div class="body"><p class="small muted">${t("tool.excludedText")}</p><table class="tight"><thead class="sr"><tr><th scope="col">${t("tool.mark")}</th><th scope="col">${t("tool.reason")}</th><th scope="col">${t("tool.cycles")}</th></tr></thead><tbody id="excluded"></tbody></table><p class="small muted" id="excluded-none" hidden>${t("tool.excludedNone")}</p></div></section>
+      <section class="panel"><header><h2>${t("tool.events")}</h2></header><div class="body"><table class="tight"><thead class="sr"><tr><th scope="col">${t("tool.no")}</th><th scope="col">${t("tool.event")}</th><th scope="col">${t("tool.day")}</th></tr></thead><tbody id="events"></tbody></table><p class="small muted" id="events-none" hidden>${t("tool.eventsNone")}</p></div></section>
+    </aside></div>`);
+  const point = (event) => { const why = event.target.closest?.("tr")?.dataset.why ?? null; if (why !== hover) { hover = why; plots[0]?.redraw(false); } };
+  for (const kind of ["pointerover", "focusin"]) $("#excluded").addEventListener(kind, point);
+  for (const kind of ["pointerleave", "focusout"]) $("#excluded").addEventListener(kind, () => { hover = null; plots[0]?.redraw(false); });
+  $("#pick").addEventListener("change", (event) => location.assign(`/tool?id=${segment(event.target.value)}`));
+  const dialog = $("#event");
+  $("#record").addEventListener("click", () => { if (!closed($("#record"))) dialog.showModal(); });
+  $("#event-cancel").addEventListener("click", () => dialog.close());
+  $("#event-form").addEventListener("submit", async (event) => {
+    event.preventDefault();
+    try {
+      await post(`/v1/tools/${segment(tool.id)}/events`, { kind: $("#event-kind").value, reason: $("#event-reason").value.trim() || null });
+      dialog.close();
+      $("#event-reason").value = "";
+      put($("#said"), notice("", t("tool.recorded")));
+      await refresh();
+      build();
+    } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#event-said"), failure(error)); }
+  });
+}
+let drawn = "";
+async function refresh() {
+  const id = asked.get("id") ?? tool.id;
+  const [newest, told_] = await Promise.all([get(`/v1/tools/${segment(id)}/life?last=${MOST_CYCLES}`), all(`/v1/tools/${segment(id)}/events`, 1000)]);
+  life = newest;
+  events = told_.items.map((event) => ({ ...event, at_time: event.at })).sort((a, b) => Date.parse(a.at) - Date.parse(b.at));
+}
+async function pickList() {
+  const { items } = await all("/v1/tools", MOST_TOOLS);
+  const list = items.map((one) => one.id);
+  if (!list.includes(tool.id)) list.unshift(tool.id);
+  fill($("#pick"), html`${list.map((id) => html`<option value="${id}" ${id === tool.id ? html`selected` : ""}>${id}</option>`)}`);
+}
+shell(t("nav.tool"));
+fill($("#main"), html`<div class="panel body">${skeleton(6)}</div>`);
+try {
+  who = await session();
+  let id = asked.get("id");
+  if (!id) {
+    const fleet = await get("/v1/fleet?limit=500&recent=1"), order = { worn: 0, broken_suspected: 1, warning: 2, changed: 3 };
+    id = fleet.items.filter((item) => item.last_cycle).sort((a, b) => (order[a.wear?.state] ?? 9) - (order[b.wear?.state] ?? 9) || (levelPercent(b.wear) ?? -99) - (levelPercent(a.wear) ?? -99))[0]?.last_cycle.tool ?? (await get("/v1/tools?limit=1")).items[0]?.id;
+  }
+  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("tool.none"), t("tool.noneText"), html`<a class="btn" href="/settings#tools">${t("nav.settings")}</a>`)}</section>`);
+  else {
+    asked.set("id", id);
+    tool = await get(`/v1/tools/${segment(id)}`);
+    document.title = `${t("tool.crumb", { id })} \u2013 Feedwright`;
+    await Promise.all([refresh(), ready()]);
+    frame();
+    pickList();
+    head();
+    build();
+    drawn = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${events.length}`;
+    const kept = keep(async () => {
+      if (drawn) { const first = drawn; await refresh(); head(); const now = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${events.length}`; if (now !== first) { drawn = now; build(); } }
+    }, BEAT_MS, 5000);
+    listen("", { cycle: (event) => { if (event.tool === id) kept.nudge(); }, gap: kept.nudge });
+  }
+} catch (error) {
+  if (!(error instanceof ApiError)) throw error;
+  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`) : failure(error, t("error.load"))}</section>`);
+}

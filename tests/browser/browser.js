@@ -1,0 +1,49 @@
+// Chromium with what every check needs: a session, and an ear for everything that must not happen.
+import { chromium } from "playwright-core";
+import { readFile } from "node:fs/promises";
+
+const axe = await readFile(new URL("node_modules/axe-core/axe.min.js", import.meta.url), "utf8");
+
+export class Browser {
+  static async open() { const browser = new Browser(); browser.chromium = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--disable-dev-shm-usage", "--enable-precise-memory-info"] }); return browser; }
+  /** A page in its own window; `wrong` fills with every console error, exception, failed request and breach of the policy. */
+  async page(shop, { role = "admin", width = 1440, height = 900, theme = "light", language = "en-GB", expects = [] } = {}) {
+    const context = await this.chromium.newContext({ viewport: { width, height }, colorScheme: theme, locale: language, timezoneId: "Europe/Berlin", hasTouch: width < 700, reducedMotion: "reduce" });
+    if (role) {
+      const answer = await context.request.post(`${shop.address}/v1/session`, { data: { token: shop.tokens[role] }, headers: { "x-feedwright-page": "1" } });
+      if (answer.status() !== 201) throw new Error(`sign-in as ${role}: ${answer.status()} ${await answer.text()}`);
+    }
+    const page = await context.newPage(), wrong = [];
+    page.setDefaultTimeout(15_000);
+    const expected = (text) => expects.some((one) => text.includes(one));
+    page.on("console", (message) => { if (["error", "warning"].includes(message.type()) && !expected(message.text())) wrong.push(`console: ${message.text()} ${message.location().url}`); });
+    page.on("pageerror", (error) => wrong.push(`exception: ${error.message}`));
+    await page.addInitScript(() => addEventListener("securitypolicyviolation", (event) => console.error(`policy: ${event.violatedDirective} ${event.blockedURI} ${event.sourceFile}:${event.lineNumber}`)));
+    page.wrong = wrong;
+    page.shop = shop;
+    page.go = async (path) => { await page.goto(shop.address + path, { waitUntil: "load" }); await page.settled(); };
+    // Settled: data are there, nothing is loading, and the last frame is painted.
+    page.settled = async () => { await page.waitForFunction(() => !document.querySelector(".skeleton") && document.querySelector("#main")?.children.length > 0 && (document.body.dataset.page === "sign-in" || !document.querySelector("#who") || document.querySelector("#who").textContent)); await page.evaluate(() => document.fonts.ready.then(() => new Promise((wake) => requestAnimationFrame(() => requestAnimationFrame(wake))))); };
+    page.finish = async () => { await context.close(); };
+    return page;
+  }
+  close() { return this.chromium.close(); }
+}
+
+/** Violations of WCAG 2.1 A and AA as axe-core finds them, in words. The policy forbids injected scripts: CDP is no script. */
+export async function violations(page) {
+  const client = await page.context().newCDPSession(page);
+  await client.send("Runtime.evaluate", { expression: `${axe}; 0` });
+  const { result, exceptionDetails } = await client.send("Runtime.evaluate", { awaitPromise: true, returnByValue: true, expression: `axe.run(document, { resultTypes: ["violations"], runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"] }).then((found) => found.violations.map((one) => one.id + ": " + one.help + " (" + one.nodes.slice(0, 3).map((node) => node.target.join(" ") + " " + (node.any[0]?.message ?? "")).join("; ") + ")"))` });
+  await client.detach();
+  if (exceptionDetails) throw new Error(exceptionDetails.exception?.description ?? exceptionDetails.text);
+  return result.value;
+}
+/** Bytes of the heap after a collection. */
+export async function heap(page) {
+  const client = await page.context().newCDPSession(page);
+  await client.send("HeapProfiler.collectGarbage");
+  const { usedSize } = await client.send("Runtime.getHeapUsage");
+  await client.detach();
+  return usedSize;
+}

@@ -1,0 +1,95 @@
+//! The fleet at a glance, and sessions of browsers.
+
+use super::given::{Run, at, commit, engineer, event, machine, mounted, shop, stories};
+use feedwright_core::tool::ToolEventKind;
+use feedwright_core::wear::ToolState;
+use feedwright_store::{Page, Precondition, Role, SessionRecord, Store, TokenRecord};
+use std::sync::Arc;
+
+stories!(
+    the_fleet_tells_of_every_machine_its_newest_cycles_and_its_tool,
+    a_session_is_found_with_its_token_and_the_oldest_makes_room,
+);
+
+async fn the_fleet_tells_of_every_machine_its_newest_cycles_and_its_tool(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    mounted(&*store, "T1", 0).await;
+    let mut runs: Vec<Run> = (1..=12).map(Run::nth).collect();
+    runs.swap(2, 11);
+    commit(&*store, &runs).await.into_iter().for_each(|stored| drop(stored.unwrap()));
+
+    let rows = store.fleet(Page { after: None, limit: 10 }, 5).await.unwrap();
+    let ids: Vec<_> = rows.iter().map(|row| row.machine.value.id.as_str()).collect();
+    assert_eq!(ids, ["M1", "M2"]);
+    let busy = &rows[0];
+    let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!(busy.verdict.as_ref(), Some(&verdict));
+    assert_eq!(busy.recent.len(), 5);
+    assert!(busy.recent.is_sorted_by(|a, b| a.started_at > b.started_at), "newest first");
+    let last = store.cycle(&busy.recent[0].machine, &busy.recent[0].id).await.unwrap().unwrap();
+    let best = last.summary.best_energy().map(|energy| (energy.basis, energy.total_joules));
+    assert_eq!((busy.recent[0].energy, busy.recent[0].duration_ms), (best, last.summary.duration_ms));
+    assert_eq!(busy.recent[0].energy_scale, last.summary.energy_scale);
+    assert!(busy.names.0.is_some() && busy.names.1.is_some(), "{:?}", busy.names);
+    let quiet = &rows[1];
+    assert_eq!((quiet.recent.len(), quiet.verdict.is_none(), quiet.alarms.len()), (0, true, 0));
+
+    let second = store.fleet(Page { after: Some("M1".try_into().unwrap()), limit: 10 }, 5).await.unwrap();
+    assert_eq!(second, rows[1..]);
+    let one = store.fleet_machine(&"M1".try_into().unwrap(), 5).await.unwrap();
+    assert_eq!(one.as_ref(), Some(&rows[0]));
+    assert_eq!(store.fleet_machine(&"M9".try_into().unwrap(), 5).await.unwrap(), None);
+
+    // An open alarm stands beside its machine until it is cleared.
+    let worn: Vec<Run> = (20..=60).map(|n| Run { load: Run::nth(1).load * 1.13, ..Run::nth(n) }).collect();
+    commit(&*store, &worn).await.into_iter().for_each(|stored| drop(stored.unwrap()));
+    let row = store.fleet(Page { after: None, limit: 1 }, 1).await.unwrap().remove(0);
+    let state = row.verdict.as_ref().map(|verdict| verdict.state);
+    assert!(matches!(state, Some(ToolState::Worn | ToolState::Changed)), "{state:?}");
+    assert_eq!(row.alarms.len(), 1, "{:?}", row.alarms);
+    let changed = event(ToolEventKind::Changed, at(61 * 60));
+    store.add_tool_event(&"T1".try_into().unwrap(), changed, &engineer(), at(9000)).await.unwrap();
+    let row = store.fleet(Page { after: None, limit: 1 }, 1).await.unwrap().remove(0);
+    assert_eq!(row.alarms, []);
+}
+
+async fn a_session_is_found_with_its_token_and_the_oldest_makes_room(store: Arc<dyn Store>) {
+    let token = TokenRecord {
+        id: "a".to_owned(),
+        name: "tablet".to_owned(),
+        hash: [1; 32],
+        role: Role::Viewer,
+        machine: None,
+        created_at: at(1),
+        revoked_at: None,
+    };
+    store.create_token(token.clone(), &engineer()).await.unwrap();
+    let session = |n: u8, from: i64, until: i64| SessionRecord {
+        hash: [n; 32],
+        token: "a".to_owned(),
+        created_at: at(from),
+        expires_at: at(until),
+    };
+    let begin = async |session| store.begin_session(session, 2, &engineer()).await.unwrap();
+    begin(session(1, 10, 100)).await;
+    assert_eq!(store.session_by_hash(&[1; 32]).await.unwrap(), Some((session(1, 10, 100), token.clone())));
+    assert_eq!(store.session_by_hash(&[9; 32]).await.unwrap(), None);
+    begin(session(2, 20, 1000)).await;
+    begin(session(3, 30, 1000)).await;
+    assert_eq!(store.session_by_hash(&[1; 32]).await.unwrap(), None, "two are kept, the newest");
+    assert!(store.session_by_hash(&[2; 32]).await.unwrap().is_some());
+    assert!(
+        store.begin_session(session(4, 40, 40), 2, &engineer()).await.is_err(),
+        "it would be over at once"
+    );
+    begin(session(5, 2000, 3000)).await;
+    assert_eq!(store.session_by_hash(&[3; 32]).await.unwrap(), None, "what is over is forgotten");
+
+    let revoked = store.revoke_token("a", &engineer(), at(2001)).await.unwrap().unwrap();
+    let found = store.session_by_hash(&[5; 32]).await.unwrap();
+    assert_eq!(found, Some((session(5, 2000, 3000), revoked)), "who asks sees that the token is revoked");
+    assert!(store.end_session(&[5; 32], &engineer(), at(2002)).await.unwrap());
+    assert!(!store.end_session(&[5; 32], &engineer(), at(2003)).await.unwrap());
+    assert_eq!(store.session_by_hash(&[5; 32]).await.unwrap(), None);
+}
