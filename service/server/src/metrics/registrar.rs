@@ -18,6 +18,10 @@ impl Registrar {
         Ok(metric)
     }
 
+    pub(super) fn counter(&self, name: &str, help: &str) -> Made<IntCounter> {
+        self.add(IntCounter::new(name, help)?)
+    }
+
     pub(super) fn counters(&self, name: &str, help: &str, labels: &[&str]) -> Made<IntCounterVec> {
         self.add(IntCounterVec::new(Opts::new(name, help), labels)?)
     }
