@@ -31,8 +31,9 @@ async fn only_a_machine_with_its_own_token_and_the_right_protocol_gets_in() {
     let (status, problem) = served.send("GET", "/v1/machines/M1/stream", None).await;
     assert_eq!((status, &problem["code"]), (400, &json!("websocket_required")));
 
-    let inside =
-        open("M1", v1, &[("origin", "https://hmi.example")]).await.ok().expect("an allowed page gets in");
+    let inside = open("M1", v1, &[("origin", "https://hmi.example")])
+        .await
+        .unwrap_or_else(|_| panic!("an allowed page gets in"));
     served.with_a_machine("M2").await;
     let second = Machine::open(&served, "M2", &served.token, v1, &[]).await;
     assert_eq!(second.err(), refused(503, "too_many_streams"));

@@ -3,6 +3,9 @@
 use super::cycle::SampleAdvice;
 use crate::cycle::{Channel, DURATION_RANGE, TimeBase};
 
+/// The time base of some samples, and each channel's values.
+pub type Columns = (TimeBase, Vec<(Channel, Vec<f64>)>);
+
 /// Some samples in a row, column after column: value `i` of channel `c` stands at `c · count + i`.
 ///
 /// A value that was not measured, or not sent, is not finite.
@@ -170,7 +173,7 @@ impl Record {
         }
         let at = Self::index(n);
         let time_ms = self.time_ms(batch, i);
-        let mut whole = time_ms >= DURATION_RANGE.min && time_ms <= DURATION_RANGE.max;
+        let mut whole = (DURATION_RANGE.min..=DURATION_RANGE.max).contains(&time_ms);
         for (c, (channel, column)) in self.channels.iter().zip(&mut self.columns).enumerate() {
             if column.len() <= at {
                 column.resize(at + 1, f64::NAN);
@@ -216,7 +219,7 @@ impl Record {
 
     /// The whole samples as columns with their time base: evenly spaced where none is missing. `None` without any.
     #[must_use]
-    pub fn columns(&self) -> Option<(TimeBase, Vec<(Channel, Vec<f64>)>)> {
+    pub fn columns(&self) -> Option<Columns> {
         let wanted = self.wanted();
         let whole = wanted.iter().filter(|wanted| **wanted).count();
         if whole == 0 {

@@ -1,5 +1,7 @@
 //! The envelope, whatever comes in; and the sequence rules told one by one.
 
+#![expect(clippy::float_cmp, reason = "neutral and the limits are exact values, not results of arithmetic")]
+
 use super::control::{LawSettings, Program, control};
 use super::monitor::Monitor;
 use super::plunge::{BoundedFeed, PlungeLimits, PlungeLoop, PlungePhase};

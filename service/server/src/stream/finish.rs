@@ -108,11 +108,11 @@ pub async fn store_incomplete(state: &AppState, machine: &MachineId, cycle: Stre
     let stored = state.intake.accept_incomplete(machine, body, Refused::ToQuarantine).await;
     match stored {
         Ok(_) if kept.is_ok() => {
-            tracing::info!(%machine, cycle = %id, whole, "a cycle was left and stored as incomplete")
+            tracing::info!(%machine, cycle = %id, whole, "a cycle was left and stored as incomplete");
         }
         Ok(_) => tracing::warn!(%machine, cycle = %id, "a cycle was left and stored without its overrides"),
         Err(problem) => {
-            tracing::warn!(%machine, cycle = %id, code = problem.code, "a left cycle was not stored")
+            tracing::warn!(%machine, cycle = %id, code = problem.code, "a left cycle was not stored");
         }
     }
 }
