@@ -55,11 +55,20 @@ impl Reader {
 
     /// The next event of that name, skipping others.
     pub(super) async fn next_of(&mut self, name: &str) -> Told {
-        loop {
-            let told = self.next().await.expect("the view goes on");
-            if told.name == name {
-                return told;
+        let mut skipped = Vec::new();
+        // Heartbeats must not make a wait for what never comes endless.
+        let wanted = async {
+            loop {
+                let told = self.next().await.expect("the view goes on");
+                if told.name == name {
+                    return told;
+                }
+                skipped.push(told);
             }
+        };
+        match tokio::time::timeout(PATIENCE, wanted).await {
+            Ok(told) => told,
+            Err(_) => panic!("no {name} came, only {skipped:?}"),
         }
     }
 }

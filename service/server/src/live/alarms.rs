@@ -21,20 +21,21 @@ const MOST: usize = 10_000;
 
 type Open = BTreeMap<i64, Alarm>;
 
+/// What was shown so far.
+struct Shown {
+    open: Open,
+    /// The newest alarm there was: one that is raised and cleared between two looks is found by its number.
+    newest: i64,
+}
+
 /// Watches until the server stops.
 pub(super) async fn watch(state: AppState) {
-    let mut shown: Option<Open> = None;
+    let mut shown: Option<Shown> = None;
     loop {
         let looked = Instant::now();
-        // A task that no select drops half-way; a failure is the store's to report, the next look finds the same.
-        match open(&state).await {
-            Ok(open) => {
-                if let Some(shown) = &shown {
-                    tell(&state, shown, &open);
-                }
-                shown = Some(open);
-            }
-            Err(error) => tracing::debug!(%error, "open alarms cannot be read"),
+        // A failure is the store's to report; the next look finds the same.
+        if let Err(error) = look(&state, &mut shown).await {
+            tracing::debug!(%error, "alarms cannot be read");
         }
         let due = async {
             // The deadline bounds how long a change waits when nobody says that there is one.
@@ -44,6 +45,38 @@ pub(super) async fn watch(state: AppState) {
         tokio::select! {
             () = due => {}
             () = state.lifecycle.stopping() => return,
+        }
+    }
+}
+
+async fn look(state: &AppState, shown: &mut Option<Shown>) -> StoreResult<()> {
+    let mut open = open(state).await?;
+    let after = match shown {
+        Some(shown) => shown.newest,
+        None => open.keys().next_back().copied().unwrap_or(0),
+    };
+    let fresh = since(state, after).await?;
+    let newest = fresh.last().map_or(after, |alarm| alarm.id);
+    if let Some(before) = shown {
+        tell(state, &before.open, &open, &fresh);
+    }
+    open.extend(fresh.into_iter().filter(|alarm| alarm.cleared_at.is_none()).map(|alarm| (alarm.id, alarm)));
+    *shown = Some(Shown { open, newest });
+    Ok(())
+}
+
+/// The alarms after a number, open or not.
+async fn since(state: &AppState, after: i64) -> StoreResult<Vec<Alarm>> {
+    let mut found = Vec::new();
+    let mut after = Some(after);
+    loop {
+        let page = state.store.alarms(&AlarmFilter::default(), Page { after, limit: PAGE }).await?;
+        let Some(last) = page.last() else { return Ok(found) };
+        after = Some(last.id);
+        found.extend(page);
+        // At the start a shop's whole past comes by; only its end matters.
+        if found.len() > MOST {
+            found.drain(..found.len() - 1);
         }
     }
 }
@@ -61,24 +94,29 @@ async fn open(state: &AppState) -> StoreResult<Open> {
     Ok(found)
 }
 
-fn tell(state: &AppState, before: &Open, now: &Open) {
+fn tell(state: &AppState, before: &Open, now: &Open, fresh: &[Alarm]) {
     // Each server looks by itself: nothing here is told to the others.
-    for (id, alarm) in now {
-        match before.get(id) {
-            None => state.live.show(Event::alarm("raised", alarm.clone())),
-            Some(known) if known.acknowledged.is_none() && alarm.acknowledged.is_some() => {
+    for alarm in fresh {
+        state.live.show(Event::alarm("raised", alarm.clone()));
+        if alarm.cleared_at.is_some() {
+            cleared(state, alarm);
+        }
+    }
+    for (id, known) in before {
+        match now.get(id) {
+            None => cleared(state, known),
+            Some(alarm) if known.acknowledged.is_none() && alarm.acknowledged.is_some() => {
                 state.live.show(Event::alarm("acknowledged", alarm.clone()));
             }
             Some(_) => {}
         }
     }
-    for (id, alarm) in before {
-        if !now.contains_key(id) {
-            // An overload is cleared by whoever acknowledges it, perhaps at another server.
-            if let (AlarmKind::Overload, Some(machine)) = (alarm.kind, &alarm.machine) {
-                state.streams.acknowledged(machine);
-            }
-            state.live.show(Event::alarm_cleared(alarm));
-        }
+}
+
+fn cleared(state: &AppState, alarm: &Alarm) {
+    // An overload is cleared by whoever acknowledges it, perhaps at another server.
+    if let (AlarmKind::Overload, Some(machine)) = (alarm.kind, &alarm.machine) {
+        state.streams.acknowledged(machine);
     }
+    state.live.show(Event::alarm_cleared(alarm));
 }
