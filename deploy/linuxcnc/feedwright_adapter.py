@@ -199,11 +199,11 @@ class WebSocket:
 class Cycle:
     """A cycle with all its samples, kept until it is stored."""
 
-    def __init__(self, number, operation):
+    def __init__(self, number, operation, now):
         self.id = f"{BOOT}:{number:06d}"
         self.seq = number
         self.operation = operation
-        self.wall, self.begun = time.time(), time.monotonic()
+        self.wall, self.begun = time.time(), now
         self.samples = []
         self.sent = 0
         self.ended = False
@@ -400,12 +400,39 @@ class Twin:
             raise ValueError(f"the process model refuses {line}: {answer['error']}")
         return answer
 
-    def new_hole(self):
+    def new_hole(self, rpm):
         self.ask({"new_hole": {}})
+        # The spindle runs already when a hole begins; the model would see it spin up from rest.
+        self.loads(-1.0, 0.0, rpm, 1.0)
 
     def loads(self, depth_mm, feed_mm_min, rpm, passed_s):
         answer = self.ask({"depth_mm": depth_mm, "feed_mm_min": feed_mm_min, "spindle_rpm": rpm, "dt_s": passed_s})
         return answer["feed_drive_percent"], answer["spindle_percent"]
+
+
+class FeedOverride:
+    """Sets LinuxCNC's feed override. The task takes about ten milliseconds to answer, and holds Python for as long: so
+    a process of its own does it, and always takes the last wish."""
+
+    def __init__(self):
+        command = [sys.executable, os.path.abspath(__file__), "--feed-override"]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, bufsize=0)
+        self.asked = 1.0
+
+    def set(self, factor):
+        if abs(factor - self.asked) > 1e-4:
+            self.process.stdin.write(struct.pack("d", factor))
+            self.asked = factor
+
+    @staticmethod
+    def serve():
+        import linuxcnc
+
+        command = linuxcnc.command()
+        while wishes := os.read(0, 65_536):
+            command.feedrate(struct.unpack("d", wishes[-8:])[0])
+        # Whoever asked for more is gone.
+        command.feedrate(1.0)
 
 
 def component(hal):
@@ -433,7 +460,6 @@ def main():
         config = json.load(file)
 
     import hal
-    import linuxcnc
 
     def log(text):
         print(f"feedwright: {text}", file=sys.stderr, flush=True)
@@ -444,10 +470,10 @@ def main():
     twin = Twin(config["twin"]) if config.get("twin") else None
     trace = open(arguments.trace, "w", buffering=1, encoding="utf-8") if arguments.trace else None
     pins = component(hal)
-    command = linuxcnc.command()
+    feed_override = FeedOverride() if limits[1] > 100.0 else None
     stream.start()
 
-    cycle, number, passed, asked_feed = None, 0, PERIOD_S, 1.0
+    cycle, number, passed = None, 0, PERIOD_S
     due = last = time.monotonic()
     try:
         while True:
@@ -457,10 +483,10 @@ def main():
                 operation = config["operations"].get(str(round(pins["operation"])))
                 if operation is not None:
                     number += 1
-                    cycle = Cycle(number, operation)
+                    cycle = Cycle(number, operation, now)
                     envelope.begin()
                     if twin:
-                        twin.new_hole()
+                        twin.new_hole(abs(pins["spindle-speed"]))
                     stream.begin(cycle)
             elif not pins["cutting"] and cycle is not None:
                 stream.end(cycle)
@@ -469,13 +495,12 @@ def main():
             # Never above 1, where the pin is clamped anyway, and never 0 or less: those hold or run backwards.
             pins["adaptive-feed"] = min(max(applied, limits[0]), 100.0) / 100.0
             pins["override"] = applied
-            wanted_feed = max(1.0, applied / 100.0)
-            if limits[1] > 100.0 and abs(wanted_feed - asked_feed) > 1e-4:
+            if feed_override:
                 # Above 100 % there is only the feed override, which multiplies.
-                command.feedrate(wanted_feed)
-                asked_feed = wanted_feed
+                feed_override.set(max(1.0, applied / 100.0))
             if cycle is not None and passed > 0.0:
                 depth = config.get("surface_z_mm", 0.0) - pins["z"]
+                programmed = pins["feed-programmed"] * 60.0
                 actual = abs(pins["velocity"]) * 60.0
                 rpm = abs(pins["spindle-speed"])
                 if twin:
@@ -483,22 +508,22 @@ def main():
                 else:
                     loads = (pins["feed-drive-load"], pins["spindle-load"])
                 at = (now - cycle.begun) * 1000.0
-                sample = (round(at, 3), round(depth, 4), round(pins["feed-programmed"], 3), round(actual, 3),
+                sample = (round(at, 3), round(depth, 4), round(programmed, 3), round(actual, 3),
                           round(applied, 3), round(loads[0], 2), round(loads[1], 2), round(rpm, 1))
                 stream.add(cycle, sample)
                 if trace:
                     trace.write(json.dumps([cycle.id, now, *sample]) + "\n")
             pins["connected"], pins["overload"] = stream.connected, envelope.overload
             pins["stored"], pins["refused"] = stream.stored, envelope.refused
-            due += PERIOD_S
-            wait = due - time.monotonic()
-            if wait > 0:
-                time.sleep(wait)
-            else:
-                due = time.monotonic()
+            # On a fixed grid: a period that was missed is left out, not made up for.
+            due += PERIOD_S * max(1, math.ceil((time.monotonic() - due) / PERIOD_S))
+            time.sleep(max(0.0, due - time.monotonic()))
     except KeyboardInterrupt:
         pass
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:] == ["--feed-override"]:
+        FeedOverride.serve()
+    else:
+        main()

@@ -41,7 +41,7 @@ def nc_program(operation, knots, linear):
         if not linear or after[1] == feed:
             lines.append(f"G1 Z{-end:.4f} F{feed:.2f}")
             continue
-        pieces = max(1, math.ceil((end - depth) / 0.25))
+        pieces = max(1, math.ceil((end - depth) / 0.1))
         for k in range(pieces):
             middle = feed + (after[1] - feed) * (k + 0.5) / pieces
             lines.append(f"G1 Z{-(depth + (end - depth) * (k + 1) / pieces):.4f} F{middle:.2f}")
@@ -61,7 +61,7 @@ def display():
     # Pins are read only by components.
     reader = hal.component("feedwright-story")
     reader.ready()
-    command, status = linuxcnc.command(), linuxcnc.stat()
+    command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
     for state in (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON):
         command.state(state)
         command.wait_complete(10)
@@ -69,17 +69,29 @@ def display():
     command.wait_complete(10)
     await_(lambda: hal.get_value("feedwright.connected"), "the adapter connects")
 
+    def at_rest():
+        status.poll()
+        done = status.exec_state == linuxcnc.EXEC_DONE and status.inpos
+        return done and status.interp_state == linuxcnc.INTERP_IDLE
+
     def run(operation, meanwhile=lambda depth: None):
         command.program_open(os.path.join(FOLDER, f"{operation}.ngc"))
+        command.wait_complete(10)
         command.auto(linuxcnc.AUTO_RUN, 0)
-        await_(lambda: hal.get_value("feedwright.cutting"), "the cut begins")
+        try:
+            await_(lambda: hal.get_value("feedwright.cutting"), "the cut begins")
+        except SystemExit:
+            status.poll()
+            print("the control says", errors.poll(), status.interp_state, status.exec_state, status.state,
+                  status.task_mode, status.file, status.current_line, flush=True)
+            raise
         begun = time.monotonic()
         while hal.get_value("feedwright.cutting"):
             meanwhile(-hal.get_value("joint.2.pos-fb"))
             if time.monotonic() - begun > 60:
                 raise SystemExit("the cut does not end")
             time.sleep(0.01)
-        await_(lambda: status.poll() or status.interp_state == linuxcnc.INTERP_IDLE, "the program ends")
+        await_(at_rest, "the program ends")
 
     stored = 0
     for operation in (1, 2, 3):
@@ -87,18 +99,18 @@ def display():
         stored += 1
         await_(lambda: hal.get_value("feedwright.stored") >= stored, "the cycle is stored")
 
-    # The server dies in mid-cut, at the first override below 85 %, and comes back after the cut.
+    # The server dies in mid-cut, at the first override below 92 %, and comes back after the cut.
     killed = []
 
     def kill(depth):
-        if not killed and hal.get_value("feedwright.override") < 85.0:
+        if not killed and hal.get_value("feedwright.override") < 92.0:
             write("killed", time.monotonic())
             killed.append(depth)
             await_(lambda: os.path.exists(os.path.join(FOLDER, "dead")), "the server is dead")
 
     run(3, kill)
     if not killed:
-        raise SystemExit("the override never fell below 85 %")
+        raise SystemExit("the override never fell below 92 %")
     write("revive", time.monotonic())
     stored += 1
     await_(lambda: hal.get_value("feedwright.stored") >= stored, "the cycle is stored by the next server")
@@ -328,8 +340,7 @@ def prepare(service, between):
     write("display.sh", f"#!/bin/sh\nexport STORY_FOLDER={FOLDER}\nexec /usr/bin/python3 {HERE}/story.py display\n")
     for name in ("adapter.sh", "display.sh"):
         os.chmod(os.path.join(FOLDER, name), 0o755)
-    with open(os.path.join(ROOT, "deploy", "linuxcnc", "feedwright.hal"), encoding="utf-8") as file:
-        write("feedwright.hal", file.read())
+    shutil.copy(os.path.join(ROOT, "deploy", "linuxcnc", "feedwright.hal"), FOLDER)
     shutil.copy(os.path.join(HERE, "drill.hal"), FOLDER)
     write("tool.tbl", "")
     write("sim.var", "")
@@ -386,9 +397,10 @@ def judge(service, between):
     checked, worst = 0, 0.0
     for trace in traces:
         for k, sample in enumerate(trace):
-            # 20 ms for the control, one batch for the adapter: what was asked for in that time.
-            # A block's feed is reported a moment after the blend into it has begun.
-            recent = [s for s in trace[: k + 4] if -0.020 <= sample[0] - s[0] <= 0.020 + 0.030]
+            # 20 ms for the control and one batch of the adapter: what was asked for in that time. Above 100 % a batch
+            # is a command to the task. A block's feed is reported a moment after the blend into it has begun.
+            batch = 0.080 if max(s[5] for s in trace[max(0, k - 10) : k + 1]) > 100.0 else 0.030
+            recent = [s for s in trace[: k + 4] if -0.030 <= sample[0] - s[0] <= 0.020 + batch]
             if len(recent) < 4 or sample[2] > END_DEPTH - 0.5 or recent[0] is trace[0]:
                 continue
             asked = [s[3] * s[5] / 100.0 for s in recent]
@@ -412,7 +424,7 @@ def judge(service, between):
               f"override {min(s[5] for s in trace):.0f} to {max(s[5] for s in trace):.0f} %, longest period {max(gaps):.0f} ms")
     for trace in (sections, linear):
         assert all(s[5] == 100.0 for s in trace), "nothing is told in shadow"
-    assert min(s[5] for s in adaptive) < 85.0 and max(s[5] for s in adaptive) > 105.0
+    assert min(s[5] for s in adaptive) < 92.0 and max(s[5] for s in adaptive) > 105.0
     held = sorted(load for load, s in zip(relative(adaptive), adaptive) if s[1] > 2500)
     high_held = held[int(0.95 * len(held))]
     print(f"F_AC holds: 95 % of the loads below {high_held:.2f} of the set load")
