@@ -18,6 +18,7 @@ import hashlib
 import json
 import math
 import os
+import signal
 import socket
 import ssl
 import struct
@@ -424,6 +425,15 @@ class FeedOverride:
             self.process.stdin.write(struct.pack("d", factor))
             self.asked = factor
 
+    def close(self):
+        """Ends it; it resets the feed override where LinuxCNC still answers, and is not waited for for ever."""
+        self.process.stdin.close()
+        try:
+            self.process.wait(5)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
     @staticmethod
     def serve():
         import linuxcnc
@@ -473,6 +483,11 @@ def main():
     feed_override = FeedOverride() if limits[1] > 100.0 else None
     stream.start()
 
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    # LinuxCNC ends its components so.
+    signal.signal(signal.SIGTERM, stop)
     cycle, number, passed = None, 0, PERIOD_S
     due = last = time.monotonic()
     try:
@@ -520,6 +535,10 @@ def main():
             time.sleep(max(0.0, due - time.monotonic()))
     except KeyboardInterrupt:
         pass
+    finally:
+        # A process that outlives LinuxCNC takes the next one's shared memory along when it ends.
+        if feed_override:
+            feed_override.close()
 
 
 if __name__ == "__main__":

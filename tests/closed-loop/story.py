@@ -75,8 +75,15 @@ def display():
         return done and status.interp_state == linuxcnc.INTERP_IDLE
 
     def run(operation, meanwhile=lambda depth: None):
-        command.program_open(os.path.join(FOLDER, f"{operation}.ngc"))
-        command.wait_complete(10)
+        # A program is opened from rest in a mode of its own: one that is opened while the interpreter still closes the
+        # last one is lost without a word.
+        path = os.path.join(FOLDER, f"{operation}.ngc")
+        for mode in (linuxcnc.MODE_MDI, linuxcnc.MODE_AUTO):
+            command.mode(mode)
+            command.wait_complete(10)
+            await_(lambda mode=mode: status.poll() or status.task_mode == mode, "the mode is changed")
+        command.program_open(path)
+        await_(lambda: status.poll() or status.file == path, "the program is open")
         command.auto(linuxcnc.AUTO_RUN, 0)
         try:
             await_(lambda: hal.get_value("feedwright.cutting"), "the cut begins")
@@ -357,6 +364,7 @@ def linuxcnc():
         os.chmod(fifo, 0o777)
         os.chmod(FOLDER, 0o755)
         environment.update(RTAPI_UID="65534", RTAPI_FIFO_PATH=os.path.join(fifo, "fifo"))
+    subprocess.run([os.path.join(ROOT, "tests", "linuxcnc", "alone")], check=True)
     with open(os.path.join(FOLDER, "linuxcnc.log"), "wb") as log:
         # A control is not one program among many: it comes before whatever else this computer does.
         before = ["nice", "-n", "-15"] if os.geteuid() == 0 else []

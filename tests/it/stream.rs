@@ -4,5 +4,7 @@ mod breaks;
 pub(crate) mod client;
 mod cycles;
 mod doors;
+mod killed;
 mod processes;
+mod profiles;
 mod servers;

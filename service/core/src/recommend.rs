@@ -202,7 +202,7 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     let mut reasons: Vec<(String, String)> = Vec::new();
     let mut say = |code: &str, why: &str| reasons.push((code.to_owned(), why.to_owned()));
 
-    let data_age_ms = verdict.last.as_ref().map(|last| now.millis_since(last.started_at).max(0));
+    let data_age_ms = verdict.age_ms(now);
     let quality = quality(verdict, data_age_ms, settings);
     let mut action = action(verdict.state);
     let profile = profile(question, action, quality == DataQuality::Stale, &mut say);

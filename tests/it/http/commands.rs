@@ -42,15 +42,15 @@ pub(super) fn succeed(output: Output) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-pub(super) struct Served {
+pub(crate) struct Served {
     child: Child,
     stderr: BufReader<std::process::ChildStderr>,
-    log: String,
+    pub(crate) log: String,
 }
 
 impl Served {
     /// Starts the service and reads its output up to the line that holds `until`.
-    pub(super) fn start(dir: &TempDir, until: &str) -> Self {
+    pub(crate) fn start(dir: &TempDir, until: &str) -> Self {
         let mut child = feedwright(dir, &["serve"]).stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         let mut served = Self { child, stderr, log: String::new() };
@@ -69,6 +69,14 @@ impl Served {
     }
 }
 
+impl Served {
+    /// Kills it without a word of warning: SIGKILL.
+    pub(crate) fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
 impl Drop for Served {
     fn drop(&mut self) {
         // Only where a test failed half-way.
@@ -77,7 +85,7 @@ impl Drop for Served {
     }
 }
 
-fn first_token(log: &str) -> String {
+pub(crate) fn first_token(log: &str) -> String {
     let lines: Vec<_> = log.lines().filter(|line| line.contains("fwt_")).collect();
     assert_eq!(lines.len(), 1, "shown once: {log}");
     lines[0].trim().to_owned()

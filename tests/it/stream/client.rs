@@ -3,6 +3,7 @@
 use crate::live::Served;
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
+use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio_tungstenite::WebSocketStream;
@@ -42,7 +43,16 @@ impl Machine {
         protocol: &str,
         headers: &[(&'static str, &str)],
     ) -> Result<Self, Refused> {
-        let address = served.server.local_addr;
+        Self::open_at(served.server.local_addr, machine, token, protocol, headers).await
+    }
+
+    pub(crate) async fn open_at(
+        address: SocketAddr,
+        machine: &str,
+        token: &str,
+        protocol: &str,
+        headers: &[(&'static str, &str)],
+    ) -> Result<Self, Refused> {
         let mut request =
             format!("ws://{address}/v1/machines/{machine}/stream").into_client_request().unwrap();
         let map = request.headers_mut();

@@ -42,6 +42,29 @@ async fn only_a_machine_with_its_own_token_and_the_right_protocol_gets_in() {
 }
 
 #[tokio::test]
+async fn a_stream_ends_with_the_token_that_opened_it() {
+    let served = Served::start(&[("stream.heartbeat_ms", "50"), ("stream.resume_ms", "60000")]).await;
+    served.with_a_shop().await;
+    let body = json!({"name": "M1", "role": "machine", "machine": "M1"});
+    let (_, made) = served.send("POST", "/v1/tokens", Some(body)).await;
+    let token = made["token"].as_str().unwrap();
+    let mut machine = Machine::connect(&served, token).await;
+    machine.start("c1", json!({})).await;
+    machine.samples(0, 5).await;
+    let other = served.machine_token("M1").await;
+    let path = format!("/v1/tokens/{}", made["id"].as_str().unwrap());
+    assert_eq!(served.send("DELETE", &path, None).await.0, 200);
+    assert_eq!(machine.came().await, Came::Closed(Some(4401)));
+    // With a good token it goes on where it was.
+    let mut again = Machine::connect(&served, &other).await;
+    let resumed = again.ask(json!({"type": "resume", "cycle_id": "c1"})).await;
+    assert_eq!(resumed["resume_from"], 5, "{resumed}");
+    again.samples(5, 10).await;
+    assert_eq!(again.end(10).await["status"], 201);
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
 async fn what_is_too_large_or_no_protocol_at_all_ends_the_stream_with_its_code() {
     let served =
         Served::start(&[("stream.message_bytes", "2000"), ("stream.samples_per_message", "8")]).await;

@@ -1,6 +1,7 @@
 //! What answers a sample that may be judged: one enum over the processes.
 
 use super::plunge::{PlungeLoop, PlungeStep};
+use super::profile::RunProfile;
 use super::reason::{LoopReason, LoopReasons};
 use crate::cycle::Channel;
 use crate::friction::error::Invalid;
@@ -15,13 +16,6 @@ use crate::wear::ToolState;
 
 /// Version of the law and of the envelope around it, part of every answer.
 pub const LOOP_LAW_VERSION: &str = "fac-1";
-
-/// The reported programmed feed may lie this far from the program within [`PROGRAM_WINDOW_MM`]: controls round it.
-const PROGRAM_SHARE: f64 = 0.05;
-/// The same in mm/min.
-const PROGRAM_MM_MIN: f64 = 1.0;
-/// A control interpolates ahead of the tip that it reports, and steps a linear feed in short blocks.
-const PROGRAM_WINDOW_MM: f64 = 0.5;
 
 /// How the law is set; from the configuration, checked when a cycle begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,15 +39,17 @@ pub struct LawSettings {
 pub enum Program {
     /// None was named.
     Unknown,
-    /// A program that the machine told, or the active version of a profile, with the overrides it permits, percent.
+    /// A program that the machine told, with the overrides it permits, percent.
     Told {
         /// Programmed feed over depth.
         program: FeedProgram,
         /// Least and greatest override, percent; the settings' where it has none.
         range: Option<(f64, f64)>,
     },
-    /// A profile that is not the active version.
-    NotActive,
+    /// The active version of a feed profile.
+    Profile(Box<RunProfile>),
+    /// A feed profile that may not be relied on, with the reason.
+    Refused(LoopReason),
 }
 
 /// What is known when a cycle begins.
@@ -191,18 +187,25 @@ pub fn control(
             return Ok((Control::Neutral, neutral, capped));
         }
     }
+    let (mut feed_drive, mut spindle) =
+        (operation.feed_drive_load_set_percent, operation.spindle_load_set_percent);
     let program = match standing.program {
         Program::Told { program, range } => Some((program, range.unwrap_or(settings.program_range))),
+        Program::Profile(profile) => {
+            capped = capped.and(profile.capped);
+            feed_drive = lower(feed_drive, profile.set_feed_drive_percent);
+            spindle = lower(spindle, profile.set_spindle_percent);
+            Some((&profile.program, profile.range))
+        }
         Program::Unknown => {
             neutral.add(LoopReason::NoProgram);
             None
         }
-        Program::NotActive => {
-            neutral.add(LoopReason::ProfileNotActive);
+        Program::Refused(why) => {
+            neutral.add(*why);
             None
         }
     };
-    let (feed_drive, spindle) = (operation.feed_drive_load_set_percent, operation.spindle_load_set_percent);
     // A preferred load that somebody declared is a limit; without knowing what its percent means it cannot be kept.
     let unrated = |set: Option<f64>, reference| set.is_some() && reference == LoadReference::Unknown;
     if unrated(feed_drive, standing.machine.feed_drive.reference)
@@ -243,6 +246,14 @@ pub fn control(
         neutral,
         capped,
     ))
+}
+
+/// The lower of two preferred loads: both are limits that somebody has set.
+fn lower(one: Option<f64>, other: Option<f64>) -> Option<f64> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (one, other) => one.or(other),
+    }
 }
 
 fn range_of(limits: &FeedLimits) -> Result<OverrideRange, Invalid> {
@@ -344,14 +355,6 @@ impl FrictionLoop {
             // Above the work the approach has a feed of its own; what is not a number is the law's to refuse.
             return false;
         }
-        let ends = [program.feed_at(depth - PROGRAM_WINDOW_MM), program.feed_at(depth + PROGRAM_WINDOW_MM)];
-        let inside = program.knots().iter().filter(|knot| (knot.depth_mm - depth).abs() <= PROGRAM_WINDOW_MM);
-        let (mut least, mut greatest) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-        for knot in inside {
-            least = least.min(knot.feed_mm_min);
-            greatest = greatest.max(knot.feed_mm_min);
-        }
-        feed < least * (1.0 - PROGRAM_SHARE) - PROGRAM_MM_MIN
-            || feed > greatest * (1.0 + PROGRAM_SHARE) + PROGRAM_MM_MIN
+        program.strays(depth, feed)
     }
 }

@@ -8,6 +8,7 @@
 //! |---|---|
 //! | [`cycle`] | the running cycle: the sequence rules, ages and expiry around a process |
 //! | [`control`] | one enum over the processes: what answers a sample that may be judged |
+//! | [`profile`] | a cycle that names a feed profile: whether it may be run, and what it asks of the loop |
 //! | [`record`] | the samples by their numbers, with what each was answered |
 //! | [`reason`] | why an answer is what it is |
 //! | [`plunge`] | approach, work and retract feeds of a plunge (Lengerov) |
@@ -23,6 +24,7 @@ pub mod control;
 pub mod cycle;
 pub mod monitor;
 pub mod plunge;
+pub mod profile;
 pub mod reason;
 pub mod record;
 #[cfg(test)]

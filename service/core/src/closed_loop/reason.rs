@@ -84,6 +84,12 @@ reasons! {
     UnusableSample = 26, "unusable_sample";
     /// An earlier overload of this machine has not been acknowledged.
     OverloadUnacknowledged = 27, "overload_unacknowledged";
+    /// The feed profile was made for another program, material, speed, depth or machine.
+    ProfileMismatch = 28, "profile_mismatch";
+    /// The tool is worn beyond what the feed profile was made for: the override may fall, not rise above 100 %.
+    ProfileBeyondWear = 29, "profile_beyond_wear";
+    /// The tool's wear is not known, and the feed profile holds only up to some: as beyond it.
+    ProfileWearUnknown = 30, "profile_wear_unknown";
 }
 
 impl LoopReason {

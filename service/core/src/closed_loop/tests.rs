@@ -5,6 +5,7 @@
 use super::control::{LawSettings, Program, control};
 use super::monitor::Monitor;
 use super::plunge::{BoundedFeed, PlungeLimits, PlungeLoop, PlungePhase};
+use super::profile::RunProfile;
 use super::record::Timing;
 use super::{
     Answer, Batch, Begun, LoopReason, LoopReasons, LoopSettings, Mode, RunningCycle, SampleAdvice, Standing,
@@ -36,7 +37,7 @@ fn machine() -> Machine {
     }
 }
 
-fn operation(process: Process) -> Operation {
+pub(super) fn operation(process: Process) -> Operation {
     Operation {
         id: "O1".try_into().unwrap(),
         name: "O1".to_owned(),
@@ -167,6 +168,34 @@ fn every_break_of_the_sequence_is_named_and_never_raises() {
 }
 
 #[test]
+fn a_profile_brings_its_own_limits_and_the_lower_of_two_set_loads_counts() {
+    let run = |range, set, load: f64, capped| {
+        let Program::Told { program, .. } = program() else { panic!("a program is told") };
+        let hash = crate::feed::profile::ProfileHash::from_bytes([0; 32]);
+        let (set_feed_drive_percent, set_spindle_percent) = (Some(set), None);
+        let profile =
+            RunProfile { hash, program, range, set_feed_drive_percent, set_spindle_percent, capped };
+        let told = Program::Profile(Box::new(profile));
+        let mut cycle = running_with(&machine(), &operation(Process::Friction), Some(ToolState::Good), &told);
+        let mut last = None;
+        for n in 0..40 {
+            last = Some(send(&mut cycle, at(n), n, &[load]).0);
+        }
+        last.unwrap()
+    };
+    let free = run((5.0, 200.0), 40.0, 10.0, LoopReasons::NONE);
+    assert_eq!(free.ovr.percent(), 150.0, "the machine's limit");
+    assert_eq!(run((5.0, 120.0), 40.0, 10.0, LoopReasons::NONE).ovr.percent(), 120.0, "the profile's limit");
+    let lower = run((5.0, 200.0), 15.0, 20.0, LoopReasons::NONE);
+    assert!(lower.ovr.percent() < 100.0 && lower.reasons.has_law(Reason::LoadAboveSet), "15 % against 30 %");
+    let beyond = run((5.0, 200.0), 40.0, 10.0, LoopReasons::of(LoopReason::ProfileBeyondWear));
+    assert_eq!(beyond.ovr.percent(), 100.0);
+    assert!(beyond.reasons.contains(LoopReason::ProfileBeyondWear));
+    let beyond = run((5.0, 200.0), 15.0, 20.0, LoopReasons::of(LoopReason::ProfileBeyondWear));
+    assert!(beyond.ovr.percent() < 100.0, "it may still fall");
+}
+
+#[test]
 fn what_is_not_known_keeps_neutral_and_says_so() {
     let with = |change: &dyn Fn(&mut Machine, &mut Operation), tool, told: &Program| {
         let (mut machine, mut operation) = (machine(), operation(Process::Friction));
@@ -186,13 +215,18 @@ fn what_is_not_known_keeps_neutral_and_says_so() {
     assert!(with(&none, Some(ToolState::BrokenSuspected), &program()).contains(LoopReason::BrokenSuspected));
     assert!(with(&none, Some(ToolState::Changed), &program()).contains(LoopReason::ConditionsChanged));
     assert!(with(&none, good, &Program::Unknown).contains(LoopReason::NoProgram));
-    assert!(with(&none, good, &Program::NotActive).contains(LoopReason::ProfileNotActive));
+    assert!(
+        with(&none, good, &Program::Refused(LoopReason::ProfileNotActive))
+            .contains(LoopReason::ProfileNotActive)
+    );
     assert!(
         with(&|m, _| m.spindle.reference = LoadReference::Unknown, good, &program())
             .contains(LoopReason::UnknownRating)
     );
     assert!(with(&|_, o| o.process = Process::Milling, good, &program()).contains(LoopReason::NoLaw));
     assert!(with(&|_, o| o.process = Process::Plunge, good, &program()).contains(LoopReason::NoPlungeFeed));
+    let refused = Program::Refused(LoopReason::ProfileMismatch);
+    assert!(with(&none, good, &refused).contains(LoopReason::ProfileMismatch));
     let no_loads = |_: &mut Machine, o: &mut Operation| {
         o.spindle_load_set_percent = None;
         o.feed_drive_load_set_percent = None;

@@ -85,8 +85,24 @@ pub fn choose(
             ),
         );
     };
-    let name = format!("version {} of feed profile {}", chosen.version.version, chosen.version.profile);
+    matches(chosen, operation, limits)?;
     let profile = &chosen.profile;
+    Ok(ProfileAdvice {
+        version: chosen.version.clone(),
+        hash: chosen.hash,
+        time_s: profile.time_s(),
+        wear_to_level: profile.wear().to_level,
+    })
+}
+
+/// Whether a version was made for this operation as it is now, and for this machine's feeds.
+///
+/// # Errors
+/// With what differs.
+pub fn matches(one: &ActiveProfile, operation: &Operation, limits: &FeedLimits) -> Result<(), Withheld> {
+    let withheld = |code, why: String| Err((code, why));
+    let name = format!("version {} of feed profile {}", one.version.version, one.version.profile);
+    let profile = &one.profile;
     let conditions = profile.conditions();
     let differs = |stated: &Option<String>, is: &Option<String>| stated.is_some() && stated != is;
     if differs(&conditions.program, &operation.program) {
@@ -118,12 +134,19 @@ pub fn choose(
     if profile.fastest_mm_min() > limits.max_mm_min() || profile.slowest_mm_min() < limits.min_mm_min() {
         return withheld("profile_outside_machine", format!("{name} leaves the feeds of this machine"));
     }
-    Ok(ProfileAdvice {
-        version: chosen.version.clone(),
-        hash: chosen.hash,
-        time_s: profile.time_s(),
-        wear_to_level: profile.wear().to_level,
-    })
+    Ok(())
+}
+
+/// Whether a version holds at the tool's wear.
+///
+/// # Errors
+/// When the wear is beyond it, or not known.
+pub fn holds(one: &ActiveProfile, verdict: &Verdict, stale: bool) -> Result<(), Withheld> {
+    let (level, to) = (wear_level(verdict, stale)?, one.profile.wear().to_level);
+    if level <= to {
+        return Ok(());
+    }
+    Err(("profile_beyond_wear", format!("the tool's wear is {level:.2}, the feed profile holds to {to:.2}")))
 }
 
 /// The level of wear to choose by, on the careful side.

@@ -9,6 +9,13 @@ pub const MOST_KNOTS: usize = 256;
 /// Highest programmed feed in mm/min.
 pub const HIGHEST_FEED_MM_MIN: f64 = 30_000.0;
 
+/// A reported programmed feed may lie this far from the program within [`PROGRAM_WINDOW_MM`].
+const PROGRAM_SHARE: f64 = 0.05;
+/// The same in mm/min.
+const PROGRAM_MM_MIN: f64 = 1.0;
+/// How far around a depth the program is looked at.
+const PROGRAM_WINDOW_MM: f64 = 0.5;
+
 /// A point of a feed program.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Knot {
@@ -116,6 +123,20 @@ impl FeedProgram {
             }
             _ => left.feed_mm_min,
         }
+    }
+
+    /// Whether a feed reported at a depth is another program's: off by more than 5 % and 1 mm/min from every feed that
+    /// this one has within 0.5 mm of it. Controls round feeds, step linear ones in short blocks, and interpolate ahead
+    /// of the tip that they report.
+    #[must_use]
+    pub fn strays(&self, depth_mm: f64, feed_mm_min: f64) -> bool {
+        let (from, to) = (depth_mm - PROGRAM_WINDOW_MM, depth_mm + PROGRAM_WINDOW_MM);
+        let inside = self.knots.iter().filter(|knot| (from..=to).contains(&knot.depth_mm));
+        let feeds = inside.map(|knot| knot.feed_mm_min).chain([self.feed_at(from), self.feed_at(to)]);
+        let (least, greatest) =
+            feeds.fold((f64::MAX, f64::MIN), |(least, greatest), feed| (least.min(feed), greatest.max(feed)));
+        feed_mm_min < least * (1.0 - PROGRAM_SHARE) - PROGRAM_MM_MIN
+            || feed_mm_min > greatest * (1.0 + PROGRAM_SHARE) + PROGRAM_MM_MIN
     }
 }
 

@@ -380,4 +380,9 @@ impl Verdict {
             last: None,
         }
     }
+
+    /// Age of the last cycle of the fold, ms, never below 0; `None` where there is none.
+    pub fn age_ms(&self, now: Timestamp) -> Option<i64> {
+        self.last.as_ref().map(|last| now.millis_since(last.started_at).max(0))
+    }
 }

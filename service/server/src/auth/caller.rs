@@ -9,11 +9,11 @@ use axum::extract::{FromRequestParts, RawPathParams, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::MachineId;
-use feedwright_store::{Actor, Role, TokenRecord};
+use feedwright_store::{Actor, Role, StoreResult, TokenRecord};
 use http::request::Parts;
 use http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use std::net::{IpAddr, SocketAddr};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use subtle::ConstantTimeEq;
 
 /// Who calls. Only [`authorise`] makes one, so a handler that can name the caller has been authorised.
@@ -23,13 +23,28 @@ pub struct Caller {
     name: String,
     role: Role,
     machine: Option<MachineId>,
+    hash: [u8; 32],
     session: Option<Session>,
 }
 
 impl Caller {
     pub(super) fn new(token: TokenRecord, session: Option<Session>) -> Self {
-        let TokenRecord { id, name, role, machine, .. } = token;
-        Self { token: id, name, role, machine, session }
+        let TokenRecord { id, name, role, machine, hash, .. } = token;
+        Self { token: id, name, role, machine, hash, session }
+    }
+
+    /// Returns once its token is revoked: what is open for long looks again every so often.
+    ///
+    /// A database that does not answer revokes nothing.
+    pub(crate) async fn revoked(&self, state: &AppState, every: Duration) {
+        loop {
+            tokio::time::sleep(every).await;
+            match known_token(state, &self.hash).await {
+                Ok(Some(TokenRecord { revoked_at: None, .. })) => {}
+                Ok(_) => return,
+                Err(error) => tracing::debug!(%error, "whether a token is still good is not known"),
+            }
+        }
     }
 
     /// What people call its token.
@@ -149,25 +164,29 @@ pub(crate) async fn authenticate_token(
         return Err(failed(state, peer, "token_malformed", "this is no token of this service"));
     };
     let hash = token.hash();
-    let began = match state.known_tokens.get(&hash, Instant::now()) {
-        Ok(record) if record.id == token.id() => return Ok(record),
-        Ok(_) => return Err(failed(state, peer, "token_unknown", "the token is not known")),
-        Err(began) => began,
-    };
-    let looked_up = Instant::now();
-    let known = state.store.token_by_hash(&hash).await?;
-    let record = known.filter(|known| bool::from(known.hash.ct_eq(&hash)) && known.id == token.id());
+    let record = known_token(state, &hash).await?.filter(|known| known.id == token.id());
     match record {
         None => Err(failed(state, peer, "token_unknown", "the token is not known")),
         Some(TokenRecord { revoked_at: Some(_), .. }) => {
             Err(failed(state, peer, "token_revoked", "the token was revoked"))
         }
-        Some(record) => {
-            // From before it was read: its life counts from what was true then.
-            state.known_tokens.keep(&record, began, looked_up);
-            Ok(record)
-        }
+        Some(record) => Ok(record),
     }
+}
+
+/// The record of the token with that hash, revoked or not, as it was a moment ago.
+async fn known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
+    let began = match state.known_tokens.get(hash, Instant::now()) {
+        Ok(record) => return Ok(Some(record)),
+        Err(began) => began,
+    };
+    // From before it is read: its life counts from what was true then.
+    let looked_up = Instant::now();
+    let record = state.store.token_by_hash(hash).await?.filter(|known| bool::from(known.hash.ct_eq(hash)));
+    if let Some(record) = &record {
+        state.known_tokens.keep(record, began, looked_up);
+    }
+    Ok(record)
 }
 
 /// Counts a failure: 401, or 429 where the address had too many.

@@ -2,6 +2,7 @@
 
 use super::extract::PathId;
 use super::problem::{Problem, ProblemDocument};
+use crate::auth::Caller;
 use crate::state::AppState;
 use crate::stream::opening;
 use axum::Json;
@@ -34,13 +35,14 @@ use utoipa::ToSchema;
 )]
 pub(super) async fn open(
     State(state): State<AppState>,
+    caller: Caller,
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
     let (mut parts, _) = request.into_parts();
     let upgrade = WebSocketUpgrade::from_request_parts(&mut parts, &state).await;
     let upgrade = upgrade.map_err(|rejection| rejection.into_response().status());
-    opening::open(&state, machine, &parts.headers, upgrade).await
+    opening::open(&state, caller, machine, &parts.headers, upgrade).await
 }
 
 /// What the samples of a streamed cycle were answered.
@@ -50,7 +52,7 @@ pub(super) struct OverridesBody {
     mode: String,
     /// Version of the law.
     law_version: String,
-    /// Hash of the program that the machine told.
+    /// Hash of the program that the machine told, or of the feed profile that it named.
     program_hash: Option<String>,
     /// When it was stored.
     stored_at: String,

@@ -8,6 +8,7 @@ use super::message::{
     self, EndMessage, Incoming, MonitorMessage, ResumeMessage, SamplesMessage, StartMessage, VibrationMessage,
 };
 use super::slots::{Held, Ownership};
+use crate::auth::Caller;
 use crate::http::dto::mirror::{To, violation};
 use crate::http::dto::time;
 use crate::http::problem::Problem;
@@ -44,6 +45,8 @@ pub enum Closing {
     Idle,
     /// Too many messages in a row could not be read.
     Unreadable,
+    /// The token that opened it was revoked.
+    Revoked,
 }
 
 impl Closing {
@@ -56,6 +59,7 @@ impl Closing {
             Self::TakenOver => (4001, "another stream of this machine was opened"),
             Self::Idle => (4008, "nothing was heard for too long"),
             Self::Unreadable => (4400, "too many messages could not be read"),
+            Self::Revoked => (4401, "the token was revoked"),
         }
     }
 }
@@ -67,14 +71,14 @@ enum Out {
 }
 
 /// Serves one stream until it ends.
-pub async fn serve(state: AppState, ownership: Ownership, mut socket: WebSocket) {
+pub async fn serve(state: AppState, caller: Caller, ownership: Ownership, mut socket: WebSocket) {
     let machine = ownership.slot.machine.clone();
     state.metrics.streams_open().inc();
     tracing::info!(%machine, "a stream is open");
     let running = ownership.slot.lock().cycle.is_some();
     show(&state, &ownership.slot, if running { MachineState::Interrupted } else { MachineState::Connected });
     let mut connection = Connection::new(state.clone(), ownership.clone());
-    let closing = connection.run(&mut socket).await;
+    let closing = connection.run(&caller, &mut socket).await;
     if let Some(closing) = closing {
         close(&mut socket, closing).await;
     }
@@ -112,11 +116,13 @@ impl Connection {
     }
 
     /// Answers messages until the stream ends; why it is to be closed, where the other end did not close it.
-    async fn run(&mut self, socket: &mut WebSocket) -> Option<Closing> {
+    async fn run(&mut self, caller: &Caller, socket: &mut WebSocket) -> Option<Closing> {
         let config = self.state.config.stream.clone();
         let lifecycle = self.state.lifecycle.clone();
         let leave = self.ownership.leave.clone();
+        let state = self.state.clone();
         let mut stopping = pin!(lifecycle.stopping());
+        let mut revoked = pin!(caller.revoked(&state, config.heartbeat()));
         let mut left = pin!(leave.cancelled());
         let mut beats = interval(config.heartbeat());
         beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -154,6 +160,7 @@ impl Connection {
                 }
                 () = &mut left => return Some(Closing::TakenOver),
                 () = &mut stopping => return Some(Closing::GoingAway),
+                () = &mut revoked => return Some(Closing::Revoked),
             }
         }
     }

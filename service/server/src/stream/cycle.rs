@@ -8,10 +8,11 @@ use crate::ingest::body::CLOCK_AHEAD_MS;
 use crate::state::AppState;
 use feedwright_core::closed_loop::control::{self, LOOP_LAW_VERSION, Program, Standing};
 use feedwright_core::closed_loop::plunge::{BoundedFeed, PlungeLimits, PlungeLoop};
+use feedwright_core::closed_loop::profile;
 use feedwright_core::closed_loop::record::Timing;
 use feedwright_core::closed_loop::{Begun, LoopReason, Mode, RunningCycle, SampleAdvice};
 use feedwright_core::contact::{ContactInput, ContactSettings};
-use feedwright_core::cycle::Channel;
+use feedwright_core::cycle::{Channel, ProfileVersion};
 use feedwright_core::friction::error::Invalid;
 use feedwright_core::friction::program::{Between, FeedProgram, Knot, MOST_KNOTS};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
@@ -42,7 +43,7 @@ pub struct StreamedCycle {
     pub decimals: Vec<u8>,
     /// Version of the law.
     pub law_version: &'static str,
-    /// Hash of the program that the machine told.
+    /// Hash of the program that the machine told, or of the feed profile that it named.
     pub program_hash: Option<String>,
     /// Whether its overload was told already.
     pub overload_told: bool,
@@ -63,6 +64,7 @@ pub struct Checked {
     mode: Mode,
     program: Program,
     program_hash: Option<String>,
+    profile: Option<ProfileVersion>,
     meta: StartMessage,
 }
 
@@ -114,12 +116,13 @@ pub fn check(
     if let Some(text) = &meta.recommendation_id {
         keep(RecommendationId::parse("recommendation_id", text), &mut wrong);
     }
-    if let Some(profile) = &meta.profile {
-        keep(ProfileId::parse("profile.id", &profile.id), &mut wrong);
-        if profile.version == 0 {
+    let profile = meta.profile.as_ref().and_then(|named| {
+        let profile = keep(ProfileId::parse("profile.id", &named.id), &mut wrong);
+        if named.version == 0 {
             wrong.push(Violation::new("profile.version", "out_of_range", "must be at least 1"));
         }
-    }
+        Some(ProfileVersion { profile: profile?, version: named.version })
+    });
     for (path, range, value) in [
         ("spindle_speed_rpm", SPEED_RANGE, meta.spindle_speed_rpm),
         ("in_force_percent", IN_FORCE_RANGE, meta.in_force_percent),
@@ -155,6 +158,7 @@ pub fn check(
                 mode,
                 program,
                 program_hash,
+                profile,
                 meta,
             })
         }
@@ -225,8 +229,7 @@ fn decimals(meta: &StartMessage, channels: &[Channel], wrong: &mut Vec<Violation
 
 fn program(meta: &StartMessage, wrong: &mut Vec<Violation>) -> (Program, Option<String>) {
     let Some(told) = &meta.program else {
-        let program = if meta.profile.is_some() { Program::NotActive } else { Program::Unknown };
-        return (program, None);
+        return (Program::Unknown, None);
     };
     match feed_program(told) {
         Ok((program, range)) => (Program::Told { program, range }, Some(hash(told))),
@@ -292,11 +295,27 @@ pub async fn begin(
     let Some(around) = store.surroundings(machine, &checked.operation, &checked.tool).await? else {
         return Ok(None);
     };
-    let tool = match around.tool {
-        Some(_) => Some(store.verdict(&checked.tool).await?.state),
+    let config = &state.config.stream;
+    let verdict = match around.tool {
+        Some(_) => Some(store.verdict(&checked.tool).await?),
         None => None,
     };
-    let config = &state.config.stream;
+    let (mut program, mut program_hash) = (checked.program, checked.program_hash);
+    // Without the operation or the tool the cycle stays neutral for that reason alone.
+    if let (Some(version), Some(operation), Some(verdict)) = (&checked.profile, &around.operation, &verdict) {
+        let active = store.active_profiles(&checked.operation, &checked.tool).await?;
+        let stale_after_ms = state.config.recommendation.settings().stale_after_ms;
+        let stale = verdict.age_ms(checked.begun.received_at).is_some_and(|age| age > stale_after_ms);
+        let told = match &program {
+            Program::Told { program, range } => Some((program, *range)),
+            Program::Unknown | Program::Profile(_) | Program::Refused(_) => None,
+        };
+        let limits = &around.machine.limits;
+        program = profile::named(version, &active, (operation, limits), (verdict, stale), told);
+        if let Program::Profile(profile) = &program {
+            program_hash = Some(profile.hash.to_string());
+        }
+    }
     let overload_open = checked.meta.resend && overload_open(state, machine).await?;
     let plunge = match around.operation.as_ref().filter(|operation| operation.process == Process::Plunge) {
         Some(operation) => {
@@ -314,8 +333,8 @@ pub async fn begin(
     let standing = Standing {
         machine: &around.machine,
         operation: around.operation.as_ref(),
-        tool,
-        program: &checked.program,
+        tool: verdict.map(|verdict| verdict.state),
+        program: &program,
         overload_open,
     };
     // Settings were checked at the start; what the law refuses all the same is no law.
@@ -342,7 +361,7 @@ pub async fn begin(
         running,
         decimals: checked.decimals,
         law_version: LOOP_LAW_VERSION,
-        program_hash: checked.program_hash,
+        program_hash,
         overload_told: overload_open,
         shown_us: i64::MIN,
     }))

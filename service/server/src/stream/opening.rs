@@ -3,6 +3,7 @@
 use super::connection::serve;
 use super::slots::Ownership;
 use super::{SUBPROTOCOL, leases};
+use crate::auth::Caller;
 use crate::config::SecondStream;
 use crate::http::problem::Problem;
 use crate::state::AppState;
@@ -34,6 +35,7 @@ pub fn check_origin(headers: &HeaderMap, allowed: &[String]) -> Result<(), Probl
 /// Answers the wish to open a machine's stream: the upgrade, or why not.
 pub async fn open(
     state: &AppState,
+    caller: Caller,
     machine: MachineId,
     headers: &HeaderMap,
     upgrade: Result<WebSocketUpgrade, StatusCode>,
@@ -95,7 +97,7 @@ pub async fn open(
             state.streams.leave(&ownership);
         })
         .on_upgrade(move |socket| async move {
-            serve(state, ownership, socket).await;
+            serve(state, caller, ownership, socket).await;
             drop((place, tracked));
         }))
 }
