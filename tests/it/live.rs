@@ -3,5 +3,6 @@
 mod reader;
 mod served;
 mod shown;
+mod slow;
 
 pub(crate) use served::Served;

@@ -80,11 +80,11 @@ pub fn named(
 
 /// Whether two programs are not the same up to what controls round and step.
 fn differ(profile: &FeedProgram, told: &FeedProgram, end_mm: f64) -> bool {
-    let steps = (end_mm / COMPARED_EVERY_MM).ceil().max(1.0);
-    (0..=steps as u32).any(|step| {
-        let depth = end_mm * f64::from(step) / steps;
-        profile.strays(depth, told.feed_at(depth)) || told.strays(depth, profile.feed_at(depth))
-    })
+    let depths =
+        (0_u32..).map(|step| f64::from(step) * COMPARED_EVERY_MM).take_while(|depth| *depth < end_mm);
+    depths
+        .chain([end_mm])
+        .any(|depth| profile.strays(depth, told.feed_at(depth)) || told.strays(depth, profile.feed_at(depth)))
 }
 
 #[cfg(test)]
