@@ -17,6 +17,13 @@ def wait(what, until, seconds=60.0):
         time.sleep(0.01)
 
 
+def recorded():
+    """Number of the last sample that was written whole."""
+    with open(os.environ["PROFILE_RECORD"], encoding="ascii") as record:
+        lines = record.read().split("\n")[:-1]
+    return int(lines[-1].split()[0]) if lines else -1
+
+
 def main():
     command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
 
@@ -47,11 +54,9 @@ def main():
         command.auto(linuxcnc.AUTO_RUN, 0)
         wait("started", lambda: now().interp_state != linuxcnc.INTERP_IDLE)
         wait("ended", lambda: now().interp_state == linuxcnc.INTERP_IDLE, 120.0)
-        # The recorder reads from a buffer in memory: what was recorded before the end is written a moment later.
-        length = -1
-        while length != (length := os.path.getsize(os.environ["PROFILE_RECORD"])) and now().inpos is False:
-            time.sleep(0.05)
-        time.sleep(0.2)
+        # The recorder reads from a buffer in memory: the program's last sample is written a moment after its end.
+        asked = subprocess.run(["halcmd", "getp", "sampler.0.sample-num"], check=True, capture_output=True, text=True)
+        wait("recorded", lambda: recorded() >= int(asked.stdout))
         recorder.terminate()
         recorder.wait()
     error = errors.poll()
