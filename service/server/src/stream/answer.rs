@@ -58,7 +58,7 @@ pub struct StandingPart<'a> {
     /// The feed profile that the cycle runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<&'a super::message::ProfileMessage>,
-    /// Hash of the program that the machine told.
+    /// Hash of the program that the machine told, or of the feed profile that it named.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub program_hash: Option<&'a str>,
     /// What a plunge is to do.
