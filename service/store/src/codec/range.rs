@@ -45,7 +45,7 @@ struct Model {
 
 /// Codes one bit, either way.
 trait Coder {
-    /// The bit as it was, which a writer is told and a reader finds; `None` beyond the end.
+    /// The bit as it was, which a writer is told and a reader finds.
     fn code(&mut self, bit: &mut Bit, one: bool) -> Option<bool>;
     /// The lowest `count` bits of `value`, each as likely 0 as 1.
     fn plain(&mut self, value: u64, count: u32) -> Option<u64>;
@@ -104,6 +104,8 @@ impl Model {
 pub(super) struct RangeWriter {
     coder: Writing,
     model: Box<Model>,
+    /// What stood there before: not this coder's to shorten.
+    begins: usize,
 }
 
 struct Writing {
@@ -171,12 +173,13 @@ impl Coder for Writing {
 
 impl RangeWriter {
     pub(super) fn after(out: Vec<u8>) -> Self {
+        let begins = out.len();
         let coder = Writing { out, low: 0, range: u32::MAX, held: 0, full: 0, begun: false };
-        Self { coder, model: Box::new(Model::new()) }
+        Self { coder, model: Box::new(Model::new()), begins }
     }
 
     pub(super) fn put(&mut self, residual: u64) {
-        // Only a reader comes to an end.
+        // Only what a reader finds may be no residual.
         let _ = self.model.residual(&mut self.coder, residual);
     }
 
@@ -194,8 +197,8 @@ impl RangeWriter {
             self.coder.shift();
         }
         let mut out = self.coder.out;
-        // A reader takes zeros beyond the end, within its bound.
-        while out.last() == Some(&0) {
+        // A reader takes zeros beyond the end.
+        while out.len() > self.begins && out.last() == Some(&0) {
             out.pop();
         }
         out
@@ -212,32 +215,22 @@ struct Reading<'a> {
     rest: &'a [u8],
     code: u32,
     range: u32,
-    beyond: u32,
 }
 
-/// Zeros that a writer may have left out at the end.
-const LEFT_OUT: u32 = 8;
-
 impl<'a> Reading<'a> {
-    fn byte(&mut self) -> Option<u8> {
-        match self.rest.split_first() {
-            Some((&byte, rest)) => {
-                self.rest = rest;
-                Some(byte)
-            }
-            None => {
-                self.beyond += 1;
-                (self.beyond <= LEFT_OUT).then_some(0)
-            }
-        }
+    /// The next byte: zeros beyond the end, as many as are asked for. A column that never surprises is nothing but zeros,
+    /// all of them left out; how many values it has is told elsewhere.
+    fn byte(&mut self) -> u8 {
+        let Some((&byte, rest)) = self.rest.split_first() else { return 0 };
+        self.rest = rest;
+        byte
     }
 
-    fn widen(&mut self) -> Option<()> {
+    fn widen(&mut self) {
         while self.range < TOP {
             self.range <<= 8;
-            self.code = self.code << 8 | u32::from(self.byte()?);
+            self.code = self.code << 8 | u32::from(self.byte());
         }
-        Some(())
     }
 }
 
@@ -252,7 +245,7 @@ impl Coder for Reading<'_> {
             self.range = bound;
         }
         bit.follow(one);
-        self.widen()?;
+        self.widen();
         Some(one)
     }
 
@@ -265,7 +258,7 @@ impl Coder for Reading<'_> {
                 self.code -= self.range;
             }
             value = value << 1 | u64::from(one);
-            self.widen()?;
+            self.widen();
         }
         Some(value)
     }
@@ -273,10 +266,9 @@ impl Coder for Reading<'_> {
 
 impl<'a> RangeReader<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Self {
-        let mut coder = Reading { rest: bytes, code: 0, range: u32::MAX, beyond: 0 };
+        let mut coder = Reading { rest: bytes, code: 0, range: u32::MAX };
         for _ in 0..4 {
-            // Never beyond what may be left out.
-            coder.code = coder.code << 8 | u32::from(coder.byte().unwrap_or(0));
+            coder.code = coder.code << 8 | u32::from(coder.byte());
         }
         Self { coder, model: Box::new(Model::new()) }
     }

@@ -227,3 +227,43 @@ proptest! {
         }
     }
 }
+
+fn constant(value: f64, len: usize) -> Samples {
+    let columns = vec![(Channel::OverridePercent, vec![value; len])];
+    Samples::new(TimeBase::Period { period_ms: 10.0 }, columns, len).unwrap()
+}
+
+/// Columns that never change, and those that change steadily, are nothing but zeros to the coder, however long they are.
+#[test]
+fn columns_that_never_surprise_come_back_whatever_their_length() {
+    for len in [1, 2, 8, 500, 3000, 5000, 60_000] {
+        for value in [0.0, 100.0, 7.3, 0.001] {
+            let samples = constant(value, len);
+            assert_eq!(
+                decode_samples(&encode_samples(&samples), len).unwrap(),
+                samples,
+                "{len} times {value}"
+            );
+        }
+        let count = u32::try_from(len).unwrap();
+        let steady = (0..count).map(|k| f64::from(k) / 1000.0).collect::<Vec<f64>>();
+        let last = (0..count).map(|k| f64::from(u8::from(k + 1 == count))).collect::<Vec<f64>>();
+        let columns = vec![(Channel::DepthMm, steady), (Channel::OverridePercent, last)];
+        let samples = Samples::new(TimeBase::Period { period_ms: 10.0 }, columns, len).unwrap();
+        assert_eq!(decode_samples(&encode_samples(&samples), len).unwrap(), samples, "{len}");
+    }
+}
+
+/// Blocks that an earlier writer cut one zero too short are read all the same.
+#[test]
+fn a_column_of_zeros_that_lost_its_first_one_is_read() {
+    let samples = constant(0.0, 40);
+    let whole = encode_samples(&samples);
+    let body = &whole[..whole.len() - CHECKSUM];
+    // Form, length, coding, first value.
+    let &[.., 0, 2, coding, 0] = body else { panic!("{body:?}") };
+    let mut short = body[..body.len() - 3].to_vec();
+    short.extend([1, coding]);
+    short.extend(super::checksum(&short));
+    assert_eq!(decode_samples(&short, 40).unwrap(), samples);
+}
