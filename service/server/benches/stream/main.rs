@@ -28,6 +28,7 @@ const ONE_IPO: Duration = Duration::from_millis(10);
 
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
+    feedwright_server::tls::use_ring();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
     if let Some(at) = arguments.iter().position(|argument| argument == "--echo") {
         runtime.block_on(echo::serve(arguments[at + 1].parse().expect("a port")));
