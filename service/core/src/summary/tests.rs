@@ -32,6 +32,7 @@ fn cycle(time: TimeBase, columns: Vec<(Channel, Vec<f64>)>) -> Cycle {
         law_version: None,
         profile: None,
         recommendation: None,
+        reference: None,
         spindle_speed_rpm: Some(1500.0),
         outcome: Outcome::Completed,
         samples: Some(Samples::new(time, columns, 10_000).unwrap()),
