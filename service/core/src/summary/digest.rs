@@ -78,6 +78,10 @@ pub(super) fn of(
     let joules = energy::by_sample(samples, clock, commanded, context, best)?;
     let config = relation_config()?;
     let mut profile = DepthProfile::new(&config);
+    if contact == 0 && depth[0] >= 0.0 {
+        // The recording begins in the work: its first sample stands for the period before it.
+        profile.add(&config, depth[0], depth[0], clock.width_s(0), joules[0]);
+    }
     for index in contact + 1..=end {
         profile.add(&config, depth[index - 1], depth[index], clock.width_s(index), joules[index]);
     }
