@@ -61,7 +61,7 @@ async fn life(shop: &Shop) -> (Vec<Value>, Option<f64>) {
             body.as_object_mut().unwrap().remove("strategy");
         }
         body["recommendation_id"] = advice["id"].clone();
-        recorded_from(&mut body, [-2.0, -0.6, 0.0, -1.2][cycle as usize % 4]);
+        recorded_from(&mut body, [-2.0, -0.6, 0.0, -1.2][usize::try_from(cycle).unwrap() % 4]);
         let answer = shop.cycle("F1", &body).await;
         assert_eq!(answer.status, 201, "{}", answer.text);
         bodies.push(body);
