@@ -51,7 +51,7 @@ REPORTED = (
 )
 FIELDS = {
     "cycle_id", "tool", "operation", "started_at", "seq", "process", "strategy", "law_version", "profile",
-    "recommendation_id", "spindle_speed_rpm", "outcome", "samples", "reported",
+    "recommendation_id", "reference_cycle", "spindle_speed_rpm", "outcome", "samples", "reported",
 }
 MOST_PLACES = 9
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -84,6 +84,9 @@ def encode(cycle):
     optional(7, None if outcome == "completed" else outcome, _text)
     optional(8, cycle.get("samples"), _samples)
     optional(9, cycle.get("reported") or None, _reported)
+    reference = cycle.get("reference_cycle")
+    # One bit each: there is nothing to follow.
+    present |= {None: 0, True: 1 << 10, False: 1 << 11}[reference]
     payload = struct.pack("<I", present) + b"".join(parts)
     frame = b"FWC\x01" + struct.pack("<I", len(payload)) + payload
     return frame + struct.pack("<I", zlib.crc32(frame))

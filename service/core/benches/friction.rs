@@ -1,6 +1,7 @@
 //! Time per step of the friction law and per cycle of the process model; prints, never fails on time.
 //!
-//! `cargo bench -p feedwright-core --bench friction`. Medians of nine runs on whatever machine this is.
+//! `cargo bench -p feedwright-core --bench friction`. Medians of nine runs on whatever machine this is, in seconds of CPU
+//! where the system tells them (Linux), so that what else runs there does not count; else in seconds by the clock.
 
 use feedwright_core::friction::law::{LawConfig, LawParams, LawSample, LawState};
 use feedwright_core::friction::noise::Noise;
@@ -14,13 +15,21 @@ use std::time::Instant;
 
 const RUNS: usize = 9;
 
+/// Seconds of CPU that this thread has had.
+fn cpu_s() -> Option<f64> {
+    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    let nanoseconds: f64 = told.split_whitespace().next()?.parse().ok()?;
+    Some(nanoseconds * 1e-9)
+}
+
 /// Median seconds per item of `RUNS` runs, with the fastest and slowest.
 fn measure(items: u32, mut run: impl FnMut()) -> (f64, f64, f64) {
     let mut seconds: Vec<f64> = (0..RUNS)
         .map(|_| {
-            let start = Instant::now();
+            let (start, cpu) = (Instant::now(), cpu_s());
             run();
-            start.elapsed().as_secs_f64() / f64::from(items)
+            let spent = cpu.zip(cpu_s()).map(|(before, after)| after - before);
+            spent.unwrap_or_else(|| start.elapsed().as_secs_f64()) / f64::from(items)
         })
         .collect();
     seconds.sort_by(f64::total_cmp);

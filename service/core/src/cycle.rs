@@ -158,6 +158,9 @@ pub struct CycleDraft {
     pub profile: Option<ProfileVersion>,
     /// The recommendation that it followed.
     pub recommendation: Option<RecommendationId>,
+    /// Whether the machine says that it is a reference cycle: one feed from end to end, no law and no override;
+    /// `None` where it says nothing.
+    pub reference: Option<bool>,
     /// Spindle speed that was commanded, rpm.
     pub spindle_speed_rpm: Option<f64>,
     /// How it ended.
@@ -201,6 +204,11 @@ impl Cycle {
         if draft.profile.as_ref().is_some_and(|profile| profile.version == 0) {
             wrong.push(Violation::new("profile.version", "out_of_range", "must be at least 1"));
         }
+        if draft.reference == Some(true)
+            && let Some(why) = no_reference(&draft)
+        {
+            wrong.push(Violation::new("reference_cycle", "contradictory", why));
+        }
         for (name, range, value) in draft.reported.fields().into_iter().chain(draft.reported.cut.fields()) {
             if let Some(value) = value {
                 range.collect(&format!("reported.{name}"), value, &mut wrong);
@@ -221,6 +229,21 @@ impl Cycle {
     /// Gives the fields back.
     pub fn into_draft(self) -> CycleDraft {
         self.0
+    }
+}
+
+/// Why a cycle cannot be a reference cycle by what it says of itself: its samples are looked at later.
+fn no_reference(draft: &CycleDraft) -> Option<&'static str> {
+    let process = draft.process.unwrap_or(Process::Friction);
+    match draft.strategy {
+        _ if process != Process::Friction => Some("only friction drilling has reference cycles"),
+        Some(Strategy::FSec | Strategy::FLin | Strategy::FAc) => {
+            Some("a reference cycle runs one constant feed: its strategy is f_const, or is left out")
+        }
+        _ if draft.law_version.is_some() => {
+            Some("a reference cycle runs without a law: leave out law_version")
+        }
+        _ => None,
     }
 }
 

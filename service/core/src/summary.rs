@@ -9,7 +9,7 @@ mod loads;
 
 pub use course::energy_course;
 pub(crate) use digest::relation_config;
-pub use digest::{DIGEST_DEPTH_MM, DepthDigest, MOST_DIGEST_BINS, MOST_DIGEST_BYTES};
+pub use digest::{DIGEST_DEPTH_MM, DepthDigest, MOST_DIGEST_BINS, MOST_DIGEST_BYTES, way_in_contact};
 pub use energy::{Energy, EnergyBasis, IdlePower};
 pub(crate) use loads::median;
 pub use loads::{Peak, PeakShift};
@@ -20,7 +20,7 @@ use crate::operation::Operation;
 use crate::units::Timestamp;
 
 /// Version of the summary's rules; stored with every summary, so that a change of rules shows.
-pub const SUMMARY_VERSION: u32 = 2;
+pub const SUMMARY_VERSION: u32 = 3;
 
 /// Share of a cycle's time that samples must cover for its energy to be compared.
 pub const COVERAGE_FLOOR: f64 = 0.95;
@@ -105,7 +105,7 @@ pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
         summary.energy.push(Energy::reported(joules));
     }
     summary.energy_scale = summary.best_energy().map_or(0, |best| energy::scale(best, context));
-    let contradictory = contradicts(cycle, &summary);
+    let contradictory = contradicts(cycle, &summary) || contradicts_reference(cycle, &summary);
     let asked = context.operation.and_then(|operation| operation.depth_mm);
     let short = asked.zip(summary.max_depth_mm).is_some_and(|(asked, reached)| reached < DEPTH_FLOOR * asked);
     let no_energy = summary.energy.is_empty();
@@ -116,6 +116,8 @@ pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
     flags.insert_if(no_energy, Flag::NoEnergy);
     flags.insert_if(short, Flag::Incomplete);
     flags.insert_if(contradictory, Flag::Contradictory);
+    flags.insert_if(cycle.reference == Some(true), Flag::ReferenceCycle);
+    flags.insert_if(cycle.reference == Some(false), Flag::NoReferenceCycle);
     summary
 }
 
@@ -207,6 +209,11 @@ fn contradicts(cycle: &Cycle, summary: &CycleSummary) -> bool {
         _ => false,
     };
     longer || apart(cycle.reported.max_depth_mm, summary.max_depth_mm)
+}
+
+/// Whether a cycle that is called a reference cycle was run at feeds that differ.
+fn contradicts_reference(cycle: &Cycle, summary: &CycleSummary) -> bool {
+    cycle.reference == Some(true) && summary.digest.as_ref().is_some_and(|digest| !digest.is_constant_feed())
 }
 
 /// How much time each sample stands for.

@@ -17,6 +17,9 @@ mod verdict;
 mod feed_tests;
 
 #[cfg(test)]
+mod recorded_tests;
+
+#[cfg(test)]
 mod tests;
 
 pub use facts::{CycleFacts, OrderKey};

@@ -227,6 +227,8 @@ pub struct FleetCycle {
     pub duration_ms: Option<f64>,
     /// Energy on the best basis there is, J.
     pub energy: Option<(EnergyBasis, f64)>,
+    /// The part of it from contact to full depth, J, where depth was sampled.
+    pub contact_joules: Option<f64>,
     /// Fingerprint of the ratings and fitted lines that it rests on: energies of another do not compare.
     pub energy_scale: i64,
 }
@@ -247,6 +249,8 @@ pub struct ToolLife {
 pub struct LifeCycle {
     /// What the fold needed of it.
     pub facts: CycleFacts,
+    /// Whether its operation is friction drilling, as far as that is registered.
+    pub is_friction: bool,
     /// Why it was not counted; `None` for a counted cycle and for one that later cycles have yet to settle.
     pub excluded: Option<Exclusion>,
 }
@@ -413,6 +417,8 @@ pub struct CycleMeta {
     pub profile: Option<feedwright_core::cycle::ProfileVersion>,
     /// The recommendation that it followed.
     pub recommendation: Option<RecommendationId>,
+    /// Whether the machine says that it is a reference cycle; `None` where it says nothing.
+    pub reference: Option<bool>,
     /// Commanded spindle speed, rpm.
     pub spindle_speed_rpm: Option<f64>,
     /// How it ended.

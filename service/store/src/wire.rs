@@ -35,10 +35,12 @@ enum Field {
     Outcome = 7,
     Samples = 8,
     Reported = 9,
+    ReferenceCycle = 10,
+    NoReferenceCycle = 11,
 }
 
 /// Bits that a payload may have set.
-const KNOWN_FIELDS: u32 = (1 << 10) - 1;
+const KNOWN_FIELDS: u32 = (1 << 12) - 1;
 /// Values that a control may report.
 const REPORTED: usize = 13;
 
@@ -71,6 +73,8 @@ fn put_payload(out: &mut Vec<u8>, cycle: &Cycle) {
         (Field::Outcome, cycle.outcome != Outcome::Completed),
         (Field::Samples, cycle.samples.is_some()),
         (Field::Reported, reported.iter().any(Option::is_some)),
+        (Field::ReferenceCycle, cycle.reference == Some(true)),
+        (Field::NoReferenceCycle, cycle.reference == Some(false)),
     ];
     let set = fields.iter().fold(0_u32, |set, (field, there)| set | u32::from(*there) << (*field as u8));
     out.extend_from_slice(&set.to_le_bytes());

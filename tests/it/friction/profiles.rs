@@ -317,3 +317,114 @@ async fn a_profile_is_learnt_from_cycles_and_its_prediction_held_against_the_nex
     let unknown = json!({"profile": "bushing", "job": "none", "reason": "r"});
     assert_eq!(story.shop.post("/v1/feed-profiles", &unknown).await.body["errors"][0]["code"], "unknown_job");
 }
+
+#[tokio::test]
+async fn a_stored_profile_is_asked_about_by_its_id_and_version() {
+    let mut story = Story::begin().await;
+    for factor in [0.85, 1.0, 1.15, 0.95, 1.05, 1.0] {
+        story.drill(1, factor, None).await;
+    }
+    let version = story.drafted(&draft(1.2)).await;
+    let of_c2 = "/v1/machines/F1/cycles/c2/what-if";
+    let asked = |profile: Value| json!({"control": {"profile": profile}});
+    let question = asked(json!({"id": "bushing", "version": version}));
+    let answer = story.shop.post(of_c2, &question).await;
+    assert_eq!(answer.status, 200, "{}", answer.text);
+    assert_eq!(answer.body["assumed"]["profile"], format!("bushing@{version}"));
+    let shorter =
+        number(&answer.body["predicted"]["duration_s"]) / number(&answer.body["happened"]["duration_s"]);
+    assert!((shorter - 1.0 / 1.2).abs() < 0.06, "a fifth faster: {shorter}");
+    // The same as the same knots given inline.
+    let inline = asked(json!({"between": "linear", "knots": draft(1.2)["content"]["knots"]}));
+    let by_knots = story.shop.post(of_c2, &inline).await;
+    assert_eq!(by_knots.body["predicted"], answer.body["predicted"], "{}", by_knots.text);
+    // The law over a profile keeps to the profile's set loads and override limits.
+    let mut lawful = question.clone();
+    lawful["control"]["law"] = json!({});
+    let under_law = story.shop.post(of_c2, &lawful).await;
+    assert_eq!(under_law.status, 200, "{}", under_law.text);
+    lawful["control"]["law"] = json!({"override_max_percent": 120, "set_spindle_percent": 50,
+                                      "set_feed_drive_percent": 40});
+    assert_ne!(story.shop.post(of_c2, &lawful).await.body["predicted"], under_law.body["predicted"]);
+    let many = json!({"filter": {"machine": "F1"}, "question": question});
+    let sum = story.shop.post("/v1/what-if", &many).await;
+    assert_eq!(sum.status, 200, "{}", sum.text);
+    assert_eq!(sum.body["predicted_cycles"], 6, "{}", sum.text);
+
+    // The active version is asked about where none is named, once there is one.
+    let active = asked(json!({"id": "bushing"}));
+    let none = story.shop.post(of_c2, &active).await;
+    assert_eq!((none.status, &none.body["errors"][0]["code"]), (422, &json!("no_active_version")));
+    story.bring(version).await;
+    let found = story.shop.post(of_c2, &active).await;
+    assert_eq!(found.body["assumed"]["profile"], format!("bushing@{version}"), "{}", found.text);
+
+    for (profile, path, code) in [
+        (json!({"id": "nobody", "version": 1}), "profile.id", "unknown_profile"),
+        (json!({"id": "bushing", "version": 99}), "profile.version", "unknown_version"),
+        (json!({"id": "bushing", "version": 0}), "profile.version", "out_of_range"),
+        (json!({"version": 1}), "profile.id", "missing_field"),
+        (json!({}), "profile", "missing_field"),
+        (json!({"id": "bushing", "between": "held"}), "profile", "contradictory"),
+        (json!({"between": "held", "knots": []}), "profile.knots", "empty"),
+    ] {
+        for (path, answer) in [
+            (format!("control.{path}"), story.shop.post(of_c2, &asked(profile.clone())).await),
+            (
+                format!("question.control.{path}"),
+                story.shop.post("/v1/what-if", &json!({"question": asked(profile.clone())})).await,
+            ),
+        ] {
+            assert_eq!(answer.status, 422, "{profile}: {}", answer.text);
+            let wrong = &answer.body["errors"][0];
+            assert_eq!((&wrong["path"], &wrong["code"]), (&json!(path), &json!(code)), "{profile}");
+        }
+    }
+    let mut both = question.clone();
+    both["control"]["program"] = json!({"between": "held", "knots": [{"depth_mm": 0, "feed_mm_min": 100}]});
+    assert_eq!(story.shop.post(of_c2, &both).await.status, 422);
+}
+
+#[tokio::test]
+async fn a_profile_is_not_asked_about_what_it_was_not_made_for() {
+    let mut story = Story::begin().await;
+    story.drill(4, 1.0, None).await;
+    let mut other = drilled(5, &strategy(1.0), "f_lin", false);
+    other["operation"] = json!("O2");
+    assert_eq!(story.shop.cycle("F1", &other).await.status, 201);
+    let version = story.drafted(&draft(1.1)).await;
+    let control = json!({"profile": {"id": "bushing", "version": version}});
+    let answer =
+        story.shop.post("/v1/machines/F1/cycles/c5/what-if", &json!({"control": control.clone()})).await;
+    assert_eq!((answer.status, &answer.body["reason"]), (422, &json!("other_operation")), "{}", answer.text);
+    let sum = story
+        .shop
+        .post("/v1/what-if", &json!({"filter": {}, "question": {"control": control.clone()}}))
+        .await;
+    assert_eq!(sum.body["predicted_cycles"], 4, "{}", sum.text);
+    assert_eq!(sum.body["skipped"], json!({"other_operation": 1}), "{}", sum.text);
+    let wrong = json!({"filter": {"operation": "O2"}, "question": {"control": control}});
+    let answer = story.shop.post("/v1/what-if", &wrong).await;
+    assert_eq!((answer.status, &answer.body["errors"][0]["code"]), (422, &json!("other_operation")));
+
+    // A profile that ends where half of the hole is still to come.
+    let mut short = draft(1.0);
+    let knots: Vec<Value> = short["content"]["knots"].as_array().unwrap()[..4].to_vec();
+    let end = number(&knots[3]["depth_mm"]);
+    short["profile"] = json!("short");
+    short["content"]["knots"] = json!(knots);
+    short["content"]["sections"] =
+        json!([{"kind": "heating", "to_mm": 3.0}, {"kind": "forming", "to_mm": end}]);
+    let drafted = story.shop.post("/v1/feed-profiles", &short).await;
+    assert_eq!(drafted.status, 201, "{}", drafted.text);
+    let question = json!({"control": {"profile": {"id": "short", "version": 1}}});
+    let answer = story.shop.post("/v1/machines/F1/cycles/c1/what-if", &question).await;
+    assert_eq!(
+        (answer.status, &answer.body["reason"]),
+        (422, &json!("profile_too_short")),
+        "{}",
+        answer.text
+    );
+    let detail = answer.body["detail"].as_str().unwrap();
+    assert!(detail.contains("12 mm"), "{detail}");
+}

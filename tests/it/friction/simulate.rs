@@ -70,6 +70,12 @@ async fn what_makes_no_hole_is_refused_by_path() {
     let many: Vec<Value> = vec![json!({}); 9];
     for (question, path, code) in [
         (json!({"modell": {}}), "modell", "unknown_field"),
+        (json!([]), "", "wrong_type"),
+        (
+            json!({"model": {"machine": {"ratings": {"spindle_rated_power_w": 1e-12}}}}),
+            "machine.ratings.spindle_rated_power_w",
+            "out_of_range",
+        ),
         (json!({"model": {"tool": {"wear": -1}}}), "tool.wear", "out_of_range"),
         (json!({"model": {"tool": {"wear": 1, "cycles": 5}}}), "tool.cycles", "contradictory"),
         (json!({"model": {"tool": {"cycles": -5}}}), "tool.cycles", "out_of_range"),

@@ -33,10 +33,11 @@ async fn shop() -> Shop {
     shop
 }
 
-/// Cuts what was recorded before the spindle was at its speed: spinning up costs energy too, which no wear changes.
-fn without_spin_up(body: &mut Value) {
+/// Cuts what was recorded before a depth: where a machine begins to record is nobody's business. Spinning up costs
+/// energy too, which no wear changes.
+fn recorded_from(body: &mut Value, depth_mm: f64) {
     let depth: Vec<f64> = body["samples"]["depth_mm"].as_array().unwrap().iter().map(number).collect();
-    let from = depth.iter().position(|depth| *depth >= -0.6).unwrap();
+    let from = depth.iter().position(|depth| *depth >= depth_mm).unwrap();
     for column in body["samples"].as_object_mut().unwrap().values_mut() {
         if let Some(values) = column.as_array_mut() {
             values.drain(..from);
@@ -60,7 +61,7 @@ async fn life(shop: &Shop) -> (Vec<Value>, Option<f64>) {
             body.as_object_mut().unwrap().remove("strategy");
         }
         body["recommendation_id"] = advice["id"].clone();
-        without_spin_up(&mut body);
+        recorded_from(&mut body, [-2.0, -0.6, 0.0, -1.2][usize::try_from(cycle).unwrap() % 4]);
         let answer = shop.cycle("F1", &body).await;
         assert_eq!(answer.status, 201, "{}", answer.text);
         bodies.push(body);
@@ -147,4 +148,69 @@ async fn reference_cycles_are_asked_for_only_where_the_operation_wants_them() {
         let answer = change_operation(&shop, Some(&wear)).await;
         assert_eq!((answer.status, &answer.body["errors"][0]["path"]), (422, &json!(path)), "{wear}");
     }
+}
+
+/// A machine that sends no advice's id marks its reference cycles itself; what contradicts itself has a defined answer.
+#[tokio::test]
+async fn a_machine_may_mark_its_reference_cycles_itself() {
+    let shop = shop().await;
+    let paper = PaperStrategies::new().unwrap();
+    let marked = |number: i64, strategy: &feedwright_core::friction::program::Strategy, is: bool| {
+        let mut body = worn(number, strategy, "f_const", false, 0.0);
+        body.as_object_mut().unwrap().remove("strategy");
+        body["reference_cycle"] = json!(is);
+        body
+    };
+    assert_eq!(shop.cycle("F1", &worn(1, &paper.adaptive, "f_ac", false, 0.0)).await.status, 201);
+    for number in 2..=3 {
+        let answer = shop.cycle("F1", &marked(number, &paper.constant, true)).await;
+        assert_eq!(answer.status, 201, "{}", answer.text);
+        assert_eq!(answer.body["wear"]["feed"]["references"]["count"], number - 1, "{}", answer.text);
+    }
+    let stored = shop.get("/v1/machines/F1/cycles/c2").await.body;
+    assert_eq!(stored["reference_cycle"], true, "{stored}");
+    assert_eq!(stored["summary"]["flags"], json!(["reference_cycle"]), "{stored}");
+    // The same again is the same; without its mark it is another cycle.
+    assert_eq!(shop.cycle("F1", &marked(2, &paper.constant, true)).await.status, 200);
+    assert_eq!(shop.cycle("F1", &marked(2, &paper.constant, false)).await.status, 409);
+
+    // What ran is believed before what is said of it.
+    let varied = shop.cycle("F1", &marked(4, &paper.linear, true)).await;
+    assert_eq!(varied.status, 201, "{}", varied.text);
+    assert_eq!(
+        varied.body["summary"]["flags"],
+        json!(["contradictory", "reference_cycle"]),
+        "{}",
+        varied.text
+    );
+    assert_eq!(varied.body["wear"]["feed"]["references"]["count"], 2, "{}", varied.text);
+    // Asked for, and said not to have been run.
+    let advice = varied.body["recommendation"].clone();
+    assert!(advice["reference_cycle"].is_object(), "{advice}");
+    let mut refused = marked(5, &paper.constant, false);
+    refused["recommendation_id"] = advice["id"].clone();
+    let answer = shop.cycle("F1", &refused).await;
+    assert_eq!(answer.body["wear"]["feed"]["references"]["count"], 2, "{}", answer.text);
+    // Of a cycle without samples nothing contradicts it.
+    let mut told = crate::shop::reported(6, 1990.0);
+    told["reference_cycle"] = json!(true);
+    let answer = shop.cycle("F1", &told).await;
+    assert_eq!(answer.status, 201, "{}", answer.text);
+
+    for (field, value) in [
+        ("strategy", json!("f_ac")),
+        ("strategy", json!("f_lin")),
+        ("law_version", json!("v1")),
+        ("process", json!("drilling")),
+    ] {
+        let mut body = marked(9, &paper.constant, true);
+        body[field] = value;
+        let answer = shop.cycle("F1", &body).await;
+        assert_eq!(answer.status, 422, "{field}: {}", answer.text);
+        let wrong = &answer.body["errors"][0];
+        assert_eq!((&wrong["path"], &wrong["code"]), (&json!("reference_cycle"), &json!("contradictory")));
+    }
+    let mut body = marked(9, &paper.constant, true);
+    body["reference_cycle"] = json!("yes");
+    assert_eq!(shop.cycle("F1", &body).await.status, 422);
 }

@@ -64,6 +64,7 @@ fn checked(cycle: &RecordedCycle) -> Cycle {
         strategy: None,
         law_version: None,
         profile: None,
+        reference: None,
         recommendation: None,
         spindle_speed_rpm: cycle.spindle_speed_rpm,
         outcome: if cycle.aborted { Outcome::Aborted } else { Outcome::Completed },

@@ -310,6 +310,7 @@ impl Run {
             strategy: Some(feedwright_core::units::Strategy::FLin),
             law_version: None,
             profile: None,
+            reference: None,
             recommendation: None,
             spindle_speed_rpm: Some(2400.0),
             outcome: Outcome::Completed,

@@ -52,8 +52,12 @@ flags! {
     NoEnergy = 12, "no_energy";
     /// A load lies beyond the range of the machine's fitted lines.
     BeyondCalibration = 13, "beyond_calibration";
-    /// The control reports a length or depth that its samples contradict.
+    /// The control reports a length or depth, or calls a reference cycle, what its samples contradict.
     Contradictory = 14, "contradictory";
+    /// The machine says that it is a reference cycle.
+    ReferenceCycle = 15, "reference_cycle";
+    /// The machine says that it is no reference cycle, whatever advice it names.
+    NoReferenceCycle = 16, "no_reference_cycle";
 }
 
 /// A set of quality flags.

@@ -28,15 +28,11 @@ pub fn energy_course(
         EnergyBasis::Calibrated => {
             let calibration = context.calibration?;
             let line = calibration.torque.as_ref()?;
-            let torque: Option<Vec<f64>> =
-                column(Channel::SpindleLoadPercent)?.iter().map(|&load| line.at(load)).collect();
+            let torque = motion.along(line, column(Channel::SpindleLoadPercent)?);
             let thrust = calibration.thrust.as_ref().zip(column(Channel::FeedDriveLoadPercent));
             let feed = match thrust {
                 None => None,
-                Some((line, loads)) => {
-                    let thrust: Option<Vec<f64>> = loads.iter().map(|&load| line.at(load)).collect();
-                    motion.feed_steps(&thrust?)
-                }
+                Some((line, loads)) => motion.feed_steps(&motion.along(line, loads)?),
             };
             plus(motion.spindle_steps(&torque?)?, feed)
         }

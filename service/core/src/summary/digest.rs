@@ -1,4 +1,4 @@
-//! What a cycle did over depth, in few bytes: way, time and energy of every millimetre.
+//! What a cycle did over depth, in few bytes: way, time and energy of every millimetre, and where the sheet opened.
 //!
 //! It is what feed-compensated wear needs of a cycle whose samples may be gone. Quantised when it is made, so that the
 //! stored form and the one in memory are the same.
@@ -7,19 +7,28 @@ use super::energy::Energy;
 use super::{Context, SampleClock, energy};
 use crate::cycle::{Channel, Cycle, Flag, Flags, Samples};
 use crate::friction::relation::{DepthBin, DepthProfile, RelationConfig, RelationParams};
+use crate::friction::stages::{Stage, StageConfig, StageDetector, StageSample};
 use crate::units::Process;
 
 /// Depth that a digest may cover, mm, in bins of one millimetre; bushings are shorter than their tools' 40 mm.
 pub const DIGEST_DEPTH_MM: f64 = 64.0;
 /// Bins of a digest at the most.
 pub const MOST_DIGEST_BINS: usize = 64;
-/// Longest stored form: two bytes, and three numbers of at most 5, 5 and 10 bytes a bin.
+/// Longest stored form: two bytes, and three numbers of at most 5, 5 and 10 bytes a bin. A digest of the most bins has no
+/// breakthrough, which would need 5 bytes more.
 pub const MOST_DIGEST_BYTES: usize = 2 + MOST_DIGEST_BINS * 20;
 
-const FORMAT: u8 = 1;
+/// Without and with a breakthrough.
+const FORMATS: [u8; 2] = [1, 2];
 const WAY_MM: f64 = 1e-3;
 const TIME_S: f64 = 1e-5;
 const ENERGY_J: f64 = 1e-3;
+/// Depth at the surface that is still the surface, and depth short of the deepest that is already the end, mm: what an
+/// encoder's noise or a standing axis adds.
+const STANDING_MM: f64 = 0.02;
+/// A contact that the loads show later than so many mm, or after this part of the way to breakthrough, is none.
+const LATEST_CONTACT_MM: f64 = 1.0;
+const LATEST_CONTACT: f64 = 0.5;
 /// Feeds of a constant program differ by no more than this factor from bin to bin: drives settle, percents round.
 const CONSTANT_WITHIN: f64 = 1.15;
 
@@ -38,6 +47,8 @@ pub(crate) struct DigestBin {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DepthDigest {
     bins: Vec<DigestBin>,
+    /// Depth at which the sheet opened, µm.
+    breakthrough: Option<u32>,
 }
 
 /// Bins of a digest, and what is expected of energy over feed before any cycle was seen.
@@ -60,28 +71,59 @@ pub(super) fn of(
         return None;
     }
     let depth = samples.column(Channel::DepthMm)?;
-    let mut deepest = 0;
-    for (index, z) in depth.iter().enumerate() {
-        if *z > depth[deepest] {
-            deepest = index;
-        }
-    }
-    if depth[deepest] > DIGEST_DEPTH_MM || depth[deepest] <= 0.0 {
-        return None;
-    }
+    let (contact, end) = way_in_contact(depth).filter(|(_, end)| depth[*end] <= DIGEST_DEPTH_MM)?;
     let commanded = cycle
         .spindle_speed_rpm
         .or_else(|| context.operation.and_then(|operation| operation.spindle_speed_rpm));
     let joules = energy::by_sample(samples, clock, commanded, context, best)?;
     let config = relation_config()?;
     let mut profile = DepthProfile::new(&config);
-    for index in 1..=deepest {
-        if depth[index] >= 0.0 {
-            let width = clock.width_s(index);
-            profile.add(&config, depth[index - 1], depth[index], width, joules[index]);
+    if contact == 0 && depth[0] >= 0.0 {
+        // The recording begins in the work: its first sample stands for the period before it.
+        profile.add(&config, depth[0], depth[0], clock.width_s(0), joules[0]);
+    }
+    for index in contact + 1..=end {
+        profile.add(&config, depth[index - 1], depth[index], clock.width_s(index), joules[index]);
+    }
+    Some(DepthDigest::of(&profile)?.with_breakthrough(breakthrough_mm(samples, end)))
+}
+
+/// Where the thrust falls off because the sheet opens, mm: it tells the sheet's thickness, and no wear moves it. `None`
+/// where the feed drive's load was not sampled, or does not show it.
+fn breakthrough_mm(samples: &Samples, end: usize) -> Option<f64> {
+    let (depth, thrust) = (samples.column(Channel::DepthMm)?, samples.column(Channel::FeedDriveLoadPercent)?);
+    let spindle = samples.column(Channel::SpindleLoadPercent);
+    let (config, mut detector) = (StageConfig::default(), StageDetector::new());
+    for index in 0..=end {
+        let sample = StageSample {
+            depth_mm: depth[index],
+            feed_drive_percent: thrust[index],
+            spindle_percent: spindle.map_or(0.0, |load| load[index]),
+        };
+        if !matches!(detector.step(&config, &sample), Stage::Air | Stage::A) {
+            break;
         }
     }
-    DepthDigest::of(&profile)
+    let found = detector.stages();
+    let (contact, opened) = (found.contact?.depth_mm, found.breakthrough?.depth_mm);
+    // Where the loads show no contact near the surface, as in a thin sheet among noise, what falls off later is another
+    // stage's load.
+    (contact <= LATEST_CONTACT_MM && contact <= LATEST_CONTACT * opened).then_some(opened)
+}
+
+/// The last sample at the surface and the first one at the end of the way, of a depth that was sampled, mm; `None` where
+/// the tool never went in. Where the recording begins in the work its first sample stands for the surface.
+///
+/// What comes before is the approach, where the spindle spins up, and what comes after is dwelling and retracting: how
+/// much of either is recorded says nothing of the tool.
+pub fn way_in_contact(depth: &[f64]) -> Option<(usize, usize)> {
+    let deepest = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if deepest <= 0.0 {
+        return None;
+    }
+    let end = depth.iter().position(|z| *z >= deepest - STANDING_MM)?;
+    let contact = depth[..end].iter().rposition(|z| *z <= STANDING_MM).unwrap_or(0);
+    Some((contact, end))
 }
 
 impl DepthDigest {
@@ -89,7 +131,24 @@ impl DepthDigest {
     pub fn of(profile: &DepthProfile) -> Option<Self> {
         let used = profile.bins().iter().rposition(|bin| bin.way_mm > 0.0)? + 1;
         let bins = profile.bins()[..used].iter().map(quantised).collect::<Option<Vec<_>>>()?;
-        (used <= MOST_DIGEST_BINS && bins.iter().any(|bin| bin.time > 0)).then_some(Self { bins })
+        let is_one = used <= MOST_DIGEST_BINS && bins.iter().any(|bin| bin.time > 0);
+        is_one.then_some(Self { bins, breakthrough: None })
+    }
+
+    /// The same with the depth at which the sheet opened, mm.
+    #[must_use]
+    pub fn with_breakthrough(mut self, depth_mm: Option<f64>) -> Self {
+        let fits =
+            |depth: &f64| *depth > 0.0 && *depth <= DIGEST_DEPTH_MM && self.bins.len() < MOST_DIGEST_BINS;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to fit")]
+        let quantised = |depth: f64| (depth / WAY_MM).round() as u32;
+        self.breakthrough = depth_mm.filter(fits).map(quantised);
+        self
+    }
+
+    /// Depth at which the sheet opened, mm, where the feed drive's load showed it.
+    pub fn breakthrough_mm(&self) -> Option<f64> {
+        self.breakthrough.map(|depth| f64::from(depth) * WAY_MM)
     }
 
     /// The same as a profile.
@@ -101,6 +160,24 @@ impl DepthDigest {
             total: bin.energy as f64 * ENERGY_J,
         });
         Some(DepthProfile::of_bins(&relation_config()?, bins))
+    }
+
+    /// Energy from contact to the end of the way, J.
+    pub fn joules(&self) -> f64 {
+        let total: i64 = self.bins.iter().fold(0, |sum, bin| sum.saturating_add(bin.energy));
+        #[expect(
+            clippy::cast_precision_loss,
+            reason = "64 energies, each below 2^53 mJ: rounding is far below 1 mJ of J"
+        )]
+        let total = total as f64;
+        total * ENERGY_J
+    }
+
+    /// Time from contact to the end of the way, ms.
+    pub fn duration_ms(&self) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "64 times below 2^32 are below 2^38")]
+        let total = self.bins.iter().map(|bin| u64::from(bin.time)).sum::<u64>() as f64;
+        total * TIME_S * 1e3
     }
 
     /// Whether one feed was run from end to end: its first and last millimetre, where drives speed up and brake, are
@@ -117,13 +194,16 @@ impl DepthDigest {
     /// The stored form.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(2 + 8 * self.bins.len());
-        out.push(FORMAT);
+        out.push(FORMATS[usize::from(self.breakthrough.is_some())]);
         out.push(u8::try_from(self.bins.len()).unwrap_or(u8::MAX));
         for bin in &self.bins {
             put(&mut out, u64::from(bin.way));
             put(&mut out, u64::from(bin.time));
             // Zig-zag: small energies of either sign stay short.
             put(&mut out, ((bin.energy << 1) ^ (bin.energy >> 63)).cast_unsigned());
+        }
+        if let Some(depth) = self.breakthrough {
+            put(&mut out, u64::from(depth));
         }
         out
     }
@@ -132,7 +212,8 @@ impl DepthDigest {
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (&[format, count], mut rest) = bytes.split_first_chunk::<2>()?;
         let count = usize::from(count);
-        if format != FORMAT || count == 0 || count > MOST_DIGEST_BINS {
+        let opens = FORMATS.iter().position(|known| *known == format)? == 1;
+        if count == 0 || count > MOST_DIGEST_BINS {
             return None;
         }
         let mut bins = Vec::with_capacity(count);
@@ -143,7 +224,8 @@ impl DepthDigest {
             let energy = (zigzag >> 1).cast_signed() ^ -((zigzag & 1).cast_signed());
             bins.push(DigestBin { way, time, energy });
         }
-        rest.is_empty().then_some(Self { bins })
+        let breakthrough = if opens { Some(u32::try_from(take(&mut rest)?).ok()?) } else { None };
+        rest.is_empty().then_some(Self { bins, breakthrough })
     }
 }
 
@@ -191,10 +273,11 @@ mod tests {
         #[test]
         fn what_is_stored_comes_back_and_damage_is_seen(
             bins in proptest::collection::vec((0_u32.., 0_u32.., -(1_i64 << 53)..(1_i64 << 53)), 1..=64),
+            opened in proptest::option::of(-1.0..70.0_f64),
             cut in any::<prop::sample::Index>(),
         ) {
             let bins = bins.into_iter().map(|(way, time, energy)| DigestBin { way, time, energy }).collect();
-            let digest = DepthDigest { bins };
+            let digest = DepthDigest { bins, breakthrough: None }.with_breakthrough(opened);
             let bytes = digest.to_bytes();
             prop_assert!(bytes.len() <= MOST_DIGEST_BYTES);
             prop_assert_eq!(DepthDigest::from_bytes(&bytes), Some(digest));

@@ -2,6 +2,7 @@
 //!
 //! Five bases, named with every figure and never mixed. No joules where neither power nor a rating is known.
 
+use super::digest::way_in_contact;
 use super::{Context, SampleClock, loads};
 use crate::cycle::{Channel, Samples};
 use crate::machine::{Calibration, FittedLine, LoadReference};
@@ -144,7 +145,7 @@ pub(super) fn by_sample(
         ),
         EnergyBasis::Calibrated => {
             let along = |line: Option<FittedLine>, load: Option<&[f64]>| {
-                line.zip(load).and_then(|(line, load)| load.iter().map(|&load| line.at(load)).collect())
+                line.zip(load).and_then(|(line, load)| motion.along(&line, load))
             };
             (
                 along(calibration.and_then(|lines| lines.torque), column(Channel::SpindleLoadPercent)),
@@ -317,12 +318,25 @@ impl Motion<'_> {
         Some(joules)
     }
 
+    /// What the tool feels at each sample by a fitted line; `None` where a load lies beyond it.
+    ///
+    /// Nothing before contact, where depth was sampled: what the drives need to spin up and to move is not the tool's,
+    /// and the peak of spinning up lies beyond what any hole was fitted to.
+    pub(super) fn along(&self, line: &FittedLine, load: &[f64]) -> Option<Vec<f64>> {
+        let depth = self.samples.column(Channel::DepthMm);
+        let surface = depth.and_then(way_in_contact).map_or(0, |(surface, _)| surface);
+        let felt = |(index, &load): (usize, &f64)| {
+            if index < surface { Some(0.0) } else { line.at(load) }
+        };
+        load.iter().enumerate().map(felt).collect()
+    }
+
     fn calibrated(&self, calibration: &Calibration) -> Calibrated {
         let (Some(line), Some(load)) = (calibration.torque, self.samples.column(Channel::SpindleLoadPercent))
         else {
             return Calibrated::NotPossible;
         };
-        let Some(torque) = load.iter().map(|&load| line.at(load)).collect::<Option<Vec<f64>>>() else {
+        let Some(torque) = self.along(&line, load) else {
             return Calibrated::Beyond;
         };
         let Some(spindle) = self.spindle_work(&torque) else {
@@ -332,7 +346,7 @@ impl Motion<'_> {
         if let (Some(line), Some(load)) =
             (calibration.thrust, self.samples.column(Channel::FeedDriveLoadPercent))
         {
-            let Some(thrust) = load.iter().map(|&load| line.at(load)).collect::<Option<Vec<f64>>>() else {
+            let Some(thrust) = self.along(&line, load) else {
                 return Calibrated::Beyond;
             };
             feed = self.feed_work(&thrust);

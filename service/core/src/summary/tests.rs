@@ -32,6 +32,7 @@ fn cycle(time: TimeBase, columns: Vec<(Channel, Vec<f64>)>) -> Cycle {
         law_version: None,
         profile: None,
         recommendation: None,
+        reference: None,
         spindle_speed_rpm: Some(1500.0),
         outcome: Outcome::Completed,
         samples: Some(Samples::new(time, columns, 10_000).unwrap()),
@@ -135,6 +136,33 @@ fn measured_power_is_a_trapezoid_less_the_idle_power_before_contact() {
     close(energy.total_joules, 500.0 * 0.195 + 1000.0 * 2.995);
     let without_depth = told(&every_10_ms(vec![power]), &machine(LoadReference::Unknown), None);
     assert_eq!(without_depth.best_energy().unwrap().idle, IdlePower::Included);
+}
+
+/// A recording from contact to full depth is compared as a whole; what surrounds it is not.
+#[test]
+fn the_contact_of_a_cycle_is_what_lies_between_the_surface_and_full_depth() {
+    let contact = |depth: Vec<f64>, load: Vec<f64>| {
+        let cycle = every_10_ms(vec![(Channel::DepthMm, depth), (Channel::SpindleLoadPercent, load)]);
+        let summary = told(&cycle, &machine(LoadReference::RatedPower), None);
+        let digest = summary.digest.unwrap();
+        (digest.joules(), digest.duration_ms(), summary.energy[0].total_joules)
+    };
+    // 7000 W for 10 ms at 10 % are 7 J.
+    let (joules, time, whole) = contact(vec![0.0, 0.1, 0.2], vec![10.0, 20.0, 30.0]);
+    close(joules, 42.0);
+    close(time, 30.0);
+    close(whole, 42.0);
+    let (joules, time, whole) = contact(
+        vec![-0.1, -0.1, 0.0, 0.1, 0.2, 0.2, 0.19, 0.0],
+        vec![50.0, 5.0, 10.0, 20.0, 30.0, 9.0, 9.0, 9.0],
+    );
+    close(joules, 35.0);
+    close(time, 20.0);
+    close(whole, 99.4);
+    // The surface is crossed in the middle of a step.
+    let (joules, time, _) = contact(vec![-0.1, 0.1, 0.2], vec![50.0, 20.0, 30.0]);
+    close(joules, 28.0);
+    close(time, 15.0);
 }
 
 #[test]

@@ -243,6 +243,7 @@ fields!(BaselineKey {
     spindle_speed_rpm,
     basis,
     idle_subtracted,
+    in_contact,
     energy_scale,
     strategy,
     law_version,
@@ -257,11 +258,20 @@ fields!(Measured {
     duration_ms,
     depth_mm,
     fall_depth_mm,
+    breakthrough_mm,
     operator_percent,
     digest,
 });
-fields!(Baseline { joules, duration_ms, depth_mm, fall_depth_mm, operator_percent, learnt_from });
-fields!(Usual { joules, duration_ms, depth_mm });
+fields!(Baseline {
+    joules,
+    duration_ms,
+    depth_mm,
+    fall_depth_mm,
+    breakthrough_mm,
+    operator_percent,
+    learnt_from
+});
+fields!(Usual { joules, duration_ms, depth_mm, breakthrough_mm });
 fields!(Change { before, back });
 fields!(TrendPoints { per_point, points, filling, count });
 fields!(KeyState {
@@ -276,6 +286,7 @@ fields!(KeyState {
     recent,
     energy_noise,
     time_noise,
+    sheet_noise,
     off,
     seen,
     flips,

@@ -1,6 +1,6 @@
 //! What the fold needs of one cycle.
 
-use crate::cycle::{Cycle, Flags, ProfileVersion};
+use crate::cycle::{Cycle, Flag, Flags, ProfileVersion};
 use crate::ids::{CycleId, MachineId, OperationId, RecommendationId};
 use crate::summary::{CycleSummary, DepthDigest, EnergyBasis, IdlePower};
 use crate::units::{Strategy, Timestamp};
@@ -90,12 +90,32 @@ impl CycleFacts {
         }
     }
 
-    /// Whether it is a reference cycle: one feed from end to end. The strategy says so, or it was asked for as one and
-    /// its samples show that it was run as one: a machine may name the advice that it did not follow.
+    /// What wear compares of it: whether that is the part in contact alone, the joules of it, and how long it took, ms.
+    ///
+    /// Of friction drilling it is the way from contact to full depth, where depth was sampled: how much of the
+    /// approach, of spinning up and of the retreat was recorded says nothing of the tool. Of every other cycle it is
+    /// all there is.
+    pub fn compared(&self, is_friction: bool) -> Option<(bool, f64, Option<f64>)> {
+        let (basis, _, joules) = self.energy?;
+        let contact = self.digest.as_ref().filter(|_| is_friction && basis != EnergyBasis::Reported);
+        Some(match contact {
+            Some(digest) => (true, digest.joules(), Some(digest.duration_ms())),
+            None => (false, joules, self.duration_ms),
+        })
+    }
+
+    /// Whether it is a reference cycle: one feed from end to end.
+    ///
+    /// The strategy says so; or the machine says so, and no sample contradicts it; or it was asked for as one, and its
+    /// samples show that it was run as one: a machine may name the advice that it did not follow. A machine that says
+    /// that it is none is believed before the advice, and after the strategy.
     pub fn is_reference(&self) -> bool {
+        let shown = self.digest.as_ref().map(DepthDigest::is_constant_feed);
         match self.strategy {
             Some(Strategy::FConst) => true,
-            _ => self.asked_as_reference && self.digest.as_ref().is_some_and(DepthDigest::is_constant_feed),
+            _ if self.flags.contains(Flag::NoReferenceCycle) => false,
+            None if self.flags.contains(Flag::ReferenceCycle) => shown.unwrap_or(true),
+            _ => self.asked_as_reference && shown == Some(true),
         }
     }
 

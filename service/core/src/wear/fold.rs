@@ -17,7 +17,7 @@ use crate::tool::ToolEventKind;
 use crate::units::{Process, Strategy};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 2;
+pub const FOLD_VERSION: u16 = 3;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
@@ -35,6 +35,9 @@ const LASTING: usize = 3;
 const FLIP_SPAN: u64 = 6;
 /// Levels are compared with the limits with this much room for rounding.
 const ROUNDING: f64 = 1e-9;
+
+/// As [`CycleFacts::compared`].
+type Compared = (bool, f64, Option<f64>);
 
 /// What the operation of a cycle says about how it is judged; `None` fields where it is silent.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -177,7 +180,7 @@ impl ToolFold {
         self.last = Some(facts.order.clone());
         self.cycles += 1;
         self.note_feeds(facts, settings);
-        let (joules, settings) = match self.countable(facts, settings) {
+        let (compared, settings) = match self.countable(facts, settings) {
             Ok(found) => found,
             Err(why) => {
                 if !matches!(why, Exclusion::Aborted | Exclusion::Incomplete) {
@@ -187,8 +190,9 @@ impl ToolFold {
                 return;
             }
         };
-        let at = self.key_of(facts, settings);
-        let mut cycle = Measured::of(facts, joules, self.cycles);
+        let (in_contact, joules, duration_ms) = compared;
+        let at = self.key_of(facts, in_contact, settings);
+        let mut cycle = Measured::of(facts, (joules, duration_ms), self.cycles);
         if !settings.is_friction {
             cycle.digest = None;
         }
@@ -225,12 +229,12 @@ impl ToolFold {
         }
     }
 
-    /// The joules and settings of a cycle that can be compared at all, or why it cannot.
+    /// What is compared of a cycle that can be compared at all, and its settings, or why it cannot.
     fn countable<'a>(
         &self,
         facts: &CycleFacts,
         settings: Option<&'a FoldSettings>,
-    ) -> Result<(f64, &'a FoldSettings), Exclusion> {
+    ) -> Result<(Compared, &'a FoldSettings), Exclusion> {
         if self.awaiting_mount || facts.flags.contains(Flag::ClockSuspect) {
             return Err(Exclusion::ClockSuspect);
         }
@@ -238,7 +242,7 @@ impl ToolFold {
             return Err(Exclusion::Aborted);
         }
         let settings = settings.ok_or(Exclusion::OperationUnregistered)?;
-        let (_, _, joules) = facts.energy.ok_or(Exclusion::NoEnergy)?;
+        let compared = facts.compared(settings.is_friction).ok_or(Exclusion::NoEnergy)?;
         if facts.coverage < COVERAGE_FLOOR {
             return Err(Exclusion::LowCoverage);
         }
@@ -247,11 +251,11 @@ impl ToolFold {
         {
             return Err(Exclusion::Incomplete);
         }
-        Ok((joules, settings))
+        Ok((compared, settings))
     }
 
     /// The place of the cycle's key, which is made where it is met first.
-    fn key_of(&mut self, facts: &CycleFacts, settings: &FoldSettings) -> usize {
+    fn key_of(&mut self, facts: &CycleFacts, in_contact: bool, settings: &FoldSettings) -> usize {
         let (basis, idle_subtracted) = facts
             .energy
             .map_or((crate::summary::EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
@@ -263,6 +267,7 @@ impl ToolFold {
             spindle_speed_rpm: facts.spindle_speed_rpm.or(settings.spindle_speed_rpm),
             basis,
             idle_subtracted,
+            in_contact,
             energy_scale: facts.energy_scale,
             strategy: facts.compared_as(),
             law_version: facts.law_version.clone().filter(|_| as_told),
@@ -362,7 +367,9 @@ impl ToolFold {
                 }
                 self.count(at, cycle);
             }
-            Look::Off if key.off.is_empty() && !key.jumped(&cycle) => self.count(at, cycle),
+            Look::Off if key.off.is_empty() && !key.jumped(&cycle) && !key.another_sheet(&cycle, &usual) => {
+                self.count(at, cycle);
+            }
             Look::Off | Look::Usual => {
                 key.off.push(cycle);
                 if key.off.len() >= lasting(key.window) {
@@ -376,7 +383,7 @@ impl ToolFold {
     fn judge_step(&mut self, at: usize, usual: Usual) {
         let level = self.standing();
         let key = &mut self.keys[at];
-        let level_step = key.off_is_level();
+        let level_step = key.off_is_level() || key.off_is_another_sheet(&usual);
         let off = std::mem::take(&mut key.off);
         if !level_step {
             off.into_iter().for_each(|cycle| self.count(at, cycle));
@@ -420,11 +427,13 @@ impl ToolFold {
         }
     }
 
-    /// Single cycles off the usual, followed by a usual one: counted, unless they were not finished.
+    /// Single cycles off the usual, followed by a usual one: counted, unless they were not finished or in another sheet.
     fn settle_off(&mut self, at: usize, usual: &Usual) {
         for cycle in std::mem::take(&mut self.keys[at].off) {
             if KeyState::looks_incomplete(&cycle, usual) {
                 self.leave_out(&cycle, Exclusion::Incomplete);
+            } else if self.keys[at].another_sheet(&cycle, usual) {
+                self.leave_out(&cycle, Exclusion::ConditionsChanged);
             } else {
                 self.count(at, cycle);
             }

@@ -124,7 +124,8 @@ impl ToolFold {
         if current.is_some_and(|key| key.change.is_some()) {
             say(
                 "conditions_changed",
-                "energy, time or depth jumped and stayed: confirm the conditions".into(),
+                "energy, time, depth or the sheet's thickness jumped and stayed: confirm the conditions"
+                    .into(),
             );
             return ToolState::Changed;
         }

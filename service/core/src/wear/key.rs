@@ -30,6 +30,11 @@ const STEP_UNKNOWN_NOISE: f64 = 0.15;
 const STEP_MAX: f64 = 0.20;
 /// A step has to exceed the noise of single cycles so many times.
 const STEP_SIGMAS: f64 = 4.0;
+/// Depths of breakthrough that differ by less are one sheet's, and those that differ by more are two sheets', however
+/// noisy the loads are.
+const SHEET_STEP: (f64, f64) = (0.07, 0.10);
+/// Standard deviation of that depth, relative, before it is known, and how many differences that is worth.
+const SHEET_SIGMA: (f64, f64) = (0.02, 6.0);
 /// Cycles after a step that make it lasting while a baseline is being learnt.
 const LASTING_LEARNT: usize = 3;
 /// So many odd cycles at the start are no conditions of their own.
@@ -65,22 +70,25 @@ pub(super) struct Measured {
     pub(super) duration_ms: Option<f64>,
     pub(super) depth_mm: Option<f64>,
     pub(super) fall_depth_mm: Option<f64>,
+    /// Depth at which the sheet opened.
+    pub(super) breakthrough_mm: Option<f64>,
     pub(super) operator_percent: Option<f64>,
     /// Energy over depth; dropped once the cycle was counted.
     pub(super) digest: Option<DepthDigest>,
 }
 
 impl Measured {
-    pub(super) fn of(facts: &CycleFacts, joules: f64, number: u64) -> Self {
+    pub(super) fn of(facts: &CycleFacts, (joules, duration_ms): (f64, Option<f64>), number: u64) -> Self {
         Self {
             number,
             machine: facts.order.machine.clone(),
             cycle: facts.order.cycle.clone(),
             started_us: facts.order.started_at.micros(),
             joules,
-            duration_ms: facts.duration_ms,
+            duration_ms,
             depth_mm: facts.max_depth_mm,
             fall_depth_mm: facts.fall_depth_mm,
+            breakthrough_mm: facts.digest.as_ref().and_then(DepthDigest::breakthrough_mm),
             operator_percent: facts.operator_override_percent,
             digest: facts.digest.clone(),
         }
@@ -99,6 +107,7 @@ pub(super) struct Baseline {
     pub(super) duration_ms: Option<f64>,
     pub(super) depth_mm: Option<f64>,
     pub(super) fall_depth_mm: Option<f64>,
+    pub(super) breakthrough_mm: Option<f64>,
     pub(super) operator_percent: Option<f64>,
     pub(super) learnt_from: u32,
 }
@@ -109,6 +118,7 @@ pub(super) struct Usual {
     pub(super) joules: f64,
     pub(super) duration_ms: Option<f64>,
     pub(super) depth_mm: Option<f64>,
+    pub(super) breakthrough_mm: Option<f64>,
 }
 
 /// How a cycle compares with what is usual for its key.
@@ -147,6 +157,7 @@ pub(super) struct KeyState {
     /// Relative differences of successive counted energies and times.
     pub(super) energy_noise: Vec<f64>,
     pub(super) time_noise: Vec<f64>,
+    pub(super) sheet_noise: Vec<f64>,
     /// Cycles off the usual that are not told yet from a lasting step.
     pub(super) off: Vec<Measured>,
     /// Cycles of this key so far, and those at which a single cycle off the usual was followed by a usual one.
@@ -196,6 +207,7 @@ impl KeyState {
             recent: Vec::new(),
             energy_noise: Vec::new(),
             time_noise: Vec::new(),
+            sheet_noise: Vec::new(),
             off: Vec::new(),
             seen: 0,
             flips: Vec::new(),
@@ -213,6 +225,7 @@ impl KeyState {
             && self.key.operation == key.operation
             && self.key.basis == key.basis
             && self.key.idle_subtracted == key.idle_subtracted
+            && self.key.in_contact == key.in_contact
             && self.key.energy_scale == key.energy_scale
             && self.key.strategy == key.strategy
             && self.key.law_version == key.law_version
@@ -290,6 +303,8 @@ impl KeyState {
             joules: median(&energies),
             duration_ms: medians(last.iter().map(|cycle| cycle.duration_ms)),
             depth_mm: medians(last.iter().map(|cycle| cycle.depth_mm)),
+            // The sheet of the baseline, not of the last cycles: step by step these could come to any sheet.
+            breakthrough_mm: self.baseline.as_ref().and_then(|baseline| baseline.breakthrough_mm),
         })
     }
 
@@ -303,7 +318,26 @@ impl KeyState {
         let energy_off = (cycle.joules / usual.joules - 1.0).abs() > self.energy_step();
         let time_off =
             ratio(cycle.duration_ms, usual.duration_ms).is_some_and(|r| (r - 1.0).abs() > self.time_step());
-        if depth_off || energy_off || time_off { Look::Off } else { Look::Usual }
+        if depth_off || energy_off || time_off || self.another_sheet(cycle, usual) {
+            Look::Off
+        } else {
+            Look::Usual
+        }
+    }
+
+    /// Whether the sheet opened at another depth than usual: it is thicker or thinner, which no wear does.
+    pub(super) fn another_sheet(&self, cycle: &Measured, usual: &Usual) -> bool {
+        ratio(cycle.breakthrough_mm, usual.breakthrough_mm)
+            .is_some_and(|r| (r - 1.0).abs() > self.sheet_step())
+    }
+
+    fn sheet_step(&self) -> f64 {
+        let ((least, most), (expected, worth)) = (SHEET_STEP, SHEET_SIGMA);
+        #[expect(clippy::cast_precision_loss, reason = "at most 16 differences")]
+        let n = if sigma(&self.sheet_noise).is_some() { self.sheet_noise.len() as f64 } else { 0.0 };
+        let seen = sigma(&self.sheet_noise).unwrap_or(expected);
+        let sigma = ((n * seen * seen + worth * expected * expected) / (n + worth)).sqrt();
+        (STEP_SIGMAS * sigma).clamp(least, most)
     }
 
     /// Whether `cycle` is off not only what is usual but also most of its last predecessors: wear creeps, a step
@@ -322,11 +356,15 @@ impl KeyState {
     /// Whether `cycle` lies nearer to the cycles that are off than to what is usual: a step goes on, although noise
     /// brings single cycles back below the limit.
     pub(super) fn goes_on(&self, cycle: &Measured, usual: &Usual) -> bool {
-        let energies: Vec<f64> = self.off.iter().map(|cycle| cycle.joules).collect();
-        !energies.is_empty() && {
-            let level = median(&energies);
-            (cycle.joules - level).abs() < (cycle.joules - usual.joules).abs()
+        let nearer = |of: f64, off: f64, usual: f64| (of - off).abs() < (of - usual).abs();
+        if self.off_is_another_sheet(usual)
+            && let Some(off) = medians(self.off.iter().map(|cycle| cycle.breakthrough_mm))
+            && let (Some(depth), Some(usual)) = (cycle.breakthrough_mm, usual.breakthrough_mm)
+        {
+            return nearer(depth, off, usual);
         }
+        let energies: Vec<f64> = self.off.iter().map(|cycle| cycle.joules).collect();
+        !energies.is_empty() && nearer(cycle.joules, median(&energies), usual.joules)
     }
 
     /// The relative step in energy that is more than noise.
@@ -347,6 +385,11 @@ impl KeyState {
                     && cycle.joules < 0.9 * usual.joules
             }
         }
+    }
+
+    /// Whether most of the cycles that are off are another sheet's.
+    pub(super) fn off_is_another_sheet(&self, usual: &Usual) -> bool {
+        2 * self.off.iter().filter(|cycle| self.another_sheet(cycle, usual)).count() > self.off.len()
     }
 
     /// Whether all cycles that are off stayed where the first of them jumped to, instead of running on.
@@ -373,6 +416,9 @@ impl KeyState {
                 && before > 0.0
             {
                 push_bounded(&mut self.time_noise, apart(now, before), NOISE_LENGTH);
+            }
+            if let (Some(now), Some(before)) = (cycle.breakthrough_mm, last.breakthrough_mm) {
+                push_bounded(&mut self.sheet_noise, apart(now, before), NOISE_LENGTH);
             }
         }
         push_bounded(&mut self.recent, cycle, USUAL_LENGTH.max(INDICATOR_LENGTH));
@@ -406,6 +452,9 @@ impl KeyState {
             joules: median(&energies),
             duration_ms: medians(agreeing.iter().map(|cycle| cycle.duration_ms)),
             depth_mm: medians(agreeing.iter().map(|cycle| cycle.depth_mm)),
+            breakthrough_mm: commonest(
+                &agreeing.iter().filter_map(|cycle| cycle.breakthrough_mm).collect::<Vec<f64>>(),
+            ),
         })
     }
 
@@ -421,7 +470,7 @@ impl KeyState {
         let judged: Vec<(Measured, Option<Exclusion>)> = self
             .learning
             .iter()
-            .map(|cycle| (cycle.clone(), Self::unfit_to_learn_from(cycle, &centre, operator)))
+            .map(|cycle| (cycle.clone(), self.unfit_to_learn_from(cycle, &centre, operator)))
             .collect();
         let fit: Vec<&Measured> = judged
             .iter()
@@ -440,6 +489,7 @@ impl KeyState {
             duration_ms: medians(fit.iter().map(|cycle| cycle.duration_ms)),
             depth_mm: medians(fit.iter().map(|cycle| cycle.depth_mm)),
             fall_depth_mm: medians(fit.iter().map(|cycle| cycle.fall_depth_mm)),
+            breakthrough_mm: medians(fit.iter().map(|cycle| cycle.breakthrough_mm)),
             operator_percent: medians(fit.iter().map(|cycle| cycle.operator_percent)),
             learnt_from: self.needed,
         });
@@ -475,13 +525,15 @@ impl KeyState {
     }
 
     /// Why `cycle` is left out of a baseline around `centre`.
-    pub(super) fn unfit_to_learn_from(cycle: &Measured, centre: &Usual, operator: f64) -> Option<Exclusion> {
+    fn unfit_to_learn_from(&self, cycle: &Measured, centre: &Usual, operator: f64) -> Option<Exclusion> {
         if (cycle.operator() - operator).abs() > OPERATOR_TOLERANCE {
             Some(Exclusion::OperatorOverride)
         } else if Self::looks_incomplete(cycle, centre) {
             Some(Exclusion::Incomplete)
         } else if cycle.joules < UNDERCUT * centre.joules {
             Some(Exclusion::AirCut)
+        } else if self.another_sheet(cycle, centre) {
+            Some(Exclusion::ConditionsChanged)
         } else if within(cycle.joules, centre.joules, LEARNING_BAND) {
             None
         } else {
@@ -524,10 +576,27 @@ fn is_step(before: &[f64], after: &[f64]) -> bool {
     (high / low - 1.0).abs() > STEP_UNKNOWN_NOISE && steady(before, low) && steady(after, high)
 }
 
-fn step(differences: &[f64]) -> f64 {
-    if differences.len() < NOISE_KNOWN {
-        return STEP_UNKNOWN_NOISE;
+/// Median of the largest group of depths that are one sheet's; the first of several that are as large.
+fn commonest(depths: &[f64]) -> Option<f64> {
+    let alike = |depth: f64| {
+        let near = |other: &&f64| (**other / depth - 1.0).abs() <= SHEET_STEP.1;
+        depths.iter().filter(near).copied().collect::<Vec<f64>>()
+    };
+    let mut largest: Vec<f64> = Vec::new();
+    for depth in depths {
+        let group = alike(*depth);
+        if group.len() > largest.len() {
+            largest = group;
+        }
     }
-    let sigma = median(differences) / DIFFERENCE_MEDIAN;
-    (STEP_SIGMAS * sigma).clamp(STEP_MIN, STEP_MAX)
+    (!largest.is_empty()).then(|| median(&largest))
+}
+
+/// Standard deviation of single cycles, relative, from successive differences; `None` while there are too few.
+fn sigma(differences: &[f64]) -> Option<f64> {
+    (differences.len() >= NOISE_KNOWN).then(|| median(differences) / DIFFERENCE_MEDIAN)
+}
+
+fn step(differences: &[f64]) -> f64 {
+    sigma(differences).map_or(STEP_UNKNOWN_NOISE, |sigma| (STEP_SIGMAS * sigma).clamp(STEP_MIN, STEP_MAX))
 }

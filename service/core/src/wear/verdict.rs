@@ -140,6 +140,8 @@ pub struct BaselineKey {
     pub basis: EnergyBasis,
     /// Whether idle power was subtracted from it.
     pub idle_subtracted: bool,
+    /// Whether it is the energy from contact to full depth alone, and not of all that was recorded.
+    pub in_contact: bool,
     /// Fingerprint of the ratings and fitted lines that the energy rests on.
     pub energy_scale: i64,
     /// How the feed was chosen.

@@ -27,6 +27,10 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
             return Err(unsupported("this body must not be compressed"));
         }
         let bytes = read(request, state).await?;
+        // Serde would take a list for the fields in their order, and an empty one for every default.
+        if bytes.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'[') {
+            return Err(Violation::new("", "wrong_type", "must be an object, is a list").into());
+        }
         parse(&bytes).map(Self)
     }
 }

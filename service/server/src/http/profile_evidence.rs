@@ -55,6 +55,7 @@ pub(super) async fn shadow_report(
     let program = stored.content.program().map_err(|error| Problem::internal(error.to_string()))?;
     let asked = Asked {
         program: Some(program),
+        profile: None,
         law: None,
         axis: AxisLimits { acceleration_mm_s2: limits.acceleration_mm_s2, override_latency_ipo: LATENCY_IPO },
         limits: LoadLimits {

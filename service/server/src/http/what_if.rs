@@ -3,11 +3,13 @@
 use super::body::Json;
 use super::compute::{compute, on_thread, room};
 use super::dto::time;
-use super::dto::what_if::{ManyAnswer, ManyQuestion, SumBody, SumErrorBody, WhatIfAnswer, WhatIfQuestion};
+use super::dto::what_if::{
+    ControlBody, ManyAnswer, ManyQuestion, ProfileChoice, SumBody, SumErrorBody, WhatIfAnswer, WhatIfQuestion,
+};
 use super::extract::PathId;
 use super::problem::{Problem, ProblemDocument};
 use crate::state::AppState;
-use crate::what_if::{Asked, IdleLoads, Library, Prediction, Unusable, predict};
+use crate::what_if::{Asked, AskedProfile, IdleLoads, Library, Prediction, Unusable, predict};
 use axum::extract::State;
 use feedwright_core::friction::whatif::RunFigures;
 use feedwright_core::ids::{CycleId, MachineId};
@@ -40,6 +42,7 @@ pub(super) async fn of_cycle(
     Json(question): Json<WhatIfQuestion>,
 ) -> Result<axum::Json<WhatIfAnswer>, Problem> {
     let (asked, idle) = question.to_asked()?;
+    let asked = with_profile(&state, &question.control, asked, "control").await?;
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
     let mut library = Library::new(state.store.clone(), idle);
@@ -68,18 +71,51 @@ pub(super) async fn of_many(
 ) -> Result<axum::Json<ManyAnswer>, Problem> {
     let inside = |wrong: Violation| Violation { path: format!("question.{}", wrong.path), ..wrong };
     let (asked, idle) = question.question.to_asked().map_err(inside)?;
+    let asked = with_profile(&state, &question.question.control, asked, "question.control").await?;
     if asked.samples {
         let text = "samples are told of one cycle at a time";
         return Err(Violation::new("question.samples", "not_of_many", text).into());
     }
     let most = question.most()?;
     let filter = question.filter.to_filter("filter")?;
+    if let (Some(operation), Some(profile)) = (&filter.operation, &asked.profile)
+        && profile.content.operation() != operation
+    {
+        let text = format!("the profile is for operation {}", profile.content.operation());
+        return Err(Violation::new("question.control.profile.id", "other_operation", text).into());
+    }
     let room = room()?;
     let mut rows = state.store.cycles(&filter, Page { after: None, limit: most + 1 }).await?;
     let next = rows.get(most as usize).map(|row| time::show(row.cycle.started_at));
     rows.truncate(most as usize);
     let sum = run_all(&state, &room, rows, &asked, idle, question.cycles).await?;
     Ok(axum::Json(sum.answer(next)))
+}
+
+/// Looks up the stored profile that is asked about, where one is; `at` is the control's own path.
+async fn with_profile(
+    state: &AppState,
+    control: &ControlBody,
+    asked: Asked,
+    at: &str,
+) -> Result<Asked, Problem> {
+    let Some(ProfileChoice::Stored(id, version)) = control.choice()? else { return Ok(asked) };
+    let wrong = |field: &str, code, text: String| {
+        Problem::from(Violation::new(format!("{at}.profile.{field}"), code, text))
+    };
+    let line = state.store.feed_profile(&id).await?;
+    let line =
+        line.ok_or_else(|| wrong("id", "unknown_profile", format!("there is no feed profile {id}")))?;
+    let version = version.or(line.active).ok_or_else(|| {
+        wrong("version", "no_active_version", format!("no version of {id} is active: name the version"))
+    })?;
+    let stored = state.store.profile_version(&id, version).await?.ok_or_else(|| {
+        let text = format!("{id} has versions 1 to {}, not {version}", line.newest);
+        wrong("version", "unknown_version", text)
+    })?;
+    let program = stored.content.program().map_err(|error| Problem::internal(error.to_string()))?;
+    let profile = AskedProfile { version: stored.version, content: stored.content };
+    Ok(Asked { program: Some(program), profile: Some(std::sync::Arc::new(profile)), ..asked })
 }
 
 /// Runs stored cycles under another control, some at a time, for a request that has room.

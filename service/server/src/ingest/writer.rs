@@ -198,6 +198,7 @@ mod tests {
             strategy: None,
             law_version: None,
             profile: None,
+            reference: None,
             recommendation: None,
             spindle_speed_rpm: None,
             outcome: Outcome::Completed,

@@ -116,6 +116,13 @@ pub fn check(
     if let Some(text) = &meta.recommendation_id {
         keep(RecommendationId::parse("recommendation_id", text), &mut wrong);
     }
+    if meta.reference_cycle == Some(true)
+        && (meta.law_version.is_some() || meta.strategy.as_deref().is_some_and(|word| word != "f_const"))
+    {
+        let why =
+            "a reference cycle runs one constant feed without a law: its strategy is f_const, or is left out";
+        wrong.push(Violation::new("reference_cycle", "contradictory", why));
+    }
     let profile = meta.profile.as_ref().and_then(|named| {
         let profile = keep(ProfileId::parse("profile.id", &named.id), &mut wrong);
         if named.version == 0 {
@@ -495,6 +502,7 @@ impl StreamedCycle {
         put("law_version", meta.law_version.as_deref().map(Value::from));
         put("profile", meta.profile.as_ref().map(|p| json!({"id": p.id, "version": p.version})));
         put("recommendation_id", meta.recommendation_id.as_deref().map(Value::from));
+        put("reference_cycle", meta.reference_cycle.map(Value::from));
         put("spindle_speed_rpm", meta.spindle_speed_rpm.map(Value::from));
         put("outcome", outcome.map(Value::from));
         put("reported", reported.cloned());

@@ -73,6 +73,9 @@ pub struct StartMessage {
     /// The recommendation that the cycle follows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recommendation_id: Option<String>,
+    /// Whether it is a reference cycle, as in a posted cycle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference_cycle: Option<bool>,
     /// Commanded spindle speed, rpm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spindle_speed_rpm: Option<f64>,

@@ -4,14 +4,17 @@ use super::cycle::{ContactCycle, Unusable};
 use super::relation::Learned;
 use crate::http::dto::friction::control::{LawBody, ProgramBody};
 use crate::http::dto::friction::refused;
+use feedwright_core::cycle::ProfileVersion;
+use feedwright_core::feed::profile::{LimitsInput, Profile};
 use feedwright_core::friction::error::{Invalid, InvalidCode};
-use feedwright_core::friction::feed_override::{HIGHEST_OVERRIDE_PERCENT, OverrideRange};
+use feedwright_core::friction::feed_override::{HIGHEST_OVERRIDE_PERCENT, OverrideBounds, OverrideRange};
 use feedwright_core::friction::law::{LawConfig, LawParams};
 use feedwright_core::friction::program::FeedProgram;
 use feedwright_core::friction::twin::{AxisLimits, PaperStrategies};
 use feedwright_core::friction::whatif::{
     Control, LoadLimits, PredictedSample, WhatIf, predicted_course, what_if,
 };
+use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
 use feedwright_store::{StoredCycle, Surroundings};
 use std::sync::Arc;
@@ -19,11 +22,16 @@ use std::sync::Arc;
 /// Time without a sample that is a gap for the law, in sample periods, as the paper's law has it.
 const GAP_PERIODS: f64 = 2.5;
 
+/// A cycle may end so much deeper than a profile that covers it: the axis overshoots, and depths are rounded, mm.
+const DEEPER_MM: f64 = 0.1;
+
 /// What is asked of every cycle.
 #[derive(Debug, Clone)]
 pub struct Asked {
     /// Another program; the cycle's own where it is `None`.
     pub program: Option<FeedProgram>,
+    /// The stored profile that the program is of: what it was reviewed for is all it is asked about.
+    pub profile: Option<Arc<AskedProfile>>,
     /// A law on top; none where it is `None`.
     pub law: Option<LawBody>,
     /// What the feed axis can do.
@@ -36,20 +44,56 @@ pub struct Asked {
     pub samples: bool,
 }
 
+/// A version of a stored profile that is asked about.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AskedProfile {
+    /// Which.
+    pub version: ProfileVersion,
+    /// Its content.
+    pub content: Profile,
+}
+
+impl AskedProfile {
+    /// Whether it says anything about a cycle of that operation down to that depth.
+    pub fn covers(&self, operation: &OperationId, deepest_mm: f64) -> Result<(), Unusable> {
+        if self.content.operation() != operation {
+            return Err(Unusable::OtherOperation);
+        }
+        if deepest_mm > self.content.end_depth_mm() + DEEPER_MM {
+            return Err(Unusable::ProfileTooShort);
+        }
+        Ok(())
+    }
+
+    /// The sentence of that answer.
+    fn says(&self, why: Unusable) -> Invalid {
+        let text = match why {
+            Unusable::OtherOperation => {
+                format!("the profile is for operation {}, the cycle is of another", self.content.operation())
+            }
+            _ => format!(
+                "the profile ends at {} mm, the cycle goes deeper: nobody knows the feed there",
+                self.content.end_depth_mm()
+            ),
+        };
+        Invalid::new("control.profile", InvalidCode::Extrapolation, text)
+    }
+}
+
 impl Asked {
-    /// Reads the program and tries the law once, so that what is wrong with them is told before anything is read.
+    /// Reads the program, which comes with its own path, and tries the law once, so that what is wrong with them is told before anything is read.
     pub fn new(
-        program: Option<&ProgramBody>,
+        program: Option<(&ProgramBody, &str)>,
         law: Option<LawBody>,
         axis: AxisLimits,
         limits: LoadLimits,
         tolerated_overload_s: f64,
     ) -> Result<Self, Violation> {
-        let program = program.map(|program| program.to_program("control.program")).transpose()?;
+        let program = program.map(|(program, at)| program.to_program(at)).transpose()?;
         if let Some(law) = &law {
             law.over(paper_law()?, None, "control.law")?;
         }
-        Ok(Self { program, law, axis, limits, tolerated_overload_s, samples: false })
+        Ok(Self { program, profile: None, law, axis, limits, tolerated_overload_s, samples: false })
     }
 
     /// The other control for one cycle. Where neither program nor law is asked for it is the feed that ran, and
@@ -60,7 +104,8 @@ impl Asked {
         around: &Surroundings,
         own: &Control,
     ) -> Result<Control, Invalid> {
-        let law = self.law.map(|law| law_for(&law, cycle, around)).transpose()?;
+        let profile = self.profile.as_ref().map(|profile| profile.content.limits());
+        let law = self.law.map(|law| law_for(&law, profile, cycle, around)).transpose()?;
         let program = match (&self.program, &law) {
             (Some(program), _) => program.clone(),
             (None, Some(_)) => cycle.programmed()?,
@@ -76,20 +121,37 @@ fn paper_law() -> Result<LawParams, Violation> {
     adaptive.map_or_else(|| LawParams::paper(30.0, 40.0).map_err(internal), |law| Ok(*law.params()))
 }
 
-/// The law over the operation's set loads, within the machine's override range.
-fn law_for(law: &LawBody, cycle: &ContactCycle, around: &Surroundings) -> Result<LawConfig, Invalid> {
+/// The lower of two loads, where both are set.
+fn lower(one: Option<f64>, other: Option<f64>) -> Option<f64> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (one, other) => one.or(other),
+    }
+}
+
+/// The law over the lower of the profile's and the operation's set loads, else the paper's, within the override ranges of machine and profile.
+fn law_for(
+    law: &LawBody,
+    profile: Option<LimitsInput>,
+    cycle: &ContactCycle,
+    around: &Surroundings,
+) -> Result<LawConfig, Invalid> {
     let core =
         |violation: Violation| Invalid::new(violation.path, InvalidCode::OutOfRange, violation.message);
     let paper = paper_law().map_err(core)?;
     let operation = around.operation.as_ref();
     let period_ms = cycle.period_s * 1e3;
     let base = LawParams {
-        set_feed_drive_percent: operation
-            .and_then(|operation| operation.feed_drive_load_set_percent)
-            .or(paper.set_feed_drive_percent),
-        set_spindle_percent: operation
-            .and_then(|operation| operation.spindle_load_set_percent)
-            .or(paper.set_spindle_percent),
+        set_feed_drive_percent: lower(
+            profile.and_then(|limits| limits.feed_drive_load_set_percent),
+            operation.and_then(|operation| operation.feed_drive_load_set_percent),
+        )
+        .or(paper.set_feed_drive_percent),
+        set_spindle_percent: lower(
+            profile.and_then(|limits| limits.spindle_load_set_percent),
+            operation.and_then(|operation| operation.spindle_load_set_percent),
+        )
+        .or(paper.set_spindle_percent),
         period_ms,
         longest_gap_ms: GAP_PERIODS * period_ms,
         ..paper
@@ -97,6 +159,14 @@ fn law_for(law: &LawBody, cycle: &ContactCycle, around: &Surroundings) -> Result
     let limits = &around.machine.limits;
     let highest = limits.override_max_percent().min(HIGHEST_OVERRIDE_PERCENT);
     let machine = OverrideRange::new(limits.override_min_percent(), highest)?;
+    let base = match profile {
+        Some(limits) => {
+            let highest = limits.override_max_percent.min(HIGHEST_OVERRIDE_PERCENT);
+            let own = OverrideRange::new(limits.override_min_percent, highest)?;
+            LawParams { bounds: OverrideBounds::new(machine, own), ..base }
+        }
+        None => base,
+    };
     law.over(base, Some(machine), "control.law").map_err(core)
 }
 
@@ -113,6 +183,8 @@ pub struct Prediction {
     pub answer: WhatIf,
     /// What is predicted, sample by sample, where that was asked for.
     pub course: Option<Vec<PredictedSample>>,
+    /// The stored profile that was asked about.
+    pub profile: Option<Arc<AskedProfile>>,
 }
 
 /// Predicts one cycle.
@@ -130,6 +202,11 @@ pub fn predict(
         InvalidCode::NotIdentifiable => (Unusable::NoRelation, error),
         _ => (Unusable::Refused, error),
     };
+    if let Some(profile) = &asked.profile {
+        profile
+            .covers(&stored.cycle.operation, cycle.deepest_mm())
+            .map_err(|why| (why, profile.says(why)))?;
+    }
     let own = Control { program: cycle.feed_that_ran().map_err(refused)?, law: None };
     let other = asked.control(&cycle, around, &own).map_err(refused)?;
     let answer = what_if(&cycle.core(), &learned.relations, &asked.axis, &asked.limits, &own, &other);
@@ -137,5 +214,5 @@ pub fn predict(
     let course =
         asked.samples.then(|| predicted_course(&cycle.core(), &learned.relations, &asked.axis, &other));
     let course = course.transpose().map_err(refused)?;
-    Ok(Prediction { stored, cycle, learned, answer, course })
+    Ok(Prediction { stored, cycle, learned, answer, course, profile: asked.profile.clone() })
 }

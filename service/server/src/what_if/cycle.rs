@@ -7,6 +7,7 @@ use feedwright_core::friction::relation::FeedSource;
 use feedwright_core::friction::whatif::StoredCycle as CoreCycle;
 use feedwright_core::machine::Calibration;
 use feedwright_core::machine::{LoadReference, Machine};
+use feedwright_core::summary::way_in_contact;
 use feedwright_core::units::Strategy;
 use feedwright_store::CycleMeta;
 use std::f64::consts::TAU;
@@ -44,6 +45,10 @@ pub enum Unusable {
     NoSpeed,
     /// No cycle of the tool's life under this key teaches the relation, or not at these depths.
     NoRelation,
+    /// The profile that is asked about is another operation's.
+    OtherOperation,
+    /// The profile that is asked about ends before the cycle does.
+    ProfileTooShort,
     /// The core refuses it, or the other control would never finish the hole.
     Refused,
 }
@@ -58,6 +63,8 @@ impl Unusable {
             Self::Length => "too_few_or_many_samples",
             Self::NoSpeed => "no_spindle_speed",
             Self::NoRelation => "no_relation",
+            Self::OtherOperation => "other_operation",
+            Self::ProfileTooShort => "profile_too_short",
             Self::Refused => "refused",
         }
     }
@@ -131,11 +138,10 @@ impl ContactCycle {
         let feed_drive = column(Channel::FeedDriveLoadPercent)?;
         let spindle = column(Channel::SpindleLoadPercent)?;
         let period_s = period_s(samples)?;
-        let contact = depth.iter().position(|z| *z >= 0.0).ok_or(Unusable::Length)?;
-        let deepest = (contact..depth.len())
-            .max_by(|a, b| depth[*a].total_cmp(&depth[*b]).then(b.cmp(a)))
-            .ok_or(Unusable::Length)?;
-        let range = contact..deepest + 1;
+        let (surface, end) = way_in_contact(depth).ok_or(Unusable::Length)?;
+        // The last sample at the surface belongs to the air where it lies above it.
+        let contact = if depth[surface] < 0.0 { surface + 1 } else { surface };
+        let range = contact..end + 1;
         if !(FEWEST_SAMPLES..=MOST_SAMPLES).contains(&range.len()) {
             return Err(Unusable::Length);
         }

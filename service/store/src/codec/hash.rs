@@ -41,6 +41,10 @@ pub(super) fn of_parts(cycle: &Cycle, samples: Option<&Columns>) -> ContentHash 
             hash.option(value, Hash::float);
         }
     }
+    if let Some(reference) = cycle.reference {
+        hash.text("reference");
+        hash.bytes(&[u8::from(reference)]);
+    }
     hash.hasher.update(&hash.waiting);
     *hash.hasher.finalize().as_bytes()
 }

@@ -3,7 +3,7 @@
 use super::{ReportedCutRow, count, float, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
-use feedwright_core::cycle::{Cycle, CycleDraft, Flags, Outcome, ProfileVersion, Reported, Samples};
+use feedwright_core::cycle::{Cycle, CycleDraft, Flag, Flags, Outcome, ProfileVersion, Reported, Samples};
 use feedwright_core::summary::{CycleSummary, DepthDigest, Energy, EnergyBasis, IdlePower, Peak};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 
@@ -377,8 +377,19 @@ impl CycleRow {
                 .as_deref()
                 .map(|text| id("recommendation_id", text))
                 .transpose()?,
+            reference: self.reference()?,
             spindle_speed_rpm: self.spindle_speed_rpm,
             outcome: word("outcome", &self.outcome, Outcome::parse)?,
+        })
+    }
+
+    /// What the machine says of a reference cycle; it is kept among the flags.
+    fn reference(&self) -> StoreResult<Option<bool>> {
+        let flags = Flags::from_bits(number("flags", self.flags)?);
+        Ok(match (flags.contains(Flag::ReferenceCycle), flags.contains(Flag::NoReferenceCycle)) {
+            (true, _) => Some(true),
+            (false, true) => Some(false),
+            (false, false) => None,
         })
     }
 
@@ -397,6 +408,7 @@ impl CycleRow {
             law_version: meta.law_version,
             profile: meta.profile,
             recommendation: meta.recommendation,
+            reference: meta.reference,
             spindle_speed_rpm: meta.spindle_speed_rpm,
             outcome: meta.outcome,
             samples,

@@ -25,6 +25,7 @@ pub(crate) struct FleetCycleRow {
     rated_power_joules: Option<f64>,
     reported_energy_joules: Option<f64>,
     energy_scale: i64,
+    depth_digest: Option<Vec<u8>>,
 }
 
 impl FleetCycleRow {
@@ -52,6 +53,11 @@ impl FleetCycleRow {
                 .transpose()?,
             duration_ms: self.duration_ms,
             energy: energies.into_iter().find_map(|(basis, joules)| Some((basis, joules?))),
+            contact_joules: self
+                .depth_digest
+                .as_deref()
+                .map(|bytes| super::facts::digest(bytes).map(|digest| digest.joules()))
+                .transpose()?,
             energy_scale: self.energy_scale,
         })
     }

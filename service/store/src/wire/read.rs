@@ -28,6 +28,8 @@ pub struct Post {
     pub profile: Option<(String, u32)>,
     /// The recommendation that it followed.
     pub recommendation_id: Option<String>,
+    /// Whether it is called a reference cycle.
+    pub reference_cycle: Option<bool>,
     /// Commanded spindle speed, rpm.
     pub spindle_speed_rpm: Option<f64>,
     /// Word of its outcome.
@@ -147,6 +149,12 @@ impl<'a> Input<'a> {
             return malformed("it has fields that version 1 does not have");
         }
         let has = |field: Field| set >> (field as u8) & 1 == 1;
+        let reference_cycle = match (has(Field::ReferenceCycle), has(Field::NoReferenceCycle)) {
+            (true, true) => return malformed("it is called a reference cycle and none"),
+            (true, false) => Some(true),
+            (false, true) => Some(false),
+            (false, false) => None,
+        };
         // In the order of the bytes: fields of a struct are evaluated as they are written.
         Ok(Post {
             cycle_id: self.text()?,
@@ -161,6 +169,7 @@ impl<'a> Input<'a> {
                 .then(|| Ok((self.text()?, u32::from_le_bytes(self.bytes()?))))
                 .transpose()?,
             recommendation_id: has(Field::Recommendation).then(|| self.text()).transpose()?,
+            reference_cycle,
             spindle_speed_rpm: has(Field::SpindleSpeed).then(|| self.float()).transpose()?,
             outcome: has(Field::Outcome).then(|| self.text()).transpose()?,
             samples: has(Field::Samples).then(|| self.samples(max_samples)).transpose()?,

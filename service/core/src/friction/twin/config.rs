@@ -178,11 +178,12 @@ impl TwinParams {
         self.check_tool_and_sheet()?;
         self.check_material_and_wear()?;
         let m = &self.machine;
-        positive("machine.spindle_rated_power_w", m.spindle_rated_power_w, 1e6)?;
-        positive("machine.spindle_rated_rpm", m.spindle_rated_rpm, 1e5)?;
+        // A percent of next to nothing is no load.
+        between("machine.spindle_rated_power_w", m.spindle_rated_power_w, 1.0, 1e6)?;
+        between("machine.spindle_rated_rpm", m.spindle_rated_rpm, 1.0, 1e5)?;
         between("machine.spindle_idle_percent", m.spindle_idle_percent, 0.0, 100.0)?;
         between("machine.spindle_inertia_kg_m2", m.spindle_inertia_kg_m2, 0.0, 100.0)?;
-        positive("machine.feed_rated_thrust_n", m.feed_rated_thrust_n, 1e6)?;
+        between("machine.feed_rated_thrust_n", m.feed_rated_thrust_n, 1.0, 1e6)?;
         between("machine.feed_idle_percent", m.feed_idle_percent, 0.0, 100.0)?;
         between("machine.feed_mass_kg", m.feed_mass_kg, 0.0, 1e5)?;
         m.axis.check().map_err(|error| error.within("machine.axis"))?;
@@ -230,7 +231,7 @@ impl TwinParams {
         between("material.flash_normal_mpa", m.flash_normal_mpa, 0.0, 5000.0)?;
         between("material.torque_rate_exponent", m.torque_rate_exponent, 0.0, 2.0)?;
         between("material.thrust_rate_exponent", m.thrust_rate_exponent, 0.0, 2.0)?;
-        positive("material.reference_feed_mm", m.reference_feed_mm, 10.0)?;
+        between("material.reference_feed_mm", m.reference_feed_mm, 1e-4, 10.0)?;
         positive("material.softening_k", m.softening_k, 1e5)?;
         positive("material.heat_capacity_j_per_k", m.heat_capacity_j_per_k, 1e4)?;
         positive("material.cooling_s", m.cooling_s, 1e4)?;

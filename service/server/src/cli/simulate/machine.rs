@@ -20,8 +20,6 @@ use std::time::Duration;
 const WORN: f64 = 1.1;
 /// Wear over [`WORN`] at which a tool is changed although nobody was told so.
 const OVERDUE: f64 = 1.6;
-/// How far above the sheet a recording begins, mm: the spindle is at its speed there.
-const RECORDED_FROM_MM: f64 = -0.6;
 /// How much thicker the thick sheets are, and for how many cycles.
 const THICKER: (f64, u32) = (1.3, 12);
 /// Cycles that are kept back before they are replayed.
@@ -294,11 +292,9 @@ impl SimulatedMachine {
             _ if self.is_broken => BREAKS_AT_MM,
             _ => f64::INFINITY,
         };
-        let recorded: Vec<&CycleSample> =
-            samples.iter().filter(|sample| sample.depth_mm >= RECORDED_FROM_MM).collect();
         let column = |of: &dyn Fn(&CycleSample) -> f64, decimals: i32| -> Vec<f64> {
             let scale = 10_f64.powi(decimals);
-            recorded.iter().map(|sample| (of(sample) * scale).round() / scale).collect()
+            samples.iter().map(|sample| (of(sample) * scale).round() / scale).collect()
         };
         let or_idle = |sample: &CycleSample, load: f64, idle: f64| {
             if sample.depth_mm >= idles_from { idle } else { load }

@@ -41,6 +41,10 @@ pub struct CyclePost {
     profile: Option<ProfilePost>,
     /// The recommendation that it followed.
     recommendation_id: Option<String>,
+    /// Whether it was run as a reference cycle: one constant feed from end to end, no law, no override. True with another
+    /// strategy than `f_const`, or with a `law_version`, is refused; samples that show different feeds are believed
+    /// before it, and flag the cycle `contradictory`. False says that a reference cycle was asked for and not run.
+    reference_cycle: Option<bool>,
     /// Commanded spindle speed, rpm.
     spindle_speed_rpm: Option<f64>,
     /// `completed` (where it is left out) or `aborted`.
@@ -211,9 +215,21 @@ pub struct SummaryBody {
     pub spindle_load_fall_depth_mm: Option<f64>,
     /// Share of the cycle's time that samples cover, 0 to 1.
     pub coverage_ratio: f64,
+    /// Of friction drilling, and of a cycle whose process is not known yet: what lies between contact and full depth.
+    /// Null where depth or energy was not sampled.
+    pub contact: Option<ContactBody>,
     /// Quality flags.
     #[schema(example = json!(["negative_power"]))]
     pub flags: Vec<&'static str>,
+}
+
+/// The part of a cycle from contact to full depth, which is what wear compares: without approach, spinning up and retreat.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ContactBody {
+    /// Energy on the best basis, J.
+    pub energy_joules: f64,
+    /// Time, ms.
+    pub duration_ms: f64,
 }
 
 /// Energy of a cycle on one basis.
@@ -289,6 +305,10 @@ impl From<&CycleSummary> for SummaryBody {
             median_spindle_speed_rpm: summary.median_spindle_speed_rpm,
             spindle_load_fall_depth_mm: summary.spindle_load_fall_depth_mm,
             coverage_ratio: summary.coverage,
+            contact: summary.digest.as_ref().map(|digest| ContactBody {
+                energy_joules: digest.joules(),
+                duration_ms: digest.duration_ms(),
+            }),
             flags: summary.flags.iter().map(feedwright_core::cycle::Flag::as_str).collect(),
         }
     }
@@ -323,6 +343,8 @@ pub struct CycleBody {
     pub profile_version: Option<u32>,
     /// The recommendation that it followed.
     pub recommendation_id: Option<String>,
+    /// Whether the machine said that it was a reference cycle.
+    pub reference_cycle: Option<bool>,
     /// Commanded spindle speed, rpm.
     pub spindle_speed_rpm: Option<f64>,
     /// How it ended.
@@ -355,6 +377,7 @@ impl From<&StoredCycle> for CycleBody {
             profile_id: cycle.profile.as_ref().map(|profile| profile.profile.to_string()),
             profile_version: cycle.profile.as_ref().map(|profile| profile.version),
             recommendation_id: cycle.recommendation.as_ref().map(ToString::to_string),
+            reference_cycle: cycle.reference,
             spindle_speed_rpm: cycle.spindle_speed_rpm,
             outcome: cycle.outcome.as_str(),
             content_hash: blake3::Hash::from_bytes(stored.hash).to_hex().to_string(),

@@ -171,7 +171,9 @@ fn energy_ratios(row: &FleetRow) -> Vec<f64> {
             && key.strategy == last.strategy
             && key.energy_scale == last.energy_scale
     });
-    let Some(baseline) = current.and_then(|baseline| baseline.baseline_joules).filter(|joules| *joules > 0.0)
+    let Some((baseline, in_contact)) = current
+        .and_then(|baseline| Some((baseline.baseline_joules?, baseline.key.in_contact)))
+        .filter(|(joules, _)| *joules > 0.0)
     else {
         return Vec::new();
     };
@@ -182,8 +184,12 @@ fn energy_ratios(row: &FleetRow) -> Vec<f64> {
             && cycle.strategy == last.strategy
             && cycle.energy_scale == last.energy_scale
     });
-    let energies = alike.filter_map(|cycle| cycle.energy).filter(|(of, _)| *of == basis);
-    let mut ratios: Vec<f64> = energies.map(|(_, joules)| joules / baseline).collect();
+    let joules = |cycle: &FleetCycle| {
+        let (of, whole) = cycle.energy?;
+        let joules = if in_contact { cycle.contact_joules? } else { whole };
+        (of == basis).then_some(joules)
+    };
+    let mut ratios: Vec<f64> = alike.filter_map(joules).map(|joules| joules / baseline).collect();
     ratios.reverse();
     ratios
 }

@@ -34,11 +34,11 @@ pub struct LifeBody {
     pub cycle_id: Vec<String>,
     /// The operation of each.
     pub operation: Vec<String>,
-    /// Energy of each on the basis that is compared, J.
+    /// Energy of each as it is compared, J: of friction drilling from contact to full depth, where depth was sampled.
     pub energy_joules: Vec<Option<f64>>,
     /// That over the baseline it is compared with: 1 is the new tool. Null where there is none.
     pub energy_ratio: Vec<Option<f64>>,
-    /// Cycle time of each, ms.
+    /// Time of each as it is compared, ms.
     pub duration_ms: Vec<Option<f64>>,
     /// Depth at which the spindle load of each has fallen to half of its maximum, mm.
     pub spindle_load_fall_depth_mm: Vec<Option<f64>>,
@@ -50,12 +50,16 @@ pub struct LifeBody {
 impl From<&ToolLife> for LifeBody {
     fn from(life: &ToolLife) -> Self {
         let facts = || life.cycles.iter().map(|cycle| &cycle.facts);
-        let joules = |facts: &CycleFacts| facts.energy.map(|(_, _, joules)| joules);
+        let joules = |cycle: &LifeCycle| cycle.facts.compared(cycle.is_friction).map(|(_, joules, _)| joules);
+        let duration = |cycle: &LifeCycle| match cycle.facts.compared(cycle.is_friction) {
+            Some((_, _, duration_ms)) => duration_ms,
+            None => cycle.facts.duration_ms,
+        };
         let baselines = &life.verdict.baselines;
         let ratio = |cycle: &LifeCycle| {
             // A basis that could not be told at all is no energy, whatever the verdict on the cycle.
-            let joules = joules(&cycle.facts)?;
-            baseline(baselines, &cycle.facts).map(|baseline| joules / baseline)
+            let (in_contact, joules, _) = cycle.facts.compared(cycle.is_friction)?;
+            baseline(baselines, &cycle.facts, in_contact).map(|baseline| joules / baseline)
         };
         Self {
             wear: (&life.verdict).into(),
@@ -64,9 +68,9 @@ impl From<&ToolLife> for LifeBody {
             machine: facts().map(|facts| facts.order.machine.to_string()).collect(),
             cycle_id: facts().map(|facts| facts.order.cycle.to_string()).collect(),
             operation: facts().map(|facts| facts.operation.to_string()).collect(),
-            energy_joules: facts().map(joules).collect(),
+            energy_joules: life.cycles.iter().map(joules).collect(),
             energy_ratio: life.cycles.iter().map(ratio).collect(),
-            duration_ms: facts().map(|facts| facts.duration_ms).collect(),
+            duration_ms: life.cycles.iter().map(duration).collect(),
             spindle_load_fall_depth_mm: facts().map(|facts| facts.fall_depth_mm).collect(),
             excluded: life.cycles.iter().map(|cycle| cycle.excluded.map(Exclusion::as_str)).collect(),
         }
@@ -74,7 +78,7 @@ impl From<&ToolLife> for LifeBody {
 }
 
 /// The baseline that a cycle is compared with, J.
-fn baseline(baselines: &[BaselineEvidence], facts: &CycleFacts) -> Option<f64> {
+fn baseline(baselines: &[BaselineEvidence], facts: &CycleFacts, in_contact: bool) -> Option<f64> {
     let (basis, idle_subtracted, _) = facts.energy?;
     let alike = |one: &&BaselineEvidence| {
         let key = &one.key;
@@ -82,6 +86,7 @@ fn baseline(baselines: &[BaselineEvidence], facts: &CycleFacts) -> Option<f64> {
             && key.operation == facts.operation
             && key.basis == basis
             && key.idle_subtracted == idle_subtracted
+            && key.in_contact == in_contact
             && key.energy_scale == facts.energy_scale
             && key.strategy == facts.strategy
             && key.law_version == facts.law_version

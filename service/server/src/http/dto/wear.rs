@@ -263,6 +263,8 @@ pub struct BaselineBody {
     pub basis: &'static str,
     /// Whether idle power was subtracted.
     pub idle_subtracted: bool,
+    /// Whether its energies are those from contact to full depth alone, without approach, spinning up and retreat.
+    pub in_contact: bool,
     /// Names the ratings and fitted lines that its energies rest on; after a change of them it is another baseline.
     pub energy_scale: String,
     /// Strategy of the feed.
@@ -292,6 +294,7 @@ impl From<&BaselineEvidence> for BaselineBody {
             spindle_speed_rpm: key.spindle_speed_rpm,
             basis: EnergyBasis::as_str(key.basis),
             idle_subtracted: key.idle_subtracted,
+            in_contact: key.in_contact,
             energy_scale: format!("{:x}", key.energy_scale),
             strategy: key.strategy.map(feedwright_core::units::Strategy::as_str),
             law_version: key.law_version.clone(),

@@ -1,12 +1,12 @@
 //! What-if on stored cycles in JSON.
 
-use super::friction::control::{LawBody, ProgramBody};
+use super::friction::control::{BetweenWord, KnotBody, LawBody, ProgramBody};
 use super::friction::model::AxisBody;
 use super::time;
 use crate::what_if::{Asked, IdleLoads, IdleSource, Prediction, TorqueSource};
 use feedwright_core::friction::twin::paper_params;
 use feedwright_core::friction::whatif::{LoadLimits, PredictedSample, RunFigures};
-use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use feedwright_core::ids::{MachineId, OperationId, ProfileId, ToolId};
 use feedwright_core::invalid::{Range, Violation};
 use feedwright_store::CycleFilter;
 use serde::{Deserialize, Serialize};
@@ -49,11 +49,75 @@ pub struct WhatIfQuestion {
 #[serde(deny_unknown_fields, default)]
 pub struct ControlBody {
     /// Another feed over depth, piecewise held or linear; where it is left out, and a law is asked for, the cycle's
-    /// programmed feed. Also taken under the name `profile`.
-    #[serde(alias = "profile")]
+    /// programmed feed.
     pub program: Option<ProgramBody>,
+    /// A stored feed profile by its id and version, in place of `program`.
+    pub profile: Option<ProfileChoiceBody>,
     /// A law on top, over the operation's set loads and within the machine's override range; none where it is left out.
     pub law: Option<LawBody>,
+}
+
+/// A stored feed profile, or a feed over depth as in `program`.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+#[schema(example = json!({"id": "bush-m8-new", "version": 3}))]
+pub struct ProfileChoiceBody {
+    /// Id of a stored profile. A cycle of another operation, or deeper than the profile goes, is not usable.
+    pub id: Option<String>,
+    /// Its version, whatever its state; the active one where it is left out.
+    pub version: Option<u32>,
+    /// In place of an id: what the feed does between knots.
+    pub between: Option<BetweenWord>,
+    /// In place of an id: the knots.
+    pub knots: Option<Vec<KnotBody>>,
+}
+
+/// What a [`ControlBody`] names: a program as it is, or a stored profile.
+#[derive(Debug, Clone)]
+pub enum ProfileChoice {
+    /// A feed over depth.
+    Inline(ProgramBody),
+    /// A stored profile and its version.
+    Stored(ProfileId, Option<u32>),
+}
+
+impl ControlBody {
+    /// The program or profile that is asked about.
+    pub fn choice(&self) -> Result<Option<ProfileChoice>, Violation> {
+        let wrong = |path: &str, code, text: &str| Err(Violation::new(path, code, text));
+        let Some(profile) = &self.profile else {
+            return Ok(self.program.clone().map(ProfileChoice::Inline));
+        };
+        if self.program.is_some() {
+            return wrong("control.profile", "contradictory", "give a program or a profile, not both");
+        }
+        let inline = profile.between.is_some() || profile.knots.is_some();
+        match (&profile.id, inline) {
+            (Some(_), true) => {
+                wrong("control.profile", "contradictory", "give an id, or a feed over depth, not both")
+            }
+            (Some(id), false) => {
+                let id = ProfileId::parse("control.profile.id", id)?;
+                if profile.version == Some(0) {
+                    return wrong("control.profile.version", "out_of_range", "must be at least 1");
+                }
+                Ok(Some(ProfileChoice::Stored(id, profile.version)))
+            }
+            (None, _) if profile.version.is_some() => {
+                wrong("control.profile.id", "missing_field", "a version needs the id of its profile")
+            }
+            (None, _) => match (profile.between, &profile.knots) {
+                (Some(between), Some(knots)) => {
+                    Ok(Some(ProfileChoice::Inline(ProgramBody { between, knots: knots.clone() })))
+                }
+                _ => wrong(
+                    "control.profile",
+                    "missing_field",
+                    "needs the id of a stored profile, or `between` and `knots`",
+                ),
+            },
+        }
+    }
 }
 
 /// What counts as an overload and as an alarm.
@@ -142,7 +206,7 @@ impl ManyQuestion {
 }
 
 impl WhatIfQuestion {
-    /// What is asked, and the idle loads where they are given.
+    /// What is asked, and the idle loads where they are given; a stored profile is not looked up yet.
     pub fn to_asked(&self) -> Result<(Asked, Option<IdleLoads>), Violation> {
         let limits = LoadLimits {
             feed_drive_percent: self.limits.feed_drive_percent,
@@ -165,7 +229,18 @@ impl WhatIfQuestion {
             let IdleBody { feed_drive_percent, spindle_percent } = idle;
             Ok::<_, Violation>(IdleLoads { feed_drive_percent, spindle_percent })
         });
-        let asked = Asked::new(self.control.program.as_ref(), self.control.law, axis, limits, tolerated)?;
+        let inline = match self.control.choice()? {
+            Some(ProfileChoice::Inline(program)) => Some(program),
+            Some(ProfileChoice::Stored(..)) | None => None,
+        };
+        let at = if self.control.profile.is_some() { "control.profile" } else { "control.program" };
+        let asked = Asked::new(
+            inline.as_ref().map(|program| (program, at)),
+            self.control.law,
+            axis,
+            limits,
+            tolerated,
+        )?;
         Ok((Asked { samples: self.samples, ..asked }, idle.transpose()?))
     }
 }
@@ -288,6 +363,9 @@ pub struct AssumedBody {
     pub idle: IdleBody,
     /// `given`, `before_contact` or `assumed_zero`.
     pub idle_source: &'static str,
+    /// The stored profile that was asked about, as `id@version`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<String>,
     /// Where the energy comes from: `calibrated`, `rated_power` or `unknown` (no joules).
     pub energy_basis: &'static str,
 }
@@ -295,7 +373,7 @@ pub struct AssumedBody {
 impl WhatIfAnswer {
     /// The answer for one cycle.
     pub fn new(prediction: &Prediction, tolerated_s: f64) -> Self {
-        let Prediction { stored, cycle, learned, answer, course } = prediction;
+        let Prediction { stored, cycle, learned, answer, course, profile } = prediction;
         Self {
             machine: stored.cycle.machine.to_string(),
             cycle_id: stored.cycle.id.to_string(),
@@ -324,6 +402,9 @@ impl WhatIfAnswer {
                     IdleSource::BeforeContact => "before_contact",
                     IdleSource::AssumedZero => "assumed_zero",
                 },
+                profile: profile
+                    .as_ref()
+                    .map(|asked| format!("{}@{}", asked.version.profile, asked.version.version)),
                 energy_basis: match cycle.torque_source {
                     TorqueSource::Calibrated => "calibrated",
                     TorqueSource::Rated => "rated_power",

@@ -50,6 +50,7 @@ impl From<Post> for Body {
             law_version: post.law_version,
             profile: post.profile.map(|(id, version)| ProfileBody { id, version }),
             recommendation_id: post.recommendation_id,
+            reference_cycle: post.reference_cycle,
             spindle_speed_rpm: post.spindle_speed_rpm.map(Number),
             outcome: post.outcome,
             samples: post.samples.map(|PostedSamples { period_ms, time_ms, columns }| SamplesBody {

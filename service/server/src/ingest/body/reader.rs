@@ -85,6 +85,8 @@ impl<'a> Reader<'a> {
             law_version: fields.law_version,
             profile: fields.profile,
             recommendation_id: fields.recommendation_id,
+            // Rare: a body that has it is left to the reader that knows everything.
+            reference_cycle: None,
             spindle_speed_rpm: fields.spindle_speed_rpm,
             outcome: fields.outcome,
             samples: fields.samples,

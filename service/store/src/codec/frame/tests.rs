@@ -21,6 +21,7 @@ pub(crate) fn cycle() -> Cycle {
         strategy: Some(FeedStrategy::FAc),
         law_version: Some("law-1".to_owned()),
         profile: Some(ProfileVersion { profile: "P1".try_into().unwrap(), version: 3 }),
+        reference: None,
         recommendation: Some("0192f0c1-7e1d-7cc3-98c4-dc0c0c07398f".try_into().unwrap()),
         spindle_speed_rpm: Some(2400.0),
         outcome: Outcome::Completed,
