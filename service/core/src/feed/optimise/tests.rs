@@ -1,5 +1,5 @@
 use super::*;
-use crate::feed::study::{Case, Model, Plant, draw, recorded, settings};
+use crate::feed::study::{AnyPlant, Case, Model, Plant, draw, recorded, settings};
 use crate::friction::error::InvalidCode;
 use crate::friction::noise::Noise;
 use crate::friction::program::Knot;
@@ -151,8 +151,12 @@ fn feed_of(knots: &Knots, factor: f64) -> Vec<Knot> {
 #[test]
 fn energy_and_cost_give_up_time_for_work_and_never_the_other_way_round() {
     let mut differed = 0;
-    for seed in [4, 7, 11, 19] {
-        let case = draw(Model::Other, seed).unwrap();
+    for seed in [4, 7] {
+        let mut case = draw(Model::Other, seed).unwrap();
+        let AnyPlant::Other(model) = &mut case.plant else { unreachable!("a case of the second model") };
+        // A torque that grows faster than the feed: what a slower hole saves, until the drag of the tool eats it.
+        model.spindle.iter_mut().for_each(|bump| bump.exponent = 1.5);
+        let case = case;
         let cycles = cycles(&case, &[1.0, 0.85, 1.15]);
         let asked = |objective| {
             let settings = changed(&case, |params| params.objective = objective);
@@ -208,7 +212,12 @@ fn an_override_above_100_percent_is_what_the_loads_are_kept_at() {
     };
     assert!(time(&raised) > time(&usual) * 1.2, "its programmed feed is lower");
     // An override below 100 % is no reason to go faster: it may be put back.
-    assert_eq!(at(50.0), usual);
+    let ran = cycles(&case, &[1.0]);
+    let asked = |percent: f64| {
+        let settings = changed(&case, |params| params.override_percent = percent);
+        optimise(&ran, &settings, Some(&first(&case))).unwrap().knots
+    };
+    assert_eq!(asked(50.0), asked(100.0));
 }
 
 #[test]
