@@ -70,6 +70,17 @@ pub struct SpindleRating {
     pub base_speed_rpm: Option<f64>,
 }
 
+impl SpindleRating {
+    /// Power that one percent of load stands for at a speed, W; `None` where the ratings or the speed do not tell it.
+    #[must_use]
+    pub fn watts_per_percent(&self, speed_rpm: Option<f64>) -> Option<f64> {
+        let rated = self.rated_power_watts.filter(|_| self.reference != LoadReference::Unknown)?;
+        let share =
+            if self.reference.follows_torque() { (speed_rpm? / self.base_speed_rpm?).min(1.0) } else { 1.0 };
+        Some(rated * share / 100.0)
+    }
+}
+
 /// What the feed drive's load refers to and the rated values. Its percent is a force.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FeedDriveRating {

@@ -154,6 +154,14 @@ async fn two_versions_are_compared_over_the_cycles_that_ran_them() {
     assert_eq!(found.body["energy_joules"]["before"]["cycles"], 12);
     assert!(number(&found.body["peak_spindle_load_percent"]["change"]["value"]) > 0.0, "faster loads more");
     assert!(found.body["versions"][0]["wear_rate_per_thousand"]["low"].is_number());
+    // Their wear is said beside, and what it did is taken out where it is known.
+    let level = &found.body["wear_level"];
+    assert_eq!((&level["before"]["cycles"], &level["at_same_wear"]), (&json!(0), &Value::Null), "{level}");
+    assert_eq!(
+        found.body["duration_s"]["at_same_wear"],
+        Value::Null,
+        "the tool was never mounted: nobody knows"
+    );
     let again = story.shop.get(&format!("{HERE}/comparison?before={first}")).await;
     assert_eq!(again.text, found.text, "the same cycles give the same intervals");
     let same = story.shop.get(&format!("{HERE}/comparison?before={first}&after={first}")).await;
@@ -193,12 +201,36 @@ async fn files_are_written_for_controls_and_read_back_to_the_letter() {
     }
     let law = shop.get(&export("dialect=sinumerik&law_intensity=2")).await;
     assert!(law.text.contains("FCTDEF(1,20.000,100.000,"), "{}", law.text);
-    let view = shop.get(&export("dialect=json")).await;
-    assert_eq!(view.body, shop.get(&format!("{HERE}/versions/1")).await.body);
+    let file = shop.get(&export("dialect=json")).await;
+    assert_eq!(file.headers["content-type"], "application/json");
+    let version = shop.get(&format!("{HERE}/versions/1")).await.body;
+    for name in ["profile", "version", "hash", "content"] {
+        assert_eq!(file.body[name], version[name], "{name}");
+    }
+    let back = shop.post("/v1/feed-profiles/read", &json!({"text": file.text})).await;
+    assert_eq!((back.status, &back.body["dialect"]), (200, &json!("json")), "{}", back.text);
+    assert_eq!((&back.body["known"], &back.body["content"]), (&json!(true), &version["content"]));
+    let changed = file.text.replacen("535.0", "635.0", 1);
+    let refused = shop.post("/v1/feed-profiles/read", &json!({"text": changed})).await;
+    assert_eq!((refused.status, &refused.body["code"]), (422, &json!("hash_mismatch")), "{}", refused.text);
     let unknown = shop.get(&export("dialect=basic")).await;
     assert_eq!((unknown.status, &unknown.body["code"]), (422, &json!("unknown_dialect")));
     let coarse = shop.get(&export("dialect=fanuc&feed_error=0.9")).await;
     assert_eq!((coarse.status, &coarse.body["errors"][0]["path"]), (422, &json!("feed_error")));
+    for (query, path, code) in [
+        ("dialect=sinumerik&law_override_max_percent=120", "law_override_max_percent", "without_law"),
+        ("dialect=sinumerik&law_intensity=0", "law_intensity", "out_of_range"),
+        ("dialect=fanuc&law_intensity=2", "law_intensity", "not_in_this_dialect"),
+        (
+            "dialect=sinumerik&law_intensity=2&law_override_max_percent=500",
+            "law_override_max_percent",
+            "out_of_range",
+        ),
+    ] {
+        let refused = shop.get(&export(query)).await;
+        assert_eq!((refused.status, &refused.body["errors"][0]["path"]), (422, &json!(path)), "{query}");
+        assert_eq!(refused.body["errors"][0]["code"], code, "{query}");
+    }
     // The profile runs 545 mm/min, and this machine only 500.
     let slow = json!({
         "name": "Slow", "control": "x", "ipo_period_ms": 10, "spindle": {"reference": "unknown"},
@@ -311,6 +343,26 @@ async fn a_profile_is_learnt_from_cycles_and_its_prediction_held_against_the_nex
         assert!(number(&cycle["time_s"]["relative"]).abs() < 0.1, "{}", outcome.text);
     }
     assert!(number(&outcome.body["within_share"]) >= 0.5, "{}", outcome.text);
+    // How the prediction turned out is what the next one is trusted by.
+    let scale = number(&outcome.body["spread_scale"]);
+    assert!((0.7..=4.0).contains(&scale) && (scale - 1.0).abs() > 1e-9, "{scale}");
+    let mut next = question.clone();
+    next["profile"] = json!("bushing");
+    let asked = story.shop.post("/v1/feed-profiles/optimize", &next).await;
+    let done = ended(&story.shop, asked.headers["location"].to_str().unwrap()).await;
+    let report = &done["result"]["report"];
+    assert!((number(&report["spread_scale"]) - scale).abs() < 1e-12, "{done}");
+    // The machine says what a percent of its spindle is, so the energy of a hole is told in joules.
+    assert!(number(&report["prediction"]["energy_joules"]["expected"]) > 100.0, "{done}");
+    let mut faster = next.clone();
+    faster["override_percent"] = json!(150.0);
+    let asked = story.shop.post("/v1/feed-profiles/optimize", &faster).await;
+    let raised = ended(&story.shop, asked.headers["location"].to_str().unwrap()).await;
+    let highest = |done: &Value| {
+        let knots = done["result"]["content"]["knots"].as_array().unwrap().clone();
+        knots.iter().map(|knot| number(&knot["feed_mm_min"])).fold(0.0, f64::max)
+    };
+    assert!(highest(&raised) < highest(&done) * 0.9, "{raised}");
     let bad = json!({"operation": "O1", "tool_type": "fd-7.3", "limits": limits(), "confidence": 2.0});
     let refused = story.shop.post("/v1/feed-profiles/optimize", &bad).await;
     assert_eq!((refused.status, &refused.body["errors"][0]["path"]), (422, &json!("confidence")));
@@ -427,4 +479,57 @@ async fn a_profile_is_not_asked_about_what_it_was_not_made_for() {
     );
     let detail = answer.body["detail"].as_str().unwrap();
     assert!(detail.contains("12 mm"), "{detail}");
+}
+
+#[tokio::test]
+async fn a_profile_per_wear_band_is_drafted_and_each_is_handed_out_within_its_band() {
+    let mut story = Story::begin().await;
+    for factor in [0.85, 1.0, 1.15] {
+        story.drill(1, factor, None).await;
+    }
+    let question = json!({
+        "operation": "O1", "tool_type": "fd-7.3", "limits": limits(), "wear_edges": [1.0, 1.04, 1.08],
+    });
+    let refused = |body: Value, change: Value| {
+        let mut body = body;
+        body.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
+        body
+    };
+    let both = refused(question.clone(), json!({"wear_level": 1.02}));
+    let answer = story.shop.post("/v1/feed-profiles/optimize", &both).await;
+    assert_eq!(
+        (answer.status, &answer.body["errors"][0]["path"]),
+        (422, &json!("wear_edges")),
+        "{}",
+        answer.text
+    );
+    // Three cycles do not tell their wear: no band is made up.
+    let asked = story.shop.post("/v1/feed-profiles/optimize", &question).await;
+    let done = ended(&story.shop, asked.headers["location"].to_str().unwrap()).await;
+    assert_eq!(done["result"]["bands"], json!([]), "{done}");
+    assert_eq!(done["result"]["refused"][0]["path"], "cycles", "{done}");
+
+    // A tool that was mounted new tells it after its baseline.
+    let mounted = json!({"kind": "mounted_new", "at": "2026-01-01T00:00:00Z"});
+    assert_eq!(story.shop.post("/v1/tools/T1/events", &mounted).await.status, 201);
+    story.drill(30, 1.0, None).await;
+    let asked = story.shop.post("/v1/feed-profiles/optimize", &question).await;
+    let done = ended(&story.shop, asked.headers["location"].to_str().unwrap()).await;
+    let bands = done["result"]["bands"].as_array().unwrap().clone();
+    assert!(!bands.is_empty(), "{done}");
+    assert_eq!((&done["result"]["content"], &bands[0]["from_level"]), (&Value::Null, &json!(1.0)));
+    assert_eq!(bands[bands.len() - 1]["to_level"], json!(1.08));
+    let draft = |name: String, band: Value| json!({"profile": name, "job": done["id"], "band": band, "reason": "for its wear"});
+    let unnamed = story.shop.post("/v1/feed-profiles", &draft("bushing".to_owned(), Value::Null)).await;
+    assert_eq!(unnamed.body["errors"][0]["path"], "band", "{}", unnamed.text);
+    let beyond = story.shop.post("/v1/feed-profiles", &draft("bushing".to_owned(), json!(9))).await;
+    assert_eq!(beyond.body["errors"][0]["code"], "out_of_range", "{}", beyond.text);
+    for (at, band) in bands.iter().enumerate() {
+        let drafted = story.shop.post("/v1/feed-profiles", &draft(format!("band-{at}"), json!(at))).await;
+        assert_eq!(drafted.status, 201, "{}", drafted.text);
+        let wear = &drafted.body["content"]["wear"];
+        assert!(number(&wear["to_level"]) >= number(&band["to_level"]) - 1e-9, "{}", drafted.text);
+        let from = if at == 0 { Value::Null } else { band["from_level"].clone() };
+        assert_eq!(wear["from_level"], from, "{}", drafted.text);
+    }
 }

@@ -20,6 +20,12 @@ const MOST_OF_TOOL: usize = 200;
 const FEWEST_OF_TOOL: usize = 8;
 /// Percent of draws below and above the interval.
 const TAIL_PERCENT: usize = 5;
+/// Levels of wear that differ by no more are the same for a comparison.
+const SAME_LEVEL: f64 = 0.005;
+/// Least spread of the wear within the versions, as a part of how far they are apart, from which its effect is told.
+const LEAST_SPREAD: f64 = 0.25;
+/// Usual deviations from the median beyond which a value counts as lying there.
+const FAR: f64 = 5.0;
 const SEED: u64 = 0x6665_6564_0001;
 
 /// A value with its 90 % interval.
@@ -78,6 +84,108 @@ pub fn compare(before: &[f64], after: &[f64]) -> Compared {
         change,
         is_clear: change.is_some_and(|change| change.low > 0.0 || change.high < 0.0),
     }
+}
+
+/// A quantity of one cycle with the level of wear of its tool then.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AtWear {
+    /// Level of wear, 1 is the new tool.
+    pub level: f64,
+    /// The quantity.
+    pub value: f64,
+}
+
+/// How the medians differ once both versions are told at the same wear.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Balanced {
+    /// After over before, minus 1.
+    pub change: Interval,
+    /// Whether the interval leaves out 0.
+    pub is_clear: bool,
+}
+
+/// Compares one quantity as if both versions had run on tools of the same wear.
+///
+/// How ln value moves with the level is told within the versions, never between them, by a common line; every value is
+/// moved along it to the same level. `None` for fewer than [`FEWEST_CYCLES`], and where the versions' wear differs by more
+/// than their own cycles' wear spreads: then version and wear cannot be told apart.
+#[must_use]
+pub fn compare_at_same_wear(before: &[AtWear], after: &[AtWear]) -> Option<Balanced> {
+    let sides = [logs(before), logs(after)];
+    if sides.iter().any(|side| side.len() < FEWEST_CYCLES) {
+        return None;
+    }
+    let apart = (mean(&sides[1], |one| one.level) - mean(&sides[0], |one| one.level)).abs();
+    if apart > SAME_LEVEL && spread(&sides) < LEAST_SPREAD * apart {
+        return None;
+    }
+    let value = balanced(&sides);
+    let mut noise = Noise::seeded(SEED);
+    let draws = (0..SLOPE_DRAWS)
+        .map(|_| {
+            let drawn = sides
+                .each_ref()
+                .map(|side| (0..side.len()).map(|_| side[pick(&mut noise, side.len())]).collect::<Vec<_>>());
+            balanced(&drawn)
+        })
+        .collect();
+    let change = interval(value, draws);
+    Some(Balanced { change, is_clear: change.low > 0.0 || change.high < 0.0 })
+}
+
+/// ln of the values; far ones are brought to where the others end, so that no odd cycle turns the line.
+fn logs(values: &[AtWear]) -> Vec<AtWear> {
+    let newest = &values[values.len().saturating_sub(MOST_CYCLES)..];
+    let mut logs: Vec<AtWear> = newest
+        .iter()
+        .filter(|one| one.level.is_finite() && one.value.is_finite() && one.value > 0.0)
+        .map(|one| AtWear { value: one.value.ln(), ..*one })
+        .collect();
+    if logs.is_empty() {
+        return logs;
+    }
+    let middle = median(&mut logs.iter().map(|one| one.value).collect::<Vec<_>>());
+    let usual = median(&mut logs.iter().map(|one| (one.value - middle).abs()).collect::<Vec<_>>());
+    for one in &mut logs {
+        one.value = one.value.clamp(middle - FAR * usual, middle + FAR * usual);
+    }
+    logs
+}
+
+fn mean(side: &[AtWear], of: impl Fn(&AtWear) -> f64) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "at most 1000 cycles")]
+    let count = side.len().max(1) as f64;
+    side.iter().map(of).sum::<f64>() / count
+}
+
+/// Sums about the mean of each side: of the level with itself and with the value.
+fn within(sides: &[Vec<AtWear>; 2]) -> (f64, f64) {
+    let (mut square, mut product) = (0.0, 0.0);
+    for side in sides {
+        let (level, value) = (mean(side, |one| one.level), mean(side, |one| one.value));
+        for one in side {
+            square += (one.level - level).powi(2);
+            product += (one.level - level) * (one.value - value);
+        }
+    }
+    (square, product)
+}
+
+/// Standard deviation of the level within the versions.
+fn spread(sides: &[Vec<AtWear>; 2]) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "at most 2000 cycles")]
+    let count = (sides[0].len() + sides[1].len()) as f64;
+    (within(sides).0 / count).sqrt()
+}
+
+fn balanced(sides: &[Vec<AtWear>; 2]) -> f64 {
+    let (square, product) = within(sides);
+    // Levels that hardly spread tell no line; they are moved nowhere.
+    let slope = if square > 1e-9 { product / square } else { 0.0 };
+    let moved = |side: &[AtWear]| {
+        median(&mut side.iter().map(|one| one.value - slope * (one.level - 1.0)).collect::<Vec<_>>())
+    };
+    (moved(&sides[1]) - moved(&sides[0])).exp() - 1.0
 }
 
 /// How a tool's energy rises with its cycles of one version: per thousand cycles, relative.
@@ -216,6 +324,45 @@ mod tests {
         assert!((clean.before.median.unwrap().value - dirty.before.median.unwrap().value).abs() < 0.02);
         assert_eq!(dirty.before.cycles, 52);
         assert_eq!(dirty, compare(&before, &after));
+    }
+
+    /// Cycles whose value is `base`, times 1 + `rise` per unit of wear, on levels from `from` to `to`.
+    fn wearing(base: f64, rise: f64, (from, to): (f64, f64), count: u32, seed: u64) -> Vec<AtWear> {
+        let mut noise = Noise::seeded(seed);
+        (0..count)
+            .map(|at| {
+                let level = from + (to - from) * f64::from(at) / f64::from(count);
+                AtWear { level, value: base * (1.0 + rise * (level - 1.0) + 0.01 * noise.normal()) }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn what_wear_did_is_not_laid_to_the_version() {
+        // The later version ran on the worn half of the tool and is 3 % better at the same wear.
+        let before = wearing(100.0, 1.0, (1.0, 1.05), 60, 1);
+        let after = wearing(97.0, 1.0, (1.04, 1.1), 60, 2);
+        let values = |side: &[AtWear]| side.iter().map(|one| one.value).collect::<Vec<_>>();
+        let raw = compare(&values(&before), &values(&after)).change.unwrap();
+        assert!(raw.value > 0.0, "wear hides it: {raw:?}");
+        let found = compare_at_same_wear(&before, &after).unwrap();
+        assert!(found.is_clear && (found.change.value + 0.03).abs() < 0.01, "{found:?}");
+        assert!(found.change.low < -0.025 && found.change.high > -0.035, "{found:?}");
+        let mut odd = after.clone();
+        odd.extend([AtWear { level: 1.09, value: 1e6 }, AtWear { level: f64::NAN, value: 1.0 }]);
+        let with_odd = compare_at_same_wear(&before, &odd).unwrap();
+        assert!((with_odd.change.value - found.change.value).abs() < 0.01, "{with_odd:?}");
+    }
+
+    #[test]
+    fn wear_and_version_that_cannot_be_told_apart_are_not_told_apart() {
+        let new = wearing(100.0, 2.0, (1.0, 1.002), 40, 1);
+        let worn = wearing(95.0, 2.0, (1.08, 1.082), 40, 2);
+        assert_eq!(compare_at_same_wear(&new, &worn), None);
+        assert_eq!(compare_at_same_wear(&new[..4], &worn), None);
+        let same = wearing(90.0, 2.0, (1.0, 1.002), 40, 3);
+        let found = compare_at_same_wear(&new, &same).unwrap();
+        assert!((found.change.value + 0.1).abs() < 0.02, "{found:?}");
     }
 
     #[test]

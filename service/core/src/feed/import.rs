@@ -197,6 +197,8 @@ struct Reader {
     motion: Option<u32>,
     retract: Option<f64>,
     done: bool,
+    /// Whether the program's end (`M2`, `M30`) was read.
+    ended: bool,
     hole: Hole,
 }
 
@@ -221,8 +223,11 @@ pub fn gcode(text: &str, contact_z_mm: f64) -> Result<Hole, Vec<Violation>> {
         motion: None,
         retract: None,
         done: false,
+        ended: false,
         hole: Hole::default(),
     };
+    // A byte order mark is how some editors begin.
+    let text = text.trim_start_matches('\u{feff}');
     for (at, line) in text.lines().enumerate().map(|(at, line)| (at + 1, line)) {
         let words = words(line).map_err(|why| at_line(at, "not_understood", why))?;
         reader.line(&words).map_err(|(code, why)| at_line(at, code, why))?;
@@ -272,11 +277,30 @@ fn words(line: &str) -> Result<Vec<Word>, String> {
 impl Reader {
     fn line(&mut self, words: &[Word]) -> Result<(), (&'static str, String)> {
         let refused = |why: &str| Err(("not_a_feed_over_depth", why.to_owned()));
+        if self.ended && !words.is_empty() {
+            return refused("holds blocks behind the program's end (M2, M30): give one program alone");
+        }
+        // Of two words one would be passed over, and nobody could say which.
+        for (at, (letter, _)) in words.iter().enumerate() {
+            if matches!(letter, 'Z' | 'F' | 'R') && words[..at].iter().any(|(before, _)| before == letter) {
+                return Err(("not_understood", format!("the word {letter} stands twice in the block")));
+            }
+        }
         let (mut z, mut sideways) = (None, false);
-        let mut motion = self.motion;
+        let (mut motion, mut moved) = (self.motion, false);
         for &(letter, value) in words {
             match letter {
-                'G' => motion = self.code(value)?.or(motion),
+                'G' => {
+                    if let Some(code) = self.code(value)? {
+                        if moved && motion != Some(code) {
+                            return Err(("not_understood", "two motions in one block".to_owned()));
+                        }
+                        (motion, moved) = (Some(code), true);
+                    }
+                }
+                'M' if (value - 98.0).abs() < 0.5 || (value - 198.0).abs() < 0.5 => {
+                    return refused("calls are not followed: give the called program");
+                }
                 'Z' => z = Some(value),
                 'F' if value > 0.0 => self.feed = Some(value),
                 'F' => return Err(("out_of_range", "a feed must be above 0".to_owned())),
@@ -296,6 +320,9 @@ impl Reader {
             }
         }
         self.motion = motion;
+        let is = |value: f64, code: f64| (value - code).abs() < 0.5;
+        self.ended |=
+            words.iter().any(|&(letter, value)| letter == 'M' && (is(value, 2.0) || is(value, 30.0)));
         let Some(z) = z else {
             return if sideways && motion == Some(1) {
                 refused("a cut sideways is no hole")
@@ -436,6 +463,9 @@ mod tests {
         let held: Vec<_> = hole.held.iter().map(|one| (one.to_mm, one.feed_mm_min)).collect();
         assert_eq!(held, [(3.0, 160.0), (8.0, 480.0), (20.5, 150.0)]);
         assert_eq!(hole.passed_over, ["O1234", "T5", "M6", "S2800", "M3", "M5", "M30"]);
+        // Editors begin with a byte order mark, end lines in two ways, and a tape ends with a percent sign.
+        let same = gcode(&format!("\u{feff}{}", text.replace('\n', "\r\n")), 0.0).unwrap();
+        assert_eq!(same, hole);
         // First contact may lie elsewhere than at Z0.
         assert!((gcode("G1 Z-1 F100", 2.0).unwrap().held[0].to_mm - 3.0).abs() < 1e-12);
     }
@@ -466,6 +496,16 @@ mod tests {
         assert_eq!(refused("G2 X1 I1 F100"), ("text:line 1".into(), "not_understood"));
         assert_eq!(refused("(open"), ("text:line 1".into(), "not_understood"));
         assert_eq!(refused("M30").1, "too_few");
+        // What could be meant in two ways is refused rather than guessed.
+        assert_eq!(refused("G1 Z-20.5 F100 Z-10").1, "not_understood");
+        assert_eq!(refused("G1 Z-20.5 F100 F900").1, "not_understood");
+        assert_eq!(refused("G0 G1 Z-20.5 F100").1, "not_understood");
+        assert_eq!(
+            refused("G1 Z-20.5 F100\nM30\n%\nG1 Z-30 F900"),
+            ("text:line 4".into(), "not_a_feed_over_depth")
+        );
+        assert_eq!(refused("G1 Z-5 F100\nM98 P1000").1, "not_a_feed_over_depth");
+        assert_eq!(refused("M98").1, "not_a_feed_over_depth");
         assert_eq!(refused("FLIN\nG1 Z-1 F100").1, "not_understood");
         assert_eq!(gcode("G1 Z-1 F1", f64::NAN).unwrap_err()[0].code, "not_finite");
     }

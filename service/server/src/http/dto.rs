@@ -24,6 +24,7 @@ pub mod peak_to_peak;
 pub mod plunge;
 pub mod profile_evidence;
 pub mod profile_file;
+pub mod profile_json;
 pub mod quarantine;
 pub mod recommendation;
 pub mod retention;

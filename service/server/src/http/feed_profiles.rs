@@ -40,10 +40,13 @@ pub(super) async fn draft(
     caller: Caller,
     Json(body): Json<DraftBody>,
 ) -> Result<Response, Problem> {
+    if body.band.is_some() && body.job.is_none() {
+        return Err(Violation::new("band", "one_of", "names a band of a job: give the job too").into());
+    }
     let (content, source, report) = match (&body.content, &body.job) {
         (Some(content), None) => (checked(&state, "content", content).await?, ProfileSource::Drawn, None),
         (None, Some(job)) => {
-            let (content, report) = proposed(&state, job)?;
+            let (content, report) = proposed(&state, job, body.band)?;
             (checked(&state, "content", &content).await?, ProfileSource::Optimised, Some(report))
         }
         _ => return Err(Violation::new("content", "one_of", "give either content or job").into()),

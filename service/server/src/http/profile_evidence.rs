@@ -2,8 +2,8 @@
 
 use super::compute::{compute, room};
 use super::dto::profile_evidence::{
-    ComparisonAnswer, ComparisonQuery, MOST_SHADOW_CYCLES, PredictedBody, ShadowAnswer, ShadowQuery,
-    USUAL_SHADOW_CYCLES,
+    ComparedBody, ComparisonAnswer, ComparisonQuery, MOST_SHADOW_CYCLES, PredictedBody, ShadowAnswer,
+    ShadowQuery, USUAL_SHADOW_CYCLES,
 };
 use super::extract::{PathId, Query};
 use super::feed_profiles::{line_of, version_of};
@@ -13,14 +13,15 @@ use crate::state::AppState;
 use crate::what_if::Asked;
 use axum::extract::State;
 use feedwright_core::cycle::Outcome;
-use feedwright_core::feed::comparison::{MOST_CYCLES, compare, wear_rate};
+use feedwright_core::feed::comparison::{AtWear, MOST_CYCLES, compare, compare_at_same_wear, wear_rate};
 use feedwright_core::friction::twin::AxisLimits;
 use feedwright_core::friction::whatif::LoadLimits;
 use feedwright_core::ids::{MachineId, ProfileId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::summary::EnergyBasis;
-use feedwright_store::{StoredCycle, StoredProfileVersion};
-use std::collections::BTreeMap;
+use feedwright_core::units::Timestamp;
+use feedwright_store::{CycleKey, StoredCycle, StoredProfileVersion};
+use std::collections::{BTreeMap, HashMap};
 
 /// Time with a load over its set load that counts as an alarm, s: what the optimiser allows too.
 const TOLERATED_OVERLOAD_S: f64 = 0.05;
@@ -101,6 +102,37 @@ struct Ran {
     stored: StoredProfileVersion,
     cycles: Vec<StoredCycle>,
     aborted: usize,
+    /// Level of wear of each cycle's tool then, where it is known.
+    levels: Vec<Option<f64>>,
+}
+
+/// Most tools whose wear is looked up.
+const MOST_TOOLS: usize = 100;
+/// Most cycles of one tool's life that are folded for it.
+const MOST_FOLDED: u32 = 20_000;
+
+/// Level of wear of each cycle's tool then; none of more tools than are looked up.
+async fn levels(state: &AppState, cycles: &[StoredCycle]) -> Result<Vec<Option<f64>>, Problem> {
+    let mut spans: BTreeMap<&ToolId, (Timestamp, Timestamp)> = BTreeMap::new();
+    for row in cycles {
+        let at = row.cycle.started_at;
+        let span = spans.entry(&row.cycle.tool).or_insert((at, at));
+        *span = (span.0.min(at), span.1.max(at));
+    }
+    let mut known: HashMap<CycleKey, f64> = HashMap::new();
+    if spans.len() <= MOST_TOOLS {
+        for (tool, (from, to)) in spans {
+            // The end of a range is left out of it.
+            let to = Timestamp::from_micros(to.micros().saturating_add(1));
+            let points = state.store.levels(tool, from, to, MOST_FOLDED).await?;
+            known.extend(points.into_iter().filter_map(|point| Some((point.key, point.level?))));
+        }
+    }
+    let of = |row: &StoredCycle| {
+        let key = (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone());
+        known.get(&key).copied()
+    };
+    Ok(cycles.iter().map(of).collect())
 }
 
 async fn side(state: &AppState, id: &ProfileId, version: u32) -> Result<Ran, Problem> {
@@ -109,18 +141,29 @@ async fn side(state: &AppState, id: &ProfileId, version: u32) -> Result<Ran, Pro
     let mut cycles = state.store.cycles_of_profile(&stored.version, most).await?;
     let all = cycles.len();
     cycles.retain(|row| row.cycle.outcome == Outcome::Completed);
-    Ok(Ran { stored, aborted: all - cycles.len(), cycles })
+    let levels = levels(state, &cycles).await?;
+    Ok(Ran { stored, aborted: all - cycles.len(), cycles, levels })
 }
 
 fn answer(id: &ProfileId, sides: &[Ran; 2]) -> ComparisonAnswer {
     let [before, after] = sides;
     let of = |quantity: &dyn Fn(&StoredCycle) -> Option<f64>| {
         let column = |ran: &Ran| ran.cycles.iter().filter_map(quantity).collect::<Vec<_>>();
-        compare(&column(before), &column(after))
+        let worn = |ran: &Ran| {
+            let both = |(row, level): (&StoredCycle, &Option<f64>)| {
+                Some(AtWear { level: (*level)?, value: quantity(row)? })
+            };
+            ran.cycles.iter().zip(&ran.levels).filter_map(both).collect::<Vec<_>>()
+        };
+        let compared = compare(&column(before), &column(after));
+        ComparedBody::new(compared, compare_at_same_wear(&worn(before), &worn(after)))
     };
     let scale = common_scale(sides);
     let joules = |row: &StoredCycle| joules(row, scale);
-    let duration = of(&|row| row.summary.duration_ms.map(|ms| ms / 1000.0));
+    let seconds = |row: &StoredCycle| row.summary.duration_ms.map(|ms| ms / 1000.0);
+    let durations = |ran: &Ran| ran.cycles.iter().filter_map(seconds).collect::<Vec<_>>();
+    let took = compare(&durations(before), &durations(after));
+    let known = |ran: &Ran| ran.levels.iter().copied().flatten().collect::<Vec<_>>();
     let version = |ran: &Ran, actual: Option<feedwright_core::feed::comparison::Interval>| PredictedBody {
         version: ran.stored.version.version,
         time_s: ran.stored.content.time_s(),
@@ -129,16 +172,15 @@ fn answer(id: &ProfileId, sides: &[Ran; 2]) -> ComparisonAnswer {
     };
     ComparisonAnswer {
         profile: id.to_string(),
-        versions: [version(before, duration.before.median), version(after, duration.after.median)],
-        duration_s: duration.into(),
-        energy_joules: of(&joules).into(),
+        versions: [version(before, took.before.median), version(after, took.after.median)],
+        wear_level: ComparedBody::new(compare(&known(before), &known(after)), None),
+        duration_s: of(&seconds),
+        energy_joules: of(&joules),
         energy_basis: scale.map(|(basis, _)| basis.as_str()),
-        peak_spindle_load_percent: of(&|row| row.summary.max_spindle_load_percent.map(|peak| peak.value))
-            .into(),
+        peak_spindle_load_percent: of(&|row| row.summary.max_spindle_load_percent.map(|peak| peak.value)),
         peak_feed_drive_load_percent: of(&|row| {
             row.summary.max_feed_drive_load_percent.map(|peak| peak.value)
-        })
-        .into(),
+        }),
         aborted: [before.aborted, after.aborted],
     }
 }

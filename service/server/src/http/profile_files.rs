@@ -1,8 +1,9 @@
 //! Feed profiles as files: written for a control, read back, and read from what a shop has now.
 
 use super::body::Json;
-use super::dto::feed_profile::{DraftedBody, KnotBody, ProfileBody, ProfileVersionBody};
+use super::dto::feed_profile::{DraftedBody, KnotBody, ProfileBody};
 use super::dto::profile_file::{ExportQuery, ImportBody, ImportReport, ReadAnswer, ReadBody};
+use super::dto::profile_json;
 use super::extract::{PathId, Query, query_id};
 use super::feed_profiles::{Draft, checked, keep, line_of, version_of};
 use super::problem::{Problem, ProblemDocument};
@@ -53,14 +54,15 @@ pub(super) async fn export(
     let name = format!("{id}.v{number}").replace(':', "_");
     let (name, kind, text) = match dialect {
         None => {
-            let view = serde_json::to_string_pretty(&ProfileVersionBody::from(stored));
-            let text = view.map_err(|error| Problem::internal(error.to_string()))?;
+            let stamp = Stamp { version: stored.version, hash: stored.hash };
+            let text = profile_json::write(&stored.content, &stamp)
+                .map_err(|error| Problem::internal(error.to_string()))?;
             (format!("{name}.json"), "application/json", text)
         }
         Some(dialect) => {
-            let options = query.options();
+            let options = query.options()?;
             let stamp = Stamp { version: stored.version, hash: stored.hash };
-            let text = nc::write(dialect, &stored.content, &stamp, &options)?;
+            let text = nc::write(dialect, &stored.content, &stamp, &options).map_err(ExportQuery::refused)?;
             (format!("{name}.{}", dialect.extension()), "text/plain; charset=us-ascii", text)
         }
     };
@@ -129,17 +131,23 @@ pub(super) async fn read(
     State(state): State<AppState>,
     Json(body): Json<ReadBody>,
 ) -> Result<axum::Json<ReadAnswer>, Problem> {
-    let found = nc::read(&body.text, profile_hash)?;
-    let version = &found.stamp.version;
+    let (dialect, stamp, profile) = if profile_json::is_json(&body.text) {
+        let (stamp, profile) = profile_json::read(&body.text, profile_hash)?;
+        ("json", stamp, profile)
+    } else {
+        let found = nc::read(&body.text, profile_hash)?;
+        (found.dialect.as_str(), found.stamp, found.profile)
+    };
+    let version = &stamp.version;
     let known = state.store.profile_version(&version.profile, version.version).await?;
-    let known = known.filter(|known| known.hash == found.stamp.hash);
+    let known = known.filter(|known| known.hash == stamp.hash);
     Ok(axum::Json(ReadAnswer {
-        dialect: found.dialect.as_str(),
+        dialect,
         profile: version.profile.to_string(),
         version: version.version,
-        hash: found.stamp.hash.to_string(),
+        hash: stamp.hash.to_string(),
         known: known.is_some(),
         state: known.map(|known| known.state.as_str()),
-        content: (&found.profile).into(),
+        content: (&profile).into(),
     }))
 }

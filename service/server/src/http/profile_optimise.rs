@@ -3,8 +3,8 @@
 use super::body::Json;
 use super::dto::feed_profile::ProfileBody;
 use super::dto::optimise::{
-    CycleOutcomeBody, OptimiseBody, OptimisedBody, OutcomeAnswer, OutcomeQuery, PredictionBody,
-    ProposalReport, SkippedBody, USUAL_CYCLES, WORN_LEVEL, refused, settings,
+    BandResultBody, CycleOutcomeBody, Known, OptimiseBody, OptimisedBody, OutcomeAnswer, OutcomeQuery,
+    PredictionBody, ProposalReport, SkippedBody, USUAL_CYCLES, WORN_LEVEL, refused, settings,
 };
 use super::extract::{PathId, Query};
 use super::feed_profiles::{line_of, version_of};
@@ -16,7 +16,8 @@ use axum::extract::State;
 use axum::response::Response;
 use feedwright_core::cycle::{Channel, Outcome, Samples};
 use feedwright_core::feed::optimise::{
-    Actual, Knots, LoadSignal, Prediction, Proposal, RecordedCycle, Settings, compare, coverage, optimise,
+    Actual, Knots, LoadSignal, Prediction, Proposal, RecordedCycle, Settings, WearBand, calibrate, compare,
+    coverage, optimise, wear_bands,
 };
 use feedwright_core::feed::profile::{
     Conditions, KnotInput, LimitsInput, Profile, ProfileInput, SectionInput, WearBandInput,
@@ -28,7 +29,7 @@ use feedwright_core::invalid::Violation;
 use feedwright_core::operation::Operation;
 use feedwright_core::units::Strategy;
 use feedwright_core::wear::Verdict;
-use feedwright_store::StoredCycle;
+use feedwright_store::{StoredCycle, StoredProfileVersion};
 use http::StatusCode;
 use serde::Deserialize;
 use std::collections::HashMap;
@@ -71,32 +72,66 @@ pub(super) async fn start(
         let why = format!("must be within 1 to {USUAL_CYCLES}, is {most}");
         return Err(Violation::new("cycles", "out_of_range", why).into());
     }
-    let settings = body.settings(depth_mm)?;
-    let last = last_tried(&state, &body, &operation).await?;
+    let tried = last_tried(&state, &body, &operation).await?;
     let rows = state.store.recent_cycles(&id, &body.tool_type, most).await?;
+    let known = Known {
+        depth_mm,
+        watts_per_percent: watts_per_percent(&state, &operation, rows.last()).await?,
+        spread_scale: tried.as_ref().map_or(1.0, |tried| tried.spread_scale),
+    };
+    let settings = body.settings(&known)?;
+    let last = tried.map(|tried| tried.knots);
     let Recorded { cycles, skipped } = recorded(&state, rows).await?;
-    let ids: Vec<&str> = cycles.iter().map(|cycle| cycle.id.as_str()).collect();
-    let parameters = format!("{body:?} {operation:?} {last:?} {ids:?}");
+    let ids: Vec<(&str, Option<f64>)> =
+        cycles.iter().map(|cycle| (cycle.id.as_str(), cycle.wear_ratio)).collect();
+    let parameters = format!("{body:?} {operation:?} {last:?} {known:?} {ids:?}");
     let question = Question { kind: KIND, parameters, total: 1, steps: INLINE_STEPS + 1 };
     submitted(&state, &question, move |_| {
         json(&optimised(&body, &operation, &cycles, &settings, last.as_ref(), skipped))
     })
 }
 
-/// What an optimisation of this id proposes, as content and report; for drafting it.
-pub(super) fn proposed(state: &AppState, job: &str) -> Result<(ProfileBody, String), Problem> {
+/// What an optimisation of this id proposes, for a wear band where it was asked for bands, as content and report; for
+/// drafting it.
+pub(super) fn proposed(
+    state: &AppState,
+    job: &str,
+    band: Option<usize>,
+) -> Result<(ProfileBody, String), Problem> {
+    #[derive(Deserialize)]
+    struct One {
+        content: Option<ProfileBody>,
+        report: Option<serde_json::Value>,
+    }
     #[derive(Deserialize)]
     struct Done {
         content: Option<ProfileBody>,
         report: Option<serde_json::Value>,
+        bands: Vec<One>,
     }
     let unknown = || Violation::new("job", "unknown_job", "there is no finished optimisation of this id");
     let found = state.jobs.get(job).filter(|found| found.kind == KIND).ok_or_else(unknown)?;
     let Stage::Done(result) = found.stage else {
         return Err(unknown().into());
     };
-    let done: Done = serde_json::from_slice(&result).map_err(|error| Problem::internal(error.to_string()))?;
-    match (done.content, done.report) {
+    let mut done: Done =
+        serde_json::from_slice(&result).map_err(|error| Problem::internal(error.to_string()))?;
+    let (content, report) = match band {
+        None if !done.bands.is_empty() => {
+            let why = format!("the optimisation made {} wear bands: name one", done.bands.len());
+            return Err(Violation::new("band", "missing_field", why).into());
+        }
+        None => (done.content, done.report),
+        Some(at) if at < done.bands.len() => {
+            let one = done.bands.swap_remove(at);
+            (one.content, one.report)
+        }
+        Some(_) => {
+            let why = format!("the optimisation made {} wear bands, counted from 0", done.bands.len());
+            return Err(Violation::new("band", "out_of_range", why).into());
+        }
+    };
+    match (content, report) {
         (Some(content), Some(report)) => Ok((content, report.to_string())),
         _ => {
             Err(Violation::new("job", "no_proposal", "the optimisation found none: its result says why")
@@ -105,12 +140,30 @@ pub(super) fn proposed(state: &AppState, job: &str) -> Result<(ProfileBody, Stri
     }
 }
 
+/// What one percent of spindle load stands for on the machine of the latest cycle.
+async fn watts_per_percent(
+    state: &AppState,
+    operation: &Operation,
+    latest: Option<&StoredCycle>,
+) -> Result<Option<f64>, Problem> {
+    let Some(latest) = latest else { return Ok(None) };
+    let machine = state.store.machine(&latest.cycle.machine).await?;
+    Ok(machine.and_then(|machine| machine.value.spindle.watts_per_percent(operation.spindle_speed_rpm)))
+}
+
+/// What was tried last.
+struct Tried {
+    knots: Knots,
+    /// What its own prediction asks of the next one.
+    spread_scale: f64,
+}
+
 /// The profile that was tried last, where the question names one.
 async fn last_tried(
     state: &AppState,
     body: &OptimiseBody,
     operation: &Operation,
-) -> Result<Option<Knots>, Problem> {
+) -> Result<Option<Tried>, Problem> {
     let Some(name) = &body.profile else {
         return Ok(None);
     };
@@ -124,7 +177,12 @@ async fn last_tried(
     let stored = version_of(state, &id, number).await?;
     let knots =
         stored.content.knots().map(|knot| Knot { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min });
-    Knots::new(knots.collect()).map(Some).map_err(|error| refused(&error).into())
+    let knots = Knots::new(knots.collect()).map_err(|error| refused(&error))?;
+    let spread_scale = match predicted(&stored)? {
+        Some(predicted) => predicted.against(state, &stored, USUAL_CYCLES).await?.spread_scale,
+        None => 1.0,
+    };
+    Ok(Some(Tried { knots, spread_scale }))
 }
 
 struct Recorded {
@@ -211,20 +269,51 @@ fn optimised(
     let none = |wrong: Vec<Violation>| OptimisedBody {
         content: None,
         report: None,
+        bands: Vec::new(),
         refused: wrong.into_iter().map(Into::into).collect(),
     };
+    if let Some(edges) = &body.wear_edges {
+        let bands = match wear_bands(cycles, settings, last, edges) {
+            Ok(bands) => bands,
+            Err(error) => return none(vec![refused(&error)]),
+        };
+        let mut found = none(Vec::new());
+        for WearBand { from, to, proposal } in bands {
+            let level = Planned { from: Some(from), at: to };
+            let (content, wrong) = match content(body, operation, &proposal, level) {
+                Ok(profile) => (Some((&profile).into()), Vec::new()),
+                Err(wrong) => (None, wrong),
+            };
+            found.refused.extend(wrong.into_iter().map(Into::into));
+            let report = content.is_some().then(|| ProposalReport::new(&proposal, settings, skipped.clone()));
+            found.bands.push(BandResultBody { from_level: from, to_level: to, content, report });
+        }
+        return found;
+    }
     let proposal = match optimise(cycles, settings, last) {
         Ok(proposal) => proposal,
         Err(error) => return none(vec![refused(&error)]),
     };
-    match content(body, operation, &proposal) {
+    // Where the wear of the cycles is not known they count as a new tool's, which is the careful side.
+    let at = body.wear_level.or(body.wear_from_level).unwrap_or(1.0);
+    match content(body, operation, &proposal, Planned { from: body.wear_from_level, at }) {
         Ok(profile) => OptimisedBody {
             content: Some((&profile).into()),
-            report: Some(ProposalReport::new(&proposal, skipped)),
+            report: Some(ProposalReport::new(&proposal, settings, skipped)),
+            bands: Vec::new(),
             refused: Vec::new(),
         },
         Err(wrong) => none(wrong),
     }
+}
+
+/// Levels of wear of a plan.
+#[derive(Clone, Copy)]
+struct Planned {
+    /// From which it is meant.
+    from: Option<f64>,
+    /// For which it is planned.
+    at: f64,
 }
 
 /// A proposal as a profile, checked like any other.
@@ -232,6 +321,7 @@ fn content(
     body: &OptimiseBody,
     operation: &Operation,
     proposal: &Proposal,
+    planned: Planned,
 ) -> Result<Profile, Vec<Violation>> {
     let mut sections: Vec<SectionInput> = Vec::new();
     for section in &proposal.sections {
@@ -244,10 +334,8 @@ fn content(
     if let (Some(last), Some(depth_mm)) = (sections.last_mut(), operation.depth_mm) {
         last.to_mm = depth_mm;
     }
-    let from_level = body.wear_from_level;
-    // Where the wear of the cycles is not known they count as a new tool's, which is the careful side.
-    let planned = body.wear_level.or(from_level).unwrap_or(1.0);
-    let holds = proposal.holds_up_to_wear.unwrap_or(planned + proposal.holds_for_more_wear);
+    let from_level = planned.from;
+    let holds = proposal.holds_up_to_wear.unwrap_or(planned.at + proposal.holds_for_more_wear);
     Profile::new(ProfileInput {
         operation: operation.id.clone(),
         tool_type: body.tool_type.clone(),
@@ -279,11 +367,6 @@ pub(super) async fn outcome(
     PathId(id): PathId<ProfileId>,
     Query(query): Query<OutcomeQuery>,
 ) -> Result<axum::Json<OutcomeAnswer>, Problem> {
-    #[derive(Deserialize)]
-    struct Report {
-        prediction: PredictionBody,
-        idle_percent: [f64; 2],
-    }
     let line = line_of(&state, &id).await?;
     let number = query.version.or(line.active).unwrap_or(line.newest);
     let most = query.cycles.unwrap_or(USUAL_CYCLES);
@@ -292,38 +375,78 @@ pub(super) async fn outcome(
         return Err(Violation::new("cycles", "out_of_range", why).into());
     }
     let stored = version_of(&state, &id, number).await?;
-    let report = stored.report.as_deref().and_then(|text| serde_json::from_str::<Report>(text).ok());
-    let Some(report) = report else {
+    let Some(predicted) = predicted(&stored)? else {
         let why = "the version was not optimised: it predicts nothing but its own time";
         return Err(Problem::new(StatusCode::CONFLICT, "no_prediction", why));
     };
+    Ok(axum::Json(predicted.against(&state, &stored, most).await?))
+}
+
+/// What an optimised version predicts.
+struct Predicted {
+    report: StoredReport,
+    settings: Settings,
+}
+
+/// The part of a stored report that predictions are compared by.
+#[derive(Deserialize)]
+struct StoredReport {
+    prediction: PredictionBody,
+    idle_percent: [f64; 2],
+    #[serde(default = "as_learned")]
+    spread_scale: f64,
+}
+
+const fn as_learned() -> f64 {
+    1.0
+}
+
+/// The version's prediction; `None` where it was not optimised.
+fn predicted(stored: &StoredProfileVersion) -> Result<Option<Predicted>, Problem> {
+    let report = stored.report.as_deref().and_then(|text| serde_json::from_str::<StoredReport>(text).ok());
+    let Some(report) = report else { return Ok(None) };
     let limits: LimitsInput = stored.content.limits();
     let params = settings(stored.content.operation().as_str(), stored.content.end_depth_mm(), &limits)?;
     let settings = Settings::new(params).map_err(|error| refused(&error))?;
-    let prediction: Prediction = report.prediction.into();
-    let mut compared = Vec::new();
-    let mut answer = OutcomeAnswer {
-        profile: id.to_string(),
-        version: number,
-        prediction: report.prediction,
-        cycles: Vec::new(),
-        within_share: None,
-        overloaded: 0,
-        skipped: 0,
-    };
-    for row in state.store.cycles_of_profile(&stored.version, most).await? {
-        let cycle = recording(&state, &row, None).await?.filter(|cycle| cycle.completed);
-        let actual = cycle.and_then(|cycle| Actual::of(&cycle, &settings, report.idle_percent[1]).ok());
-        let Some(actual) = actual else {
-            answer.skipped += 1;
-            continue;
+    Ok(Some(Predicted { report, settings }))
+}
+
+impl Predicted {
+    /// Holds the prediction against the last cycles that ran the version.
+    async fn against(
+        &self,
+        state: &AppState,
+        stored: &StoredProfileVersion,
+        most: u32,
+    ) -> Result<OutcomeAnswer, Problem> {
+        let prediction: Prediction = self.report.prediction.into();
+        let mut compared = Vec::new();
+        let mut answer = OutcomeAnswer {
+            profile: stored.version.profile.to_string(),
+            version: stored.version.version,
+            prediction: self.report.prediction,
+            cycles: Vec::new(),
+            within_share: None,
+            spread_scale: self.report.spread_scale,
+            overloaded: 0,
+            skipped: 0,
         };
-        let one = compare(&prediction, &actual, &settings);
-        answer.overloaded += usize::from(one.overloaded);
-        let (machine, cycle) = (row.cycle.machine.to_string(), row.cycle.id.to_string());
-        answer.cycles.push(CycleOutcomeBody::new(machine, cycle, &one));
-        compared.push(one);
+        for row in state.store.cycles_of_profile(&stored.version, most).await? {
+            let cycle = recording(state, &row, None).await?.filter(|cycle| cycle.completed);
+            let idle = self.report.idle_percent[1];
+            let actual = cycle.and_then(|cycle| Actual::of(&cycle, &self.settings, idle).ok());
+            let Some(actual) = actual else {
+                answer.skipped += 1;
+                continue;
+            };
+            let one = compare(&prediction, &actual, &self.settings);
+            answer.overloaded += usize::from(one.overloaded);
+            let (machine, cycle) = (row.cycle.machine.to_string(), row.cycle.id.to_string());
+            answer.cycles.push(CycleOutcomeBody::new(machine, cycle, &one));
+            compared.push(one);
+        }
+        answer.within_share = coverage(&compared).map(|(share, _)| share);
+        answer.spread_scale = calibrate(&compared, self.report.spread_scale);
+        Ok(answer)
     }
-    answer.within_share = coverage(&compared).map(|(share, _)| share);
-    Ok(axum::Json(answer))
 }

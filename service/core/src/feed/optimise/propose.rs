@@ -206,6 +206,7 @@ pub fn optimise(
     let planner = Planner::new(&relation, settings, feed, &least).with_servo(servo_s);
     let seen = seen_loads(cycles, &courses, &planner.last, settings, &grid);
     let planner = if last.is_some() { planner.after_overload(&seen) } else { planner };
+    let planner = planner.with_even_risk();
     let envelope = planner.envelope();
     let last_knots =
         last.map_or_else(|| on_grid(&planner.last, &grid), |knots| scaled(knots.as_slice(), factor));

@@ -56,6 +56,9 @@ const MOST_MISSED: f64 = 0.04;
 /// Slopes outside this are not believed: a load that falls with the feed is heat or noise.
 const SLOPES: std::ops::RangeInclusive<f64> = 0.1..=2.0;
 
+/// Level of wear of a new tool.
+const NEW_TOOL: f64 = 1.0;
+
 /// Spread of wear over the cycles from which its effect is told.
 const TOLD_WEAR: f64 = 0.02;
 
@@ -160,10 +163,15 @@ impl Relation {
         spread_scale: f64,
     ) -> Self {
         let heat_scale = heat_scale(courses);
-        let wear_ratio = wear_ratio.or_else(|| courses.iter().rev().find_map(|course| course.wear_ratio));
+        let known = || courses.iter().filter_map(|course| course.wear_ratio);
+        let planned_at = wear_ratio;
+        let wear_ratio = wear_ratio.or_else(|| known().next_back());
+        // A cycle whose wear nobody knows counts as one of the least worn tool, of a new one where none is known: what it
+        // shows is then never laid to wear that the plan already counts on.
+        let least = known().reduce(f64::min).unwrap_or(if planned_at.is_some() { NEW_TOOL } else { 0.0 });
         let wears: Vec<f64> = courses
             .iter()
-            .map(|course| course.wear_ratio.or(wear_ratio).unwrap_or(1.0) - wear_ratio.unwrap_or(1.0))
+            .map(|course| wear_ratio.map_or(0.0, |planned| course.wear_ratio.unwrap_or(least) - planned))
             .collect();
         let table = Table::new(&grid, courses, heat_scale, &wears);
         let fits = [0, 1].map(|drive| table.fit(drive));
@@ -171,7 +179,7 @@ impl Relation {
         for (at, node) in nodes.iter_mut().enumerate() {
             *node = table.node(at, about[at], &fits);
         }
-        let spread = wears.iter().copied().fold(0.0, f64::max) - wears.iter().copied().fold(0.0, f64::min);
+        let spread = known().fold(f64::NEG_INFINITY, f64::max) - known().fold(f64::INFINITY, f64::min);
         let offsets = (fits[0].offsets.iter().zip(&fits[1].offsets))
             .map(|(feed, spindle)| if feed.abs() > spindle.abs() { *feed } else { *spindle })
             .collect();

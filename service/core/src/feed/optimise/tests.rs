@@ -1,5 +1,5 @@
 use super::*;
-use crate::feed::study::{Case, Model, Plant, draw, recorded, settings};
+use crate::feed::study::{AnyPlant, Case, Model, Plant, draw, recorded, settings};
 use crate::friction::error::InvalidCode;
 use crate::friction::noise::Noise;
 use crate::friction::program::Knot;
@@ -135,6 +135,268 @@ fn beyond_the_depth_of_an_aborted_cycle_the_feed_is_not_raised() {
         assert!(proposal.knots.feed_at(depth) <= last.feed_at(depth) * (1.0 + 1e-9), "at {depth} mm");
         depth += 0.05;
     }
+}
+
+/// Settings of a case, changed.
+fn changed(case: &Case, change: impl Fn(&mut SettingsParams)) -> Settings {
+    let mut params = SettingsParams::clone(&settings(&case.limits).unwrap());
+    change(&mut params);
+    Settings::new(params).unwrap()
+}
+
+fn feed_of(knots: &Knots, factor: f64) -> Vec<Knot> {
+    knots.as_slice().iter().map(|knot| Knot { feed_mm_min: knot.feed_mm_min * factor, ..*knot }).collect()
+}
+
+#[test]
+fn energy_and_cost_give_up_time_for_work_and_never_the_other_way_round() {
+    let mut differed = 0;
+    for seed in [4, 7] {
+        let mut case = draw(Model::Other, seed).unwrap();
+        let AnyPlant::Other(model) = &mut case.plant else { unreachable!("a case of the second model") };
+        // A torque that grows faster than the feed: what a slower hole saves, until the drag of the tool eats it.
+        model.spindle.iter_mut().for_each(|bump| bump.exponent = 1.5);
+        let case = case;
+        let cycles = cycles(&case, &[1.0, 0.85, 1.15]);
+        let asked = |objective| {
+            let settings = changed(&case, |params| params.objective = objective);
+            optimise(&cycles, &settings, Some(&first(&case))).unwrap()
+        };
+        let time = asked(Objective::Time);
+        let energy = asked(Objective::Energy);
+        let price = 0.5 * time.prediction.time_s.expected / time.prediction.spindle_percent_s.expected;
+        let cost = asked(Objective::Cost { per_second: 1.0, per_percent_second: price });
+        let seconds = |one: &Proposal| one.prediction.time_s.expected;
+        let work = |one: &Proposal| one.prediction.spindle_percent_s.expected;
+        let spent = |one: &Proposal| seconds(one) + price * work(one);
+        assert!(work(&energy) <= work(&time) * 1.003, "case {seed}: {} {}", work(&energy), work(&time));
+        assert!(seconds(&energy) >= seconds(&time) * 0.997, "case {seed}");
+        for other in [&time, &energy] {
+            assert!(spent(&cost) <= spent(other) * 1.003, "case {seed}: {} {}", spent(&cost), spent(other));
+        }
+        let held = energy.sections.iter().flat_map(|section| &section.bindings);
+        differed += usize::from(held.into_iter().any(|(binding, _)| *binding == Binding::Objective));
+        // Joules are told where the machine says what a percent stands for.
+        assert_eq!(time.prediction.energy_j, None);
+        let rated = changed(&case, |params| params.watts_per_percent = Some(70.0));
+        let joules = optimise(&cycles, &rated, Some(&first(&case))).unwrap().prediction.energy_j.unwrap();
+        assert!((joules.expected - 70.0 * work(&time)).abs() < 1e-6 * joules.expected);
+    }
+    assert!(differed > 0, "energy has a minimum over the feed somewhere");
+}
+
+#[test]
+fn an_override_above_100_percent_is_what_the_loads_are_kept_at() {
+    let case = case(6);
+    let at = |percent: f64| {
+        let settings = changed(&case, |params| params.override_percent = percent);
+        let mut cycles = cycles(&case, &[1.0]);
+        let mut last = first(&case);
+        let mut noise = Noise::seeded(3);
+        for order in 1..4 {
+            let proposal = optimise(&cycles, &settings, Some(&last)).unwrap();
+            let acting = feed_of(&proposal.knots, percent / 100.0);
+            cycles.push(recorded(&case.plant.drill(&acting, Some(&mut noise)).unwrap(), order));
+            last = proposal.knots;
+        }
+        last
+    };
+    let usual = at(100.0);
+    let raised = at(150.0);
+    let ratio = |knots: &[Knot]| case.plant.drill(knots, None).unwrap().worst_ratio(case.limits.set_percent);
+    assert!(ratio(&feed_of(&raised, 1.5)) < 1.05, "{}", ratio(&feed_of(&raised, 1.5)));
+    assert!(ratio(&feed_of(&usual, 1.5)) > 1.05, "what was made for 100 % does not stand 150 %");
+    let end = case.limits.end_mm;
+    let time = |knots: &Knots| {
+        (0..1000).map(|at| end / 1000.0 / knots.feed_at(end * f64::from(at) / 1000.0)).sum::<f64>()
+    };
+    assert!(time(&raised) > time(&usual) * 1.2, "its programmed feed is lower");
+    // An override below 100 % is no reason to go faster: it may be put back.
+    let ran = cycles(&case, &[1.0]);
+    let asked = |percent: f64| {
+        let settings = changed(&case, |params| params.override_percent = percent);
+        optimise(&ran, &settings, Some(&first(&case))).unwrap().knots
+    };
+    assert_eq!(asked(50.0), asked(100.0));
+}
+
+#[test]
+fn heating_may_end_where_its_load_has_fallen_and_never_runs_faster_before() {
+    let case = case(6);
+    let until_mm = case.limits.end_mm * 0.4;
+    let heated = |may_shorten| {
+        let feed_mm_min = 60.0;
+        changed(&case, |params| params.heating = Some(Heating { feed_mm_min, until_mm, may_shorten }))
+    };
+    let cycles = cycles(&case, &[1.0, 0.9, 1.1]);
+    let asked = |may| optimise(&cycles, &heated(may), Some(&first(&case))).unwrap();
+    let (whole, shorter) = (asked(false), asked(true));
+    assert!(shorter.prediction.time_s.expected <= whole.prediction.time_s.expected);
+    let mut depth = 0.0;
+    while depth < until_mm {
+        assert!(whole.knots.feed_at(depth) <= 60.0 + 1e-9, "at {depth} mm");
+        depth += 0.05;
+    }
+    assert!(whole.sections.iter().any(|one| one.bindings.iter().any(|(what, _)| *what == Binding::Heating)));
+    let timed = Heating::for_time(60.0, 2.0);
+    assert!((timed.until_mm - 2.0).abs() < 1e-12, "60 mm/min for 2 s");
+}
+
+#[test]
+fn a_hold_in_a_cycle_teaches_nothing_wrong() {
+    let case = case(4);
+    let settings = settings(&case.limits).unwrap();
+    let cycles = cycles(&case, &[1.0, 0.9]);
+    let plain = optimise(&cycles, &settings, Some(&first(&case))).unwrap();
+    let held: Vec<RecordedCycle> = cycles
+        .iter()
+        .map(|cycle| {
+            let mut cycle = cycle.clone();
+            let at = cycle.depth_mm.iter().position(|depth| *depth > settings.depth_mm / 2.0).unwrap();
+            let (time, depth) = (cycle.time_s[at], cycle.depth_mm[at]);
+            // A feed hold of 0.8 s: the tool stands, the loads fall to idle, and it goes on.
+            let hold: Vec<f64> = (1..=80).map(|k| time + 0.01 * f64::from(k)).collect();
+            cycle.time_s[at + 1..].iter_mut().for_each(|time| *time += 0.8);
+            let fill = |column: &mut Vec<f64>, value: f64| {
+                column.splice(at + 1..at + 1, std::iter::repeat_n(value, 80));
+            };
+            cycle.time_s.splice(at + 1..at + 1, hold);
+            fill(&mut cycle.depth_mm, depth);
+            fill(&mut cycle.feed_drive_percent, 4.0);
+            fill(&mut cycle.spindle_percent, 5.0);
+            cycle.feed_mm_min.iter_mut().for_each(|feed| fill(feed, 0.0));
+            cycle
+        })
+        .collect();
+    let found = optimise(&held, &settings, Some(&first(&case))).unwrap();
+    assert_eq!((found.learned_from, found.skipped.len()), (2, 0));
+    let change = found.prediction.time_s.expected / plain.prediction.time_s.expected - 1.0;
+    assert!(change.abs() < 0.05, "{change}");
+}
+
+#[test]
+fn loads_that_were_recorded_filtered_are_read_where_they_arose() {
+    let case = case(4);
+    let settings = settings(&case.limits).unwrap();
+    let raw = cycles(&case, &[1.0, 0.9]);
+    let weights = crate::friction::filter::FilterWeights::default();
+    let late: Vec<RecordedCycle> = raw
+        .iter()
+        .map(|cycle| {
+            let filtered = |column: &[f64]| {
+                let mut filter = crate::friction::filter::LoadFilter::new();
+                column.iter().map(|load| filter.step(&weights, *load)).collect::<Vec<_>>()
+            };
+            RecordedCycle {
+                signal: LoadSignal::Filtered(weights),
+                feed_drive_percent: filtered(&cycle.feed_drive_percent),
+                spindle_percent: filtered(&cycle.spindle_percent),
+                ..cycle.clone()
+            }
+        })
+        .collect();
+    let of = |cycles: &[RecordedCycle]| {
+        optimise(cycles, &settings, Some(&first(&case))).unwrap().prediction.time_s.expected
+    };
+    let change = of(&late) / of(&raw) - 1.0;
+    assert!(change.abs() < 0.04, "{change}");
+    // What ran is measured the same, filtered here or by the control.
+    let [one, other] = [&raw[0], &late[0]].map(|cycle| Actual::of(cycle, &settings, 5.0).unwrap());
+    assert!((one.peak_spindle_percent - other.peak_spindle_percent).abs() < 1.0, "{one:?} {other:?}");
+}
+
+#[test]
+fn cycles_that_contradict_each_other_are_left_out_or_make_it_careful() {
+    let case = case(4);
+    let settings = settings(&case.limits).unwrap();
+    let times = |cycle: &RecordedCycle, factor: f64| {
+        let mut cycle = RecordedCycle { id: format!("{} times {factor}", cycle.id), ..cycle.clone() };
+        for load in cycle.feed_drive_percent.iter_mut().chain(&mut cycle.spindle_percent) {
+            *load = 5.0 + (*load - 5.0) * factor;
+        }
+        cycle
+    };
+    let agreeing = cycles(&case, &[1.0, 1.0, 1.0, 1.0]);
+    let plain = optimise(&agreeing, &settings, Some(&first(&case))).unwrap();
+    // One of another process: another sheet, a broken tool.
+    let mut strange = agreeing.clone();
+    strange[1] = times(&agreeing[1], 1.8);
+    let found = optimise(&strange, &settings, Some(&first(&case))).unwrap();
+    assert_eq!((found.learned_from, found.skipped[0].reason), (3, SkipReason::Outlier));
+    // Half and half: nobody knows which is true, so it is said and the margins are wide.
+    let mut split = agreeing.clone();
+    for at in [1, 3] {
+        split[at] = times(&agreeing[at], 1.3);
+    }
+    let found = optimise(&split, &settings, Some(&first(&case))).unwrap();
+    assert!(found.warnings.contains(&Warning::CyclesDisagree), "{:?}", found.warnings);
+    assert!(found.prediction.time_s.expected > plain.prediction.time_s.expected * 1.03);
+}
+
+#[test]
+fn a_band_for_worn_tools_is_slower_and_bands_that_gain_nothing_are_joined() {
+    let case = case(9);
+    let settings = settings(&case.limits).unwrap();
+    let mut noise = Noise::seeded(1);
+    let cycles: Vec<RecordedCycle> = (0..6)
+        .map(|order| {
+            let wear = 0.3 * order as f64;
+            let run = case.plant.worn(wear).drill(&case.first, Some(&mut noise)).unwrap();
+            // The energy of the paper's worn tool is 9 % above the new one's.
+            RecordedCycle { wear_ratio: Some(1.0 + 0.09 * wear), ..recorded(&run, order) }
+        })
+        .collect();
+    let edges = [1.0, 1.04, 1.08, 1.12];
+    let bands = wear_bands(&cycles, &settings, Some(&first(&case)), &edges).unwrap();
+    assert!((bands[0].from - 1.0).abs() < 1e-12 && (bands[bands.len() - 1].to - 1.12).abs() < 1e-12);
+    for pair in bands.windows(2) {
+        assert!((pair[0].to - pair[1].from).abs() < 1e-12, "no gap and no overlap");
+        let [new, worn] = [&pair[0], &pair[1]].map(|band| band.proposal.prediction.time_s.expected);
+        assert!(new < worn * 0.99 + 1e-9, "{new} {worn}");
+    }
+    for band in &bands {
+        let holds = band.proposal.holds_up_to_wear.unwrap();
+        assert!(holds >= band.to - 1e-9, "planned at its end: {holds} {}", band.to);
+        assert!(!band.proposal.warnings.contains(&Warning::WearAssumed), "six wears were seen");
+    }
+    let refused = |edges: &[f64]| {
+        let error = wear_bands(&cycles, &settings, None, edges).unwrap_err();
+        (error.field().to_owned(), error.code())
+    };
+    assert_eq!(refused(&[1.0]), ("edges".to_owned(), InvalidCode::OutOfRange));
+    assert_eq!(refused(&[1.0, 1.05, 1.05]), ("edges[2]".to_owned(), InvalidCode::NotIncreasing));
+    let unknown: Vec<RecordedCycle> =
+        cycles.iter().map(|cycle| RecordedCycle { wear_ratio: None, ..cycle.clone() }).collect();
+    assert!(wear_bands(&unknown, &settings, None, &edges).is_err(), "no cycle tells its wear");
+}
+
+#[test]
+fn cycles_of_unknown_wear_are_a_new_tools_for_a_plan_at_a_worn_one() {
+    let case = case(6);
+    let cycles = cycles(&case, &[1.0, 0.9, 1.1]);
+    let planned = |wear_ratio| {
+        let settings = changed(&case, |params| params.wear_ratio = wear_ratio);
+        optimise(&cycles, &settings, Some(&first(&case))).unwrap()
+    };
+    let (new, worn) = (planned(Some(1.0)), planned(Some(1.06)));
+    assert!(worn.warnings.contains(&Warning::WearAssumed));
+    let (fast, slow) = (new.prediction.time_s.expected, worn.prediction.time_s.expected);
+    assert!(slow > fast * 1.02, "a worn tool loads more: {slow} {fast}");
+    assert!(worn.holds_up_to_wear.unwrap() >= 1.06);
+    assert_eq!(planned(None).knots, new.knots, "nothing is made of a wear that nobody named");
+}
+
+#[test]
+fn one_feed_only_is_what_equal_limits_leave() {
+    let case = case(4);
+    let settings = changed(&case, |params| {
+        params.feed_min_mm_min = 40.0;
+        params.feed_max_mm_min = 40.0;
+        params.heating = None;
+        params.bushing = None;
+    });
+    let proposal = optimise(&cycles(&case, &[1.0]), &settings, Some(&first(&case))).unwrap();
+    assert!(proposal.knots.as_slice().iter().all(|knot| (knot.feed_mm_min - 40.0).abs() < 1e-9));
 }
 
 proptest! {

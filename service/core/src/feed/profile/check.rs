@@ -91,9 +91,10 @@ fn limits(check: &mut Checker, input: &ProfileInput) -> Option<Limits> {
     let feed_min = check.number("limits.feed_min_mm_min", &FEED_RANGE, given.feed_min_mm_min);
     let feed_max = check.number("limits.feed_max_mm_min", &FEED_RANGE, given.feed_max_mm_min);
     if let (Some(min), Some(max)) = (feed_min, feed_max)
-        && min >= max
+        && min > max
     {
-        let message = format!("must be above feed_min_mm_min ({})", given.feed_min_mm_min);
+        // Equal ones are a shop that may run one feed only.
+        let message = format!("must not be below feed_min_mm_min ({})", given.feed_min_mm_min);
         check.say("limits.feed_max_mm_min", "empty_range", message);
     }
     let acceleration =

@@ -19,8 +19,8 @@ use crate::friction::program::{Between, FeedProgram};
 use crate::ids::OperationId;
 use crate::invalid::Violation;
 
-/// Most knots of a profile: what a person can review and any control holds.
-pub const MOST_KNOTS: usize = 200;
+/// Most knots of a profile: as many as any program has that is simulated or told over the stream.
+pub use crate::friction::program::MOST_KNOTS;
 /// Most sections of a profile.
 pub const MOST_SECTIONS: usize = 16;
 /// Longest text of a condition or a tool type, in bytes.

@@ -177,7 +177,7 @@ fn whatever_is_wrong_is_named_with_its_path_and_everything_at_once() {
     );
     assert_eq!(refused(|p| p.sections.clear()), path("sections", "empty"));
     assert_eq!(refused(|p| p.knots.truncate(1))[0], ("knots".to_owned(), "too_few"));
-    assert_eq!(refused(|p| p.knots = vec![(0.0, 100.0).into(); 201])[0], ("knots".to_owned(), "too_many"));
+    assert_eq!(refused(|p| p.knots = vec![(0.0, 100.0).into(); 257])[0], ("knots".to_owned(), "too_many"));
     assert_eq!(refused(|p| p.wear.to_level = 0.9), path("wear.to_level", "out_of_range"));
     assert_eq!(refused(|p| p.wear.from_level = Some(1.08)), path("wear.to_level", "empty_range"));
     assert_eq!(refused(|p| p.tool_type.clear()), path("tool_type", "empty"));

@@ -1,5 +1,6 @@
 //! Random cases: a process, a machine, limits and a profile to start from, all from one seed.
 
+use super::coarse::CoarseModel;
 use super::other::{Bump, OtherModel};
 use super::plant::{Plant, Run, TwinPlant};
 use super::reference::Limits;
@@ -15,6 +16,8 @@ pub enum Model {
     Twin,
     /// The second one, of another structure.
     Other,
+    /// The third one, on a coarse control.
+    Coarse,
 }
 
 /// How the profile to start from was made.
@@ -50,6 +53,22 @@ pub enum AnyPlant {
     Twin(Box<TwinPlant>),
     /// The second one.
     Other(Box<OtherModel>),
+    /// The third one.
+    Coarse(Box<CoarseModel>),
+}
+
+impl AnyPlant {
+    /// The same with a tool that is worn by `more`, in units of the wear law (1 is the paper's 10 000 holes).
+    #[must_use]
+    pub fn worn(&self, more: f64) -> Self {
+        let mut plant = self.clone();
+        match &mut plant {
+            Self::Twin(plant) => plant.setup.wear += more,
+            Self::Other(plant) => plant.wear += more,
+            Self::Coarse(plant) => plant.wear += more,
+        }
+        plant
+    }
 }
 
 impl Plant for AnyPlant {
@@ -57,6 +76,7 @@ impl Plant for AnyPlant {
         match self {
             Self::Twin(plant) => plant.drill(knots, noise),
             Self::Other(plant) => plant.drill(knots, noise),
+            Self::Coarse(plant) => plant.drill(knots, noise),
         }
     }
 }
@@ -76,13 +96,27 @@ pub struct Case {
     pub first: Vec<Knot>,
     /// Noise over what a shop typically sees.
     pub noise_factor: f64,
-    /// Wear of the tool in units of the wear law (1 is the paper's worn tool); 0 where the model has none.
+    /// Wear of the tool at the recorded cycle, in units of the wear law (1 is the paper's worn tool).
     pub wear: f64,
+    /// Further wear from one trial to the next: a shop changes a profile every hundred holes rather than every hole.
+    pub wear_step: f64,
     /// Sampling, s.
     pub period_s: f64,
 }
 
 impl Case {
+    /// The plant as it is at a trial, 0 being the recorded cycle.
+    #[must_use]
+    pub fn plant_at(&self, trial: usize) -> AnyPlant {
+        self.plant.worn(self.wear_step * trial as f64)
+    }
+
+    /// The plant as it is at the last trial, where its loads are largest.
+    #[must_use]
+    pub fn last_plant(&self) -> AnyPlant {
+        self.plant_at(super::TRIALS)
+    }
+
     /// The same case with a start that takes at most [`SLOWEST_START`] times as long as `reference_s`: a shop that drills
     /// more slowly than that does not ask for the last percent.
     ///
@@ -123,6 +157,9 @@ fn reachable(knots: &mut [Knot], acceleration_mm_s2: f64) {
     }
 }
 
+/// Largest further wear between two trials: 200 of the paper's 10 000 holes.
+const MOST_WEAR_STEP: f64 = 0.02;
+
 struct Dice(Noise);
 
 impl Dice {
@@ -155,6 +192,7 @@ pub fn draw(model: Model, seed: u64) -> Result<Case, Invalid> {
     let aims = [dice.between(0.7, 1.25), dice.between(0.7, 1.25)];
     let (plant, end_mm, perforation_mm, shoulder_mm, wear) = match model {
         Model::Twin => twin(&mut dice, nominal, period_s, acceleration, noise_factor, set_percent, aims)?,
+        Model::Coarse => coarse(&mut dice, nominal, period_s, acceleration, noise_factor, set_percent, aims)?,
         Model::Other => other(&mut dice, nominal, period_s, acceleration, noise_factor, set_percent, aims)?,
     };
     let feed_max = dice.factor(700.0, 1500.0);
@@ -174,7 +212,8 @@ pub fn draw(model: Model, seed: u64) -> Result<Case, Invalid> {
     };
     let start = dice.one_of(&[Start::Conservative, Start::Stepped, Start::Near, Start::Overloaded]);
     let first = first(&mut dice, &plant, &limits, start)?;
-    Ok(Case { seed, plant, limits, start, first, noise_factor, wear, period_s })
+    let wear_step = dice.between(0.0, MOST_WEAR_STEP);
+    Ok(Case { seed, plant, limits, start, first, noise_factor, wear, wear_step, period_s })
 }
 
 type Drawn = (AnyPlant, f64, f64, f64, f64);
@@ -243,8 +282,7 @@ fn twin(
     let rpm = 2800.0 / size.sqrt() * dice.between(0.8, 1.2);
     let wear = if dice.0.uniform() < 0.4 { 0.0 } else { dice.between(0.0, 1.2) };
     let end_mm = p.tool.collar_depth_mm() - dice.between(0.05, 0.4);
-    // Far enough that the spindle has spun up before contact, whatever the feed.
-    let setup = CycleSetup { period_s, approach_mm: 12.0, ..CycleSetup::new(rpm, wear) };
+    let setup = CycleSetup { period_s, ..CycleSetup::new(rpm, wear) };
     // Rate the machine so that the nominal feed loads it as aimed.
     let plant = |p: TwinParams| -> Result<TwinPlant, Invalid> {
         Ok(TwinPlant { twin: Twin::new(p)?, setup, end_mm })
@@ -281,6 +319,7 @@ fn other(
         bump(shoulder * 0.5, end_mm * 0.3, end_mm * 0.15, dice.between(0.02, 0.15), 0.0),
     ];
     let wear = dice.between(0.0, 1.2);
+    let drag = bump(shoulder * 1.1, end_mm * 0.07, end_mm * 0.06, dice.between(0.05, 0.2), 0.0);
     let spindle = vec![
         bump(
             shoulder,
@@ -289,13 +328,14 @@ fn other(
             1.0,
             dice.between(0.35, 1.05),
         ),
-        bump(shoulder * 1.1, end_mm * 0.07, end_mm * 0.06, wear * dice.between(0.05, 0.2), 0.0),
         bump(perforation * 1.3, perforation, perforation, dice.between(0.1, 0.5), dice.between(0.3, 0.9)),
         bump(flange_mm, dice.between(0.5, 1.2), 5.0, dice.between(0.2, 0.9), dice.between(0.2, 0.8)),
     ];
     let mut model = OtherModel {
         feed_drive,
         spindle,
+        drag,
+        wear,
         reference_feed_mm_min: nominal,
         end_mm,
         floor: dice.between(0.2, 0.6),
@@ -331,9 +371,63 @@ fn other(
             let idle = model.idle_percent[drive];
             let by = (set[drive] * aims[drive] - idle).max(2.0) / (seen[drive] - idle).max(1e-6);
             scale(if drive == 0 { &mut model.feed_drive } else { &mut model.spindle }, by);
+            if drive == 1 {
+                model.drag.percent *= by;
+            }
         }
     }
     Ok((AnyPlant::Other(Box::new(model)), end_mm, perforation, shoulder, wear))
+}
+
+fn coarse(
+    dice: &mut Dice,
+    nominal: f64,
+    period_s: f64,
+    acceleration: f64,
+    noise_factor: f64,
+    set: [f64; 2],
+    aims: [f64; 2],
+) -> Result<Drawn, Invalid> {
+    let end_mm = dice.between(8.0, 30.0);
+    let perforation = end_mm * dice.between(0.1, 0.2);
+    let shoulder = end_mm * dice.between(0.4, 0.6);
+    let collar = end_mm - dice.between(0.4, 1.5);
+    let corners = vec![
+        (0.0, [dice.between(0.1, 0.4), dice.between(0.05, 0.2)]),
+        (perforation, [1.0, dice.between(0.4, 0.8)]),
+        (perforation * 1.6, [dice.between(0.4, 0.8), dice.between(0.4, 0.9)]),
+        (shoulder, [dice.between(0.3, 0.7), 1.0]),
+        (shoulder + end_mm * 0.12, [dice.between(0.08, 0.3), dice.between(0.2, 0.5)]),
+        (collar, [dice.between(0.08, 0.3), dice.between(0.2, 0.5)]),
+        (end_mm, [dice.between(0.4, 1.2), dice.between(0.4, 1.0)]),
+    ];
+    let mut model = CoarseModel {
+        corners,
+        fixed: [dice.between(0.1, 0.6), dice.between(0.05, 0.5)],
+        reference_feed_mm_min: nominal,
+        end_mm,
+        softening: (dice.between(0.1, 0.6), dice.between(0.5, 4.0)),
+        worn: [dice.between(0.0, 0.3), dice.between(0.0, 0.2)],
+        wear: dice.between(0.0, 1.2),
+        idle_percent: [dice.between(2.0, 6.0), dice.between(2.0, 8.0)],
+        resolution: dice.one_of(&[0.1, 0.5, 1.0]),
+        repeats: dice.one_of(&[1, 1, 2]),
+        acceleration_mm_s2: acceleration,
+        period_s,
+        ripple: (0.03 * noise_factor, dice.between(0.02, 0.06)),
+        drift: 0.02 * noise_factor,
+        common: 0.015 * noise_factor,
+        reading: 0.3 * noise_factor,
+    };
+    let seen = peaks(&model.drill(&[Knot { depth_mm: 0.0, feed_mm_min: nominal }], None)?);
+    for (_, loads) in &mut model.corners {
+        for drive in 0..2 {
+            let idle = model.idle_percent[drive];
+            loads[drive] *= (set[drive] * aims[drive] - idle).max(2.0) / (seen[drive] - idle).max(1e-6);
+        }
+    }
+    let wear = model.wear;
+    Ok((AnyPlant::Coarse(Box::new(model)), end_mm, perforation, shoulder, wear))
 }
 
 /// A profile to start from; found by drilling without noise, as the shop's own trials would have.

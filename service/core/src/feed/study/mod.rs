@@ -4,13 +4,19 @@
 //! A case starts from a recorded cycle of a profile that a shop might run, and then tries what the optimiser proposes,
 //! cycle after cycle. Everything follows from the seed.
 
+mod coarse;
 mod draw;
 mod other;
+mod paper;
 mod plant;
 mod reference;
+#[cfg(test)]
+mod tests;
 
+pub use coarse::CoarseModel;
 pub use draw::{AnyPlant, Case, Model, Start, draw};
 pub use other::{Bump, OtherModel};
+pub use paper::{PaperRow, paper_rows};
 pub use plant::{Plant, Run, TwinPlant};
 pub use reference::{Limits, Reference, reference};
 
@@ -74,7 +80,7 @@ pub struct CaseOutcome {
     pub trials: Vec<Trial>,
     /// Noise over what a shop typically sees.
     pub noise_factor: f64,
-    /// Wear of the tool.
+    /// Wear of the tool at the recorded cycle.
     pub wear: f64,
     /// Sampling, s.
     pub period_s: f64,
@@ -120,7 +126,7 @@ pub fn recorded(run: &Run, order: i64) -> RecordedCycle {
         signal: LoadSignal::Raw,
         time_s: run.time_s.clone(),
         depth_mm: run.depth_mm.clone(),
-        feed_mm_min: Some(run.feed_mm_min.clone()),
+        feed_mm_min: (!run.feed_mm_min.is_empty()).then(|| run.feed_mm_min.clone()),
         feed_drive_percent: run.load_percent[0].clone(),
         spindle_percent: run.load_percent[1].clone(),
     }
@@ -131,7 +137,7 @@ pub fn recorded(run: &Run, order: i64) -> RecordedCycle {
 /// # Errors
 /// When no feed keeps the loads, a hole cannot be finished, or the optimiser refuses.
 pub fn run_case(case: &Case, reference_trials: usize) -> Result<CaseOutcome, Invalid> {
-    let best = reference(&case.plant, &case.limits, REFERENCE_MARGIN, reference_trials, case.seed)?;
+    let best = reference(&case.last_plant(), &case.limits, REFERENCE_MARGIN, reference_trials, case.seed)?;
     try_case(case, best.duration_s)
 }
 
@@ -151,8 +157,9 @@ pub fn try_case(case: &Case, reference_s: f64) -> Result<CaseOutcome, Invalid> {
     for order in (1..).take(TRIALS) {
         let proposal = optimise(&cycles, &settings, Some(&last))?;
         let knots = proposal.knots.as_slice();
-        let quiet = case.plant.drill(knots, None)?;
-        let run = case.plant.drill(knots, Some(&mut noise))?;
+        let plant = case.plant_at(cycles.len());
+        let quiet = plant.drill(knots, None)?;
+        let run = plant.drill(knots, Some(&mut noise))?;
         let cycle = recorded(&run, order);
         let actual = Actual::of(&cycle, &settings, proposal.idle_percent[1])?;
         trials.push(Trial {

@@ -48,6 +48,10 @@ pub struct OtherModel {
     pub feed_drive: Vec<Bump>,
     /// Contributions to the spindle load.
     pub spindle: Vec<Bump>,
+    /// Drag of a worn tool on the spindle at a wear of 1.
+    pub drag: Bump,
+    /// Wear of the tool, 0 new.
+    pub wear: f64,
     /// Feed at which the bumps are told, mm/min.
     pub reference_feed_mm_min: f64,
     /// End of the path, mm.
@@ -133,7 +137,8 @@ impl Plant for OtherModel {
                 let sticking = if burst_s > 0.0 { 1.1 } else { 1.0 };
                 let sum = |bumps: &[Bump]| bumps.iter().map(|bump| bump.load(depth, ratio)).sum::<f64>();
                 let all = strength * (1.0 + uneven) * cold;
-                load = [sum(&self.feed_drive) * all, sum(&self.spindle) * all * sticking];
+                let drag = self.wear * self.drag.load(depth, ratio);
+                load = [sum(&self.feed_drive) * all, (sum(&self.spindle) + drag) * all * sticking];
             }
             for (heat, memory) in heats.iter_mut().zip(self.memory_s) {
                 *heat = *heat * (-STEP_S / memory).exp() + load[1] * STEP_S;

@@ -6,6 +6,9 @@ use crate::friction::noise::Noise;
 use crate::friction::program::{Between, FeedProgram, Knot, Strategy};
 use crate::friction::twin::{CycleSetup, Twin};
 
+/// How long a spindle idles at speed before contact, s.
+const IDLING_S: f64 = 0.4;
+
 /// Samples of one drilled hole, from the approach to the end of the path.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Run {
@@ -13,7 +16,7 @@ pub struct Run {
     pub time_s: Vec<f64>,
     /// Tip depth, mm.
     pub depth_mm: Vec<f64>,
-    /// Actual feed, mm/min.
+    /// Actual feed, mm/min; empty where the control does not tell it.
     pub feed_mm_min: Vec<f64>,
     /// Loads as the machine reports them (feed drive, spindle), percent.
     pub load_percent: [Vec<f64>; 2],
@@ -100,6 +103,11 @@ impl TwinPlant {
 impl Plant for TwinPlant {
     fn drill(&self, knots: &[Knot], noise: Option<&mut Noise>) -> Result<Run, Invalid> {
         let program = FeedProgram::new(Between::Linear, knots.to_vec())?;
-        self.run(&Strategy::new("trial", program, self.end_mm, None)?, noise)
+        let machine = &self.twin.params().machine;
+        // As much air as the spindle needs to spin up, and a little to idle in.
+        let air_s = self.setup.spindle_rpm / machine.spindle_acceleration_rpm_s + IDLING_S;
+        let approach_mm = program.feed_at(0.0) / 60.0 * air_s;
+        let plant = Self { setup: CycleSetup { approach_mm, ..self.setup }, ..self.clone() };
+        plant.run(&Strategy::new("trial", program, self.end_mm, None)?, noise)
     }
 }

@@ -116,7 +116,7 @@ pub struct ProfileBody {
     pub operation: String,
     /// Kind of tool.
     pub tool_type: String,
-    /// 2 to 200 knots, from depth 0 to the end.
+    /// 2 to 256 knots, from depth 0 to the end.
     pub knots: Vec<KnotBody>,
     /// 1 to 16 sections that cover the depth.
     pub sections: Vec<SectionBody>,
@@ -215,6 +215,9 @@ pub struct DraftBody {
     /// A finished optimisation whose result is drafted.
     #[serde(default)]
     pub job: Option<String>,
+    /// Which wear band of that optimisation, counted from 0, where it was asked for bands. Each is a feed profile of its own.
+    #[serde(default)]
+    pub band: Option<usize>,
     /// The version of this feed profile that it was changed from.
     #[serde(default)]
     pub based_on: Option<u32>,

@@ -103,9 +103,27 @@ pub struct OptimiseBody {
     /// Level of wear from which the version is meant, for a line of its own; the new tool where it is left out.
     #[serde(default)]
     pub wear_from_level: Option<f64>,
+    /// A profile per wear band: 2 to 9 levels between which bands lie, increasing, 1 is the new tool. Bands whose own
+    /// profile would gain less than 1 % are joined. Needs cycles whose wear is known; in place of `wear_level`.
+    #[serde(default)]
+    pub wear_edges: Option<Vec<f64>>,
+    /// Highest override at which it will run, %: above 100, loads are kept at that feed. 100 where it is left out.
+    #[serde(default)]
+    pub override_percent: Option<f64>,
     /// How many of the operation's last cycles are looked at, 1 to 40.
     #[serde(default)]
     pub cycles: Option<u32>,
+}
+
+/// What the service itself knows for an optimisation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Known {
+    /// Depth of the operation, mm.
+    pub depth_mm: f64,
+    /// Watts that one percent of spindle load stands for.
+    pub watts_per_percent: Option<f64>,
+    /// Factor on the spread, from how earlier predictions turned out.
+    pub spread_scale: f64,
 }
 
 /// Settings for a depth and limits; both set loads are needed.
@@ -134,15 +152,25 @@ pub fn refused(error: &Invalid) -> Violation {
         "feed_max_mm_min" => "limits.feed_max_mm_min",
         "acceleration_mm_s2" => "limits.acceleration_mm_s2",
         "wear_ratio" => "wear_level",
-        other => other,
+        "edges" => "wear_edges",
+        other => return Violation::new(edge(other), error.code().as_str(), error.message()),
     };
     Violation::new(path, error.code().as_str(), error.message())
 }
 
+/// `edges[2]` as the body names it.
+fn edge(field: &str) -> String {
+    field.strip_prefix("edges[").map_or_else(|| field.to_owned(), |rest| format!("wear_edges[{rest}"))
+}
+
 impl OptimiseBody {
     /// The checked settings.
-    pub fn settings(&self, depth_mm: f64) -> Result<Settings, Violation> {
-        let base = settings(&self.operation, depth_mm, &self.limits.to_input())?;
+    pub fn settings(&self, known: &Known) -> Result<Settings, Violation> {
+        if self.wear_edges.is_some() && (self.wear_level.is_some() || self.wear_from_level.is_some()) {
+            let why = "each band has its own: leave wear_level and wear_from_level out";
+            return Err(Violation::new("wear_edges", "one_of", why));
+        }
+        let base = settings(&self.operation, known.depth_mm, &self.limits.to_input())?;
         let params = SettingsParams {
             heating: self.heating.map(|heating| Heating {
                 feed_mm_min: heating.feed_mm_min,
@@ -163,7 +191,11 @@ impl OptimiseBody {
             },
             confidence: self.confidence.unwrap_or(base.confidence),
             most_knots: self.most_knots.unwrap_or(base.most_knots),
-            wear_ratio: self.wear_level,
+            // A profile that is meant from a level on is planned for it.
+            wear_ratio: self.wear_level.or(self.wear_from_level),
+            override_percent: self.override_percent.unwrap_or(base.override_percent),
+            watts_per_percent: known.watts_per_percent,
+            spread_scale: known.spread_scale,
             ..base
         };
         Settings::new(params).map_err(|error| refused(&error))
@@ -307,7 +339,7 @@ impl From<&Identified> for IdentifiedBody {
 }
 
 /// A cycle that was not learned from.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Clone, Serialize, ToSchema)]
 pub struct SkippedBody {
     /// Which, as `machine/cycle`.
     pub cycle: String,
@@ -336,6 +368,8 @@ pub struct ProposalReport {
     pub identified: [IdentifiedBody; 2],
     /// Idle loads of feed drive and spindle, %.
     pub idle_percent: [f64; 2],
+    /// Factor on the spread of the bands, from how the last tried version's prediction turned out: 1 as learned.
+    pub spread_scale: f64,
     /// Cycles that were learned from.
     pub learned_from: usize,
     /// Cycles that were not.
@@ -346,7 +380,7 @@ pub struct ProposalReport {
 
 impl ProposalReport {
     /// The report on a proposal; `skipped` comes before what the optimiser skipped itself.
-    pub fn new(proposal: &Proposal, mut skipped: Vec<SkippedBody>) -> Self {
+    pub fn new(proposal: &Proposal, settings: &Settings, mut skipped: Vec<SkippedBody>) -> Self {
         use feedwright_core::feed::optimise::Advice;
         skipped.extend(
             proposal
@@ -369,6 +403,7 @@ impl ProposalReport {
             holds_up_to_wear: proposal.holds_up_to_wear,
             identified: [feed_drive.into(), spindle.into()],
             idle_percent: proposal.idle_percent,
+            spread_scale: settings.spread_scale,
             learned_from: proposal.learned_from,
             skipped,
             warnings: proposal.warnings.iter().map(|warning| warning.as_str()).collect(),
@@ -376,14 +411,29 @@ impl ProposalReport {
     }
 }
 
-/// The result of an optimisation: a content to be drafted (`POST /v1/feed-profiles` with the job's id), or why there is
-/// none.
+/// The profile of one wear band.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct OptimisedBody {
-    /// The proposed content.
+pub struct BandResultBody {
+    /// Level of wear from which it is meant.
+    pub from_level: f64,
+    /// Level of wear for which it is planned.
+    pub to_level: f64,
+    /// The proposed content; null where it is no profile.
     pub content: Option<ProfileBody>,
     /// Everything that a reviewer asks.
     pub report: Option<ProposalReport>,
+}
+
+/// The result of an optimisation: a content to be drafted (`POST /v1/feed-profiles` with the job's id, and the band where
+/// bands were asked for), or why there is none.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct OptimisedBody {
+    /// The proposed content; null where bands were asked for.
+    pub content: Option<ProfileBody>,
+    /// Everything that a reviewer asks.
+    pub report: Option<ProposalReport>,
+    /// A profile per wear band, from the new tool to the worn one; empty where none were asked for.
+    pub bands: Vec<BandResultBody>,
     /// Why there is none: path, code and a sentence of each violation.
     pub refused: Vec<RefusedBody>,
 }
@@ -483,6 +533,9 @@ pub struct OutcomeAnswer {
     pub cycles: Vec<CycleOutcomeBody>,
     /// Share of the figures that lie in their bands, which are made for 0.9; null without cycles.
     pub within_share: Option<f64>,
+    /// Factor on the spread of the next prediction that these cycles ask for: the next optimisation that names this
+    /// version as the last tried one uses it.
+    pub spread_scale: f64,
     /// Cycles with more overload than tolerated.
     pub overloaded: usize,
     /// Cycles that tell too little.

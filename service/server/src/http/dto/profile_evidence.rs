@@ -1,7 +1,7 @@
 //! What cycles say of feed profiles, in JSON.
 
 use super::what_if::ManyAnswer;
-use feedwright_core::feed::comparison::{Compared, Interval, Side};
+use feedwright_core::feed::comparison::{Balanced, Compared, Interval, Side};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -91,15 +91,30 @@ pub struct ComparedBody {
     pub change: Option<IntervalBody>,
     /// Whether the interval of the change leaves out 0: if not, no difference was shown.
     pub is_clear: bool,
+    /// The change as if both versions had run on tools of the same wear; null where the wear of fewer than 5 cycles is
+    /// known, or where the versions ran at wears so different that version and wear cannot be told apart.
+    pub at_same_wear: Option<BalancedBody>,
 }
 
-impl From<Compared> for ComparedBody {
-    fn from(compared: Compared) -> Self {
+/// A change at the same wear.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct BalancedBody {
+    /// After over before, minus 1.
+    pub change: IntervalBody,
+    /// Whether the interval leaves out 0.
+    pub is_clear: bool,
+}
+
+impl ComparedBody {
+    /// A comparison as the cycles ran, and at the same wear where that can be told.
+    pub fn new(compared: Compared, at_same_wear: Option<Balanced>) -> Self {
         Self {
             before: compared.before.into(),
             after: compared.after.into(),
             change: compared.change.map(Into::into),
             is_clear: compared.is_clear,
+            at_same_wear: at_same_wear
+                .map(|found| BalancedBody { change: found.change.into(), is_clear: found.is_clear }),
         }
     }
 }
@@ -124,6 +139,8 @@ pub struct ComparisonAnswer {
     pub profile: String,
     /// Both versions, the earlier one first.
     pub versions: [PredictedBody; 2],
+    /// Level of wear of the tools when the cycles ran, 1 is the new tool. Where it changed, trust `at_same_wear`.
+    pub wear_level: ComparedBody,
     /// Cycle time, s.
     pub duration_s: ComparedBody,
     /// Energy of a cycle, J, on the basis named beside.

@@ -43,16 +43,30 @@ impl ExportQuery {
     }
 
     /// How it is written.
-    pub fn options(&self) -> ExportOptions {
+    pub fn options(&self) -> Result<ExportOptions, Violation> {
+        if self.law_override_max_percent.is_some() && self.law_intensity.is_none() {
+            let why = "belongs to the override law: name its law_intensity too";
+            return Err(Violation::new("law_override_max_percent", "without_law", why));
+        }
         let usual = ExportOptions::default();
-        ExportOptions {
+        Ok(ExportOptions {
             clearance_mm: self.clearance_mm.unwrap_or(usual.clearance_mm),
             feed_error: self.feed_error.unwrap_or(usual.feed_error),
             law: self.law_intensity.map(|intensity| LawInControl {
                 intensity,
                 override_max_percent: self.law_override_max_percent.unwrap_or(100.0),
             }),
-        }
+        })
+    }
+
+    /// A refusal of the core with the name of the query's field.
+    pub fn refused(wrong: Vec<Violation>) -> Vec<Violation> {
+        let named = |one: Violation| match one.path.as_str() {
+            "law" | "law.intensity" => Violation { path: "law_intensity".to_owned(), ..one },
+            "law.override_max_percent" => Violation { path: "law_override_max_percent".to_owned(), ..one },
+            _ => one,
+        };
+        wrong.into_iter().map(named).collect()
     }
 }
 
