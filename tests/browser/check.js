@@ -17,7 +17,7 @@ async function check(name, work) {
 const nothingWrong = (page) => assert.deepEqual(page.wrong, []);
 async function withPage(options, work) { const page = await browser.page(shop, options); try { await work(page); nothingWrong(page); } finally { await page.finish(); } }
 
-const PAGES = { fleet: "/", wall: "/?view=wall", cycle: "/cycle?machine=sim-4", tool: "/tool?id=sim-tool-1", next: "/next?machine=sim-1", strategies: "/studies", turning: "/studies#turning", plunge: "/studies#plunge", machines: "/settings", operations: "/settings#operations", alarms: "/settings#alarms", quarantine: "/settings#quarantine", tokens: "/settings#tokens", audit: "/settings#audit", "sign-in": "/sign-in" };
+const PAGES = { fleet: "/", wall: "/?view=wall", cycle: "/cycle?machine=sim-4", tool: "/tool?id=sim-tool-1", profile: "/profile", next: "/next?machine=sim-1", strategies: "/studies", turning: "/studies#turning", plunge: "/studies#plunge", machines: "/settings", operations: "/settings#operations", alarms: "/settings#alarms", quarantine: "/settings#quarantine", tokens: "/settings#tokens", audit: "/settings#audit", "sign-in": "/sign-in" };
 const SIZES = { desktop: { width: 1440, height: 900 }, phone: { width: 390, height: 844 } };
 
 await check("texts: both languages have the same keys, and every key that is used", async () => {

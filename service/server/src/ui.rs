@@ -18,11 +18,12 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; f
                       frame-ancestors 'none'";
 
 /// Path and name of every page; the name is that of its module in `web/js/pages/`.
-pub const PAGES: [(&str, &str); 7] = [
+pub const PAGES: [(&str, &str); 8] = [
     ("/", "fleet"),
     ("/sign-in", "sign-in"),
     ("/cycle", "cycle"),
     ("/tool", "tool"),
+    ("/profile", "profile"),
     ("/next", "next"),
     ("/studies", "studies"),
     ("/settings", "settings"),

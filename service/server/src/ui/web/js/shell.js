@@ -5,7 +5,7 @@ import { ask, may, session } from "./api.js";
 import { language, setLanguage, t } from "./text.js";
 
 const pages = [
-  ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"],
+  ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"], ["profile", "/profile", "profile"],
   ["next", "/next", "advice"], ["studies", "/studies", "studies", "wide"], ["settings", "/settings", "more", "wide"],
 ];
 const name = () => document.body.dataset.page;
