@@ -43,11 +43,12 @@ pub(super) async fn of(conn: &mut Conn, tool: &ToolId, most: u32) -> StoreResult
                 before += 1;
                 excluded.get_mut(&facts.order.machine).and_then(|of| of.remove(&facts.order.cycle));
             }
-            cycles.push_back(LifeCycle { facts: row.facts()?.0, excluded: None });
+            let level = walk.fold().judged_level();
+            cycles.push_back(LifeCycle { facts: row.facts()?.0, excluded: None, level });
         }
     }
     let mut cycles: Vec<LifeCycle> = cycles.into();
-    for LifeCycle { facts, excluded: why } in &mut cycles {
+    for LifeCycle { facts, excluded: why, .. } in &mut cycles {
         *why = excluded.get(&facts.order.machine).and_then(|of| of.get(&facts.order.cycle)).copied();
     }
     let ended = walk.lives();

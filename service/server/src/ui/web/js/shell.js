@@ -41,8 +41,7 @@ export function shell(title) {
   return session().then((who) => {
     $("#who").textContent = `${who.name}, ${t(`role.${who.role}`)}`;
     $("#sign-out").hidden = who.expires_at == null;
-    return who;
-  });
+  }, () => {}); // the page itself asks too, and says what is wrong
 }
 
 /** Says how fresh the page is: live, polled, offline. */

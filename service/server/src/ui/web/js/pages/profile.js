@@ -6,15 +6,21 @@ import { ApiError, all, ask, get, may, post, segment, session } from "../api.js"
 import { NB, moment, num, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, dpr, hatch, limit, line, nice, phone, ready, splits, token } from "../charts.js";
 import { Track, forward } from "../track.js";
-import { t, told } from "../text.js";
+import { keep } from "../live.js";
+import { language, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
-const UNDO = 100, PREDICT_MS = 150, KNOTS = 200, GRID = 361;
+const BEAT_MS = 15_000, UNDO = 100, PREDICT_MS = 150, KNOTS = 200, GRID = 361;
 /** A load at this share of its set load, or a feed at this share of its limit, is held back by it. */
 const BINDS = 0.97;
+/** Share of the way at feeds that nobody has run, above which a prediction is called a guess. */
+const MOST_UNSEEN = 0.5;
 const DIALECTS = ["sinumerik", "twincat_nci", "twincat_cnc", "linuxcnc", "fanuc", "heidenhain_afc", "csv", "json"];
 const STEPS = ["draft", "shadow", "approved", "active"];
+let names = new Map();
 let who = null, row = null, etag = null, versions = [], shown = null, active = null, knots = [], chosen = 0, undo = [], plots = [], base = null, prediction = null, before = null, wanted = 0;
+/** Whoever took a step: a name where it is known, else the token's id as the audit has it. */
+const person = (by) => by === who.token ? t("profile.you", { name: who.name }) : names.get(by) ?? by;
 const at = (list, depth) => { if (depth <= list[0].depth_mm) return list[0].feed_mm_min; for (let i = 1; i < list.length; i++) if (depth <= list[i].depth_mm) { const a = list[i - 1], b = list[i]; return a.feed_mm_min + (b.feed_mm_min - a.feed_mm_min) * (depth - a.depth_mm) / (b.depth_mm - a.depth_mm); } return list.at(-1).feed_mm_min; };
 const end = () => knots.at(-1).depth_mm;
 const limits = () => shown.content.limits;
@@ -51,13 +57,18 @@ function predictSoon() {
     paint();
   }, PREDICT_MS);
 }
+/** Acceleration along the axis that the knots ask for at a depth, mm/s²: v·dv/dz. */
+function acceleration(depth) {
+  const i = Math.max(1, knots.findIndex((one) => one.depth_mm >= depth - 1e-9)), a = knots[i - 1], b = knots[i];
+  return Math.abs(at(knots, depth) / 60 * (b.feed_mm_min - a.feed_mm_min) / 60 / (b.depth_mm - a.depth_mm));
+}
 /** Runs of depth where something holds the feed back. */
 function bindings() {
   const found = [], l = limits();
   for (let i = 0; i < GRID; i++) {
     const depth = end() * i / (GRID - 1), feed = at(knots, depth), fd = prediction?.track.at("fd", depth), sp = prediction?.track.at("sp", depth);
     const why = fd != null && l.feed_drive_load_set_percent && fd >= BINDS * l.feed_drive_load_set_percent && (sp == null || !l.spindle_load_set_percent || fd / l.feed_drive_load_set_percent >= sp / l.spindle_load_set_percent) ? "feed_drive"
-      : sp != null && l.spindle_load_set_percent && sp >= BINDS * l.spindle_load_set_percent ? "spindle" : feed >= BINDS * l.feed_max_mm_min ? "machine" : feed <= l.feed_min_mm_min / BINDS ? "slowest" : null;
+      : sp != null && l.spindle_load_set_percent && sp >= BINDS * l.spindle_load_set_percent ? "spindle" : feed >= BINDS * l.feed_max_mm_min ? "machine" : feed <= l.feed_min_mm_min / BINDS ? "slowest" : acceleration(depth) >= BINDS * l.acceleration_mm_s2 ? "acceleration" : null;
     const last = found.at(-1);
     if (why && last?.why === why && last.i === i - 1) { last.to = depth; last.i = i; } else if (why) found.push({ why, from: depth, to: depth, i });
   }
@@ -83,22 +94,41 @@ function build() {
       c.textAlign = "left"; c.textBaseline = "middle";
       const x = u.bbox.left + u.bbox.width + 8 * k, names = [[name(), Y(u, knots.at(-1).feed_mm_min), "--ink", 600]];
       if (active && (active.version !== shown.version || changed())) names.push([t("profile.activeN", { n: active.version }), Y(u, active.content.knots.at(-1).feed_mm_min), "--ink-3", 400]);
-      if (prediction) names.push([t("profile.results"), Y(u, prediction.track.columns.f.at(-1)), "--sig-feed", 400]);
+      if (prediction) names.push([t("profile.results"), Y(u, prediction.track.at("f", end() * 0.97) ?? 0), "--sig-feed", 400]);
       names.sort((a, b) => a[1] - b[1]);
       for (let i = 1; i < names.length; i++) if (names[i][1] - names[i - 1][1] < 15 * k) names[i][1] = names[i - 1][1] + 15 * k;
       for (const [text, y, color, weight] of names) { c.font = `${weight} ${12 * k}px ${FONT}`; c.fillStyle = token(color); c.fillText(text, x, y); }
     }, onSize: () => place() });
-  const load = (id, key, color, set, axisX, title) => { const top = () => nice(Math.max(20, (set ?? 0) * 1.25, ...[prediction, before].map((one) => one?.track.extremes(key, 0, one.track.x.length)?.[1] ?? 0)) * 1.02); return chart($(id), { height: 104 + (axisX ? 30 : 0), pad: [8, right, 0, 0], xr, range: () => [0, top()], ysplits: () => splits(0, top()).filter((_, i) => i % 2 === 0), left: 48, zoom: false, axisX, aria: title, front: (u, c) => { if (before) line(u, before.track, key, { color: "--sig-reference", width: 1.25, dash: [4, 3] }); if (prediction) line(u, prediction.track, key, { color, width: 1.9, dash: [5, 3] }); if (set != null) limit(u, c, set, `L_set ${num(set)}${NB}%`); } }); };
+  const load = (id, key, color, set, axisX, title) => {
+    const top = () => nice(Math.max(20, (set ?? 0) * 1.25, ...[prediction, before].map((one) => one?.track.extremes(key, 0, one.track.x.length)?.[1] ?? 0)) * 1.02);
+    const plot = chart($(id), { height: 104 + (axisX ? 30 : 0), pad: [8, right, 0, 0], xr, range: () => [0, top()], ysplits: () => { const list = splits(0, top()); return list.length > 4 ? list.filter((_, n) => n % 2 === 0) : list; }, left: 48, zoom: false, axisX, aria: title, front: (u, c) => {
+      if (before) line(u, before.track, key, { color: "--sig-reference", width: 1.25, dash: [4, 3] });
+      if (prediction && set != null) over(u, c, prediction.track, key, set);
+      if (prediction) line(u, prediction.track, key, { color, width: 1.9, dash: [5, 3] });
+      if (set != null) limit(u, c, set, `L_set ${num(set)}${NB}%`);
+    } });
+    plot.fit = () => plot.setScale("y", { min: 0, max: top() });
+    return plot;
+  };
   plots = [feed, load("#lz", "fd", "--sig-feed-drive", limits().feed_drive_load_set_percent, false, t("cycle.feedDrive")), load("#lc", "sp", "--sig-spindle", limits().spindle_load_set_percent, true, t("cycle.spindle"))];
   knots.forEach((_, i) => plots[0].over.append(knob(i)));
   paint();
 }
+/** What lies over a limit is filled: the only warm area of the page. */
+function over(u, c, track, key, set) {
+  const y = Y(u, set);
+  c.save(); c.beginPath(); c.rect(u.bbox.left, u.bbox.top, u.bbox.width, y - u.bbox.top); c.clip();
+  c.beginPath(); c.moveTo(X(u, track.x[0]), y);
+  track.each(key, track.x[0], track.x[track.x.length - 1], Math.round(u.bbox.width), (x, low, high) => { if (!Number.isNaN(high)) c.lineTo(X(u, x), Y(u, Math.max(high, set))); });
+  c.lineTo(X(u, track.x[track.x.length - 1]), y); c.closePath(); c.fillStyle = token("--act"); c.globalAlpha = 0.85; c.fill(); c.restore();
+}
 function knob(i) {
   if (phone()) return element(html`<span class="knob" aria-hidden="true"></span>`); // on a phone the numbers below are edited
+  let moved = false;
   const button = element(html`<button class="knob" role="slider" aria-orientation="vertical"></button>`);
-  button.addEventListener("pointerdown", (event) => { event.preventDefault(); event.stopPropagation(); button.setPointerCapture(event.pointerId); button.focus(); chosen = i; remember(); paint(); });
+  button.addEventListener("pointerdown", (event) => { event.preventDefault(); event.stopPropagation(); button.setPointerCapture(event.pointerId); button.focus(); chosen = i; moved = false; marks(); place(); });
   button.addEventListener("mousedown", (event) => event.stopPropagation());
-  button.addEventListener("pointermove", (event) => { if (!button.hasPointerCapture(event.pointerId)) return; const rect = plots[0].over.getBoundingClientRect(); move(i, plots[0].posToVal(event.clientX - rect.left, "x"), plots[0].posToVal(event.clientY - rect.top, "y")); });
+  button.addEventListener("pointermove", (event) => { if (!button.hasPointerCapture(event.pointerId)) return; if (!moved) { moved = true; remember(); } const rect = plots[0].over.getBoundingClientRect(); move(i, plots[0].posToVal(event.clientX - rect.left, "x"), plots[0].posToVal(event.clientY - rect.top, "y")); });
   button.addEventListener("keydown", (event) => { const size = event.shiftKey ? 10 : 1, step = { ArrowUp: [0, 5 * size], ArrowDown: [0, -5 * size], ArrowLeft: [-0.1 * size, 0], ArrowRight: [0.1 * size, 0] }[event.key]; if (!step) return; event.preventDefault(); chosen = i; remember(); move(i, knots[i].depth_mm + step[0], knots[i].feed_mm_min + step[1]); });
   button.addEventListener("focus", () => { chosen = i; marks(); place(); });
   return button;
@@ -122,17 +152,26 @@ function place() {
     button.setAttribute("aria-valuemin", limits().feed_min_mm_min); button.setAttribute("aria-valuemax", limits().feed_max_mm_min); button.setAttribute("aria-valuenow", knots[i].feed_mm_min); button.setAttribute("aria-valuetext", unit(knots[i].feed_mm_min, "mm/min"));
   });
   const host = $("#ribbon"), u = plots[0];
-  host.replaceChildren(...bindings().map((one) => { const from = u.valToPos(one.from, "x"), wide = u.valToPos(one.to, "x") - from, text = t(`profile.held.${one.why}`), node = element(html`<span class="seg-l" title="${text}"><span>${text}</span></span>`); node.style.left = `${u.over.offsetLeft + from}px`; node.style.width = `${wide}px`; if (wide < text.length * 6 + 8) node.classList.add("short"); return node; }));
+  const runs = bindings().map((one) => { const from = u.valToPos(one.from, "x"); return { one, from, wide: u.valToPos(one.to, "x") - from, text: t(`profile.held.${one.why}`) }; });
+  host.replaceChildren(...runs.map(({ from, wide, text }, i) => {
+    // A run that is too short for its name has it beside it, where there is room before the next one.
+    const node = element(html`<span class="seg-l" title="${text}"><span>${text}</span></span>`), long = text.length * 6 + 8, room = (runs[i + 1]?.from ?? u.over.clientWidth) - from - wide;
+    node.style.left = `${u.over.offsetLeft + from}px`;
+    node.style.width = `${wide}px`;
+    if (wide < long) node.classList.add(room > long ? "short" : "unnamed");
+    return node;
+  }));
 }
 function marks() { $$("#knots tr").forEach((tr, i) => tr.classList.toggle("on", i === chosen)); put($("#remove"), t("profile.remove", { n: chosen + 1 })); $("#remove").disabled = chosen === 0 || chosen === knots.length - 1; }
 function paint() {
   if (plots.length === 0) return;
   if ($$(".knob", plots[0].over).length !== knots.length) { $$(".knob", plots[0].over).forEach((one) => one.remove()); knots.forEach((_, i) => plots[0].over.append(knob(i))); rows(); }
-  for (const plot of plots) plot.redraw(false, true);
+  for (const plot of plots) { plot.fit?.(); plot.redraw(false, true); }
   place();
   $$("#knots tr").forEach((tr, i) => { const [z, f] = $$("input", tr); if (document.activeElement !== z) z.value = knots[i].depth_mm; if (document.activeElement !== f) f.value = knots[i].feed_mm_min; const why = holds(knots[i].depth_mm); put($(".why", tr), why ? t(`profile.held.${why}`) : html`<span class="faint">${t("profile.free")}</span>`); });
   marks();
   figures();
+  trust();
   difference();
   $("#undo").disabled = undo.length === 0;
   $("#save").setAttribute("aria-disabled", String(!changed() || !may(who, "POST /v1/feed-profiles")));
@@ -171,18 +210,17 @@ function stepper() {
   const primary = shown.state === "draft" ? "shadow" : shown.state === "shadow" ? "approve" : shown.state === "approved" ? "activate" : null;
   put($("#moves"), html`${["shadow", "approve", "activate", "rollback"].map((step) => { const route = `POST /v1/feed-profiles/{profile}/${step}`, open = can[step] && may(who, route) && !changed(), reason = !may(who, route) ? t("closed", { role: t(`role.${who.role}`), who: step === "approve" ? t("role.approver") : `${t("role.approver")}, ${t("role.engineer")}, ${t("role.admin")}` }) : changed() ? t("profile.saveFirst") : why[step]; return html`<button class="btn ${open && step === primary ? "primary" : ""}" value="${step}" ${open ? "" : html`aria-disabled="true" title="${reason}" aria-description="${reason}"`}>${t(`profile.do.${step}`)}</button>`; })}`);
   put($("#gate"), shown.state === "draft" ? t("profile.gateDraft") : shown.state === "shadow" ? t("profile.gateShadow") : shown.state === "approved" ? t("profile.gateApproved") : "");
-  put($("#title"), t("profile.title", { id: row.id, n: shown.version, state: t(`profile.state.${shown.state}`).toLowerCase() }));
-  put($("#about"), [shown.reason, t("profile.by", { who: shown.drafted.by, time: moment(shown.drafted.at) }), shown.approved ? t("profile.approvedBy", { who: shown.approved.by, time: moment(shown.approved.at) }) : null, shown.activated ? t("profile.activatedBy", { who: shown.activated.by, time: moment(shown.activated.at) }) : null].filter(Boolean).join(". ") + ".");
-  put($("#versions"), html`${[...versions].reverse().map((one) => html`<tr class="${one.state}"><th scope="row">${one.version}</th><td><span class="tag ${one.state === "active" ? "solid" : ""}">${t(`profile.state.${one.state}`)}</span></td><td><span class="t">${one.reason}</span><span class="w">${t(`profile.source.${one.source}`)}, ${moment(one.drafted.at)}, ${unit(one.time_s, "s", 2)}</span></td><td class="num">${one.version === shown.version ? html`<span class="faint">${t("profile.shown")}</span>` : html`<a class="btn quiet" href="/profile?id=${segment(row.id)}&amp;version=${one.version}">${t("profile.show")}</a>`}</td></tr>`)}`);
+  put($("#title"), t("profile.title", { id: row.id, n: shown.version, state: language === "en" ? t(`profile.state.${shown.state}`).toLowerCase() : t(`profile.state.${shown.state}`) }));
+  put($("#about"), [shown.reason, t("profile.by", { who: person(shown.drafted.by), time: moment(shown.drafted.at) }), shown.shadowed ? t("profile.shadowedBy", { who: person(shown.shadowed.by), time: moment(shown.shadowed.at) }) : null, shown.approved ? t("profile.approvedBy", { who: person(shown.approved.by), time: moment(shown.approved.at) }) : null, shown.activated ? t("profile.activatedBy", { who: person(shown.activated.by), time: moment(shown.activated.at) }) : null].filter(Boolean).join(". ") + ".");
+  put($("#versions"), html`${[...versions].reverse().map((one) => html`<tr class="${one.state}"><th scope="row">${one.version}</th><td><span class="tag ${one.state === "active" ? "solid" : ""}">${t(`profile.state.${one.state}`)}</span></td><td><span class="t">${one.reason}</span><span class="w">${t(`profile.source.${one.source}`)}, ${unit(one.time_s, "s", 2)}${[["drafted", "by"], ["approved", "approvedBy"], ["activated", "activatedBy"]].filter(([step]) => one[step]).map(([step, key]) => html`<br>${t(`profile.${key}`, { who: person(one[step].by), time: moment(one[step].at) })}`)}</span></td><td class="num">${one.version === shown.version ? html`<span class="faint">${t("profile.shown")}</span>` : html`<a class="btn quiet" href="/profile?id=${segment(row.id)}&amp;version=${one.version}">${t("profile.show")}</a>`}</td></tr>`)}`);
   const released = ["approved", "active", "superseded"].includes(shown.state);
   $("#dialect").disabled = !released;
   put($("#nc-note"), released ? "" : t("profile.notReleased"));
-  if (released) file(); else put($("#nc"), "");
+  $("#nc").hidden = !released; $("#download").hidden = !released; if (released) file();
 }
 async function file() {
   const dialect = $("#dialect").value, path = `/v1/feed-profiles/${segment(row.id)}/export?dialect=${dialect}&version=${shown.version}`;
   $("#download").href = path;
-  $("#download").hidden = false;
   try { put($("#nc"), (await get(path, { text: true }))); } catch (error) { if (!(error instanceof ApiError)) throw error; put($("#nc"), ""); put($("#nc-note"), failure(error)); }
 }
 async function take(step) {
@@ -229,10 +267,10 @@ function frame(lines) {
     <div id="said"></div><div id="predict-said"></div><dl class="figures six" id="figures"></dl>
     <div class="prof-grid"><section class="panel charts-panel" aria-label="${t("profile.charts")}"><div class="key"><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--ink)" stroke-width="2.4"/><circle cx="10" cy="4" r="3.4" fill="var(--surface)" stroke="var(--ink)" stroke-width="1.6"/></svg><em>${t("profile.keyDraft")}<em class="prof-only-wide">${t("profile.keyDrag")}</em></em></span><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--sig-reference)" stroke-width="1.6"/></svg>${t("profile.keyActive")}</span><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--sig-limit)" stroke-width="1.6" stroke-dasharray="5 3"/></svg>${t("profile.keyDashed")}</span></div>
         <div class="row"><div class="chart-title"><b>${t("cycle.feed")}</b><span>mm/min</span></div><div id="feed" class="u-wrap"></div></div><div class="row"><div class="chart-title"><b>${t("profile.heldBy")}</b></div><div id="ribbon" class="ribbon"></div></div><div class="row"><div class="chart-title"><b>${t("cycle.feedDrive")}</b><span>${t("profile.predicted")}</span></div><div id="lz" class="u-wrap"></div></div><div class="row"><div class="chart-title"><b>${t("cycle.spindle")}</b><span>${t("profile.predicted")}</span></div><div id="lc" class="u-wrap"></div></div><p class="xname">${t("cycle.xDepth")}</p></section>
-      <section class="panel" aria-label="${t("profile.knots")}"><header><h2>${t("profile.knots")}</h2></header><div class="body"><div class="knots-scroll" tabindex="0" role="region" aria-label="${t("profile.knots")}"><table class="tight knots"><thead><tr><th scope="col">${t("tool.no")}</th><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col" class="num">${t("cycle.feed")}, mm/min</th><th scope="col">${t("profile.heldBy")}</th></tr></thead><tbody id="knots"></tbody></table></div><div class="knot-tools"><button class="btn" id="add">${t("profile.add")}</button><button class="btn" id="remove"></button></div><p class="small muted" id="based">${base ? t("profile.basedOn", { cycle: base.cycle_id, machine: base.machine }) : t("profile.noBase")}</p></div></section></div>
+      <section class="panel" aria-label="${t("profile.knots")}"><header><h2>${t("profile.knots")}</h2></header><div class="body"><div class="knots-scroll" tabindex="0" role="region" aria-label="${t("app.table")}"><table class="tight knots"><thead><tr><th scope="col">${t("tool.no")}</th><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col" class="num">${t("cycle.feed")}, mm/min</th><th scope="col">${t("profile.heldBy")}</th></tr></thead><tbody id="knots"></tbody></table></div><div class="knot-tools"><button class="btn" id="add">${t("profile.add")}</button><button class="btn" id="remove"></button></div><p class="small muted" id="based"></p><div id="trust"></div></div></section></div>
     <div class="prof-low"><section class="panel"><header><h2>${t("profile.versions")}</h2></header><div class="body"><table class="tight versions"><thead class="sr"><tr><th scope="col">${t("set.version")}</th><th scope="col">${t("col.state")}</th><th scope="col">${t("profile.why")}</th><th scope="col">${t("set.do")}</th></tr></thead><tbody id="versions"></tbody></table></div></section>
       <section class="panel"><header><h2 id="diff-title"></h2><span class="end tiny faint" id="moved"></span></header><div class="body"><table class="tight"><thead><tr><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col">${t("profile.change")}</th><th scope="col" class="num" colspan="2">${t("cycle.feed")}, mm/min</th></tr></thead><tbody id="diff"></tbody></table><p class="small muted" id="diff-none" hidden>${t("profile.same")}</p></div></section>
-      <section class="panel"><header><h2>${t("profile.program")}</h2><span class="end"><label class="sr" for="dialect">${t("profile.control")}</label><select id="dialect">${DIALECTS.map((one) => html`<option value="${one}">${t(`dialect.${one}`)}</option>`)}</select></span></header><div class="body"><pre class="nc" id="nc" tabindex="0" aria-label="${t("profile.program")}"></pre><div id="nc-note" class="small muted"></div><p><a class="btn" id="download" hidden download>${icon("download")}${t("profile.download")}</a></p></div></section></div>`);
+      <section class="panel"><header><h2>${t("profile.program")}</h2><span class="end"><label class="sr" for="dialect">${t("profile.control")}</label><select id="dialect">${DIALECTS.map((one) => html`<option value="${one}">${t(`dialect.${one}`)}</option>`)}</select></span></header><div class="body"><pre class="nc" id="nc" tabindex="0" role="region" aria-label="${t("profile.program")}"></pre><div id="nc-note" class="small muted"></div><p><a class="btn" id="download" hidden download>${icon("download")}${t("profile.download")}</a></p></div></section></div>`);
   $("#line").addEventListener("change", (event) => location.assign(`/profile?id=${segment(event.target.value)}`));
   $("#undo").addEventListener("click", () => { const last = undo.pop(); if (last) { knots = last; chosen = Math.min(chosen, knots.length - 1); rows(); paint(); predictSoon(); stepper(); } });
   $("#optimise").addEventListener("click", () => { if (!closed($("#optimise"))) optimise(); });
@@ -253,11 +291,19 @@ async function load(id, version) {
   knots = structuredClone(shown.content.knots);
   chosen = Math.min(chosen, knots.length - 1);
 }
-/** The newest cycle of the operation with samples: what is predicted is predicted on it. */
+/** The newest cycle of the operation with samples, one at a varied feed before one at a constant feed, which teaches little of
+ *  how the loads follow it: what is predicted is predicted on it. */
 async function newestCycle(operation) {
-  const fleet = await get("/v1/fleet?limit=500&recent=5"), of = fleet.items.filter((item) => item.last_cycle?.operation === operation).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at));
+  const fleet = await get("/v1/fleet?limit=500&recent=5"), varied = (item) => item.last_cycle.strategy && item.last_cycle.strategy !== "f_const";
+  const of = fleet.items.filter((item) => item.last_cycle?.operation === operation).sort((a, b) => varied(b) - varied(a) || Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at));
   for (const item of of.slice(0, 5)) { const cycle = await get(`/v1/machines/${segment(item.machine)}/cycles/${segment(item.last_cycle.cycle_id)}`); if (cycle.has_samples) return cycle; }
   return null;
+}
+/** How far the prediction can be trusted, beside it. */
+function trust() {
+  const answer = prediction?.answer;
+  put($("#based"), !base ? t("profile.noBase") : html`${t("profile.basedOn", { cycle: base.cycle_id, machine: base.machine })}${answer ? html` ${t("profile.trust", { feed: num(answer.model_error.feed_drive_rms_points, 1), spindle: num(answer.model_error.spindle_rms_points, 1), unseen: num(answer.extrapolated_ratio * 100) })}` : ""}`);
+  put($("#trust"), answer && answer.extrapolated_ratio > MOST_UNSEEN ? notice("plan", t("profile.farOff"), t("profile.farOffText", { unseen: num(answer.extrapolated_ratio * 100) })) : "");
 }
 async function begin() {
   rows();
@@ -278,10 +324,20 @@ try {
   const { items } = await all("/v1/feed-profiles", 1000), first = asked.get("id") ?? items.find((one) => one.operation === asked.get("operation"))?.id ?? items.find((one) => one.active_version != null)?.id ?? items[0]?.id;
   if (!first) await none(items);
   else {
-    await Promise.all([load(first, asked.get("version")), ready()]);
+    await Promise.all([load(first, asked.get("version")), ready(), may(who, "GET /v1/tokens") ? all("/v1/tokens", 5000).then(({ items: tokens }) => { names = new Map(tokens.map((one) => [one.id, one.name])); }) : null]);
     base = await newestCycle(row.operation);
     frame(items);
     await begin();
+    keep(async () => {
+      const now = await get(`/v1/feed-profiles/${segment(row.id)}`);
+      if (now.revision === row.revision) return;
+      // Somebody else took a step. What was moved here stays, and is saved as a draft of its own.
+      const mine = changed() ? knots : null;
+      await load(row.id, shown.version);
+      if (mine) knots = mine;
+      await begin();
+      put($("#said"), notice("", t("profile.movedOn")));
+    }, BEAT_MS);
   }
 } catch (error) {
   if (!(error instanceof ApiError)) throw error;
