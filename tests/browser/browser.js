@@ -14,7 +14,7 @@ export class Browser {
       if (answer.status() !== 201) throw new Error(`sign-in as ${role}: ${answer.status()} ${await answer.text()}`);
     }
     const page = await context.newPage(), wrong = [];
-    page.setDefaultTimeout(60_000);
+    page.setDefaultTimeout(180_000);
     const expected = (text) => expects.some((one) => text.includes(one));
     page.on("console", (message) => { if (["error", "warning"].includes(message.type()) && !expected(message.text())) wrong.push(`console: ${message.text()} ${message.location().url}`); });
     page.on("pageerror", (error) => wrong.push(`exception: ${error.message}`));

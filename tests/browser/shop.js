@@ -33,7 +33,7 @@ export class Shop {
     this.listen = this.address.slice(7);
   }
   async listening() {
-    const late = Date.now() + 60_000;
+    const late = Date.now() + 180_000;
     for (;;) {
       // The lock names the address once the listener is there, and nothing before that.
       const lock = await readFile(join(this.dir, "feedwright.lock"), "utf8").catch(() => "");

@@ -287,7 +287,9 @@ fn restored(packed: &[u8], len: usize, scale: u8) -> Result<Column, &'static str
     let mut input = Input(packed);
     let coding = input.byte()?;
     let predictor = Predictor::from_code(coding & 0x0f).ok_or("unknown predictor")?;
-    let first = unzigzag(input.varint()?);
+    // Blocks were written whose only other byte, a first value of 0, was left out with the zeros behind it.
+    let left_out = coding & 0xf0 == RANGE && input.0.is_empty();
+    let first = if left_out { 0 } else { unzigzag(input.varint()?) };
     let mut restored = Restored::new(predictor, first);
     let mut values = Vec::with_capacity(len);
     values.push(first);

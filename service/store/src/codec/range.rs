@@ -102,6 +102,8 @@ impl Model {
 
 /// Writes residuals.
 pub(super) struct RangeWriter {
+    /// Bytes that were there before.
+    before: usize,
     coder: Writing,
     model: Box<Model>,
 }
@@ -171,8 +173,9 @@ impl Coder for Writing {
 
 impl RangeWriter {
     pub(super) fn after(out: Vec<u8>) -> Self {
+        let before = out.len();
         let coder = Writing { out, low: 0, range: u32::MAX, held: 0, full: 0, begun: false };
-        Self { coder, model: Box::new(Model::new()) }
+        Self { before, coder, model: Box::new(Model::new()) }
     }
 
     pub(super) fn put(&mut self, residual: u64) {
@@ -194,8 +197,8 @@ impl RangeWriter {
             self.coder.shift();
         }
         let mut out = self.coder.out;
-        // A reader takes zeros beyond the end, within its bound.
-        while out.last() == Some(&0) {
+        // A reader takes zeros beyond the end. A column that never surprises is nothing but zeros.
+        while out.len() > self.before && out.last() == Some(&0) {
             out.pop();
         }
         out
@@ -212,32 +215,24 @@ struct Reading<'a> {
     rest: &'a [u8],
     code: u32,
     range: u32,
-    beyond: u32,
 }
 
-/// Zeros that a writer may have left out at the end.
-const LEFT_OUT: u32 = 8;
-
 impl<'a> Reading<'a> {
-    fn byte(&mut self) -> Option<u8> {
-        match self.rest.split_first() {
-            Some((&byte, rest)) => {
-                self.rest = rest;
-                Some(byte)
-            }
-            None => {
-                self.beyond += 1;
-                (self.beyond <= LEFT_OUT).then_some(0)
-            }
-        }
+    /// The next byte; zeros at the end are left out, however many there were. A reader asks for a number of residuals that
+    /// it knows, so it comes to an end.
+    fn byte(&mut self) -> u8 {
+        let Some((&byte, rest)) = self.rest.split_first() else {
+            return 0;
+        };
+        self.rest = rest;
+        byte
     }
 
-    fn widen(&mut self) -> Option<()> {
+    fn widen(&mut self) {
         while self.range < TOP {
             self.range <<= 8;
-            self.code = self.code << 8 | u32::from(self.byte()?);
+            self.code = self.code << 8 | u32::from(self.byte());
         }
-        Some(())
     }
 }
 
@@ -252,7 +247,7 @@ impl Coder for Reading<'_> {
             self.range = bound;
         }
         bit.follow(one);
-        self.widen()?;
+        self.widen();
         Some(one)
     }
 
@@ -265,7 +260,7 @@ impl Coder for Reading<'_> {
                 self.code -= self.range;
             }
             value = value << 1 | u64::from(one);
-            self.widen()?;
+            self.widen();
         }
         Some(value)
     }
@@ -273,10 +268,9 @@ impl Coder for Reading<'_> {
 
 impl<'a> RangeReader<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Self {
-        let mut coder = Reading { rest: bytes, code: 0, range: u32::MAX, beyond: 0 };
+        let mut coder = Reading { rest: bytes, code: 0, range: u32::MAX };
         for _ in 0..4 {
-            // Never beyond what may be left out.
-            coder.code = coder.code << 8 | u32::from(coder.byte().unwrap_or(0));
+            coder.code = coder.code << 8 | u32::from(coder.byte());
         }
         Self { coder, model: Box::new(Model::new()) }
     }

@@ -98,12 +98,39 @@ fn columns_of_every_kind_come_back() {
                 assert_eq!(other.len(), values.len());
             }
         }
-        // More than a range writer may have left out.
-        let longer = [packed.as_slice(), &[1; 9]].concat();
+        // More than the values could take, whatever they were.
+        let longer = [packed.as_slice(), &[1; 4096]].concat();
         assert!(restored(&longer, values.len(), scale).is_err(), "trailing bytes");
     }
     let constant = residuals(&[100; 300]);
     assert!(constant.len() < 10, "a constant costs next to nothing: {}", constant.len());
+}
+
+/// What never surprises is nothing but zeros to the range coder, however long it is: they are all left out.
+#[test]
+fn long_columns_that_never_change_come_back() {
+    for len in [1_usize, 2, 3, 10, 100, 1_000, 9_000, 60_000, 1_000_000] {
+        for value in [0.0, 100.0, 205.0, -0.5, 0.125] {
+            let steady = (Channel::DepthMm, vec![value; len]);
+            let samples = Samples::new(TimeBase::Period { period_ms: 1.0 }, vec![steady], len).unwrap();
+            let bytes = encode_samples(&samples);
+            assert_eq!(decode_samples(&bytes, len).unwrap(), samples, "{len} times {value}");
+            assert!(bytes.len() < 50, "{len} times {value} take {} bytes", bytes.len());
+        }
+    }
+}
+
+/// Version 2 as it was written before: the zeros that were left out went into the head of the column.
+#[test]
+fn a_first_value_that_was_left_out_is_zero() {
+    let steady = (Channel::DepthMm, vec![0.0; 100]);
+    let samples = Samples::new(TimeBase::Period { period_ms: 1.0 }, vec![steady], 100).unwrap();
+    let mut bytes = encode_samples(&samples);
+    let end = bytes.len() - CHECKSUM;
+    assert_eq!(bytes[end - 3..end][..], [2, bytes[end - 2], 0], "length, coding and the first value");
+    bytes.remove(end - 1);
+    bytes[end - 3] = 1;
+    assert_eq!(decode_samples(&sealed(bytes), 100).unwrap(), samples);
 }
 
 #[test]

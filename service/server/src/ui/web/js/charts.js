@@ -57,9 +57,11 @@ export function line(u, track, name, { color, width = 1.9, dash = [], alpha = 1 
   if (min == null) return;
   c.save();
   clip(u);
-  c.strokeStyle = token(color); c.lineWidth = width * k; c.globalAlpha = alpha; c.lineJoin = "round"; c.setLineDash(dash.map((part) => part * k));
+  c.strokeStyle = token(color); c.lineWidth = width * k; c.globalAlpha = alpha; c.setLineDash(dash.map((part) => part * k));
   c.beginPath();
   const { min: low, max: high } = u.scales.y, { left, top, width: w, height: h } = u.bbox;
+  // Where every pixel column has its stroke, nobody sees a rounded corner, and it costs most of the frame.
+  c.lineJoin = track.between(min, max) > 2 * w ? "bevel" : "round";
   const sx = w / (max - min), sy = h / (high - low), y = (value) => top + (high - value) * sy;
   let pen = false, alone = null;
   const lonely = [];

@@ -105,7 +105,7 @@ async function tokens() {
   for (const button of $$(".revoke")) button.addEventListener("click", () => confirm_(t("set.revokeTitle", { name: button.dataset.name }), t("set.revokeText"), t("set.revoke"), async () => { await ask("DELETE", `/v1/tokens/${segment(button.id.slice(7))}`); await tokens(); }));
 }
 async function audit() {
-  const line = (one) => html`<tr><td class="nowrap">${moment(one.at)}</td><td><code>${one.actor}</code>${names.get(one.actor) ? html`<span class="w">${names.get(one.actor)}</span>` : ""}</td><td>${t(`role.${one.role}`)}</td><td class="nowrap">${one.action}</td><td class="name">${one.subject}</td><td class="wide"><code>${JSON.stringify(one.detail).slice(0, 400)}</code></td></tr>`;
+  const line = (one) => html`<tr><td class="nowrap">${moment(one.at)}</td><td><code class="nowrap">${one.actor}</code>${names.get(one.actor) ? html`<span class="w">${names.get(one.actor)}</span>` : ""}</td><td>${t(`role.${one.role}`)}</td><td class="nowrap">${one.action}</td><td class="name">${one.subject}</td><td class="wide"><code>${JSON.stringify(one.detail).slice(0, 400)}</code></td></tr>`;
   const names = new Map(may(who, "GET /v1/tokens") ? (await all("/v1/tokens", MOST)).items.map((one) => [one.id, one.name]) : []);
   let cursor = null;
   const older = async () => {
