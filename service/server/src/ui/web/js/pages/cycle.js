@@ -378,7 +378,7 @@ try {
   }
   const newest = machine ? await which(machine) : null;
   id ??= newest;
-  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("cycle.none"), t("cycle.noneText"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`)}</section>`);
+  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("cycle.none"), t("cycle.noneText"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true)}</section>`);
   else {
     [A] = await Promise.all([load(machine, id), ready()]);
     document.title = `${t("cycle.title", { id: A.cycle.seq == null ? id : num(A.cycle.seq), machine })} \u2013 Feedwright`;
@@ -394,5 +394,5 @@ try {
   }
 } catch (error) {
   if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`) : failure(error, t("error.load"))}</section>`);
+  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
 }

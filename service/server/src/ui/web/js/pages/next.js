@@ -120,7 +120,7 @@ try {
   const newest = [...fleet].filter((item) => item.last_cycle).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at))[0];
   const from = fleet.find((item) => item.machine === asked.get("machine")) ?? newest;
   if (!from?.last_cycle && !(asked.get("machine") && asked.get("operation") && asked.get("tool"))) {
-    fill($("#card"), empty(t("next.none"), t("next.noneText"), html`<a class="btn" href="/settings">${t("nav.settings")}</a>`));
+    fill($("#card"), empty(t("next.none"), t("next.noneText"), html`<a class="btn" href="/settings">${t("nav.settings")}</a>`, true));
     $("#others").hidden = true;
     put($("#json"), "{}");
   } else {

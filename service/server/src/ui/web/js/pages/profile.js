@@ -341,5 +341,5 @@ try {
   }
 } catch (error) {
   if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`) : failure(error, t("error.load"))}</section>`);
+  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
 }

@@ -240,7 +240,7 @@ try {
     const fleet = await get("/v1/fleet?limit=500&recent=1"), order = { worn: 0, broken_suspected: 1, warning: 2, changed: 3 };
     id = fleet.items.filter((item) => item.last_cycle).sort((a, b) => (order[a.wear?.state] ?? 9) - (order[b.wear?.state] ?? 9) || (levelPercent(b.wear) ?? -99) - (levelPercent(a.wear) ?? -99))[0]?.last_cycle.tool ?? (await get("/v1/tools?limit=1")).items[0]?.id;
   }
-  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("tool.none"), t("tool.noneText"), html`<a class="btn" href="/settings#tools">${t("nav.settings")}</a>`)}</section>`);
+  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("tool.none"), t("tool.noneText"), html`<a class="btn" href="/settings#tools">${t("nav.settings")}</a>`, true)}</section>`);
   else {
     asked.set("id", id);
     tool = await get(`/v1/tools/${segment(id)}`);
@@ -258,5 +258,5 @@ try {
   }
 } catch (error) {
   if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`) : failure(error, t("error.load"))}</section>`);
+  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
 }
