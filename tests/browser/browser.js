@@ -8,13 +8,13 @@ export class Browser {
   static async open() { const browser = new Browser(); browser.chromium = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--disable-dev-shm-usage", "--enable-precise-memory-info"] }); return browser; }
   /** A page in its own window; `wrong` fills with every console error, exception, failed request and breach of the policy. */
   async page(shop, { role = "admin", width = 1440, height = 900, theme = "light", language = "en-GB", expects = [] } = {}) {
-    const context = await this.chromium.newContext({ viewport: { width, height }, colorScheme: theme, locale: language, timezoneId: "Europe/Berlin", hasTouch: width < 700, reducedMotion: "reduce" });
+    const context = await this.chromium.newContext({ viewport: { width, height }, colorScheme: theme, locale: language, timezoneId: "Europe/Berlin", hasTouch: width < 1000, reducedMotion: "reduce" });
     if (role) {
       const answer = await context.request.post(`${shop.address}/v1/session`, { data: { token: shop.tokens[role] }, headers: { "x-feedwright-page": "1" } });
       if (answer.status() !== 201) throw new Error(`sign-in as ${role}: ${answer.status()} ${await answer.text()}`);
     }
     const page = await context.newPage(), wrong = [];
-    page.setDefaultTimeout(15_000);
+    page.setDefaultTimeout(180_000);
     const expected = (text) => expects.some((one) => text.includes(one));
     page.on("console", (message) => { if (["error", "warning"].includes(message.type()) && !expected(message.text())) wrong.push(`console: ${message.text()} ${message.location().url}`); });
     page.on("pageerror", (error) => wrong.push(`exception: ${error.message}`));
@@ -46,4 +46,15 @@ export async function heap(page) {
   const { usedSize } = await client.send("Runtime.getHeapUsage");
   await client.detach();
   return usedSize;
+}
+/** Processor time that the page's own thread spends on some work, ms: what else runs on this machine does not count. */
+export async function processor(page, work) {
+  const client = await page.context().newCDPSession(page);
+  await client.send("Performance.enable", { timeDomain: "threadTicks" });
+  const spent = async () => (await client.send("Performance.getMetrics")).metrics.find((one) => one.name === "TaskDuration").value * 1000;
+  const before = await spent();
+  await work();
+  const after = await spent();
+  await client.detach();
+  return after - before;
 }

@@ -1,8 +1,8 @@
 // Every check of the pages in a browser. Runs them one after the other, says what each took, and fails with all that failed.
 import assert from "node:assert/strict";
 import { mkdir, readdir, readFile } from "node:fs/promises";
-import { Browser, heap, violations } from "./browser.js";
-import { Shop } from "./shop.js";
+import { Browser, heap, processor, violations } from "./browser.js";
+import { HOSTILE, OPERATION, Shop } from "./shop.js";
 
 const SHOTS = new URL("../../target/browser/", import.meta.url).pathname;
 const WEB = new URL("../../service/server/src/ui/web/", import.meta.url).pathname;
@@ -10,15 +10,26 @@ const ONLY = process.argv[2];
 const failed = [];
 let shop, browser;
 async function check(name, work) {
-  if (ONLY && !name.includes(ONLY)) return;
+  if (ONLY && !name.startsWith(ONLY)) return;
   const begun = performance.now();
   try { await work(); console.log(`ok    ${name} (${((performance.now() - begun) / 1000).toFixed(1)} s)`); } catch (error) { failed.push(name); console.log(`FAIL  ${name}\n${error.stack ?? error}`); }
 }
 const nothingWrong = (page) => assert.deepEqual(page.wrong, []);
 async function withPage(options, work) { const page = await browser.page(shop, options); try { await work(page); nothingWrong(page); } finally { await page.finish(); } }
 
-const PAGES = { fleet: "/", wall: "/?view=wall", cycle: "/cycle?machine=sim-4", tool: "/tool?id=sim-tool-1", next: "/next?machine=sim-1", strategies: "/studies", turning: "/studies#turning", plunge: "/studies#plunge", machines: "/settings", operations: "/settings#operations", alarms: "/settings#alarms", quarantine: "/settings#quarantine", tokens: "/settings#tokens", audit: "/settings#audit", "sign-in": "/sign-in" };
-const SIZES = { desktop: { width: 1440, height: 900 }, phone: { width: 390, height: 844 } };
+/** Every page, and every state of one that is a page of its own. */
+const PAGES = {
+  fleet: "/", wall: "/?view=wall", cycle: "/cycle?machine=sim-4&compare=new", "cycle-one-sample": "/cycle?machine=odd-1&id=one", "cycle-gaps": "/cycle?machine=odd-1&id=gaps",
+  tool: "/tool?id=sim-tool-1", "tool-adaptive": "/tool?id=sim-tool-4", "tool-odd": "/tool?id=odd-tool", "tool-new": "/tool?id=new-tool", profile: "/profile", next: "/next?machine=sim-1",
+  strategies: "/studies", turning: "/studies#turning", plunge: "/studies#plunge",
+  machines: "/settings", operations: "/settings#operations", tools: "/settings#tools", alarms: "/settings#alarms", quarantine: "/settings#quarantine", tokens: "/settings#tokens", audit: "/settings#audit", "sign-in": "/sign-in",
+};
+const MAIN = ["fleet", "cycle", "tool", "profile", "next", "strategies", "machines"];
+const SIZES = { phone: { width: 390, height: 844 }, tablet: { width: 820, height: 1180 }, desktop: { width: 1440, height: 900 }, wall4k: { width: 3840, height: 2160 } };
+/** Each size in both languages and both themes; what is worn by colour needs the theme, what is cut off the language. */
+const LOOKS = Object.keys(SIZES).flatMap((size, i) => [[size, i % 2 ? "dark" : "light", "en-GB"], [size, i % 2 ? "light" : "dark", "de-DE"]]);
+/** Where the page has drawn what it is about. */
+const DRAWN = { strategies: "#answer table", turning: "#answer table", plunge: "#answer table", cycle: "#refkey svg", profile: "#figures dd" };
 
 await check("texts: both languages have the same keys, and every key that is used", async () => {
   global.document = { documentElement: { lang: "en" } };
@@ -99,34 +110,80 @@ await check("sign-in: a wrong token is told and stays, a good one goes on to whe
   });
 });
 
-for (const [size, box] of Object.entries(SIZES)) for (const theme of ["light", "dark"]) for (const language of ["en-GB", "de-DE"]) {
-  const name = `${size} ${theme} ${language.slice(0, 2)}`;
-  await check(`pages: ${name}: no violation, no error, no breach of the policy, nothing wider than the screen`, async () => {
-    await withPage({ ...box, theme, language }, async (page) => {
+for (const [size, theme, language] of LOOKS) {
+  await check(`pages: ${size} ${theme} ${language.slice(0, 2)}: no violation, no error, no breach of the policy, nothing wider than the screen`, async () => {
+    await withPage({ ...SIZES[size], theme, language }, async (page) => {
       const found = [];
       for (const [id, path] of Object.entries(PAGES)) {
         if (id === "wall" && size === "phone") continue;
         await page.goto("about:blank");
         await page.go(path).catch((error) => { throw new Error(`${id}: ${error.message} ${page.wrong.join("; ")}`); });
-        if (id === "turning" || id === "plunge" || id === "strategies") await page.locator("#answer table").first().waitFor({ state: "attached" });
+        if (DRAWN[id]) await page.locator(DRAWN[id]).first().waitFor({ state: "attached" }).catch((error) => { throw new Error(`${id}: ${error.message} ${page.wrong.join("; ")}`); });
         assert.equal(await page.evaluate(() => document.documentElement.lang), language.slice(0, 2));
         assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), theme);
-        found.push(...(await violations(page)).map((text) => `${id}: ${text}`));
+        if (size === "phone" || size === "desktop") found.push(...(await violations(page)).map((text) => `${id}: ${text}`));
         const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
         if (wide > 1) found.push(`${id}: ${wide} px wider than the screen`);
-        await page.screenshot({ path: `${SHOTS}${id}-${size}-${theme}-${language.slice(0, 2)}.png` });
+        await page.screenshot({ path: `${SHOTS}${id}-${size}-${theme}-${language.slice(0, 2)}.png`, fullPage: size !== "wall4k" && id !== "audit" });
       }
       assert.deepEqual(found, []);
     });
   });
 }
 
-await check("pages: a wide screen and a tablet hold them too", async () => {
-  for (const [width, height] of [[3840, 2160], [1024, 768]]) await withPage({ width, height }, async (page) => {
-    for (const id of ["fleet", "cycle", "tool", "next"]) {
+await check("keyboard: every stop is seen, in the order of the page, and Escape closes a dialog", async () => {
+  await withPage({ role: "admin" }, async (page) => {
+    for (const id of MAIN) {
+      await page.goto("about:blank");
       await page.go(PAGES[id]);
-      assert.ok(await page.evaluate(() => document.documentElement.scrollWidth - innerWidth) <= 1, `${id} at ${width}`);
-      await page.screenshot({ path: `${SHOTS}${id}-${width}.png` });
+      const stops = [];
+      for (let i = 0; i < 45; i++) {
+        await page.keyboard.press("Tab");
+        const stop = await page.evaluate(() => {
+          const at = document.activeElement;
+          if (!at || at === document.body) return null;
+          const style = getComputedStyle(at), box = at.getBoundingClientRect(), before = window.stop_;
+          window.stop_ = at;
+          return { name: `${at.tagName}#${at.id} ${(at.getAttribute("aria-label") ?? at.textContent).trim().slice(0, 30)}`, ring: style.outlineStyle !== "none" && parseFloat(style.outlineWidth) >= 2, seen: box.width > 0 && box.height > 0 && box.bottom > 0 && box.top < innerHeight, on: !before || Boolean(before.compareDocumentPosition(at) & Node.DOCUMENT_POSITION_FOLLOWING) };
+        });
+        if (!stop || (stops.length && stop.name === stops[0].name)) break; // round to the first
+        stops.push(stop);
+      }
+      assert.ok(stops.length > 10, `${id}: ${stops.length} stops`);
+      assert.match(stops[0].name, /Skip|content/i, `${id}: the first stop skips the navigation`);
+      for (const stop of stops) assert.ok(stop.ring && stop.seen && stop.on, `${id}: ${JSON.stringify(stop)}`);
+    }
+    await page.go("/tool?id=sim-tool-5");
+    await page.locator("#record").focus();
+    await page.keyboard.press("Enter");
+    await page.locator("dialog[open]").waitFor();
+    assert.ok(await page.evaluate(() => document.querySelector("dialog").contains(document.activeElement)), "the dialog has the focus");
+    await page.keyboard.press("Escape");
+    await page.locator("dialog[open]").waitFor({ state: "hidden" });
+    assert.equal(await page.evaluate(() => document.activeElement.id), "record", "and gives it back");
+  });
+});
+
+/** How much longer work takes here than its processor time, because others have the processors: 1 on a machine of one's own. */
+function stretch() {
+  const begun = performance.now(), before = process.cpuUsage();
+  while (performance.now() - begun < 60) { /* busy */ }
+  const { user, system } = process.cpuUsage(before);
+  return Math.max(1, (performance.now() - begun) / ((user + system) / 1000));
+}
+await check("first paint: within 200 ms on loopback", async () => {
+  await withPage({ role: "viewer" }, async (page) => {
+    for (const id of ["fleet", "cycle", "tool", "profile", "next"]) {
+      const paints = [];
+      for (let i = 0; i < 9; i++) {
+        await page.goto("about:blank");
+        const before = stretch();
+        await page.go(PAGES[id]);
+        paints.push({ ms: await page.evaluate(() => performance.getEntriesByName("first-contentful-paint")[0].startTime), stretch: (before + stretch()) / 2 });
+      }
+      const least = Math.min(...paints.map((one) => one.ms)), fair = Math.min(...paints.map((one) => one.ms / one.stretch)), load = paints.reduce((sum, one) => sum + one.stretch, 0) / paints.length;
+      console.log(`      ${id}: first contentful paint after ${least.toFixed(0)} ms at best; this machine is shared ${load.toFixed(1)} times, alone it would be ${fair.toFixed(0)} ms`);
+      assert.ok(fair < 200, `${id}: ${paints.map((one) => `${one.ms.toFixed(0)} ms at ${one.stretch.toFixed(1)}`).join(", ")}`);
     }
   });
 });
@@ -215,25 +272,97 @@ await check("cycle: zoomed, panned and read by keyboard; compared with the new t
   });
 });
 
+await check("cycle: two cycles on one axis; a gap breaks the line and one sample is a dot; limits and what lies over them", async () => {
+  await withPage({ role: "viewer" }, async (page) => {
+    await page.go("/cycle?machine=sim-1");
+    await page.locator("#other option:nth-child(5)").waitFor({ state: "attached" });
+    await page.locator("#other").selectOption({ index: 4 });
+    await page.locator("#refkey svg").waitFor();
+    assert.match(await page.locator("#refkey").textContent(), /\d\d:\d\d/, "the other cycle is named by its time");
+    const read = await page.locator("#read tr").first().locator("td").allTextContents();
+    assert.ok(read.every((text) => /\d/.test(text)), `this, compared and change: ${read}`);
+    await page.screenshot({ path: `${SHOTS}cycle-two.png` });
+    assert.match(await page.locator("#figures").textContent(), /limit 30.%/, "the operation's set loads");
+    assert.match(await page.locator("#verdict").textContent(), /over its 30.% limit for/);
+    assert.ok(await page.locator("#over tr").count() >= 1);
+    // What is painted where: the line's colour is there but in the gap.
+    const painted = () => page.evaluate(() => {
+      const plot = document.querySelector("#charts canvas"), box = plot.getContext("2d").getImageData(0, 0, plot.width, plot.height), over = document.querySelector("#charts .u-over"), k = plot.width / plot.clientWidth;
+      const wanted = getComputedStyle(document.documentElement).getPropertyValue("--sig-spindle").trim().match(/[0-9a-f]{2}/g).map((part) => parseInt(part, 16)), columns = [];
+      for (let x = Math.round(over.offsetLeft * k); x < (over.offsetLeft + over.clientWidth) * k; x++) { let seen = false; for (let y = 0; y < plot.height && !seen; y++) { const i = 4 * (y * plot.width + x); seen = wanted.every((value, n) => Math.abs(box.data[i + n] - value) < 12); } columns.push(seen); }
+      return columns;
+    });
+    await page.go("/cycle?machine=odd-1&id=gaps");
+    const lines = await painted();
+    let holes = 0;
+    for (let i = 1; i < lines.length; i++) if (lines[i - 1] && !lines[i] && lines.slice(i, i + 12).every((seen) => !seen)) holes += 1;
+    assert.ok(holes >= 5, `${holes} holes`);
+    await page.go("/cycle?machine=odd-1&id=one");
+    const dot = (await painted()).filter(Boolean).length;
+    assert.ok(dot > 0 && dot < 20, `one sample is a dot: ${dot} columns`);
+  });
+});
+
+await check("cycle: live while the machine drills, and the newer one is offered when it is stored", async () => {
+  await withPage({ role: "viewer" }, async (page) => {
+    await page.go("/cycle?machine=sim-3");
+    await page.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    const fleet = await browser.page(shop, { role: "viewer" });
+    await fleet.go("/");
+    await fleet.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    const stream = await shop.stream("sim-3");
+    const { override_percent } = await stream.send({ type: "start", cycle_id: "streamed", tool: "sim-tool-3", operation: OPERATION, started_at: new Date().toISOString(), sent_at: new Date().toISOString(), period_ms: 10, channels: ["depth_mm", "feed_drive_load_percent", "spindle_load_percent"], mode: "advise", program: { between: "linear", knots: [{ depth_mm: 0, feed_mm_min: 300 }, { depth_mm: 20, feed_mm_min: 300 }] } });
+    assert.equal(override_percent, 100);
+    // As a machine sends: what was measured since the last message, until enough of it is seen.
+    let first = 0, drilling = true;
+    const drill = (async () => {
+      const begun = Date.now();
+      while (drilling) {
+        const due = Math.floor((Date.now() - begun) / 10), count = Math.min(50, due - first);
+        if (count > 0) { const at = Array.from({ length: count }, (_, i) => first + i); await stream.send({ type: "samples", first, depth_mm: at.map((i) => +(i * 0.05 % 20).toFixed(3)), feed_drive_load_percent: at.map((i) => +(10 + 8 * Math.sin(i / 40)).toFixed(1)), spindle_load_percent: at.map((i) => +(15 + 10 * Math.sin(i / 60)).toFixed(1)) }); first += count; }
+        await new Promise((wake) => setTimeout(wake, 20));
+      }
+    })();
+    await page.locator("#live-charts canvas").first().waitFor();
+    const shown = () => page.locator("#live-values").textContent();
+    const before = await shown();
+    await page.waitForFunction((text) => { const now = document.querySelector("#live-values")?.textContent; return now && now !== text && /mm/.test(now); }, before);
+    await fleet.locator("#rows tr", { has: fleet.locator("a", { hasText: /^sim-3$/ }) }).locator(".state.drilling").waitFor();
+    await page.screenshot({ path: `${SHOTS}cycle-live.png` });
+    assert.deepEqual(await violations(page), []);
+    drilling = false;
+    await drill;
+    assert.equal((await stream.send({ type: "end", samples: first })).status, 201);
+    stream.close();
+    await page.locator("#live-cycle a").click();
+    await page.waitForURL(/id=streamed/);
+    await page.settled();
+    await fleet.locator("#rows tr", { has: fleet.locator("a", { hasText: /^sim-3$/ }) }).locator(".state.running").waitFor();
+    assert.deepEqual(fleet.wrong, []);
+    await fleet.finish();
+  });
+});
+
 await check("cycle: 60 000 samples, where a spike of one sample is seen at every zoom", async () => {
   await withPage({ role: "viewer" }, async (page) => {
     await page.go("/cycle?machine=dense-1");
-    const measured = await page.evaluate(async () => {
+    const FRAMES = 15, pan = () => page.evaluate(async (frames) => {
       const charts = document.querySelector("#charts"), press = (key, shiftKey) => charts.dispatchEvent(new KeyboardEvent("keydown", { key, shiftKey, bubbles: true }));
-      const frame = () => new Promise((wake) => requestAnimationFrame(wake));
-      for (let i = 0; i < 4; i++) { press("+"); await frame(); }
-      const work = [], gaps = [];
+      const frame = () => new Promise((wake) => requestAnimationFrame(wake)), gaps = [];
       let last = await frame();
-      for (let i = 0; i < 90; i++) { const begun = performance.now(); press(i % 30 < 15 ? "ArrowRight" : "ArrowLeft", true); await Promise.resolve(); await Promise.resolve(); work.push(performance.now() - begun); const now = await frame(); gaps.push(now - last); last = now; }
-      const middle = (list) => [...list].sort((a, b) => a - b)[list.length >> 1];
-      return { work: middle(work), gap: middle(gaps) };
-    });
-    console.log(`      panning 60 000 samples: ${measured.work.toFixed(1)} ms of work a frame, a frame every ${measured.gap.toFixed(1)} ms (median)`);
+      for (let i = 0; i < 2 * frames; i++) { press(i < frames ? "ArrowRight" : "ArrowLeft", true); const now = await frame(); gaps.push(now - last); last = now; }
+      return gaps.sort((a, b) => a - b)[gaps.length >> 1];
+    }, FRAMES);
+    for (let i = 0; i < 4; i++) await page.locator("#charts").press("+");
+    const spent = [], gaps = [];
+    for (let turn = 0; turn < 8; turn++) spent.push(await processor(page, async () => { gaps.push(await pan()); }) / (2 * FRAMES));
+    const least = Math.min(...spent), middle = spent.sort((a, b) => a - b)[4];
+    // Rasterising is left to a graphics card where there is one; here it is done by the processor.
+    console.log(`      panning 60 000 samples: ${least.toFixed(1)} ms of the page's processor time a frame at best, ${middle.toFixed(1)} ms by the median (16.7 are there); a frame every ${Math.min(...gaps).toFixed(1)} ms at best`);
+    assert.ok(least < 1000 / 60, `${spent.map((ms) => ms.toFixed(1)).join(", ")} ms a frame`);
     await page.keyboard.press("Escape");
     assert.match(await page.locator("#figures").textContent(), /93/, "the highest spindle load is the spike");
     await page.screenshot({ path: `${SHOTS}cycle-dense.png` });
-    const paints = await page.evaluate(() => performance.getEntriesByName("first-contentful-paint")[0]?.startTime);
-    console.log(`      first contentful paint after ${paints?.toFixed(0)} ms`);
   });
 });
 
@@ -263,8 +392,140 @@ await check("tool: who may records an event, who may not is told why", async () 
   });
 });
 
+await check("tool: what decides the level is what is judged and drawn", async () => {
+  await withPage({ role: "viewer" }, async (page) => {
+    for (const id of ["sim-tool-1", "sim-tool-2", "sim-tool-3", "sim-tool-4", "sim-tool-8"]) {
+      const { body: life } = await shop.ask("GET", `/v1/tools/${id}/life?last=5000`), { level } = life.wear;
+      assert.equal(life.level.length, life.cycle_id.length);
+      if (level?.decides) { assert.equal(life.level.at(-1), level.value, id); assert.equal(life.decides.at(-1), level.decides, id); }
+      await page.go(`/tool?id=${id}`);
+      const facts = await page.locator("#facts").textContent(), said = await page.locator("#say").textContent();
+      if (!level) continue;
+      const words = { as_run: "energy as run", feed_compensated: "energy compensated for the feed", reference_cycles: "reference cycles", null: "nothing: the feed hides it" };
+      assert.ok(facts.includes(words[level.decides]), `${id}: ${level.decides} in ${facts}`);
+      const percent = Math.abs((level.value - 1) * 100).toFixed(1);
+      if (level.decides && ["good", "warning"].includes(life.wear.state) && percent !== "0.0") assert.ok(said.includes(percent), `${id}: ${percent} in ${said}`);
+      if (!level.decides) assert.ok(!said.includes(percent), `${id}: what is hidden is no figure: ${said}`);
+    }
+  });
+});
+
+await check("profile: knots are dragged by mouse, touch and keyboard, the loads follow, and a draft goes its way", async () => {
+  await withPage({ role: "engineer" }, async (page) => {
+    await page.go("/profile?id=cross-member&version=2");
+    const feeds = () => page.locator("#knots tr td:nth-child(3) input").evaluateAll((inputs) => inputs.map((input) => Number(input.value)));
+    const energy = () => page.locator("#figures > div:nth-child(2) dd").first().textContent();
+    await page.waitForFunction(() => /\d/.test(document.querySelector("#figures > div:nth-child(2) dd")?.textContent ?? ""));
+    const given = await feeds(), knob = page.locator(".knob").nth(2), first = await energy(), predicted = page.waitForResponse(/what-if$/);
+    await page.locator("#feed").scrollIntoViewIfNeeded();
+    const box = await knob.boundingBox();
+    await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+    await page.mouse.down();
+    await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2 + 20, { steps: 4 });
+    await predicted; // while it is dragged
+    await page.mouse.up();
+    const dragged = await feeds();
+    assert.ok(dragged[2] < given[2] && dragged.every((feed, i) => i === 2 || feed === given[i]), `${given} to ${dragged}`);
+    await page.waitForFunction((text) => document.querySelector("#figures > div:nth-child(2) dd").textContent !== text, first);
+    await knob.focus();
+    await page.keyboard.press("ArrowUp");
+    assert.equal((await feeds())[2], dragged[2] + 5);
+    await page.keyboard.press("Shift+ArrowDown");
+    assert.equal((await feeds())[2], dragged[2] - 45);
+    assert.equal(await knob.getAttribute("aria-valuenow"), String(dragged[2] - 45));
+    await page.locator("#knots input").nth(9).fill("9999");
+    await page.keyboard.press("Tab");
+    assert.equal((await feeds())[4], 800, "no knot leaves the limits");
+    await page.locator("#ribbon [title='fastest feed']").first().waitFor();
+    assert.match(await page.locator("#diff").textContent(), /535/, "the difference names the old feed");
+    for (let i = 0; i < 4; i++) await page.locator("#undo").click();
+    assert.deepEqual(await feeds(), given, "taken back step by step");
+    await page.locator(".knob").nth(3).focus();
+    await page.keyboard.press("Shift+ArrowUp");
+    await page.locator("#save").click();
+    await page.locator("#d-reason").fill("a little faster at 12 mm");
+    assert.deepEqual(await violations(page), []);
+    await page.locator("dialog button[type=submit]").click();
+    await page.getByText(/Saved as version 4/).waitFor();
+    await page.locator("#moves button[value=shadow]").click();
+    await page.getByText(/Version 4 runs in shadow/).waitFor();
+    const approve = page.locator("#moves button[value=approve]");
+    assert.equal(await approve.getAttribute("aria-disabled"), "true", "its author does not approve it");
+    assert.ok((await approve.getAttribute("title")).length > 10);
+    await page.locator("#versions").getByText(/Drafted by you/).first().waitFor();
+  });
+  await withPage({ role: "approver" }, async (page) => {
+    await page.go("/profile?id=cross-member&version=4");
+    await page.locator("#moves button[value=approve]").click();
+    await page.getByText("Version 4 is approved").waitFor();
+    await page.locator("#moves button[value=activate]").click();
+    await page.getByText(/Version 4 is active/).waitFor();
+    assert.match(await page.locator("#about").textContent(), /Approved by you .* Activated by you/s);
+    for (const dialect of ["sinumerik", "linuxcnc", "csv"]) {
+      await page.locator("#dialect").selectOption(dialect);
+      await page.waitForFunction((name) => document.querySelector("#download").href.includes(`dialect=${name}`) && document.querySelector("#nc").textContent.length > 80, dialect);
+    }
+    const [file] = await Promise.all([page.waitForEvent("download"), page.locator("#download").click()]);
+    assert.match(await readFile(await file.path(), "utf8"), /12/);
+    await page.locator("#moves button[value=rollback]").click();
+    await page.getByText("Rolled back to the version before").waitFor();
+    assert.equal((await shop.ask("GET", "/v1/feed-profiles/cross-member")).body.active_version, 2);
+  });
+  await withPage({ role: "engineer", ...SIZES.tablet }, async (page) => {
+    await page.go("/profile?id=cross-member&version=3");
+    await page.waitForFunction(() => document.querySelectorAll(".knob").length === 7);
+    const feed = () => page.locator("#knots tr:nth-child(5) td:nth-child(3) input").inputValue(), before = Number(await feed());
+    await page.locator("#feed").scrollIntoViewIfNeeded();
+    const box = await page.locator(".knob").nth(4).boundingBox(), x = box.x + box.width / 2, y = box.y + box.height / 2;
+    const client = await page.context().newCDPSession(page), touch = (type, at) => client.send("Input.dispatchTouchEvent", { type, touchPoints: at ? [{ x: at[0], y: at[1] }] : [] });
+    await touch("touchStart", [x, y]);
+    for (const down of [10, 25, 40]) await touch("touchMove", [x, y + down]);
+    await touch("touchEnd");
+    assert.ok(Number(await feed()) < before, `${before} to ${await feed()}`);
+  });
+  await withPage({ role: "viewer" }, async (page) => {
+    await page.go("/profile?id=cross-member");
+    for (const button of ["#save", "#optimise", "#moves button[value=activate]"]) assert.equal(await page.locator(button).getAttribute("aria-disabled"), "true", button);
+  });
+});
+
+await check("studies: map, border and their values by keyboard; turning against the fixed pair; every drill named with its limit; what fails keeps the input", async () => {
+  await withPage({ role: "viewer", expects: ["422"] }, async (page) => {
+    await page.go("/studies#vibratory");
+    await page.locator("#v-n").fill("11");
+    await page.locator("#ask button").click();
+    await page.locator("#map canvas").waitFor();
+    const at = () => page.locator("#at").textContent(), first = await at();
+    await page.locator("#map").focus();
+    await page.keyboard.press("ArrowUp");
+    assert.notEqual(await at(), first);
+    await page.screenshot({ path: `${SHOTS}vibratory.png` });
+    assert.deepEqual(await violations(page), []);
+    await page.goto("about:blank");
+    await page.go("/studies");
+    await page.locator("#answer table").waitFor();
+    assert.equal(await page.locator("#answer tbody tr").count(), 4, "four strategies");
+    assert.equal(await page.locator(".radar path[stroke-dasharray]").count(), 4);
+    await page.locator("#s-sheet").fill("-1");
+    await page.locator("#ask button").click();
+    await page.locator("#said .notice").waitFor();
+    assert.equal(await page.locator("#s-sheet").inputValue(), "-1", "kept");
+    await page.goto("about:blank");
+    await page.go("/studies#turning");
+    await page.locator("#answer .figures").waitFor();
+    assert.match(await page.locator("#answer .verdict").textContent(), /3\.0 times/, "the paper's job: 2.98 times the metal");
+    await page.goto("about:blank");
+    await page.go("/studies#plunge");
+    await page.locator("#answer table").waitFor();
+    assert.equal(await page.locator("#answer tbody tr").count(), 4);
+    await page.locator("#p-drills").fill("3; 60; 2000\nnonsense");
+    await page.locator("#ask button").click();
+    await page.getByText(/line 2/i).waitFor();
+  });
+});
+
 await check("settings: a bad value is marked at its field and kept; a token is shown once", async () => {
-  await withPage({ role: "admin", expects: ["422"] }, async (page) => {
+  await withPage({ role: "admin", expects: ["400", "422"] }, async (page) => {
     await page.go("/settings#tools");
     await page.locator("#add").click();
     await page.locator("#f-id").fill("T 1");
@@ -290,15 +551,59 @@ await check("settings: a bad value is marked at its field and kept; a token is s
     await page.locator("#f-name").fill("tablet at the drill");
     await page.locator("#make button").click();
     assert.match(await page.locator("#new-token").textContent(), /^fwt_/);
+    for (let i = 0; i < 12; i++) await Promise.all(Array.from({ length: 10 }, (_, k) => shop.ask("PUT", `/v1/tools/audited-${10 * i + k}`, { name: "One more line of the audit", tool_type: "d8" })));
+    await shop.ask("POST", "/v1/tokens", { name: "the last line", role: "viewer" });
     await page.go("/settings#audit");
     await page.getByText("token.create").first().waitFor();
     assert.ok(!(await page.content()).includes("new-token"));
+    const lines = page.locator("#lines tr");
+    assert.equal(await lines.count(), 100);
+    assert.match(await lines.first().textContent(), /token\.create/, "the newest line comes first");
+    await page.locator("#older").click();
+    await page.waitForFunction(() => document.querySelectorAll("#lines tr").length > 100);
+    const oldest = (await shop.ask("GET", "/v1/audit?limit=1")).body.items[0];
+    while (await page.locator("#older").isVisible()) { const known = await lines.count(); await page.locator("#older").click(); await page.waitForFunction((count) => document.querySelectorAll("#lines tr").length > count, known); }
+    assert.ok((await lines.last().textContent()).includes(oldest.action), "down to the first line there is");
   });
   await withPage({ role: "viewer" }, async (page) => {
     await page.go("/settings#tokens");
     await page.getByText("You can look, not change").waitFor();
     await page.go("/settings#machines");
     assert.equal(await page.locator("#add").getAttribute("aria-disabled"), "true");
+  });
+});
+
+await check("names of every kind are text, in their place, and never code", async () => {
+  await withPage({ role: "admin" }, async (page) => {
+    for (const path of ["/", "/settings#machines", "/settings#operations", "/tool?id=odd-tool", "/cycle?machine=odd-1", "/next?machine=odd-1"]) {
+      await page.goto("about:blank");
+      await page.go(path);
+      assert.match(await page.title(), /Feedwright/, path);
+      assert.equal(await page.locator("main img").count(), 0, path);
+    }
+    await page.goto("about:blank");
+    await page.go("/settings#machines");
+    assert.ok((await page.locator("#panel").textContent()).includes(HOSTILE));
+    await page.locator("[id='edit-odd-1']").click();
+    assert.equal(await page.locator("#f-name").inputValue(), HOSTILE);
+  });
+});
+
+await check("a clock that is wrong, a tool without a cycle, a machine that is not there: told, not guessed", async () => {
+  await withPage({ role: "viewer", expects: ["404"] }, async (page) => {
+    // The viewer's clock is half an hour ahead: ages are the server's.
+    await page.addInitScript(() => { const real = Date.now; Date.now = () => real() + 1_800_000; });
+    await page.go("/");
+    const ages = await page.locator("#rows tr .c-ago").allTextContents();
+    assert.ok(ages.filter((text) => /\d/.test(text)).every((text) => !/3\d\s?min/.test(text)), `${ages}`);
+    await page.go("/tool?id=new-tool");
+    await page.locator("#say").waitFor();
+    await page.go("/tool?id=nobody");
+    await page.locator(".empty :is(h1, h2)").waitFor();
+    await page.go("/cycle?machine=new-1");
+    await page.locator(".empty :is(h1, h2)").waitFor();
+    await page.go("/cycle?machine=sim-1&id=nothing");
+    await page.locator(".empty :is(h1, h2)").waitFor();
   });
 });
 
@@ -313,38 +618,137 @@ await check("offline: said with its time, and taken back by itself", async () =>
   });
 });
 
-await check("a day of events in a minute: the pages stay live without growing", async () => {
+await check("a slow server: frame and bones at once, then the data", async () => {
   await withPage({ role: "viewer" }, async (page) => {
-    const machines = (await shop.ask("GET", "/v1/fleet?limit=100")).body.items.filter((one) => one.last_cycle);
-    const event = (id, name, data) => `id: x-${id}\nevent: ${name}\ndata: ${JSON.stringify(data)}\n\n`;
-    // 8 machines with a cycle every 20 s make 34 560 cycles a day; of the one that is watched come samples too.
-    const day = (n) => { let text = "retry: 3600000\n\n" + event(0, "state", { machines: [] }); for (let i = 0; i < n; i++) { const one = machines[i % machines.length], last = one.last_cycle; text += event(i + 1, "machine", { machine: one.machine, state: "running", at: new Date().toISOString(), cycle_id: `c${i}`, tool: last.tool, operation: last.operation }); if (one.machine === "sim-4") for (let k = 0; k < 20; k++) text += `event: sample\ndata: ${JSON.stringify({ machine: "sim-4", cycle_id: `c${i}`, sample: k, time_ms: k * 10, depth_mm: k / 10, spindle_load_percent: 20 + k % 7, feed_drive_load_percent: 15, override_percent: 100 })}\n\n`; text += event(i + 1, "cycle", { machine: one.machine, cycle_id: `c${i}`, tool: last.tool, operation: last.operation, received_at: new Date().toISOString(), started_at: new Date().toISOString() }); } return text; };
-    const feed = day(34_560);
-    for (const [name, path] of [["fleet", "/"], ["cycle", "/cycle?machine=sim-4"], ["next", "/next?machine=sim-1"]]) {
-      let events = "retry: 3600000\n\n" + event(0, "state", { machines: [] });
-      await page.route("**/v1/live*", (route) => route.fulfill({ contentType: "text/event-stream", body: events }));
-      await page.goto("about:blank");
-      await page.go(path);
-      await page.waitForTimeout(300);
-      const nodes = () => page.evaluate(() => document.querySelectorAll("*").length);
-      const before = [await heap(page), await nodes()];
-      events = feed;
-      // The same page listens again, to a whole day of events at once.
-      const seen = await page.evaluate(async () => { let count = 0; const source = new EventSource("/v1/live?again"); source.addEventListener("cycle", () => { count += 1; }); await new Promise((ended) => source.addEventListener("error", ended, { once: true })); source.close(); return count; });
-      assert.equal(seen, 34_560, "every event was read");
-      await page.unroute("**/v1/live*");
-      await page.route("**/v1/live*", (route) => route.fulfill({ contentType: "text/event-stream", body: feed }));
-      await page.goto("about:blank");
-      await page.go(path);
-      await page.waitForTimeout(4000);
-      const after = [await heap(page), await nodes()];
-      console.log(`      ${name}: heap ${(before[0] / 1e6).toFixed(1)} MB before, ${(after[0] / 1e6).toFixed(1)} MB after a day of events; ${before[1]} and ${after[1]} nodes`);
-      assert.ok(after[0] < before[0] * 1.5 + 6e6, `the heap of ${name} grows: ${before[0]} to ${after[0]}`);
-      assert.ok(after[1] < before[1] + 400, `the document of ${name} grows: ${before[1]} to ${after[1]}`);
-      await page.unroute("**/v1/live*");
-    }
-    page.wrong.splice(0, page.wrong.length, ...page.wrong.filter((text) => !text.includes("404")));
+    let go;
+    const held = new Promise((wake) => { go = wake; });
+    await page.route("**/v1/fleet?*", async (route) => { await held; await route.continue(); });
+    await page.goto(shop.address);
+    await page.locator(".skeleton[aria-busy=true]").waitFor();
+    await page.locator("#find").fill("sim-1");
+    go();
+    await page.locator("#rows tr").first().waitFor();
+    assert.equal(await page.locator("#find").inputValue(), "sim-1");
   });
+});
+
+await check("a session that ends in the middle of the work: what was entered stays, and goes on after signing in again", async () => {
+  const make = async () => (await shop.ask("POST", "/v1/tokens", { name: "tablet", role: "engineer" })).body;
+  const first = await make();
+  shop.tokens.tablet = first.token;
+  await withPage({ role: "tablet", expects: ["401"] }, async (page) => {
+    await page.go("/settings#tools");
+    await page.locator("#add").click();
+    await page.locator("#f-id").fill("T-late");
+    await page.locator("#f-name").fill("Entered before the session ended");
+    await page.locator("#f-tool_type").fill("d8");
+    await shop.ask("DELETE", `/v1/tokens/${first.id}`);
+    await page.locator("#edit button[type=submit]").click();
+    const dialog = page.locator("dialog#again[open]");
+    await dialog.waitFor();
+    assert.deepEqual(await violations(page), []);
+    await page.locator("#again-token").fill("fwt_wrong");
+    await page.keyboard.press("Enter");
+    await page.locator("#again-said .flag").waitFor();
+    await page.keyboard.press("Escape");
+    assert.ok(await dialog.isVisible(), "nothing goes on without a session");
+    await page.locator("#again-token").fill((await make()).token);
+    await page.keyboard.press("Enter");
+    await page.getByText("T-late is saved").waitFor();
+    assert.equal((await shop.ask("GET", "/v1/tools/T-late")).body.name, "Entered before the session ended");
+  });
+  const watcher = await make();
+  shop.tokens.tablet = watcher.token;
+  await withPage({ role: "tablet", expects: ["401"] }, async (page) => {
+    await page.go("/cycle?machine=sim-2");
+    await page.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await shop.ask("DELETE", `/v1/tokens/${watcher.id}`);
+    await page.locator("dialog#again[open]").waitFor(); // nothing was asked for: the live connection ended with the session
+  });
+});
+
+await check("the server is started again: open pages say so, wait, and go on", async () => {
+  await withPage({ role: "viewer", expects: ["ERR_", "Failed to load", "502", "503"] }, async (page) => {
+    await page.go("/");
+    const cycle = await browser.page(shop, { role: "viewer", expects: ["ERR_", "Failed to load", "503"] });
+    await cycle.go("/cycle?machine=sim-2");
+    for (const one of [page, cycle]) await one.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await shop.stop("SIGKILL");
+    for (const one of [page, cycle]) await one.locator("#offline").waitFor();
+    assert.ok(await page.locator("#rows tr").count() > 5, "what was known stays");
+    await shop.start();
+    for (const one of [page, cycle]) { await one.locator("#offline").waitFor({ state: "detached" }); await one.waitForFunction(() => document.querySelector("#live").dataset.state === "live"); }
+    await shop.report("sim-2", "sim-tool-2", 2345, "after-restart");
+    await page.locator("#rows tr", { has: page.locator("a", { hasText: /^sim-2$/ }) }).locator(".c-energy", { hasText: /2.345/ }).waitFor();
+    await cycle.locator("#live-cycle a").waitFor();
+    assert.deepEqual(cycle.wrong, []);
+    await cycle.finish();
+  });
+});
+
+await check("500 machines that are really there: one page, sorted and live", async () => {
+  const { name, ...machine } = { name: "", control: "simulated", ipo_period_ms: 10, spindle: { reference: "unknown" }, feed_drive: { reference: "unknown" }, limits: { feed_min_mm_min: 1, feed_max_mm_min: 5000, override_min_percent: 5, override_max_percent: 200 } };
+  for (let i = 0; i < 500; i += 10) await Promise.all(Array.from({ length: 10 }, async (_, k) => { const id = `hall-${i + k + 1}`; await shop.ask("PUT", `/v1/machines/${id}`, { ...machine, name: `Hall ${i + k + 1}${name}` }); await shop.report(id, `hall-tool-${i + k + 1}`, 1000 + i, "c1"); }));
+  await withPage({ role: "viewer" }, async (page) => {
+    await page.go("/");
+    await page.waitForFunction(() => document.querySelectorAll("#rows tr").length > 500);
+    const row = page.locator("#rows tr", { has: page.locator("a", { hasText: /^hall-321$/ }) });
+    await page.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await shop.report("hall-321", "hall-tool-321", 7654, "c2");
+    await row.locator(".c-energy", { hasText: /7.654/ }).waitFor();
+    const spent = await processor(page, () => page.evaluate(async () => { for (const value of ["name", "left", "last", "attention"]) { const sort = document.querySelector("#sort"); sort.value = value; sort.dispatchEvent(new Event("change")); await new Promise((wake) => requestAnimationFrame(() => requestAnimationFrame(wake))); } }));
+    console.log(`      sorting ${await page.locator("#rows tr").count()} machines and painting them: ${(spent / 4).toFixed(0)} ms of processor time`);
+    assert.ok(spent / 4 < 400, `${spent / 4} ms`);
+  });
+});
+
+await check("a day of events in a minute: the pages stay live without growing", async () => {
+  const machines = (await shop.ask("GET", "/v1/fleet?limit=100")).body.items.filter((one) => one.last_cycle);
+  const event = (name, data) => `event: ${name}\ndata: ${JSON.stringify(data)}\n\n`, now = new Date().toISOString();
+  // A cycle of each machine every 20 s; of the one that is watched its samples come too.
+  const hour = (n) => {
+    let text = `retry: 20\n\n${event("state", { machines: [] })}`;
+    for (let i = 0; i < 180 * machines.length; i++) {
+      const one = machines[i % machines.length], last = one.last_cycle, cycle_id = `c${n}-${i}`;
+      text += event("machine", { machine: one.machine, state: "running", at: now, cycle_id, tool: last.tool, operation: last.operation });
+      if (one.machine === "sim-4") for (let k = 0; k < 20; k++) text += event("sample", { machine: "sim-4", cycle_id, sample: k, time_ms: k * 200, depth_mm: k, spindle_load_percent: 20 + k % 7, feed_drive_load_percent: 15, override_percent: 100 });
+      text += event("cycle", { machine: one.machine, cycle_id, tool: last.tool, operation: last.operation, received_at: now, started_at: now });
+    }
+    return text;
+  };
+  for (const [name, path] of [["fleet", "/"], ["cycle", "/cycle?machine=sim-4"], ["tool", "/tool?id=sim-tool-4"], ["next", "/next?machine=sim-1"]]) await withPage({ role: "viewer" }, async (page) => {
+    let hours = 0;
+    const wanted = new Map(), reached = (n) => new Promise((done) => { if (hours > n) done(); else wanted.set(n, done); });
+    await page.route("**/v1/live*", async (route) => { hours += 1; wanted.get(hours - 1)?.(); if (hours > 30) return route.abort(); return route.fulfill({ contentType: "text/event-stream", body: hour(hours) }); });
+    await page.go(path);
+    const state = async () => [await heap(page), await page.evaluate(() => document.querySelectorAll("*").length)];
+    await reached(4); // what is built once is built
+    const before = await state();
+    await reached(28);
+    const after = await state();
+    console.log(`      ${name}: heap ${(before[0] / 1e6).toFixed(2)} MB after 4 h of events, ${(after[0] / 1e6).toFixed(2)} MB after 28 h; ${before[1]} and ${after[1]} nodes`);
+    assert.ok(after[0] < before[0] + 1.5e6, `the heap of ${name} grows: ${before[0]} to ${after[0]}`);
+    assert.ok(Math.abs(after[1] - before[1]) < 60, `the document of ${name} grows: ${before[1]} to ${after[1]}`);
+    page.wrong.splice(0, page.wrong.length, ...page.wrong.filter((text) => !text.includes("ERR_FAILED")));
+  });
+});
+
+await check("an empty shop: every page says what to do next", async () => {
+  const nothing = await Shop.open({ machines: 0 });
+  try {
+    const page = await browser.page(nothing, { role: "admin" }), found = [];
+    for (const [id, path] of Object.entries({ fleet: "/", cycle: "/cycle", tool: "/tool", profile: "/profile", next: "/next", machines: "/settings", tools: "/settings#tools", operations: "/settings#operations", alarms: "/settings#alarms", quarantine: "/settings#quarantine", plunge: "/studies#plunge" })) {
+      await page.goto("about:blank");
+      await page.go(path);
+      await page.locator(".empty :is(h1, h2)").waitFor().catch((error) => { throw new Error(`${id}: ${error.message}`); });
+      assert.ok((await page.locator(".empty p").first().textContent()).length > 10, id);
+      found.push(...(await violations(page)).map((text) => `${id}: ${text}`));
+      await page.screenshot({ path: `${SHOTS}empty-${id}.png` });
+    }
+    assert.deepEqual(found, []);
+    nothingWrong(page);
+    await page.finish();
+  } finally { await nothing.close(); }
 });
 
 await browser?.close();

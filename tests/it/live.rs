@@ -2,6 +2,7 @@
 
 mod reader;
 mod served;
+mod session;
 mod shown;
 mod slow;
 

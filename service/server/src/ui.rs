@@ -18,11 +18,12 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; f
                       frame-ancestors 'none'";
 
 /// Path and name of every page; the name is that of its module in `web/js/pages/`.
-pub const PAGES: [(&str, &str); 7] = [
+pub const PAGES: [(&str, &str); 8] = [
     ("/", "fleet"),
     ("/sign-in", "sign-in"),
     ("/cycle", "cycle"),
     ("/tool", "tool"),
+    ("/profile", "profile"),
     ("/next", "next"),
     ("/studies", "studies"),
     ("/settings", "settings"),
@@ -34,7 +35,13 @@ pub(crate) async fn page(name: &'static str, headers: HeaderMap) -> Response {
         return Problem::internal("the pages are not in this binary").into_response();
     };
     let text = String::from_utf8_lossy(&document.bytes);
-    let text = text.replace("{{page}}", name).replace("{{base}}", &format!("/ui/{}", files::version()));
+    let modules = files::modules(&format!("js/pages/{name}.js"));
+    let preload: String = modules
+        .iter()
+        .map(|name| format!("<link rel=\"modulepreload\" href=\"{{{{base}}}}/{name}\">"))
+        .collect();
+    let text = text.replace("{{modules}}", &preload).replace("{{page}}", name);
+    let text = text.replace("{{base}}", &format!("/ui/{}", files::version()));
     let document = File::of("page.html", text.into_bytes());
     // It names the version of all other files, so it is asked for again every time.
     answer(&document, &headers, "no-cache")

@@ -10,7 +10,7 @@ use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Strategy, Timestamp};
-use feedwright_core::wear::{CycleFacts, Exclusion, Verdict};
+use feedwright_core::wear::{CycleFacts, Exclusion, Level, Verdict};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -253,6 +253,8 @@ pub struct LifeCycle {
     pub is_friction: bool,
     /// Why it was not counted; `None` for a counted cycle and for one that later cycles have yet to settle.
     pub excluded: Option<Exclusion>,
+    /// The level that was judged after it: what decided then, and the value.
+    pub level: Option<Level>,
 }
 
 /// Hash over the canonical decoded content of a cycle .

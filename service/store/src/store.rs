@@ -321,6 +321,8 @@ pub trait Store: Send + Sync + 'static {
 
     /// Audit lines in the order of their numbers.
     async fn audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>>;
+    /// The audit from its newest line back; a page goes on before its `after`.
+    async fn newest_audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>>;
 
     /// Keeps a token.
     async fn create_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<()>;

@@ -71,4 +71,14 @@ async fn a_cursor_goes_with_its_filters() {
     let audit = app.get("/v1/audit?limit=1").await.json();
     let cursor = audit["next_cursor"].as_str().unwrap();
     assert_eq!(app.get(&format!("/v1/alarms?cursor={cursor}")).await.code(), "invalid_cursor");
+    let turned = app.get(&format!("/v1/audit?order=newest&cursor={cursor}")).await;
+    assert_eq!(turned.code(), "invalid_cursor", "a cursor leads one way");
+    let newest = app.get("/v1/audit?order=newest&limit=1").await.json();
+    let cursor = newest["next_cursor"].as_str().unwrap();
+    let before = app.get(&format!("/v1/audit?order=newest&limit=1&cursor={cursor}")).await.json();
+    let id = |list: &serde_json::Value| list["items"][0]["id"].as_i64().unwrap();
+    assert!(
+        id(&newest) == id(&before) + 1 && newest["items"][0]["subject"] == "tool/T2",
+        "{newest} {before}"
+    );
 }

@@ -114,6 +114,16 @@ async fn a_cookie_over_tls_stays_on_tls() {
 }
 
 #[tokio::test]
+async fn where_nothing_but_tls_is_spoken_the_cookie_is_secure_whatever_the_browser_says() {
+    let app = App::with(&[("tls.certificate", "/etc/cert.pem"), ("tls.key", "/etc/key.pem")]).await;
+    let set = sign_in(&app, app.token(Role::Viewer), &[PAGE]).await;
+    assert!(set.header("set-cookie").ends_with("; Secure"), "{set:?}");
+    let cookie = cookie_of(&set);
+    let out = with_cookie(&app, &cookie, "DELETE", "/v1/session", &[PAGE], None).await;
+    assert!(out.header("set-cookie").ends_with("; Secure"), "{out:?}");
+}
+
+#[tokio::test]
 async fn a_revoked_token_ends_its_sessions_at_once() {
     let app = App::new().await;
     let body = json!({"name": "tablet", "role": "viewer"});

@@ -33,6 +33,14 @@ impl Reader {
         Self { response, text: String::new(), comments: 0 }
     }
 
+    /// As a page's reader comes: with its session's cookie.
+    pub(super) async fn with_cookie(served: &Served, cookie: &str) -> Self {
+        let request = served.client.get(served.url("/v1/live")).header("cookie", cookie);
+        let response = request.send().await.unwrap();
+        assert_eq!(response.status(), 200);
+        Self { response, text: String::new(), comments: 0 }
+    }
+
     /// The next event; `None` where the server ended the view.
     pub(super) async fn next(&mut self) -> Option<Told> {
         loop {

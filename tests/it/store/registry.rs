@@ -123,6 +123,10 @@ async fn every_change_leaves_its_line(store: Arc<dyn Store>) {
     assert!(lines.iter().all(|line| line.actor == "tok-eve"));
     let rest = store.audit(Page { after: Some(lines[1].id), limit: 1 }).await.unwrap();
     assert_eq!(rest, lines[2..3]);
+    let back = store.newest_audit(Page { after: None, limit: 3 }).await.unwrap();
+    assert_eq!(back, [lines[3].clone(), lines[2].clone(), lines[1].clone()]);
+    let first = store.newest_audit(Page { after: Some(lines[1].id), limit: 3 }).await.unwrap();
+    assert_eq!(first, lines[..1]);
 }
 
 async fn callers_that_hang_up_leave_nothing_half_done(store: Arc<dyn Store>) {

@@ -120,7 +120,7 @@ impl CycleFacts {
     }
 
     /// The strategy that its energy is compared under.
-    pub(super) fn compared_as(&self) -> Option<Strategy> {
+    pub fn compared_as(&self) -> Option<Strategy> {
         if self.is_reference() { Some(Strategy::FConst) } else { self.strategy }
     }
 }

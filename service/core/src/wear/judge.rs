@@ -4,7 +4,9 @@ use super::WARNING_LEVEL;
 use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::remaining;
-use super::verdict::{BaselineEvidence, Exclusion, LevelBasis, Masked, SecondIndicators, ToolState, Verdict};
+use super::verdict::{
+    BaselineEvidence, Exclusion, Level, LevelBasis, Masked, SecondIndicators, ToolState, Verdict,
+};
 use crate::ids::{CycleId, MachineId};
 use crate::summary::PeakShift;
 use crate::units::{Strategy, Timestamp};
@@ -21,6 +23,11 @@ impl ToolFold {
         &self.last_excluded
     }
 
+    /// The level that is judged now; `None` before there is one, and for a tool that was never known to be new.
+    pub fn judged_level(&self) -> Option<Level> {
+        if self.unworn { self.level_evidence() } else { None }
+    }
+
     /// What the fold says now.
     pub fn verdict(&self) -> Verdict {
         if self.cycles == 0 && self.life == 0 {
@@ -34,7 +41,7 @@ impl ToolFold {
             Some(LevelBasis::FeedCompensated) => &self.feeds.compensated_trend,
             Some(LevelBasis::AsRun) | None => &self.trend,
         };
-        let level = if self.unworn { self.level_evidence() } else { None };
+        let level = self.judged_level();
         let trend = if self.unworn { points.trend() } else { None };
         let sure = matches!(state, ToolState::Good | ToolState::Warning);
         let remaining = match (&trend, &decision) {

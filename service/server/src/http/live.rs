@@ -2,15 +2,22 @@
 
 use super::extract::{Query, query_id};
 use super::problem::{Problem, ProblemDocument};
+use crate::auth::{Caller, Session};
 use crate::live::{Position, Reader};
 use crate::state::AppState;
 use axum::extract::State;
 use axum::response::sse::{KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::MachineId;
+use futures_util::StreamExt;
 use http::HeaderMap;
 use serde::Deserialize;
+use std::future::pending;
+use std::time::Duration;
 use utoipa::IntoParams;
+
+/// A session that another server ended is noticed within this time, ms.
+const SESSION_LOOK_MS: i64 = 30_000;
 
 /// What a reader wants to see.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -26,7 +33,7 @@ pub(super) struct LiveQuery {
     after: Option<String>,
 }
 
-/// What happens now: machines, cycles and alarms, until the reader goes.
+/// What happens now: machines, cycles and alarms, until the reader goes or its session is over.
 ///
 /// Begins with `state`; then come `machine`, `cycle`, `alarm`, `sample` and `gap`, each with JSON as its data, and
 /// comments as heartbeats. Ids are a sequence to resume from with `Last-Event-ID`; what is not kept any more is a `gap`.
@@ -38,6 +45,7 @@ pub(super) struct LiveQuery {
     ))]
 pub(super) async fn events(
     State(state): State<AppState>,
+    caller: Caller,
     Query(query): Query<LiveQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
@@ -52,5 +60,31 @@ pub(super) async fn events(
         Some((event, reader))
     });
     let beats = KeepAlive::new().interval(state.live.config().heartbeat()).text("heartbeat");
+    let events = events.take_until(over(state.clone(), caller.session()));
     Ok(Sse::new(events).keep_alive(beats).into_response())
+}
+
+/// Waits until a reader's session is over: by time, by sign-out, or with its token. A token has no session to end.
+async fn over(state: AppState, session: Option<Session>) {
+    let Some(session) = session else {
+        return pending().await;
+    };
+    loop {
+        let moved = state.live.sessions_moved();
+        match state.store.session_by_hash(&session.hash).await {
+            Ok(Some((_, token))) if token.revoked_at.is_none() => {}
+            Ok(_) => return,
+            // A store that does not answer has ended nothing: looked at again.
+            Err(error) => tracing::debug!(error = %error, "cannot look at a session"),
+        }
+        let left_ms = session.expires_at.millis_since(state.clock.now());
+        if left_ms <= 0 {
+            return;
+        }
+        let wait = Duration::from_millis(left_ms.min(SESSION_LOOK_MS).unsigned_abs());
+        tokio::select! {
+            () = tokio::time::sleep(wait) => {}
+            () = moved => {}
+        }
+    }
 }

@@ -41,7 +41,7 @@ pub(super) async fn begin(
         return Err(Problem::new(StatusCode::FORBIDDEN, "role_not_allowed", detail));
     }
     let BegunSession { record, cookie } =
-        BegunSession::new(&token, body.lasting, over_tls(&headers), &state.clock)?;
+        BegunSession::new(&token, body.lasting, is_secure(&state, &headers), &state.clock)?;
     let actor = Actor { token: token.id.clone(), role: token.role };
     let expires_at = record.expires_at;
     state.commit(|store| async move { store.begin_session(record, MOST_SESSIONS, &actor).await }).await?;
@@ -79,7 +79,16 @@ pub(super) async fn end(
         return Err(Problem::bad_request("no_session", "the request came with a token, not with a session"));
     };
     let (actor, now) = (caller.actor(), state.clock.now());
-    state.commit(|store| async move { store.end_session(&session.hash, &actor, now).await }).await?;
-    let cookie = forgotten(over_tls(&headers))?;
+    let ended =
+        state.commit(|store| async move { store.end_session(&session.hash, &actor, now).await }).await;
+    // Whatever the outcome: where it is not known, the session may be over.
+    state.live.look_at_sessions();
+    ended?;
+    let cookie = forgotten(is_secure(&state, &headers))?;
     Ok((StatusCode::NO_CONTENT, AppendHeaders([(header::SET_COOKIE, cookie)])).into_response())
+}
+
+/// Whether the page was reached over TLS: this server speaks nothing else, or the browser says so where a proxy does.
+fn is_secure(state: &AppState, headers: &HeaderMap) -> bool {
+    state.config.tls.is_on() || over_tls(headers)
 }

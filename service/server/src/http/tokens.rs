@@ -59,6 +59,7 @@ pub(super) async fn revoke(
     let revoked = state.commit(|store| async move { store.revoke_token(&wanted, &actor, now).await }).await;
     // Whatever the outcome: where it is not known, the token may be revoked.
     state.known_tokens.forget();
+    state.live.look_at_sessions();
     let revoked = revoked?;
     revoked.map(|token| axum::Json(token.into())).ok_or_else(|| Problem::not_found("token", &id))
 }

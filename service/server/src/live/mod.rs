@@ -21,6 +21,7 @@ use history::{History, Shown};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::futures::Notified;
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, broadcast, mpsc, watch};
 
 /// Samples of running cycles that wait for one reader; thinned to a few a second, this is many seconds.
@@ -46,6 +47,8 @@ pub struct Live {
     untold: AtomicU64,
     alarms_due: Notify,
     readers: Arc<Semaphore>,
+    /// Told when a session may be over.
+    sessions: Notify,
 }
 
 impl Live {
@@ -65,12 +68,23 @@ impl Live {
             untold: AtomicU64::new(0),
             alarms_due: Notify::new(),
             readers: Arc::new(Semaphore::new(config.readers)),
+            sessions: Notify::new(),
         })
     }
 
     /// The bounds it was made with.
     pub const fn config(&self) -> &LiveConfig {
         &self.config
+    }
+
+    /// Has every reader that came with a session look whether it goes on.
+    pub fn look_at_sessions(&self) {
+        self.sessions.notify_waiters();
+    }
+
+    /// Ready when a session may be over; told from the moment on in which it is made.
+    pub fn sessions_moved(&self) -> Notified<'_> {
+        self.sessions.notified()
     }
 
     /// Shows an event to the readers of this server and of the others.

@@ -56,3 +56,16 @@ pub(super) async fn list(conn: &mut Conn, page: &Page<RowNumber>) -> StoreResult
     .await?;
     rows.into_iter().map(AuditRow::entry).collect()
 }
+
+/// Newest line first: those before `after`.
+pub(super) async fn newest(conn: &mut Conn, page: &Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {
+    let rows: Vec<AuditRow> = sqlx::query_as::<Db, _>(
+        "SELECT audit_id, at_us, actor, role, action, subject, detail FROM audit
+         WHERE audit_id < $1 ORDER BY audit_id DESC LIMIT $2",
+    )
+    .bind(page.after.unwrap_or(i64::MAX))
+    .bind(i64::from(page.limit))
+    .fetch_all(&mut *conn)
+    .await?;
+    rows.into_iter().map(AuditRow::entry).collect()
+}

@@ -585,6 +585,10 @@ impl Store for Engine {
         audit::list(&mut *self.reader().await?, &page).await
     }
 
+    async fn newest_audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {
+        audit::newest(&mut *self.reader().await?, &page).await
+    }
+
     async fn create_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<()> {
         let actor = actor.clone();
         write!(self, |conn| tokens::create(conn, &token, &actor).await)

@@ -45,7 +45,8 @@ pub(super) async fn of(conn: &mut Conn, tool: &ToolId, most: u32) -> StoreResult
             }
             let (facts, settings) = row.facts()?;
             let is_friction = settings.is_some_and(|settings| settings.is_friction);
-            cycles.push_back(LifeCycle { facts, is_friction, excluded: None });
+            let level = walk.fold().judged_level();
+            cycles.push_back(LifeCycle { facts, is_friction, excluded: None, level });
         }
     }
     let mut cycles: Vec<LifeCycle> = cycles.into();

@@ -24,6 +24,8 @@ const OVERDUE: f64 = 1.6;
 const THICKER: (f64, u32) = (1.3, 12);
 /// Cycles that are kept back before they are replayed.
 const HELD: usize = 5;
+/// Preferred loads of the paper's law, feed drive and spindle, %: other strategies leave them behind.
+const SET_LOADS: (f64, f64) = (30.0, 40.0);
 /// Depth at which a tool breaks, mm.
 const BREAKS_AT_MM: f64 = 3.0;
 
@@ -185,6 +187,7 @@ impl SimulatedMachine {
         let operation = json!({
             "name": "Simulated bushing", "process": "friction", "thickness_mm": 2, "depth_mm": 20.5,
             "spindle_speed_rpm": PAPER_SPINDLE_RPM,
+            "feed_drive_load_set_percent": SET_LOADS.0, "spindle_load_set_percent": SET_LOADS.1,
             "wear": wear_settings(self.plan.life, self.plan.reference.program.feed_at(0.0)),
         });
         must(office, Method::PUT, &format!("/v1/operations/{}", self.operation()), &operation).await?;

@@ -3,8 +3,34 @@
 use super::time;
 use super::word::RoleWord;
 use feedwright_store::AuditEntry;
-use serde::Serialize;
-use utoipa::ToSchema;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+/// Which part of the audit, and from which end.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct AuditQuery {
+    /// Most rows wanted.
+    pub limit: Option<u32>,
+    /// `next_cursor` of the page before, of the same order.
+    pub cursor: Option<String>,
+    /// `oldest` (where it is left out) or `newest` first.
+    #[serde(default)]
+    #[param(inline)]
+    pub order: AuditOrder,
+}
+
+/// Which line comes first.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AuditOrder {
+    /// The oldest.
+    #[default]
+    Oldest,
+    /// The newest.
+    Newest,
+}
 
 /// One line of the audit: who changed what, and when.
 #[derive(Debug, Serialize, ToSchema)]

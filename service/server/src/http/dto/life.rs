@@ -2,7 +2,8 @@
 
 use super::time;
 use super::wear::WearBody;
-use feedwright_core::wear::{BaselineEvidence, CycleFacts, Exclusion};
+use feedwright_core::units::Strategy;
+use feedwright_core::wear::{BaselineEvidence, CycleFacts, Exclusion, LevelBasis};
 use feedwright_store::{LifeCycle, ToolLife};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -34,10 +35,17 @@ pub struct LifeBody {
     pub cycle_id: Vec<String>,
     /// The operation of each.
     pub operation: Vec<String>,
+    /// The strategy that each is compared under: times and depths of another do not compare.
+    pub strategy: Vec<Option<&'static str>>,
     /// Energy of each as it is compared, J: of friction drilling from contact to full depth, where depth was sampled.
     pub energy_joules: Vec<Option<f64>>,
     /// That over the baseline it is compared with: 1 is the new tool. Null where there is none.
     pub energy_ratio: Vec<Option<f64>>,
+    /// The level that was judged after each, as `wear.level.value` says it of the last: 1 is the new tool. Null before
+    /// there was one.
+    pub level: Vec<Option<f64>>,
+    /// Which level that was: `as_run`, `feed_compensated`, `reference_cycles`; null where nothing decided.
+    pub decides: Vec<Option<&'static str>>,
     /// Time of each as it is compared, ms.
     pub duration_ms: Vec<Option<f64>>,
     /// Depth at which the spindle load of each has fallen to half of its maximum, mm.
@@ -68,8 +76,15 @@ impl From<&ToolLife> for LifeBody {
             machine: facts().map(|facts| facts.order.machine.to_string()).collect(),
             cycle_id: facts().map(|facts| facts.order.cycle.to_string()).collect(),
             operation: facts().map(|facts| facts.operation.to_string()).collect(),
+            strategy: facts().map(|facts| facts.compared_as().map(Strategy::as_str)).collect(),
             energy_joules: life.cycles.iter().map(joules).collect(),
             energy_ratio: life.cycles.iter().map(ratio).collect(),
+            level: life.cycles.iter().map(|cycle| cycle.level.map(|level| level.value)).collect(),
+            decides: life
+                .cycles
+                .iter()
+                .map(|cycle| cycle.level.and_then(|level| level.decides).map(LevelBasis::as_str))
+                .collect(),
             duration_ms: life.cycles.iter().map(duration).collect(),
             spindle_load_fall_depth_mm: facts().map(|facts| facts.fall_depth_mm).collect(),
             excluded: life.cycles.iter().map(|cycle| cycle.excluded.map(Exclusion::as_str)).collect(),
@@ -80,6 +95,9 @@ impl From<&ToolLife> for LifeBody {
 /// The baseline that a cycle is compared with, J.
 fn baseline(baselines: &[BaselineEvidence], facts: &CycleFacts, in_contact: bool) -> Option<f64> {
     let (basis, idle_subtracted, _) = facts.energy?;
+    // What else a machine names with a reference cycle that it was asked for is what runs between them.
+    let compared_as = facts.compared_as();
+    let as_told = compared_as == facts.strategy;
     let alike = |one: &&BaselineEvidence| {
         let key = &one.key;
         key.machine == facts.order.machine
@@ -88,9 +106,9 @@ fn baseline(baselines: &[BaselineEvidence], facts: &CycleFacts, in_contact: bool
             && key.idle_subtracted == idle_subtracted
             && key.in_contact == in_contact
             && key.energy_scale == facts.energy_scale
-            && key.strategy == facts.strategy
-            && key.law_version == facts.law_version
-            && key.profile == facts.profile
+            && key.strategy == compared_as
+            && key.law_version.as_ref() == facts.law_version.as_ref().filter(|_| as_told)
+            && key.profile.as_ref() == facts.profile.as_ref().filter(|_| as_told)
             && match (key.spindle_speed_rpm, facts.spindle_speed_rpm) {
                 (Some(usual), Some(speed)) => (speed - usual).abs() <= SAME_SPEED * usual,
                 (usual, speed) => usual == speed,

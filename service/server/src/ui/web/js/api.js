@@ -7,8 +7,11 @@ export class ApiError extends Error {
   }
 }
 
-/** The session is over: on to the sign-in, and back again from there. The page is left, so nothing of it goes on. */
-const signInFrom = () => { location.replace(`/sign-in?next=${encodeURIComponent(location.pathname + location.search)}`); return new Promise(() => {}); };
+/** Nobody is signed in: on to the sign-in, and back again from there. The page is left, so nothing of it goes on. */
+const signInFrom = () => { location.replace(`/sign-in?next=${encodeURIComponent(location.pathname + location.search + location.hash)}`); return new Promise(() => {}); };
+let entered = false, again = null;
+/** The session ended while the page was at work: whoever signs in again goes on where they were, with what they entered. */
+const signInAgain = () => again ??= import("./sign-in-again.js").then((dialog) => dialog.signInAgain()).finally(() => { again = null; });
 
 /** Asks; gives `{ body, etag }`. */
 export async function ask(method, path, { body, signal, etag, headers = {}, text = false } = {}) {
@@ -25,7 +28,11 @@ export async function ask(method, path, { body, signal, etag, headers = {}, text
     try { problem = await answer.json(); } catch { /* not ours: the status has to do */ }
     problem.request_id ||= answer.headers.get("x-request-id");
     problem.retryAfter = answer.headers.get("retry-after");
-    if (answer.status === 401 && document.body.dataset.page !== "sign-in") await signInFrom();
+    if (answer.status === 401 && document.body.dataset.page !== "sign-in" && path !== "/v1/session") {
+      if (!entered) await signInFrom();
+      await signInAgain();
+      return ask(method, path, { body, signal, etag, headers, text });
+    }
     throw new ApiError(answer.status, problem);
   }
   const content = answer.status === 204 ? null : text ? await answer.text() : await answer.json();
@@ -49,7 +56,9 @@ export async function all(path, most = 5000, options) {
 
 let known = null;
 /** Who is signed in, and what they may do. */
-export const session = () => known ||= get("/v1/session");
+export const session = () => known ||= get("/v1/session").then((who) => { entered = true; return who; }, (error) => { known = null; if (error.status === 401) return signInFrom(); throw error; });
+/** Asks whether the session goes on; where it does not, whoever looks is asked to sign in again. */
+export const stillSignedIn = async () => { try { await get("/v1/session"); } catch (error) { if (error.status !== 401) throw error; await signInAgain(); } };
 /** Whether the session's role may use a route, as in `PUT /v1/tools/{tool}`: the server's table says so. */
 export const may = (who, route) => who.may.includes(route);
 
@@ -57,7 +66,10 @@ export const may = (who, route) => who.may.includes(route);
 export async function computed(path, body, { signal, progress } = {}) {
   const answer = await ask("POST", path, { body, signal });
   if (answer.status !== 202) return answer.body;
+  // Whoever does not want it any more does not keep the server at it.
+  signal?.addEventListener("abort", () => { fetch(`/v1/jobs/${answer.body.id}`, { method: "DELETE", keepalive: true, headers: { "x-feedwright-page": "1" } }).catch(() => {}); }, { once: true });
   for (;;) {
+    signal?.throwIfAborted();
     const job = await get(`/v1/jobs/${answer.body.id}`, { signal });
     if (job.state === "done") return job.result;
     if (job.state === "failed" || job.state === "cancelled") throw new ApiError(500, { code: job.state, detail: job.state });

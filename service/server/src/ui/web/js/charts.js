@@ -57,18 +57,25 @@ export function line(u, track, name, { color, width = 1.9, dash = [], alpha = 1 
   if (min == null) return;
   c.save();
   clip(u);
-  c.strokeStyle = token(color); c.lineWidth = width * k; c.globalAlpha = alpha; c.lineJoin = "round"; c.setLineDash(dash.map((part) => part * k));
+  c.strokeStyle = token(color); c.lineWidth = width * k; c.globalAlpha = alpha; c.setLineDash(dash.map((part) => part * k));
   c.beginPath();
   const { min: low, max: high } = u.scales.y, { left, top, width: w, height: h } = u.bbox;
+  // Where every pixel column has its stroke, nobody sees a rounded corner, and it costs most of the frame.
+  c.lineJoin = track.between(min, max) > 2 * w ? "bevel" : "round";
   const sx = w / (max - min), sy = h / (high - low), y = (value) => top + (high - value) * sy;
-  let pen = false;
+  let pen = false, alone = null;
+  const lonely = [];
   track.each(name, min, max, Math.round(w), (x, a, b) => {
-    if (Number.isNaN(a)) { pen = false; return; }
+    if (Number.isNaN(a)) { if (alone) lonely.push(alone); alone = null; pen = false; return; }
     const px = left + (x - min) * sx;
-    if (pen) c.lineTo(px, y(a)); else { c.moveTo(px, y(a)); pen = true; }
+    if (pen) { c.lineTo(px, y(a)); alone = null; } else { c.moveTo(px, y(a)); pen = true; alone = b === a ? [px, y(a)] : null; }
     if (b !== a) c.lineTo(px, y(b));
   });
   c.stroke();
+  // A value without neighbours makes no line: it is a dot.
+  if (alone) lonely.push(alone);
+  c.fillStyle = c.strokeStyle;
+  for (const [px, py] of lonely) { c.beginPath(); c.arc(px, py, Math.max(2, width * 1.2) * k, 0, 7); c.fill(); }
   c.restore();
 }
 

@@ -35,7 +35,7 @@ export function cycleLive(machine, shown, host) {
   const paint = () => {
     due = false;
     const running = growing && !growing.ended;
-    put(host, html`${newer ? html`<div class="notice" role="status">${icon("note")}<div><b>${t("cycle.newer", { time: time(newer.received_at) })}</b><p><a href="/cycle?machine=${segment(machine)}&amp;id=${segment(newer.cycle_id)}">${t("cycle.showNewer")}</a></p></div></div>` : ""}${running ? html`<section class="panel charts-panel" aria-label="${t("cycle.liveCurves")}"><p class="state running">${icon("drilling")}<b>${t("cycle.runs")}</b> <span id="live-values" class="muted"></span></p><div id="live-charts"></div></section>` : ""}`) && (plots.forEach((plot) => plot.destroy()), plots = []);
+    put(host, html`${newer ? html`<div class="notice" role="status">${icon("note")}<div><b>${t("cycle.newer", { time: time(newer.received_at) })}</b><p><a href="/cycle?machine=${segment(machine)}&amp;id=${segment(newer.cycle_id)}">${t("cycle.showNewer")}</a></p></div></div>` : ""}${running ? html`<section class="panel charts-panel" aria-label="${t("cycle.liveCurves")}"><p class="state running">${icon("drilling")}<b>${t("cycle.runs")}</b> <span id="live-values" class="muted"></span></p><div id="live-charts"></div><p class="xname">${t("cycle.xBegan")}</p></section>` : ""}`) && (plots.forEach((plot) => plot.destroy()), plots = []);
     if (!running) return;
     const at = growing.last;
     put($("#live-values", host), at ? t("cycle.runsText", { depth: at.depth_mm == null ? t("unknown") : unit(at.depth_mm, "mm", 1), load: at.spindle_load_percent == null ? t("unknown") : unit(at.spindle_load_percent, "%", 0) }) : t("cycle.runsBegun"));

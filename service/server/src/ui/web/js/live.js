@@ -3,7 +3,7 @@
 import { freshness } from "./shell.js";
 import { icon } from "./icons.js";
 import { element, html, $ } from "./html.js";
-import { session } from "./api.js";
+import { ApiError, stillSignedIn } from "./api.js";
 import { time } from "./format.js";
 import { t } from "./text.js";
 
@@ -32,8 +32,9 @@ export function keep(work, beat, least = 2000) {
       last = Date.now();
       plan(again ? least : beat);
     } catch (error) {
-      // What the server refuses is told by the page; what it cannot do now is tried again.
-      if (error.code === "offline" || error.status >= 500) { offline(true); freshness("offline"); plan(RETRY_MS); } else throw error;
+      if (!(error instanceof ApiError)) throw error;
+      // What the server cannot do now is tried again; what it refuses at first is told by the page.
+      if (error.code === "offline" || error.status >= 500) { offline(true); freshness("offline"); plan(RETRY_MS); } else if (last) { freshness("polled"); plan(beat * 4); } else throw error;
     } finally { running = false; again = false; }
   }
   document.addEventListener("visibilitychange", () => { if (!document.hidden) run(); });
@@ -43,19 +44,35 @@ export function keep(work, beat, least = 2000) {
 
 /** Hands on the events of `/v1/live` by name, each with its data; `query` as the address takes it. */
 export function listen(query, handlers) {
-  let source = null, timer = 0;
-  const open = () => {
+  let source = null, timer = 0, closed = false;
+  const later = () => { clearTimeout(timer); if (!closed) timer = setTimeout(probe, RETRY_MS); };
+  // A connection that broke may come back by itself; until then it is asked whether there is a server, and a session.
+  async function probe() {
+    try {
+      await stillSignedIn();
+      offline(false);
+      if (!listening) freshness("polled");
+      if (source.readyState === EventSource.CLOSED) open(); else if (source.readyState !== EventSource.OPEN) later();
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      offline(true);
+      freshness("offline");
+      later();
+    }
+  }
+  function open() {
+    if (closed) return;
     source = new EventSource(`/v1/live${query ? `?${query}` : ""}`);
-    source.addEventListener("open", () => { listening = true; freshness("live"); });
+    source.addEventListener("open", () => { listening = true; clearTimeout(timer); offline(false); freshness("live"); });
     source.addEventListener("error", () => {
-      listening = false;
-      freshness($("#offline") ? "offline" : "polled");
-      // A browser gives up for good where the answer was an error: too many readers, or the session is over.
-      if (source.readyState === EventSource.CLOSED) { clearTimeout(timer); timer = setTimeout(() => { session().then(open, () => {}); }, RETRY_MS * 2); }
+      if (listening) { listening = false; freshness("connecting"); clearTimeout(timer); timer = setTimeout(probe, 500); } else later();
     });
     for (const [name, handle] of Object.entries(handlers)) source.addEventListener(name, (event) => handle(JSON.parse(event.data)));
-  };
+  }
+  const close = () => { closed = true; clearTimeout(timer); source.close(); listening = false; };
   open();
-  addEventListener("pagehide", () => { clearTimeout(timer); source.close(); });
-  return { close: () => { clearTimeout(timer); source.close(); listening = false; } };
+  addEventListener("pagehide", close);
+  // A page that comes back out of the browser's memory listens again.
+  addEventListener("pageshow", (event) => { if (event.persisted && closed) { closed = false; open(); } });
+  return { close };
 }

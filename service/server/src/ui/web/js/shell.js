@@ -5,7 +5,7 @@ import { ask, may, session } from "./api.js";
 import { language, setLanguage, t } from "./text.js";
 
 const pages = [
-  ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"],
+  ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"], ["profile", "/profile", "profile"],
   ["next", "/next", "advice"], ["studies", "/studies", "studies", "wide"], ["settings", "/settings", "more", "wide"],
 ];
 const name = () => document.body.dataset.page;
@@ -41,8 +41,7 @@ export function shell(title) {
   return session().then((who) => {
     $("#who").textContent = `${who.name}, ${t(`role.${who.role}`)}`;
     $("#sign-out").hidden = who.expires_at == null;
-    return who;
-  });
+  }, () => {}); // the page itself asks too, and says what is wrong
 }
 
 /** Says how fresh the page is: live, polled, offline. */

@@ -13,6 +13,7 @@ export function failure(error, title = t("error.title")) {
     ${fields.length > 1 ? html`<ul class="field-errors">${fields.map((field) => html`<li><code>${field.path}</code> ${field.message}</li>`)}</ul>` : ""}
     <p class="faint">${t("error.kept")}${error.requestId ? html` ${t("error.request")} <code>${error.requestId}</code>` : ""}</p>`);
 }
-export const empty = (title, text, actions = "") => html`<div class="empty"><h2>${title}</h2><p>${text}</p><div class="knot-tools">${actions}</div></div>`;
+/** `whole` where there is nothing else on the page: its title is the page's then. */
+export const empty = (title, text, actions = "", whole = false) => html`<div class="empty">${whole ? html`<h1>${title}</h1>` : html`<h2>${title}</h2>`}<p>${text}</p><div class="knot-tools">${actions}</div></div>`;
 export const progress = (part) => html`<svg class="prog" viewBox="0 0 100 3" preserveAspectRatio="none" aria-hidden="true"><rect width="100" height="3" fill="var(--sunken)"/><rect width="${trusted(String(Math.max(0, Math.min(100, part * 100))))}" height="3" fill="var(--ink-2)"/></svg>`;
 export const skeleton = (rows = 3) => html`<div class="skeleton" role="status" aria-busy="true" aria-label="${t("loading")}">${Array.from({ length: rows }, () => html`<i></i>`)}</div>`;

@@ -36,6 +36,8 @@ export class Track {
     for (const [name, values] of Object.entries(columns)) if (values) this.columns[name] = Float64Array.from(values, (v) => v ?? NaN);
   }
   has(name) { return Boolean(this.columns[name]); }
+  /** How many samples lie between two values of x. */
+  between(min, max) { return placeOf(this.x, max) - placeOf(this.x, min); }
   /** Minimum and maximum of places from..to (exclusive); null where there is no value. */
   extremes(name, from, to) {
     const values = this.columns[name];

@@ -4,8 +4,11 @@ import { icon } from "./icons.js";
 import { NB, percent, rounded, signed } from "./format.js";
 import { t } from "./text.js";
 
-/** The level as percent over the new tool; null before there is one. */
-export const levelPercent = (wear) => wear?.level ? (wear.level.as_run - 1) * 100 : null;
+/** The level that decides, as percent over the new tool; null before there is one, and where nothing decides because the
+ *  feed hides the wear: the energy as run says nothing good then. */
+export const levelPercent = (wear) => wear?.level?.decides ? (wear.level.value - 1) * 100 : null;
+/** Whether there is energy to compare, but the feed hides what it says of wear. */
+export const isHidden = (wear) => Boolean(wear?.level && !wear.level.decides);
 /** Percent as it is shown, and as it is judged: the state rules, not the rounding. */
 export const shownLevel = (value) => `${signed(value, 1)}${NB}%`;
 export const wearClass = (wear) => wear?.state === "worn" ? "act" : wear?.state === "warning" ? "plan" : "";
@@ -25,6 +28,7 @@ export function wearBar(wear, { width = 118, height = 10 } = {}) {
 export function wearCell(wear) {
   const value = levelPercent(wear);
   if (value == null) {
+    if (isHidden(wear)) return html`<span class="wear"><span class="val faint" title="${t("wear.hiddenWhy")}">${t("wear.hidden")}</span></span>`;
     const learning = wear?.state === "learning" || wear?.baselines?.some((b) => b.baseline_joules == null);
     return html`<span class="wear"><span class="val faint">${learning ? t("wear.noBaseline") : t("wear.notKnown")}</span></span>`;
   }

@@ -26,6 +26,9 @@ const ROWS = [
 ];
 const CHANNELS = { fd: "feed_drive_load_percent", sp: "spindle_load_percent", f: "feed_actual_mm_min", fpr: "feed_programmed_mm_min", ovr: "override_percent", thrust: "thrust_newtons", torque: "torque_newton_metres", power: "spindle_power_watts", z: "depth_mm" };
 
+/** A distance of two samples above this many usual ones is a gap, as the stored cycle's flags have it. */
+const GAP = 2.5;
+const median = (values) => { const list = values.filter(Number.isFinite).sort((a, b) => a - b); return list.length ? list[list.length >> 1] : Infinity; };
 /** A cycle with its curves over both axes. */
 function curves(cycle, samples, course) {
   const length = Object.values(samples).find((column) => Array.isArray(column))?.length ?? 0;
@@ -38,10 +41,21 @@ function curves(cycle, samples, course) {
   columns.e = course?.energy_joules;
   const steps = [], first = [];
   for (let i = 0; i < length; i++) if (i === 0 || at[i] > at[steps.at(-1)]) { steps.push(i); if (at[i] >= -APPROACH_S) first.push(i); }
-  const pick = (places) => Object.fromEntries(Object.entries(columns).filter(([, column]) => column).map(([key, column]) => [key, places.map((i) => column[i])]));
-  const timed = new Track(first.map((i) => at[i]), pick(first));
+  // Where nothing was measured for longer than usual the lines break: what lies between is not known.
+  const usual = median(at.slice(1).map((value, i) => value - at[i]));
+  const track = (places, x) => {
+    const kept = Object.entries(columns).filter(([, column]) => column), xs = [], made = Object.fromEntries(kept.map(([key]) => [key, []]));
+    places.forEach((i, n) => {
+      const before = places[n - 1];
+      if (n && at[before + 1] - at[before] > GAP * usual) { xs.push((x[before] + x[i]) / 2); for (const [key] of kept) made[key].push(null); }
+      xs.push(x[i]);
+      for (const [key, column] of kept) made[key].push(column[i]);
+    });
+    return new Track(xs, made);
+  };
+  const timed = track(first, at);
   const places = columns.z ? forward(columns.z, APPROACH_MM) : [];
-  const deep = places.length > 1 ? new Track(places.map((i) => columns.z[i]), pick(places)) : null;
+  const deep = places.length > 1 ? track(places, columns.z) : null;
   return { cycle, course, tracks: { t: timed, z: deep } };
 }
 async function load(machine, id) {
@@ -78,7 +92,7 @@ function build() {
   const host = fill($("#charts"), "");
   const a = A.tracks[axisOf], b = B?.tracks[axisOf];
   const ends = [a, b].filter(Boolean).flatMap((track) => [track.x[0], track.x[track.x.length - 1]]);
-  const pad = (Math.max(...ends) - Math.min(...ends)) * 0.01;
+  const pad = (Math.max(...ends) - Math.min(...ends)) * 0.01 || 0.5; // one sample has no extent
   whole = [Math.min(...ends) - pad, Math.max(...ends) + pad];
   const rows = rowsShown(), last = rows.at(-1), stages = A.course?.stages ?? [];
   rows.forEach((row, n) => {
@@ -140,12 +154,15 @@ function draw(u, c, row, stages) {
     const close = other != null && Math.abs(Y(u, other) - Y(u, set)) < 15 * k;
     limit(u, c, set, `L_set ${num(set, set % 1 ? 1 : 0)}${NB}%`, { shift: close ? (other > set ? 8 : -8) : 0 });
     if (other != null) limit(u, c, other, t("cycle.whatIfLimit", { value: `${num(other, other % 1 ? 1 : 0)}${NB}%` }), { color: "--sig-reference", shift: close ? (other > set ? -8 : 8) : 0 });
-    for (const one of mine) {
+    const taken = [];
+    for (const one of [...mine].sort((a, b) => b.to.time_ms - b.from.time_ms - a.to.time_ms + a.from.time_ms)) {
       const middleX = X(u, (placeX(one.from) + placeX(one.to)) / 2), top = Math.max(u.bbox.top + 11 * k, Math.min(Y(u, set) - 14 * k, Y(u, one.highest_percent) - 4 * k)), seconds = (one.to.time_ms - one.from.time_ms) / 1000;
       if (middleX < u.bbox.left || middleX > u.bbox.left + u.bbox.width) continue;
       c.fillStyle = token("--act"); c.beginPath(); c.moveTo(middleX - 4.5 * k, top - 7 * k); c.lineTo(middleX + 4.5 * k, top - 7 * k); c.lineTo(middleX, top); c.closePath(); c.fill();
       c.font = `600 ${12 * k}px ${FONT}`; c.textAlign = "left"; c.textBaseline = "middle";
-      if (seconds >= 0.1) halo(c, unit(seconds, "s", 2), middleX + 9 * k, top - 4 * k);
+      const text = unit(seconds, "s", 2), from = middleX - 6 * k, to = middleX + 13 * k + c.measureText(text).width;
+      // The longest are named; the table names them all.
+      if (seconds >= 0.1 && to < u.bbox.left + u.bbox.width && taken.every((other) => to < other[0] || from > other[1])) { halo(c, text, middleX + 9 * k, top - 4 * k); taken.push([from, to]); } else taken.push([from, middleX + 6 * k]);
     }
   }
   if (row.mark) limit(u, c, row.mark, phone() ? "" : t("cycle.asProgrammed"), { color: "--ink-3", dash: [2, 3], width: 1 });
@@ -361,7 +378,7 @@ try {
   }
   const newest = machine ? await which(machine) : null;
   id ??= newest;
-  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("cycle.none"), t("cycle.noneText"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`)}</section>`);
+  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("cycle.none"), t("cycle.noneText"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true)}</section>`);
   else {
     [A] = await Promise.all([load(machine, id), ready()]);
     document.title = `${t("cycle.title", { id: A.cycle.seq == null ? id : num(A.cycle.seq), machine })} \u2013 Feedwright`;
@@ -377,5 +394,5 @@ try {
   }
 } catch (error) {
   if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`) : failure(error, t("error.load"))}</section>`);
+  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
 }

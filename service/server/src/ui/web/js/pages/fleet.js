@@ -4,7 +4,7 @@ import { action, shell } from "../shell.js";
 import { empty, failure, skeleton } from "../states.js";
 import { get, segment, session } from "../api.js";
 import { age, num, rounded, span, time } from "../format.js";
-import { cyclesLeft, flag, leftCell, levelPercent, shownLevel, sparkline, todo, wearBar, wearCell, wearClass } from "../wear.js";
+import { cyclesLeft, flag, isHidden, leftCell, levelPercent, shownLevel, sparkline, todo, wearBar, wearCell, wearClass } from "../wear.js";
 import { keep, listen } from "../live.js";
 import { t } from "../text.js";
 
@@ -159,7 +159,7 @@ function tile(row) {
   const warm = row.todo?.level === "act" || row.todo?.level === "plan" ? row.todo.level : "";
   const sign = warm || signs[row.state];
   return html`<header>${icon(sign, warm ? t(`level.${warm}`) : t(`state.${row.state}`))}<h2>${row.machine}</h2><span class="st">${t(`state.${row.state}`)}</span></header>
-    ${row.level == null ? html`<p class="big faint">${row.last_cycle ? t("wall.noBaseline") : t("wall.noCycle")}</p>` : html`<p class="big">${shownLevel(row.level).slice(0, -2)}<small>\u202f%</small></p><span class="wear ${wearClass(row.wear)}">${wearBar(row.wear, { width: 190, height: 9 })}</span>`}
+    ${row.level == null ? html`<p class="big faint">${isHidden(row.wear) ? t("wear.hidden") : row.last_cycle ? t("wall.noBaseline") : t("wall.noCycle")}</p>` : html`<p class="big">${shownLevel(row.level).slice(0, -2)}<small>\u202f%</small></p><span class="wear ${wearClass(row.wear)}">${wearBar(row.wear, { width: 190, height: 9 })}</span>`}
     <p class="line">${line(row)}</p>`;
 }
 function wallPaint() {

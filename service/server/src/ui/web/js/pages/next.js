@@ -17,13 +17,14 @@ const now = () => Date.now() + skew;
 function instruction(one) {
   if (one.action !== "run") return told("action", one.action, one.action);
   const override = percent(one.override_percent);
-  const feed = one.feed;
-  if (feed.profile_id ?? feed.profile) return t("next.runProfile", { profile: feed.profile_id ?? feed.profile.id ?? feed.profile, version: feed.profile_version ?? feed.profile.version ?? "", override });
+  const feed = one.feed, asked_ = one.reference_cycle;
+  if (asked_) return asked_.feed_mm_min == null ? t("next.runReference") : t("next.runReferenceAt", { feed: unit(asked_.feed_mm_min, "mm/min") });
+  if (feed.profile) return t("next.runProfile", { profile: feed.profile.id, version: feed.profile.version, override });
   if (feed.source === "programmed" && feed.feed_mm_min != null) return t("next.runFeed", { feed: unit(feed.feed_mm_min, "mm/min"), override });
   return t("next.runProgram", { override });
 }
 function toolLine(one) {
-  const level = one.tool_state.level, left = one.tool_state.remaining, shown = level ? shownLevel(((level.value ?? level.as_run) - 1) * 100) : null;
+  const level = one.tool_state.level, left = one.tool_state.remaining, shown = level?.decides ? shownLevel((level.value - 1) * 100) : null;
   switch (one.tool_state.state) {
     case "worn": return ["act", t("next.toolWorn", { level: shown ?? "" })];
     case "broken_suspected": return ["act", t("next.toolBroken")];
@@ -39,7 +40,7 @@ const sentence = (text) => { const first = text.charAt(0).toUpperCase() + text.s
 const ofTool = new Set(["good", "warning", "worn", "learning", "undercut", "conditions_changed", "level_outdated", "level_carried_over", "no_new_tool_baseline", "masked_by_control", "cycle_time_risen", "speed_changed", "no_cycles", "data_stale", "tool_unregistered"]);
 function reasonLink(one, code) {
   if (ofTool.has(code)) return html`<a href="/tool?id=${segment(one.tool)}">${t("nav.tool")}</a>`;
-  if (code.startsWith("no_profile") || code.includes("profile")) return html`<a href="/settings#operations">${t("set.operations")}</a>`;
+  if (code.includes("profile")) return html`<a href="/profile?operation=${segment(one.operation)}">${t("nav.profile")}</a>`;
   return html`<a href="/settings#operations">${t("set.operations")}</a>`;
 }
 function evidence(one, code) {
@@ -63,7 +64,7 @@ function paintHead(over) {
 function card() {
   const one = advice, limits = one.load_limits, feed = one.feed, process = one.process_advice;
   const settings = [
-    [t("next.feed"), feed.profile_id ? html`${feed.profile_id} <span class="unit">${feed.profile_version}</span>` : feed.feed_mm_min == null ? t("next.asProgram") : html`${num(feed.feed_mm_min)} <span class="unit">mm/min</span>`],
+    [t("next.feed"), one.reference_cycle?.feed_mm_min != null ? html`${num(one.reference_cycle.feed_mm_min)} <span class="unit">mm/min</span>` : feed.profile ? html`<a href="/profile?id=${segment(feed.profile.id)}&amp;version=${feed.profile.version}">${feed.profile.id}</a> <span class="unit">${t("profile.version", { n: feed.profile.version })}</span>` : feed.feed_mm_min == null ? t("next.asProgram") : html`${num(feed.feed_mm_min)} <span class="unit">mm/min</span>`],
     [t("cycle.override"), html`${num(one.override_percent)} <span class="unit">%</span>`],
     [t("whatif.feed"), limits.feed_drive_load_set_percent == null ? html`<span class="faint">${t("none")}</span>` : html`${num(limits.feed_drive_load_set_percent)} <span class="unit">%</span>`],
     [t("whatif.spindle"), limits.spindle_load_set_percent == null ? html`<span class="faint">${t("none")}</span>` : html`${num(limits.spindle_load_set_percent)} <span class="unit">%</span>`],
@@ -119,7 +120,7 @@ try {
   const newest = [...fleet].filter((item) => item.last_cycle).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at))[0];
   const from = fleet.find((item) => item.machine === asked.get("machine")) ?? newest;
   if (!from?.last_cycle && !(asked.get("machine") && asked.get("operation") && asked.get("tool"))) {
-    fill($("#card"), empty(t("next.none"), t("next.noneText"), html`<a class="btn" href="/settings">${t("nav.settings")}</a>`));
+    fill($("#card"), empty(t("next.none"), t("next.noneText"), html`<a class="btn" href="/settings">${t("nav.settings")}</a>`, true));
     $("#others").hidden = true;
     put($("#json"), "{}");
   } else {

@@ -6,7 +6,7 @@ import { ApiError, all, ask, get, may, post, segment, session } from "../api.js"
 import { date, moment, num, unit } from "../format.js";
 import { t, told } from "../text.js";
 
-const MOST = 5000, AUDIT_PAGES = 10;
+const MOST = 5000, AUDIT_PAGE = 100;
 const references = ["unknown", "rated_power", "continuous_rating", "rated_torque", "maximum_current"];
 const processes = ["friction", "drilling", "plunge", "turning", "vibratory", "milling"];
 /** What a registration holds: path in the body, kind of input, unit. */
@@ -105,11 +105,19 @@ async function tokens() {
   for (const button of $$(".revoke")) button.addEventListener("click", () => confirm_(t("set.revokeTitle", { name: button.dataset.name }), t("set.revokeText"), t("set.revoke"), async () => { await ask("DELETE", `/v1/tokens/${segment(button.id.slice(7))}`); await tokens(); }));
 }
 async function audit() {
-  const rows = [];
-  let cursor = null, pages = 0;
-  do { const page = await get(`/v1/audit?limit=1000${cursor ? `&cursor=${segment(cursor)}` : ""}`); rows.push(...page.items); cursor = page.next_cursor; pages += 1; if (rows.length > 2000) rows.splice(0, rows.length - 2000); } while (cursor && pages < AUDIT_PAGES);
-  const shown = rows.reverse().slice(0, 500);
-  fill($("#panel"), html`<div class="set-head"><p class="muted">${t("set.auditWhat")}</p></div>${cursor ? notice("plan", t("set.auditCut"), t("set.auditCutText")) : ""}<div class="scroll" tabindex="0" role="region" aria-label="${t("app.table")}"><table class="set"><thead><tr><th scope="col">${t("set.when")}</th><th scope="col">${t("set.who")}</th><th scope="col">${t("set.role")}</th><th scope="col">${t("set.did")}</th><th scope="col">${t("set.of")}</th><th scope="col">${t("set.detail")}</th></tr></thead><tbody>${shown.map((one) => html`<tr><td class="nowrap">${moment(one.at)}</td><td><code>${one.actor}</code></td><td>${t(`role.${one.role}`)}</td><td class="nowrap">${one.action}</td><td>${one.subject}</td><td class="wide"><code>${JSON.stringify(one.detail).slice(0, 400)}</code></td></tr>`)}</tbody></table></div>`);
+  const line = (one) => html`<tr><td class="nowrap">${moment(one.at)}</td><td><code class="nowrap">${one.actor}</code>${names.get(one.actor) ? html`<span class="w">${names.get(one.actor)}</span>` : ""}</td><td>${t(`role.${one.role}`)}</td><td class="nowrap">${one.action}</td><td class="name">${one.subject}</td><td class="wide"><code>${JSON.stringify(one.detail).slice(0, 400)}</code></td></tr>`;
+  const names = new Map(may(who, "GET /v1/tokens") ? (await all("/v1/tokens", MOST)).items.map((one) => [one.id, one.name]) : []);
+  let cursor = null;
+  const older = async () => {
+    const page = await get(`/v1/audit?order=newest&limit=${AUDIT_PAGE}${cursor ? `&cursor=${segment(cursor)}` : ""}`);
+    cursor = page.next_cursor ?? null;
+    $("#lines").insertAdjacentHTML("beforeend", String(html`${page.items.map(line)}`));
+    $("#older").hidden = !cursor;
+    put($("#shown"), t("set.auditShown", { count: num($("#lines").rows.length) }));
+  };
+  fill($("#panel"), html`<div class="set-head"><p class="muted">${t("set.auditWhat")}</p></div><div id="said"></div><div class="scroll" tabindex="0" role="region" aria-label="${t("app.table")}"><table class="set"><thead><tr><th scope="col">${t("set.when")}</th><th scope="col">${t("set.who")}</th><th scope="col">${t("set.role")}</th><th scope="col">${t("set.did")}</th><th scope="col">${t("set.of")}</th><th scope="col">${t("set.detail")}</th></tr></thead><tbody id="lines"></tbody></table></div><div class="knot-tools"><button class="btn" id="older" hidden>${t("set.auditOlder")}</button><span class="muted small" id="shown" role="status"></span></div>`);
+  $("#older").addEventListener("click", () => doing(older));
+  await older();
 }
 function confirm_(title, text, label, work, withReason = false) {
   const dialog = element(html`<dialog aria-labelledby="c-h"><form method="dialog"><h2 id="c-h">${title}</h2><p class="muted">${text}</p>${withReason ? html`<label for="c-reason">${t("tool.reason")}</label><textarea id="c-reason" rows="2" required></textarea>` : ""}<div id="c-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${label}</button><button class="btn" type="button" id="c-cancel">${t("cancel")}</button></div></form></dialog>`);

@@ -14,13 +14,18 @@ const field = (id, name, un, start, step = "any") => html`<div class="field"><la
 function form(what, fields, note = "") {
   fill($("#panel"), html`<p class="muted study-what">${what}</p><form class="set-form study-form" id="ask"><div class="set-fields">${fields}</div><div class="knot-tools"><button class="btn primary" type="submit">${t("study.compute")}</button></div></form><div id="said"></div><div id="answer">${note}</div>`);
 }
-/** Asks on every submit and once at the beginning; what was entered stays where it fails. */
+let under = null;
+addEventListener("pagehide", () => under?.abort());
+/** Asks on every submit and once at the beginning, and then no longer for what was asked before; what was entered stays where
+ *  it fails. */
 async function asking(work) {
   const run = async (event) => {
     event?.preventDefault();
+    under?.abort();
+    const mine = under = new AbortController();
     put($("#said"), "");
     const late = setTimeout(() => fill($("#answer"), skeleton(5)), 300);
-    try { await work(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#answer"), ""); fill($("#said"), failure(error)); } finally { clearTimeout(late); }
+    try { await work(mine.signal); } catch (error) { if (mine.signal.aborted) return; if (!(error instanceof ApiError)) throw error; fill($("#answer"), ""); fill($("#said"), failure(error)); } finally { clearTimeout(late); }
   };
   $("#ask").addEventListener("submit", run);
   await run();
@@ -50,13 +55,14 @@ async function strategies() {
 
 // Vibratory drilling: continuity and amplitude over frequency ratio and cutting coefficient, with the stability border.
 async function vibratory() {
-  form(t("study.vibratoryWhat"), html`${field("v-p0", t("study.pFrom"), "", 1, 0.1)}${field("v-p1", t("study.pTo"), "", 2, 0.1)}${field("v-k0", t("study.kFrom"), "", 0.02, 0.01)}${field("v-k1", t("study.kTo"), "", 0.6, 0.01)}${field("v-n", t("study.points"), "", 41, 1)}<div class="field"><label for="v-what">${t("study.show")}</label><select id="v-what"><option value="continuity">${t("study.continuity")}</option><option value="amplitude">${t("study.amplitude")}</option><option value="peak_force">${t("study.peakForce")}</option></select></div><div class="field"><label class="check"><input type="checkbox" id="v-control"><span>${t("study.control")}</span></label></div>`);
-  await asking(async () => {
+  form(t("study.vibratoryWhat"), html`${field("v-p0", t("study.pFrom"), "", 1, 0.1)}${field("v-p1", t("study.pTo"), "", 2, 0.1)}${field("v-k0", t("study.kFrom"), "", 0.02, 0.01)}${field("v-k1", t("study.kTo"), "", 0.6, 0.01)}${field("v-n", t("study.points"), "", 31, 1)}<div class="field"><label for="v-what">${t("study.show")}</label><select id="v-what"><option value="continuity">${t("study.continuity")}</option><option value="amplitude">${t("study.amplitude")}</option><option value="peak_force">${t("study.peakForce")}</option></select></div><div class="field"><label class="check"><input type="checkbox" id="v-control"><span>${t("study.control")}</span></label></div>`);
+  await asking(async (signal) => {
     const count = Math.min(101, Math.max(2, value("v-n"))), axis = (from, to) => ({ min: value(from), max: value(to), count });
     const body = { frequency_ratio: axis("v-p0", "v-p1"), cutting_coefficient: axis("v-k0", "v-k1"), control: $("#v-control").checked ? { adaptation: 0.002, target: 0.9, actuator_limit: 0.1 } : null };
     const ratios = Array.from({ length: 201 }, (_, i) => body.frequency_ratio.min + i / 200 * (body.frequency_ratio.max - body.frequency_ratio.min));
-    const [map, border] = await Promise.all([computed("/v1/vibratory/map", body, { progress: (job) => fill($("#answer"), html`<p class="muted">${t("study.computing", { done: num(job.done), total: num(job.total) })}</p>${progress(job.total ? job.done / job.total : 0)}`) }), post("/v1/vibratory/border", { frequency_ratios: ratios })]);
+    const [map, border] = await Promise.all([computed("/v1/vibratory/map", body, { signal, progress: (job) => fill($("#answer"), html`<p class="muted">${t("study.computing", { done: num(job.done), total: num(job.total) })}</p>${progress(job.total ? job.done / job.total : 0)}`) }), post("/v1/vibratory/border", { frequency_ratios: ratios })]);
     await ready();
+    signal.throwIfAborted();
     draw(map, border, body);
   });
   function draw(map, border, body) {
@@ -134,6 +140,7 @@ function library(kind) {
 
 const shows = { strategies, vibratory, turning, plunge };
 async function show() {
+  under?.abort();
   plots.forEach((plot) => plot.destroy());
   plots = [];
   const wanted = location.hash.slice(1), tab = TABS.includes(wanted) ? wanted : TABS[0];

@@ -6,7 +6,7 @@ import { ApiError, all, get, post, segment, session } from "../api.js";
 import { NB, age, dayMonth, num, rounded, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, clip, dpr, halo, limit, line, phone, ready, splits, token, vline } from "../charts.js";
 import { Track } from "../track.js";
-import { levelPercent, shownLevel } from "../wear.js";
+import { isHidden, levelPercent, shownLevel } from "../wear.js";
 import { keep, listen } from "../live.js";
 import { t, told } from "../text.js";
 
@@ -19,15 +19,27 @@ const glyphs = { square: '<rect x="3" y="3" width="8" height="8"/>', diamond: '<
 let life = null, tool = null, events = [], plots = [], hover = null, who = null;
 const numberOf = (i) => life.before + i + 1;
 
-function level() { // running median over the window that the verdict uses, at least 15 so that the line is readable
-  const counted = [];
-  life.energy_ratio.forEach((ratio, i) => { if (ratio != null && life.excluded[i] == null) counted.push([numberOf(i), (ratio - 1) * 100]); });
-  const half = Math.max(7, Math.floor((life.wear.level?.window ?? 15) / 2)), step = Math.max(1, Math.floor(counted.length / 600)), points = [];
-  for (let i = 0; i < counted.length; i += step) {
-    const from = Math.max(0, i - half), to = Math.min(counted.length, i + half + 1), around = counted.slice(from, to).map((one) => one[1]).sort((a, b) => a - b);
-    points.push([counted[i][0], around[around.length >> 1]]);
-  }
-  return { counted, points, window: 2 * half + 1 };
+/** Every counted cycle's energy over its own baseline, and the level that was judged after each: what decided may be another
+ *  than the energy as run, where the feed varies. */
+function level() {
+  const counted = [], points = [];
+  life.energy_ratio.forEach((ratio, i) => {
+    if (ratio != null && life.excluded[i] == null) counted.push([numberOf(i), (ratio - 1) * 100]);
+    points.push([numberOf(i), life.level[i] == null || life.decides[i] == null ? null : (life.level[i] - 1) * 100, life.decides[i]]);
+  });
+  return { counted, points };
+}
+/** A line that breaks where there is no level, and begins anew where another one decides. */
+function levelPath(c, u, points) {
+  const step = Math.max(1, Math.floor(points.length / 3000));
+  let last = null;
+  c.beginPath();
+  points.forEach(([n, value, basis], i) => {
+    if (i % step && i !== points.length - 1) return;
+    if (value == null) { last = null; return; }
+    if (last === basis) c.lineTo(X(u, n), Y(u, value)); else c.moveTo(X(u, n), Y(u, value));
+    last = basis;
+  });
 }
 
 function mark(c, x, y, shape, size) {
@@ -47,12 +59,12 @@ function build() {
   plots.forEach((plot) => plot.destroy());
   plots = [];
   for (const id of ["#energy", "#shift", "#time"]) fill($(id), "");
-  const total = life.energy_ratio.length, now = life.before + total, { counted, points, window } = level(), wear = life.wear;
-  $("#window").textContent = num(window);
+  const total = life.energy_ratio.length, now = life.before + total, { counted, points } = level(), wear = life.wear;
+  $("#key-level").textContent = t(`tool.keyLevel.${wear.level?.decides ?? "as_run"}`);
   const warn = ((wear.level?.warning_at ?? 1.07) - 1) * 100, worn = ((wear.level?.worn_at ?? 1.1) - 1) * 100, here = levelPercent(wear), trend = here == null ? null : wear.trend;
   const reach = wear.remaining ? now + Math.min(wear.remaining.high, Math.max(now - life.before, 20) * 1.2) : now;
   const first = life.before, end = Math.max(reach + (reach - first) * 0.06, first + 10), xr = [first - (end - first) * 0.006, end];
-  const values = counted.map((one) => one[1]);
+  const values = [...counted.map((one) => one[1]), ...points.map((one) => one[1]).filter((value) => value != null)];
   const outside = life.excluded.map((why, i) => why && life.energy_ratio[i] != null ? [numberOf(i), (life.energy_ratio[i] - 1) * 100, why] : null).filter(Boolean);
   const low = Math.min(-3.6, Math.floor(Math.min(0, ...values.length ? [quantile(values, 0.002)] : [0])) - 1), high = Math.max(12.8, Math.ceil(Math.max(0, ...values.length ? [quantile(values, 0.998)] : [0])) + 1);
   const begins = events.findLastIndex((event) => event.kind !== "conditions_confirmed"), marks = events.map((event, i) => ({ ...event, n: i + 1, at: cycleAt(event.at) })).filter((event, i) => i >= begins && event.at >= first);
@@ -77,7 +89,7 @@ function build() {
         c.beginPath(); c.moveTo(X(u, now), Y(u, here)); c.lineTo(X(u, end), Y(u, y(trend.slope_high))); c.lineTo(X(u, end), Y(u, y(trend.slope_low))); c.closePath(); c.fillStyle = token("--sig-energy"); c.globalAlpha = 0.16; c.fill(); c.globalAlpha = 1;
         c.beginPath(); c.moveTo(X(u, now), Y(u, here)); c.lineTo(X(u, end), Y(u, y(trend.slope_per_cycle))); c.strokeStyle = token("--sig-energy"); c.lineWidth = 1.75 * k; c.setLineDash([5 * k, 4 * k]); c.stroke(); c.setLineDash([]);
       }
-      c.beginPath(); points.forEach(([n, value], i) => i ? c.lineTo(X(u, n), Y(u, value)) : c.moveTo(X(u, n), Y(u, value))); c.lineJoin = "round"; c.strokeStyle = token("--surface"); c.lineWidth = 5 * k; c.stroke(); c.strokeStyle = token("--sig-energy"); c.lineWidth = 2.4 * k; c.stroke();
+      levelPath(c, u, points); c.lineJoin = "round"; c.strokeStyle = token("--surface"); c.lineWidth = 5 * k; c.stroke(); c.strokeStyle = token("--sig-energy"); c.lineWidth = 2.4 * k; c.stroke();
       c.restore();
       limit(u, c, 0, phone() ? "" : t("tool.baselineLine"), { color: "--ink-3", dash: [], width: 1 });
       limit(u, c, warn, t("tool.planLine", { value: signed(warn) + NB + "%" }), { color: "--plan", side: "left" });
@@ -88,17 +100,22 @@ function build() {
       eventNames(u, c, marks);
     },
   }));
-  const numbers = Array.from({ length: total }, (_, i) => numberOf(i)), baseDepth = median(life.spindle_load_fall_depth_mm.slice(0, Math.max(5, wear.baselines[0]?.learnt_from ?? 5)).filter((value) => value != null));
-  const shift = life.before === 0 && baseDepth != null ? life.spindle_load_fall_depth_mm.map((value, i) => value == null || life.excluded[i] ? null : value - baseDepth) : null;
-  small("#shift", "#shift-title", shift, numbers, xr, right, "--sig-spindle", t("tool.shift"), pinned, (lowest, highest) => [Math.min(-0.2, lowest), Math.max(2.3, highest)]);
-  small("#time", "#time-title", life.duration_ms.map((value, i) => value == null || life.excluded[i] ? null : value / 1000), numbers, xr, right, "--ink-2", t("cycle.time"), pinned, (lowest, highest) => { const room = Math.max((highest - lowest) * 0.15, highest * 0.02); return [Math.max(0, lowest - room), highest + room]; });
+  $("#charts-none").hidden = plots.length > 0; $("#charts-some").hidden = plots.length === 0;
+  // Times and depths compare within one machine, operation and strategy: a line for each, never one through them all.
+  const alike = new Map();
+  for (let i = 0; i < total; i++) { const key = [life.machine[i], life.operation[i], life.strategy[i]].join("\n"); if (!alike.has(key)) alike.set(key, []); alike.get(key).push(i); }
+  const groups = [...alike.values()], needed = Math.max(5, wear.baselines[0]?.needed ?? 5);
+  const tracks = (of) => groups.map((places) => ({ x: places.map(numberOf), y: of(places) })).filter((one) => one.y.some((value) => value != null));
+  const counts = (value, i) => value == null || life.excluded[i] ? null : value;
+  small("#shift", "#shift-title", life.before ? [] : tracks((places) => { const depths = places.map((i) => counts(life.spindle_load_fall_depth_mm[i], i)), base = median(depths.filter((value) => value != null).slice(0, needed)); return depths.map((value) => value == null || base == null ? null : value - base); }), xr, right, "--sig-spindle", t("tool.shift"), pinned, (lowest, highest) => [Math.min(-0.6, lowest), Math.max(2.3, highest)]);
+  small("#time", "#time-title", tracks((places) => places.map((i) => { const value = counts(life.duration_ms[i], i); return value == null ? null : value / 1000; })), xr, right, "--ink-2", t("cycle.time"), pinned, (lowest, highest) => { const room = Math.max((highest - lowest) * 0.15, highest * 0.02); return [Math.max(0, lowest - room), highest + room]; });
 }
-function small(id, title, values, numbers, xr, right, color, name, front, range) {
-  const seen = values?.filter((value) => value != null) ?? [], there = seen.length > 1;
+function small(id, title, lines, xr, right, color, name, front, range) {
+  const seen = lines.flatMap((one) => one.y.filter((value) => value != null)), there = seen.length > 1;
   $(title).hidden = !there; $(id).hidden = !there;
   if (!there) return;
-  const [low, high] = range(quantile(seen, 0.002), quantile(seen, 0.998)), track = new Track(numbers, { value: values });
-  const plot = chart($(id), { height: 92, pad: [8, right, 0, 0], xr, range: () => [low, high], ysplits: () => splits(low, high).filter((_, i) => i % 2 === 0), left: 44, zoom: false, aria: name, front: (u, c) => { front(u, c); line(u, track, "value", { color, width: 1.25 }); } });
+  const [low, high] = range(quantile(seen, 0.002), quantile(seen, 0.998)), drawn = lines.map((one) => new Track(one.x, { value: one.y }));
+  const plot = chart($(id), { height: 92, pad: [8, right, 0, 0], xr, range: () => [low, high], ysplits: () => splits(low, high).filter((_, i) => i % 2 === 0), left: 44, zoom: false, aria: name, front: (u, c) => { front(u, c); for (const track of drawn) line(u, track, "value", { color, width: 1.25 }); } });
   plots.push(plot);
 }
 const sorted = (values) => [...values].sort((a, b) => a - b);
@@ -138,17 +155,17 @@ function head() {
   const value = here == null ? null : `${num(Math.abs(here), 1)}${NB}%`;
   const first = wear.state === "worn" ? t("tool.saysWorn", { level: here == null ? "" : shownLevel(here) })
     : wear.state === "broken_suspected" ? t("tool.saysBroken") : wear.state === "changed" ? t("tool.saysChanged")
-    : here == null ? (wear.state === "learning" ? t("tool.saysLearning") : t("tool.saysUnknown", { why: told("reason", wear.reasons[0]?.code, wear.reasons[0]?.message ?? "") }))
+    : here == null && isHidden(wear) ? t("tool.saysHidden") : here == null ? (wear.state === "learning" ? t("tool.saysLearning") : t("tool.saysUnknown", { why: told("reason", wear.reasons[0]?.code, wear.reasons[0]?.message ?? "") }))
     : here >= 0.05 ? t("tool.saysMore", { value }) : here <= -0.05 ? t("tool.saysLess", { value }) : t("tool.saysSame");
   const then = here == null || ["worn", "broken_suspected", "changed"].includes(wear.state) ? "" : wear.state === "warning" ? (left ? t("tool.changeWithin", { count: rounded(left.cycles) }) : t("tool.planSoon")) : left ? t("tool.leftAbout", { count: rounded(left.cycles) }) : t("tool.tooEarly");
   put($("#say"), html`<span class="${sign === "act" ? "act-ink" : sign === "plan" ? "plan-ink" : ""}">${icon(sign, t(`level.${sign}`))}</span><span>${first} ${then}</span>`);
   const base = wear.baselines[0], excluded = Object.values(wear.excluded).reduce((sum, count) => sum + count, 0);
   put($("#evidence"), [left ? t("tool.evidenceLeft", { low: rounded(left.low), high: rounded(left.high) }) : null, wear.cycles ? t("tool.evidenceFrom", { counted: num(wear.counted), cycles: num(wear.cycles), basis: base ? t(`basis.${base.basis}`) : t("unknown") }) : t("tool.evidenceNone"), wear.last_cycle_at ? t("tool.evidenceLast", { age: age(Date.now() - Date.parse(wear.last_cycle_at), wear.last_cycle_at) }) : null].filter(Boolean).join(" "));
-  const others = wear.reasons.filter((reason) => ["masked_by_control", "level_carried_over", "no_new_tool_baseline", "level_outdated", "cycle_time_risen", "speed_changed"].includes(reason.code));
-  put($("#reasons"), html`${others.map((reason) => notice(reason.code === "masked_by_control" || reason.code === "cycle_time_risen" ? "plan" : "", told("reason", reason.code, reason.message)))}`);
+  const others = wear.reasons.filter((reason) => ["masked_by_control", "masked_by_feed", "decided_by_compensation", "decided_by_reference_cycles", "level_carried_over", "no_new_tool_baseline", "level_outdated", "cycle_time_risen", "speed_changed"].includes(reason.code));
+  put($("#reasons"), html`${others.map((reason) => notice(reason.code.startsWith("masked_by") || reason.code === "cycle_time_risen" ? "plan" : "", told("reason", reason.code, reason.message)))}`);
   const learning = wear.baselines.find((one) => one.baseline_joules == null);
   put($("#learning"), learning ? html`<section class="panel body learning"><h2>${t("tool.learning", { have: num(learning.learnt_from), need: num(learning.needed) })}</h2>${progress(learning.learnt_from / learning.needed)}<p class="muted">${t("tool.learningText", { more: num(Math.max(0, learning.needed - learning.learnt_from)) })}</p></section>` : "");
-  put($("#facts"), html`${[[t("tool.id"), tool.id], [t("tool.name"), tool.name || t("none")], [t("tool.serial"), tool.serial ?? t("none")], [t("tool.type"), tool.tool_type || t("none")], [t("tool.diameter"), tool.diameter_mm == null ? t("unknown") : unit(tool.diameter_mm, "mm", 1)], [t("tool.life"), num(wear.life)], [t("tool.cyclesLife"), num(wear.cycles)], ...(base ? [[t("tool.machine"), base.machine], [t("tool.operation"), base.operation], [t("tool.energyNew"), base.baseline_joules == null ? t("wear.noBaseline") : unit(base.baseline_joules, "J")], [t("tool.energyNow"), here == null || base.baseline_joules == null ? t("unknown") : unit(base.baseline_joules * wear.level.as_run, "J")], [t("tool.baseline"), t("tool.baselineOf", { learnt: num(base.learnt_from), basis: t(`basis.${base.basis}`) })]] : []), ...(wear.level?.feed_compensated != null ? [[t("tool.compensated"), shownLevel((wear.level.feed_compensated - 1) * 100)]] : [])].map(([name, text]) => html`<dt>${name}</dt><dd>${text}</dd>`)}`);
+  put($("#facts"), html`${[[t("tool.id"), tool.id], [t("tool.name"), tool.name || t("none")], [t("tool.serial"), tool.serial ?? t("none")], [t("tool.type"), tool.tool_type || t("none")], [t("tool.diameter"), tool.diameter_mm == null ? t("unknown") : unit(tool.diameter_mm, "mm", 1)], [t("tool.life"), num(wear.life)], [t("tool.cyclesLife"), num(wear.cycles)], ...(base ? [[t("tool.machine"), base.machine], [t("tool.operation"), base.operation], [t("tool.energyNew"), base.baseline_joules == null ? t("wear.noBaseline") : unit(base.baseline_joules, "J")], [t("tool.energyNow"), here == null || base.baseline_joules == null ? t("unknown") : unit(base.baseline_joules * wear.level.as_run, "J")], [t("tool.baseline"), t("tool.baselineOf", { learnt: num(base.learnt_from), basis: t(`basis.${base.basis}`) })]] : []), ...(wear.level ? [[t("tool.decides"), t(`tool.decides.${wear.level.decides ?? "nothing"}`)], [t("tool.asRun"), shownLevel((wear.level.as_run - 1) * 100)]] : []), ...[["tool.compensated", wear.feed.at_reference_feed ?? wear.feed.compensated, wear.feed.compensated_cycles], ["tool.byReference", wear.feed.by_reference_cycles, wear.feed.reference_cycles]].filter(([, found]) => found).map(([key, found, n]) => [t(key), t("tool.withSd", { level: shownLevel((found.value - 1) * 100), sd: num(found.sd * 100, 1), n: num(n) })]), ...(wear.feed.references ? [[t("tool.references"), wear.feed.references.due_in_cycles ? t("tool.referenceIn", { n: num(wear.feed.references.due_in_cycles) }) : t("tool.referenceNow")]] : [])].map(([name, text]) => html`<dt>${name}</dt><dd>${text}</dd>`)}`);
   const counts = Object.entries(wear.excluded);
   $("#out").textContent = excluded ? num(excluded) : "";
   put($("#excluded"), html`${counts.map(([why, count]) => html`<tr tabindex="0" data-why="${why}"><td><svg viewBox="0 0 14 14" width="14" height="14" fill="var(--surface)" stroke="var(--ink-2)" stroke-width="1.4" aria-hidden="true">${trusted(glyphs[shapes[why] ?? "dot"])}</svg></td><th scope="row">${told("exclusion", why)}</th><td class="num">${num(count)}</td></tr>`)}`);
@@ -171,10 +188,10 @@ function frame() {
       <div class="knot-tools"><button class="btn primary" type="submit">${t("save")}</button><button class="btn" type="button" id="event-cancel">${t("cancel")}</button></div></form></dialog>
     <div class="tool-grid"><section class="panel charts-panel" aria-label="${t("tool.charts")}"><div class="key"><span class="strong">${t("tool.energyTitle")}</span>
         <span><svg viewBox="0 0 20 8" aria-hidden="true"><g fill="var(--sig-energy)" opacity=".65"><rect x="2" y="3" width="2" height="2"/><rect x="8" y="1" width="2" height="2"/><rect x="13" y="4" width="2" height="2"/><rect x="17" y="2" width="2" height="2"/></g></svg>${t("tool.keyCycle")}</span>
-        <span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--sig-energy)" stroke-width="2.6"/></svg><span>${t("tool.keyLevel")} <span id="window"></span></span></span>
+        <span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--sig-energy)" stroke-width="2.6"/></svg><span id="key-level"></span></span>
         <span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4 20 0v8z" fill="var(--sig-energy)" opacity=".2"/><path d="M0 4h20" stroke="var(--sig-energy)" stroke-width="1.6" stroke-dasharray="5 3"/></svg>${t("tool.keyTrend")}</span>
         <span><svg viewBox="0 0 20 8" aria-hidden="true"><circle cx="6" cy="4" r="3" fill="var(--surface)" stroke="var(--ink-2)"/><path d="M14 1h6v6h-6z" fill="var(--surface)" stroke="var(--ink-2)"/></svg>${t("tool.keyExcluded")}</span></div>
-      <div id="energy" class="u-wrap"></div><p class="xname tool-x">${t("tool.x")}</p>
+      <p class="muted pad" id="charts-none" hidden>${t("tool.chartsNone")}</p><div id="charts-some"><div id="energy" class="u-wrap"></div><p class="xname tool-x">${t("tool.x")}</p></div>
       <div class="chart-title" id="shift-title"><b>${t("tool.shift")}</b><span>mm</span></div><div id="shift" class="u-wrap"></div>
       <div class="chart-title" id="time-title"><b>${t("cycle.time")}</b><span>s</span></div><div id="time" class="u-wrap"></div></section>
     <aside class="stack" aria-label="${t("tool.about")}">
@@ -223,7 +240,7 @@ try {
     const fleet = await get("/v1/fleet?limit=500&recent=1"), order = { worn: 0, broken_suspected: 1, warning: 2, changed: 3 };
     id = fleet.items.filter((item) => item.last_cycle).sort((a, b) => (order[a.wear?.state] ?? 9) - (order[b.wear?.state] ?? 9) || (levelPercent(b.wear) ?? -99) - (levelPercent(a.wear) ?? -99))[0]?.last_cycle.tool ?? (await get("/v1/tools?limit=1")).items[0]?.id;
   }
-  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("tool.none"), t("tool.noneText"), html`<a class="btn" href="/settings#tools">${t("nav.settings")}</a>`)}</section>`);
+  if (!id) fill($("#main"), html`<section class="panel body">${empty(t("tool.none"), t("tool.noneText"), html`<a class="btn" href="/settings#tools">${t("nav.settings")}</a>`, true)}</section>`);
   else {
     asked.set("id", id);
     tool = await get(`/v1/tools/${segment(id)}`);
@@ -241,5 +258,5 @@ try {
   }
 } catch (error) {
   if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`) : failure(error, t("error.load"))}</section>`);
+  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
 }
