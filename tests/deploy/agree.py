@@ -161,11 +161,50 @@ def settings(environment, where, *arguments):
     ran = subprocess.run([FEEDWRIGHT, *arguments, "config"], env={**clean, **environment}, text=True, capture_output=True,
                          check=False)
     expect(ran.returncode == 0, f"{where}: {ran.stderr}")
-    for name in environment:
+    for name in (name for name in environment if name.startswith("FEEDWRIGHT")):
         expect(f"# {name}" in ran.stdout, f"{where}: {name} has no effect")
 
 
+def operations():
+    """What the operations page names is there: requests, settings, metrics and commands."""
+    text = (ROOT / "docs/operations.md").read_text()
+    paths = json.loads((ROOT / "openapi/openapi.json").read_text())["paths"]
+    known = {(method.upper(), re.sub(r"\{[^}]*\}", "{}", path)) for path, of in paths.items() for method in of}
+    asked = re.findall(r"\b(GET|POST|PUT|DELETE) (/v1/[^\s`)?]*)", text)
+    for method, path in asked:
+        expect((method, re.sub(r"\{[^}]*\}", "{}", path)) in known, f"operations.md: {method} {path} is nowhere")
+    default = (ROOT / "service/server/src/config/default.toml").read_text()
+    keys, section = set(), ""
+    for line in default.splitlines():
+        if found := re.match(r"\[(\w+)\]", line):
+            section = found[1] + "."
+        elif found := re.match(r"(\w+) = ", line):
+            keys.add(section + found[1])
+    sections = {key.split(".")[0] for key in keys if "." in key}
+    named = [key for key in re.findall(r"`(\w+\.\w+)(?: = [^`]*)?`", text) if key.split(".")[0] in sections]
+    for key in named:
+        expect(key in keys, f"operations.md: there is no setting {key}")
+    sources = "".join(path.read_text() for path in (ROOT / "service/server/src").rglob("metrics*/**/*.rs"))
+    sources += (ROOT / "service/server/src/metrics.rs").read_text()
+    metrics = set(re.findall(r"\bfeedwright_[a-z_]+", text)) - {"feedwright_grafana"}
+    for metric in metrics:
+        expect(f'"{metric}"' in sources, f"operations.md: there is no metric {metric}")
+    listed = subprocess.run([FEEDWRIGHT, "--help"], text=True, capture_output=True, check=True).stdout
+    # Lines that are commands, and code within a sentence; other words in front of the name make it another program's.
+    code = re.findall(r"^ {4}(.*)$|`([^`\n]*)`", text, re.M)
+    commands = {found[1] for line in code for part in line
+                if (found := re.match(r"(?:[A-Z_]+=\S+ |15 2 \* \* \* root )*feedwright(?:-ctl)? ([a-z]+)\b", part))}
+    for command in commands:
+        expect(re.search(rf"^  {command} ", listed, re.M), f"operations.md: there is no command {command}")
+    for file in re.findall(r"`((?:deploy|docs|tests)/[\w./-]+)`", text):
+        expect((ROOT / file).exists(), f"operations.md: {file} is not there")
+    found = [len(each) for each in (asked, named, metrics, commands)]
+    expect(min(found) > 1, f"operations.md: the test does not find what it names: {found}")
+    print(f"operations.md: {found[0]} requests, {found[1]} settings, {found[2]} metrics and {found[3]} commands are there")
+
+
 services, mounts = compose()
+operations()
 provisioning(services, mounts)
 prometheus(services, mounts)
 settings(image(), "Containerfile")

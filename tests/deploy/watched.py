@@ -583,6 +583,10 @@ def main():
 
             wait(lambda: f"these do not fire: {sorted(missing)}", fires)
             print(f"firing: {', '.join(sorted(watch.firing()))}")
+            # What the operations page says to do ends the alert.
+            send("POST", f"{plant.url}/v1/tools/tool-worn/events", plant.admin, {"kind": "changed"})
+            worn = 'ALERTS{alertname="FeedwrightToolWorn",machine="worn"}'
+            wait(lambda: "a tool that was changed stays worn", lambda: not watch.ask("query", query=worn)["result"])
             check_rules(watch)
             psql(f"{base}/plant", (ROOT / "deploy/grafana/role.sql").read_text(), "-v", "password='secret'")
             reader = f"{base}/plant".replace("feedwright@", "feedwright_grafana:secret@")
