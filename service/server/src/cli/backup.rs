@@ -50,7 +50,11 @@ pub async fn back_up(settings: &Settings, arguments: BackupArguments) -> anyhow:
     print(&format!("{}: {} bytes\n", file.display(), report.bytes))?;
     // The backup is whole whatever comes of this: a role that may only read backs up too.
     if let Err(error) = note(&config, now).await {
-        tracing::warn!(%error, "the database does not remember this backup, and its alert will say there is none");
+        let error = format!("{:#}", anyhow::Error::from(error));
+        tracing::warn!(
+            error,
+            "the database does not remember this backup, and its alert will say there is none"
+        );
     }
     Ok(())
 }
