@@ -28,6 +28,10 @@ test *ARGUMENTS:
 linuxcnc:
     tests/linuxcnc/run
 
+# The closed loop on LinuxCNC
+closed-loop:
+    tests/closed-loop/run
+
 # The pages in a browser
 pages:
     tests/browser/run

@@ -45,4 +45,5 @@ COMMIT;
 -- local: sessions
 -- local: stream_leases
 -- local: cycle_overrides
+-- local: last_backup
 -- local: write_probe

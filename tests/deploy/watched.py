@@ -1,4 +1,5 @@
 """Prometheus, Grafana's queries and Feedwright, together; see `watched`, which calls this."""
+import base64
 import csv
 import io
 import json
@@ -9,6 +10,7 @@ import re
 import signal
 import socket
 import ssl
+import struct
 import subprocess
 import sys
 import tempfile
@@ -20,12 +22,16 @@ import urllib.request
 import yaml
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-FEEDWRIGHT, PROMETHEUS, NGINX = sys.argv[1], pathlib.Path(sys.argv[2]), sys.argv[3]
+FEEDWRIGHT, PROMETHEUS, NGINX, CADDY = sys.argv[1], pathlib.Path(sys.argv[2]), sys.argv[3], sys.argv[4]
 POSTGRES = os.environ["FEEDWRIGHT_TEST_POSTGRES"]
 # Firing without a waiting time, and each from another source: an alarm, the watch's round, a counter.
 MUST_FIRE = {"FeedwrightToolWorn", "FeedwrightMachineSilent", "FeedwrightCyclesRejected",
              "FeedwrightCertificateExpiring"}
 PATIENCE_S = 180
+MACHINE = {"name": "Mill", "control": "sinumerik-840d", "ipo_period_ms": 10,
+           "limits": {"feed_min_mm_min": 1, "feed_max_mm_min": 5000, "override_min_percent": 5,
+                      "override_max_percent": 200},
+           "spindle": {"reference": "unknown"}, "feed_drive": {"reference": "unknown"}}
 
 
 def fail(why):
@@ -87,6 +93,29 @@ class Server:
     def viewer(self):
         return send("POST", f"{self.url}/v1/tokens", self.admin, {"name": "prometheus", "role": "viewer"})["token"]
 
+    def machine_token(self, machine):
+        body = {"name": machine, "role": "machine", "machine": machine}
+        return send("POST", f"{self.url}/v1/tokens", self.admin, body)["token"]
+
+    def register(self, trust):
+        """A machine, over TLS."""
+        headers = {"Authorization": f"Bearer {self.admin}", "Content-Type": "application/json"}
+        request = urllib.request.Request(f"https://{self.address}/v1/machines/worn", json.dumps(MACHINE).encode(), headers,
+                                         method="PUT")
+        urllib.request.urlopen(request, timeout=30, context=trust).close()
+
+    def back_up(self, file):
+        """A backup while it is busy; what it says of the last one then follows."""
+        ran = subprocess.run([FEEDWRIGHT, "backup", file], env=self.environment, text=True, capture_output=True, check=False)
+        if ran.returncode or "does not remember" in ran.stderr:
+            fail(f"backup of {self.name}: {ran.stdout}{ran.stderr}")
+
+        def noted():
+            at = re.search(r"^feedwright_last_backup_timestamp_seconds (\S+)$", get(f"http://{self.metrics}/metrics"), re.M)
+            return time.time() - float(at[1]) < PATIENCE_S
+
+        wait(lambda: f"the backup of {self.name} is not noted", noted)
+
     def simulate(self):
         return subprocess.Popen(
             [FEEDWRIGHT, "simulate", "--server", self.url, "--machines", "2", "--cycles", "70", "--life", "40",
@@ -107,16 +136,12 @@ class Server:
 
     def wear_out(self):
         """A tool that wears steadily: near its end on one machine, worn and still in the spindle on another."""
-        limits = {"feed_min_mm_min": 1, "feed_max_mm_min": 5000, "override_min_percent": 5,
-                  "override_max_percent": 200}
-        machine = {"name": "Mill", "control": "sinumerik-840d", "ipo_period_ms": 10, "limits": limits,
-                   "spindle": {"reference": "unknown"}, "feed_drive": {"reference": "unknown"}}
         operation = {"name": "Bush", "process": "friction", "programmed_feed_mm_min": 140}
         send("PUT", f"{self.url}/v1/operations/bush", self.admin, operation)
         # Within an hour of now, so that every dashboard's range holds it.
         begin = time.time() - 1800
         for name, cycles in (("near-end", 40), ("worn", 80)):
-            send("PUT", f"{self.url}/v1/machines/{name}", self.admin, machine)
+            send("PUT", f"{self.url}/v1/machines/{name}", self.admin, MACHINE)
             send("PUT", f"{self.url}/v1/tools/tool-{name}", self.admin, {"name": "drill", "tool_type": "fd-7.3"})
             for number in range(cycles):
                 at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(begin + 10 * number))
@@ -136,11 +161,91 @@ def certificate(folder, days):
                     folder / "key.pem", "-out", folder / "chain.pem"], check=True, stderr=subprocess.DEVNULL)
 
 
+class Stream:
+    """A machine's WebSocket over TLS, as `docs/stream.md` has it, and no more of RFC 6455 than that needs."""
+
+    def __init__(self, address, machine, token, trust):
+        host, port = address.split(":")
+        self.socket = trust.wrap_socket(socket.create_connection((host, int(port)), timeout=30), server_hostname=host)
+        self.certificate = self.socket.getpeercert(binary_form=True)
+        key = base64.b64encode(os.urandom(16)).decode()
+        self.socket.sendall((
+            f"GET /v1/machines/{machine}/stream HTTP/1.1\r\nHost: {address}\r\nUpgrade: websocket\r\n"
+            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
+            f"Sec-WebSocket-Protocol: feedwright.v1\r\nAuthorization: Bearer {token}\r\n\r\n").encode())
+        self.file = self.socket.makefile("rb")
+        head = []
+        while line := self.file.readline().strip():
+            head.append(line.decode())
+        if not head or " 101 " not in head[0]:
+            fail(f"no WebSocket at {address}: {head} {self.file.read1(2000)}")
+        self.n = 0
+
+    def frame(self, kind, payload):
+        mask = os.urandom(4)
+        size = len(payload)
+        length = bytes([0x80 | size]) if size < 126 else bytes([0x80 | 126]) + struct.pack("!H", size)
+        body = bytes(byte ^ mask[at % 4] for at, byte in enumerate(payload))
+        self.socket.sendall(bytes([0x80 | kind]) + length + mask + body)
+
+    def ask(self, kind, **fields):
+        """Sends a message and returns what answers it."""
+        self.n += 1
+        self.frame(1, json.dumps({"type": kind, "n": self.n, **fields}).encode())
+        while True:
+            head = self.file.read(2)
+            if len(head) < 2:
+                fail(f"the stream ends instead of answering {kind}")
+            size = head[1] & 0x7f
+            if size > 125:
+                size = int.from_bytes(self.file.read(2 if size == 126 else 8), "big")
+            payload = self.file.read(size)
+            if head[0] & 0x0f == 9:
+                self.frame(10, payload)
+            elif head[0] & 0x0f == 8:
+                fail(f"the stream is closed instead of answering {kind}: {payload}")
+            elif (answer := json.loads(payload)).get("re") == self.n:
+                return answer
+
+    def close(self):
+        self.frame(8, struct.pack("!H", 1000))
+        self.socket.close()
+
+
+def drill(stream, cycle, between=lambda: None):
+    """A short cycle; `between` happens while it runs."""
+    now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    started = stream.ask("start", cycle_id=cycle, tool="tool-worn", operation="bush", started_at=now, sent_at=now,
+                         period_ms=10, channels=["depth_mm", "feed_drive_load_percent", "spindle_load_percent"])
+    if started["type"] != "started":
+        fail(f"the stream does not start a cycle: {started}")
+    for first in range(10):
+        if first == 5:
+            between()
+        told = stream.ask("samples", first=first, depth_mm=[0.1 * first], feed_drive_load_percent=[9.1],
+                          spindle_load_percent=[12.0])
+        if told["type"] != "override" or not 0 < told["override_percent"] <= 200:
+            fail(f"no override for sample {first}: {told}")
+    stored = stream.ask("end", samples=10)
+    if (stored["type"], stored.get("status")) != ("stored", 201):
+        fail(f"the cycle {cycle} is not stored: {stored}")
+
+
+def trusting(folder):
+    return ssl.create_default_context(cafile=folder / "chain.pem")
+
+
 def check_tls(cell, folder):
-    """The binary with TLS: its own health check, and a certificate that is taken over on SIGHUP."""
-    def end():
+    """The binary with TLS: its health check, and certificates that change under a stream that is open."""
+    def metric(name):
         text = get(f"http://{cell.metrics}/metrics")
-        return float(re.search(r"feedwright_tls_certificate_not_after_timestamp_seconds\{[^}]*\} (\S+)", text)[1])
+        return float(re.search(rf"^{name} (\S+)$", text, re.M)[1])
+
+    def end():
+        return metric(r'feedwright_tls_certificate_not_after_timestamp_seconds\{listener="api"\}')
+
+    def failed():
+        return metric(r'feedwright_tls_reloads_total\{outcome="failed"\}')
 
     if subprocess.run([FEEDWRIGHT, "healthcheck"], env=cell.environment, stdout=subprocess.DEVNULL, check=False).returncode:
         fail("the health check does not reach a service with TLS")
@@ -149,16 +254,42 @@ def check_tls(cell, folder):
                             capture_output=True, check=False)
     if "first start" not in listed.stdout:
         fail(f"tokens over TLS: {listed.stdout}{listed.stderr}")
-    before = end()
-    certificate(folder, 5)
-    cell.process.send_signal(signal.SIGHUP)
-    wait(lambda: f"SIGHUP changes nothing: {cell.log.read_text()}", lambda: end() < before - 86400)
-    print("TLS: health check, tokens, and a certificate taken over on SIGHUP")
+    cell.register(trusting(folder))
+    first = Stream(cell.address, "worn", cell.admin, trusting(folder))
+
+    def renew():
+        before = end()
+        certificate(folder, 5)
+        cell.process.send_signal(signal.SIGHUP)
+        wait(lambda: f"SIGHUP changes nothing: {cell.log.read_text()}", lambda: end() < before - 86400)
+
+    drill(first, "renewed", renew)
+    # Whom the new certificate is shown to, and that the old one's stream goes on.
+    second = urllib.request.urlopen(f"https://{cell.address}/healthz", timeout=30, context=trusting(folder))
+    if second.status != 200:
+        fail("the new certificate is not served")
+    good = {name: (folder / name).read_bytes() for name in ("chain.pem", "key.pem")}
+    trust, refused, until = trusting(folder), failed(), end()
+
+    def spoil():
+        (folder / "chain.pem").write_text("no certificate\n")
+        cell.process.send_signal(signal.SIGHUP)
+        wait(lambda: f"a bad certificate is not counted: {cell.log.read_text()}", lambda: failed() > refused)
+
+    drill(first, "spoiled", spoil)
+    if "the certificate was not taken over; the one in force stays" not in cell.log.read_text():
+        fail(f"a bad certificate is not told of: {cell.log.read_text()}")
+    if end() != until or urllib.request.urlopen(f"https://{cell.address}/healthz", timeout=30, context=trust).status != 200:
+        fail("a bad certificate replaced the good one")
+    for name, content in good.items():
+        (folder / name).write_bytes(content)
+    drill(first, "mended")
+    first.close()
+    print("TLS: health check, tokens, a stream that outlives a new certificate and a bad one, and a bad one refused")
 
 
-def check_proxy(plant, folder, token):
-    """nginx with the configuration that is deployed, but its addresses: TLS, live events at once, no metrics."""
-    port = free_port()
+def nginx(folder, plant, port):
+    """nginx with the configuration that is deployed, but its addresses."""
     conf = (ROOT / "deploy/proxy/nginx.conf").read_text()
     for there, here in {
         "listen 443 ssl http2;": f"listen 127.0.0.1:{port} ssl http2;", "    listen [::]:443 ssl http2;\n": "",
@@ -173,34 +304,71 @@ def check_proxy(plant, folder, token):
     (folder / "nginx.conf").write_text(
         f"daemon off; pid {folder}/nginx.pid; error_log {folder}/nginx.log; events {{}}"
         f" http {{ access_log off; {temporary}\n{conf} }}")
-    process = subprocess.Popen([NGINX, "-q", "-e", folder / "nginx.log", "-c", folder / "nginx.conf"])
-    trust = ssl.create_default_context(cafile=folder / "chain.pem")
+    return subprocess.Popen([NGINX, "-q", "-e", folder / "nginx.log", "-c", folder / "nginx.conf"])
+
+
+def caddy(folder, plant, port):
+    """Caddy with the configuration that is deployed, but its addresses, and a certificate that nobody has to be asked for."""
+    conf = (ROOT / "deploy/proxy/Caddyfile").read_text()
+    for there, here in {
+        "feedwright.example {": f"{{\n\tadmin off\n\tauto_https disable_redirects\n}}\nhttps://127.0.0.1:{port} {{\n"
+                                f"\ttls {folder}/chain.pem {folder}/key.pem",
+        "reverse_proxy 127.0.0.1:7878 {": f"reverse_proxy {plant.address} {{",
+    }.items():
+        if there not in conf:
+            fail(f"the test does not find »{there}« in the Caddyfile")
+        conf = conf.replace(there, here)
+    (folder / "Caddyfile").write_text(conf)
+    return subprocess.Popen([CADDY, "run", "--adapter", "caddyfile", "--config", folder / "Caddyfile"],
+                            stdout=subprocess.DEVNULL, stderr=open(folder / "caddy.log", "w"),
+                            env={**os.environ, "HOME": str(folder), "XDG_DATA_HOME": str(folder)})
+
+
+def check_proxy(start, plant, folder, token):
+    """A proxy in front: TLS, a machine's stream, live events at once, bodies as large as the service's, no metrics."""
+    name, port = start.__name__, free_port()
+    process = start(folder, plant, port)
+    trust = trusting(folder)
     base = f"https://127.0.0.1:{port}"
 
-    def reach(path, timeout=30):
-        request = urllib.request.Request(base + path, headers={"Authorization": f"Bearer {token}"})
-        return urllib.request.urlopen(request, timeout=timeout, context=trust)
+    def reach(path, bearer=token, **more):
+        headers = {"Authorization": f"Bearer {bearer}", **more.pop("headers", {})}
+        request = urllib.request.Request(base + path, headers=headers, **more)
+        return urllib.request.urlopen(request, timeout=30, context=trust)
 
-    def up():
+    def status(path, **more):
         try:
-            return reach("/healthz").status == 200
+            return reach(path, **more).status
+        except urllib.error.HTTPError as error:
+            return error.code
         except OSError:
-            return False
+            return None
 
     try:
-        wait(lambda: f"nginx does not pass requests on: {(folder / 'nginx.log').read_text()}", up)
-        try:
-            reach("/metrics")
-            fail("nginx shows the metrics to everyone")
-        except urllib.error.HTTPError as error:
-            if error.code != 404:
-                fail(f"nginx answers {error.code} for the metrics")
+        wait(lambda: f"{name} does not pass requests on: {(folder / (name + '.log')).read_text()}",
+             lambda: status("/healthz") == 200)
+        if status("/metrics") != 404:
+            fail(f"{name} shows the metrics to everyone: {status('/metrics')}")
+        # Larger than any proxy's default: it is the service that refuses it, for what is in it.
+        large = b'{"cycle_id": "' + b"x" * (12 << 20)
+        said = status("/v1/machines/worn/cycles", bearer=plant.admin, data=large, headers={"Content-Type": "application/json"})
+        if said != 400:
+            fail(f"a body of 12 MiB is answered {said} by {name}")
+        identity = reach("/v1/machines").headers["X-Request-Id"]
+        wait(lambda: f"the request {identity} through {name} is not in the log", lambda: identity in plant.log.read_text())
         with reach("/v1/live") as live:
-            # A heartbeat comes after 10 s at the latest; buffered, it would come with 4 KiB of them.
-            line = live.readline()
-            if not line.strip():
-                fail("the live events do not come through nginx")
-        print("nginx: requests, live events, and no metrics")
+            if live.readline().strip() in (b"", None):
+                fail(f"the live events do not come through {name}")
+            stream = Stream(f"127.0.0.1:{port}", "worn", plant.machine_token("worn"), trust)
+            drill(stream, f"through-{name}")
+            stream.close()
+            # Unbuffered: the next event is this cycle's, long before a heartbeat or 4 KiB of events push it out.
+            begin, seen = time.monotonic(), ""
+            while f"through-{name}" not in seen or "event: cycle" not in seen:
+                seen += live.readline().decode()
+                if time.monotonic() - begin > 30:
+                    fail(f"the cycle is not shown through {name}: {seen}")
+        print(f"{name}: requests, a stream, live events, large bodies, and no metrics")
     finally:
         process.terminate()
         process.wait(timeout=30)
@@ -253,7 +421,7 @@ def check_metrics(server):
     text = get(f"http://{server.metrics}/metrics")
     ran = subprocess.run([PROMETHEUS / "promtool", "check", "metrics"], input=text, text=True, capture_output=True,
                          check=False)
-    if ran.returncode or ran.stderr:
+    if ran.returncode or "does not remember" in ran.stderr:
         fail(f"promtool on {server.name}: {ran.stdout}{ran.stderr}")
     for secret in ("tool-worn", "sim-tool", "c12"):
         if f'"{secret}' in text:
@@ -398,12 +566,15 @@ def main():
             running.append(fleet)
             plant.wear_out()
             plant.refuse()
+            for server in (plant, cell):
+                server.back_up(folder / f"{server.name}.backup")
             if fleet.wait(timeout=400):
                 fail("the simulated fleet stopped")
             check_metrics(plant)
             check_metrics(cell)
             check_tls(cell, folder)
-            check_proxy(plant, folder, token)
+            check_proxy(nginx, plant, folder, token)
+            check_proxy(caddy, plant, folder, token)
             missing = set(MUST_FIRE)
 
             def fires():
@@ -412,6 +583,10 @@ def main():
 
             wait(lambda: f"these do not fire: {sorted(missing)}", fires)
             print(f"firing: {', '.join(sorted(watch.firing()))}")
+            # What the operations page says to do ends the alert.
+            send("POST", f"{plant.url}/v1/tools/tool-worn/events", plant.admin, {"kind": "changed"})
+            worn = 'ALERTS{alertname="FeedwrightToolWorn",machine="worn"}'
+            wait(lambda: "a tool that was changed stays worn", lambda: not watch.ask("query", query=worn)["result"])
             check_rules(watch)
             psql(f"{base}/plant", (ROOT / "deploy/grafana/role.sql").read_text(), "-v", "password='secret'")
             reader = f"{base}/plant".replace("feedwright@", "feedwright_grafana:secret@")

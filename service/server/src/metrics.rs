@@ -89,6 +89,7 @@ pub struct Metrics {
     stream_refusals: IntCounterVec,
     ready: IntGauge,
     last_round: Gauge,
+    last_backup: Gauge,
     registered_machines: IntGauge,
     quarantine_entries: IntGauge,
     quarantine_max_entries: IntGauge,
@@ -193,6 +194,10 @@ impl Metrics {
             last_round: new.gauge(
                 "feedwright_watch_last_round_timestamp_seconds",
                 "When the watch last looked at machines, quarantine and alarms",
+            )?,
+            last_backup: new.gauge(
+                "feedwright_last_backup_timestamp_seconds",
+                "The database's state of when is backed up, as `feedwright backup` noted; 0 where it never did",
             )?,
             registered_machines: new.int_gauge(
                 "feedwright_machines",
@@ -342,6 +347,7 @@ impl Metrics {
         self.quarantine_max_bytes.set(whole(quarantine.bounds.bytes));
         self.registered_machines.set(whole(found.machines.len() as u64));
         self.machines.round(found);
+        self.last_backup.set(found.last_backup_at.map_or(0.0, seconds));
         self.last_round.set(seconds(now));
     }
 

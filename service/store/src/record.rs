@@ -563,6 +563,8 @@ pub struct Round {
     pub quarantine: QuarantineFill,
     /// Open alarms, counted; kinds without any are left out.
     pub alarms: Vec<OpenAlarms>,
+    /// The state of when is backed up; `None` where no backup was ever noted.
+    pub last_backup_at: Option<Timestamp>,
 }
 
 /// When a machine was last heard of.

@@ -12,7 +12,10 @@ mod digest;
 mod postgres;
 mod sqlite;
 
-pub use backup::{BackupReport, back_up_postgres, back_up_sqlite, restore_to_postgres, restore_to_sqlite};
+pub use backup::{
+    BackupReport, back_up_postgres, back_up_sqlite, note_postgres, note_sqlite, restore_to_postgres,
+    restore_to_sqlite,
+};
 pub use copy::{Address, copy};
 pub use digest::TableSum;
 
@@ -20,7 +23,7 @@ use crate::error::{StoreError, StoreResult};
 use async_trait::async_trait;
 
 /// Tables that belong to the program and not to the data.
-const LEFT_OUT: [&str; 4] = ["_sqlx_migrations", "write_probe", "backup_sums", "backup_made"];
+const LEFT_OUT: [&str; 5] = ["_sqlx_migrations", "write_probe", "last_backup", "backup_sums", "backup_made"];
 /// A page of rows is about this large, bytes.
 const PAGE_BYTES: usize = 4 << 20;
 /// Most rows of a page.

@@ -41,6 +41,16 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
     assert!(said.contains("cycles: 30 rows ") && said.contains("cycle_samples: 30 rows "), "{said}");
     let (_, refused) = fail(feedwright(&cell, &["backup", backup]).output().unwrap());
     assert!(refused.contains("is there already"), "{refused}");
+    let noted = |conn: SqliteConnection| async move {
+        let mut conn = conn;
+        let at: i64 =
+            sqlx::query_scalar("SELECT made_at_us FROM last_backup").fetch_one(&mut conn).await.unwrap();
+        conn.close().await.unwrap();
+        at
+    };
+    let own = noted(tables(&cell).await).await;
+    assert_eq!(succeed(feedwright(&cell, &["backup", "--made-elsewhere"]).output().unwrap()), "noted\n");
+    assert!(noted(tables(&cell).await).await > own, "another tool's backup counts as well");
     let (_, refused) = fail(feedwright(&cell, &["check"]).output().unwrap());
     assert!(refused.contains("checked while it is stopped, or as a backup"), "{refused}");
     let (_, refused) = fail(feedwright(&cell, &["restore", backup]).output().unwrap());

@@ -2,13 +2,14 @@
 
 use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored};
 use feedwright_core::tool::ToolEventKind;
+use feedwright_core::units::Timestamp;
 use feedwright_store::transfer::{
-    Address, TableSum, TransferError, back_up_postgres, back_up_sqlite, copy, restore_to_postgres,
-    restore_to_sqlite,
+    Address, TableSum, TransferError, back_up_postgres, back_up_sqlite, copy, note_postgres, note_sqlite,
+    restore_to_postgres, restore_to_sqlite,
 };
 use feedwright_store::{
     Actor, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, QuarantineBounds,
-    QuarantineEntry, Role, SqliteOptions, SqliteStore, Store, TokenRecord,
+    QuarantineEntry, Role, SqliteOptions, SqliteStore, Store, TokenRecord, WatchSettings,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -245,6 +246,49 @@ async fn a_backup_of_the_plant_restores_into_either_engine() {
     assert_eq!(shown(&cell).await, shown(&store).await);
     cell.close().await;
     store.close().await;
+    plant.done().await;
+    other.done().await;
+}
+
+async fn last_backup(store: &dyn Store) -> Option<Timestamp> {
+    let settings = WatchSettings {
+        silent_after_ms: None,
+        silent_after_ms_by_machine: std::collections::BTreeMap::new(),
+        quarantine: QuarantineBounds { entries: 10, bytes: 1000 },
+        quarantine_warning_ratio: 0.8,
+    };
+    store.watch(vec![], &settings, at(9)).await.unwrap().last_backup_at
+}
+
+#[tokio::test]
+async fn a_database_remembers_its_last_backup_and_what_is_restored_from_it_has_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let cell = Given::sqlite().await;
+    fill(&*cell.store()).await;
+    assert_eq!(last_backup(&*cell.store()).await, None);
+    for made_at in [at(5), at(7)] {
+        note_sqlite(&cell.file(), made_at).await.unwrap();
+        assert_eq!(last_backup(&*cell.store()).await, Some(made_at), "beside the store that writes");
+    }
+    let (backup, restored) = (folder.path().join("cell.backup"), folder.path().join("restored.sqlite3"));
+    let sums = back_up_sqlite(&cell.file(), &backup, at(8)).await.unwrap().tables;
+    assert!(sums.iter().all(|(table, _)| table != "last_backup"), "{sums:?}");
+    restore_to_sqlite(&backup, &restored).await.unwrap();
+    let store = sqlite(&restored).await;
+    assert_eq!(last_backup(&store).await, None, "nobody has backed this one up");
+    store.close().await;
+    cell.done().await;
+
+    let (Some(plant), Some(other)) = (Given::postgres().await, Given::postgres().await) else {
+        return;
+    };
+    assert_eq!(last_backup(&*plant.store()).await, None);
+    for made_at in [at(5), at(7)] {
+        note_postgres(&plant.address(), made_at).await.unwrap();
+        assert_eq!(last_backup(&*plant.store()).await, Some(made_at));
+    }
+    restore_to_postgres(&backup, &other.address(), folder.path()).await.unwrap();
+    assert_eq!(last_backup(&*other.store()).await, None);
     plant.done().await;
     other.done().await;
 }

@@ -2,13 +2,15 @@
 
 use super::{Settings, log, print};
 use crate::clock::Clock;
-use crate::config::Engine;
+use crate::config::{Config, Engine};
 use crate::data_dir::DataDirLock;
 use crate::database::server_url;
 use anyhow::Context;
 use clap::Args;
+use feedwright_core::units::Timestamp;
 use feedwright_store::transfer::{
-    TableSum, back_up_postgres, back_up_sqlite, restore_to_postgres, restore_to_sqlite,
+    TableSum, TransferError, back_up_postgres, back_up_sqlite, note_postgres, note_sqlite,
+    restore_to_postgres, restore_to_sqlite,
 };
 use std::path::PathBuf;
 
@@ -16,7 +18,12 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 pub struct BackupArguments {
     /// The file to make; it must not be there yet.
-    file: PathBuf,
+    #[arg(required_unless_present = "made_elsewhere")]
+    file: Option<PathBuf>,
+    /// Make no backup: note that another tool (a snapshot, pg_basebackup) has just made one, so that no alert says there
+    /// is none.
+    #[arg(long, conflicts_with = "file")]
+    made_elsewhere: bool,
 }
 
 /// Arguments of `restore`.
@@ -31,12 +38,33 @@ pub async fn back_up(settings: &Settings, arguments: BackupArguments) -> anyhow:
     let config = settings.load(Vec::new())?;
     log(&config.log)?;
     let now = Clock::system().now();
+    let Some(file) = arguments.file else {
+        note(&config, now).await.context("the backup that was made elsewhere is not noted")?;
+        return print("noted\n");
+    };
     let report = match config.engine() {
-        Engine::Sqlite(path) => back_up_sqlite(&path, &arguments.file, now).await?,
-        Engine::Postgres(_) => back_up_postgres(&server_url(&config), &arguments.file, now).await?,
+        Engine::Sqlite(path) => back_up_sqlite(&path, &file, now).await?,
+        Engine::Postgres(_) => back_up_postgres(&server_url(&config), &file, now).await?,
     };
     print(&listed(&report.tables))?;
-    print(&format!("{}: {} bytes\n", arguments.file.display(), report.bytes))
+    print(&format!("{}: {} bytes\n", file.display(), report.bytes))?;
+    // The backup is whole whatever comes of this: a role that may only read backs up too.
+    if let Err(error) = note(&config, now).await {
+        let error = format!("{:#}", anyhow::Error::from(error));
+        tracing::warn!(
+            error,
+            "the database does not remember this backup, and its alert will say there is none"
+        );
+    }
+    Ok(())
+}
+
+/// Tells the database that its state of `made_at` is backed up.
+async fn note(config: &Config, made_at: Timestamp) -> Result<(), TransferError> {
+    match config.engine() {
+        Engine::Sqlite(path) => note_sqlite(&path, made_at).await,
+        Engine::Postgres(_) => note_postgres(&server_url(config), made_at).await,
+    }
 }
 
 /// Restores a backup into the configured database, which must be fresh.

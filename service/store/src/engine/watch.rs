@@ -34,7 +34,14 @@ pub(super) async fn round(
     note(conn, heard).await?;
     let machines = silence(conn, settings, now).await?;
     let quarantine = quarantine(conn, settings, now).await?;
-    Ok(Round { machines, quarantine, alarms: open_alarms(conn).await? })
+    let alarms = open_alarms(conn).await?;
+    Ok(Round { machines, quarantine, alarms, last_backup_at: last_backup(conn).await? })
+}
+
+async fn last_backup(conn: &mut Conn) -> StoreResult<Option<Timestamp>> {
+    let made_at: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT made_at_us FROM last_backup").fetch_optional(&mut *conn).await?;
+    Ok(made_at.map(Timestamp::from_micros))
 }
 
 async fn note(conn: &mut Conn, heard: &[(MachineId, Timestamp)]) -> StoreResult<()> {

@@ -87,6 +87,28 @@ pub async fn back_up_postgres(from: &str, to: &Path, now: Timestamp) -> Result<B
     Ok(BackupReport { tables, bytes: settle(&making, to)? })
 }
 
+/// What remembers the last backup; a second one replaces the first.
+const NOTE: &str = "INSERT INTO last_backup (only_row, made_at_us) VALUES (1, $1)
+    ON CONFLICT (only_row) DO UPDATE SET made_at_us = excluded.made_at_us";
+
+/// Notes in a SQLite database, beside the server that may be writing it, that its state at `made_at` is backed up.
+pub async fn note_sqlite(database: &Path, made_at: Timestamp) -> Result<(), TransferError> {
+    let mut side = SqliteSide::write(database).await?;
+    let noted = sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await;
+    Box::new(side).close().await;
+    noted?;
+    Ok(())
+}
+
+/// Notes in a PostgreSQL database that its state at `made_at` is backed up.
+pub async fn note_postgres(database: &str, made_at: Timestamp) -> Result<(), TransferError> {
+    let mut side = PostgresSide::connect(database).await?;
+    let noted = sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await;
+    Box::new(side).close().await;
+    noted?;
+    Ok(())
+}
+
 /// Writes the sums into the backup: those of the source where they are known, else those of the copy.
 async fn seal(
     path: &Path,
@@ -175,6 +197,10 @@ async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, Tran
     // Brings a backup of an older version up to this one's.
     let store = SqliteStore::open(at, SqliteOptions::default()).await?;
     store.close().await;
+    // The copy that it was before had backups; the database that it becomes has none yet.
+    let mut side = SqliteSide::write(at).await?;
+    sqlx::query("DELETE FROM last_backup").execute(side.conn()).await?;
+    Box::new(side).close().await;
     Ok(sums)
 }
 

@@ -22,6 +22,10 @@ impl PostgresSide {
         let conn = options.application_name("feedwright transfer").connect().await?;
         Ok(Self { conn, numbered: Vec::new() })
     }
+
+    pub(super) const fn conn(&mut self) -> &mut PgConnection {
+        &mut self.conn
+    }
 }
 
 fn kind(declared: &str) -> Option<Kind> {
