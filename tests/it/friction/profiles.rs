@@ -441,6 +441,8 @@ async fn a_stored_profile_is_asked_about_by_its_id_and_version() {
 async fn a_profile_is_not_asked_about_what_it_was_not_made_for() {
     let mut story = Story::begin().await;
     story.drill(4, 1.0, None).await;
+    let unbounded = json!({"name": "Another", "process": "friction", "spindle_speed_rpm": 2800});
+    assert_eq!(story.shop.put("/v1/operations/O2", &unbounded).await.status, 201);
     let mut other = drilled(5, &strategy(1.0), "f_lin", false);
     other["operation"] = json!("O2");
     assert_eq!(story.shop.cycle("F1", &other).await.status, 201);
@@ -464,13 +466,14 @@ async fn a_profile_is_not_asked_about_what_it_was_not_made_for() {
     let knots: Vec<Value> = short["content"]["knots"].as_array().unwrap()[..4].to_vec();
     let end = number(&knots[3]["depth_mm"]);
     short["profile"] = json!("short");
+    short["content"]["operation"] = json!("O2");
     short["content"]["knots"] = json!(knots);
     short["content"]["sections"] =
         json!([{"kind": "heating", "to_mm": 3.0}, {"kind": "forming", "to_mm": end}]);
     let drafted = story.shop.post("/v1/feed-profiles", &short).await;
     assert_eq!(drafted.status, 201, "{}", drafted.text);
     let question = json!({"control": {"profile": {"id": "short", "version": 1}}});
-    let answer = story.shop.post("/v1/machines/F1/cycles/c1/what-if", &question).await;
+    let answer = story.shop.post("/v1/machines/F1/cycles/c5/what-if", &question).await;
     assert_eq!(
         (answer.status, &answer.body["reason"]),
         (422, &json!("profile_too_short")),

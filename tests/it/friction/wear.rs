@@ -169,7 +169,9 @@ async fn a_machine_may_mark_its_reference_cycles_itself() {
     }
     let stored = shop.get("/v1/machines/F1/cycles/c2").await.body;
     assert_eq!(stored["reference_cycle"], true, "{stored}");
-    assert_eq!(stored["summary"]["flags"], json!(["reference_cycle"]), "{stored}");
+    let flagged =
+        |body: &Value, flag: &str| body["summary"]["flags"].as_array().unwrap().contains(&json!(flag));
+    assert!(flagged(&stored, "reference_cycle") && !flagged(&stored, "contradictory"), "{stored}");
     // The same again is the same; without its mark it is another cycle.
     assert_eq!(shop.cycle("F1", &marked(2, &paper.constant, true)).await.status, 200);
     assert_eq!(shop.cycle("F1", &marked(2, &paper.constant, false)).await.status, 409);
@@ -177,12 +179,7 @@ async fn a_machine_may_mark_its_reference_cycles_itself() {
     // What ran is believed before what is said of it.
     let varied = shop.cycle("F1", &marked(4, &paper.linear, true)).await;
     assert_eq!(varied.status, 201, "{}", varied.text);
-    assert_eq!(
-        varied.body["summary"]["flags"],
-        json!(["contradictory", "reference_cycle"]),
-        "{}",
-        varied.text
-    );
+    assert!(flagged(&varied.body, "contradictory"), "{}", varied.text);
     assert_eq!(varied.body["wear"]["feed"]["references"]["count"], 2, "{}", varied.text);
     // Asked for, and said not to have been run.
     let advice = varied.body["recommendation"].clone();
