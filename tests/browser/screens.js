@@ -6,8 +6,9 @@ import { Shop } from "./shop.js";
 const PLACE = new URL("../../docs/screens/", import.meta.url).pathname;
 /** A picture is kept with the sources: none is larger, bytes. */
 const LARGEST = 200_000;
+const ONLY = process.argv.slice(2);
 const PHONE = { width: 390, height: 844 };
-const [shop, browser] = await Promise.all([Shop.open({ machines: 12, cycles: 190, odd: false, faults: "air_cut,thickness" }), Browser.open()]);
+const [shop, browser] = await Promise.all([Shop.open({ machines: 12, cycles: 160, odd: false, faults: "air_cut,thickness" }), Browser.open()]);
 await mkdir(PLACE, { recursive: true });
 /** A tool whose life says most: many cycles since its last change, and the trend is known. */
 const lives = (await shop.ask("GET", "/v1/fleet?limit=100")).body.items.filter((one) => one.wear?.level?.decides).sort((a, b) => Boolean(b.wear.remaining) - Boolean(a.wear.remaining) || b.wear.cycles - a.wear.cycles);
@@ -24,7 +25,7 @@ try {
     ["next", `/next?machine=${lives[0].machine}`, { theme: "dark", language: "de-DE" }],
     ["strategies", "/studies", {}, "#answer table"],
     ["vibratory", "/studies#vibratory", { theme: "dark" }, "#map canvas"],
-  ]) {
+  ].filter(([name]) => ONLY.length === 0 || ONLY.includes(name))) {
     const page = await browser.page(shop, { role: "engineer", width: 1280, height: 860, ...options });
     page.setDefaultTimeout(300_000);
     await page.go(path);
