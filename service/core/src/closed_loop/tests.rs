@@ -184,8 +184,9 @@ fn a_profile_brings_its_own_limits_and_the_lower_of_two_set_loads_counts() {
         last.unwrap()
     };
     let free = run((5.0, 200.0), 40.0, 10.0, LoopReasons::NONE);
-    assert_eq!(free.ovr.percent(), 150.0, "the machine's limit");
-    assert_eq!(run((5.0, 120.0), 40.0, 10.0, LoopReasons::NONE).ovr.percent(), 120.0, "the profile's limit");
+    assert!((149.99..=150.0).contains(&free.ovr.percent()), "the machine's limit: {}", free.ovr.percent());
+    let bounded = run((5.0, 120.0), 40.0, 10.0, LoopReasons::NONE).ovr.percent();
+    assert!((119.99..=120.0).contains(&bounded), "the profile's limit: {bounded}");
     let lower = run((5.0, 200.0), 15.0, 20.0, LoopReasons::NONE);
     assert!(lower.ovr.percent() < 100.0 && lower.reasons.has_law(Reason::LoadAboveSet), "15 % against 30 %");
     let beyond = run((5.0, 200.0), 40.0, 10.0, LoopReasons::of(LoopReason::ProfileBeyondWear));

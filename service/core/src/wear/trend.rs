@@ -36,17 +36,17 @@ impl Default for TrendPoints {
 
 impl TrendPoints {
     pub(super) fn push(&mut self, ratio: f64) {
-        self.push_at(self.count + 1, ratio);
+        self.push_at(self.count.saturating_add(1), ratio);
     }
 
     /// Adds a ratio at a place of its own, for those that are not there at every cycle.
     #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
     pub(super) fn push_at(&mut self, place: u64, ratio: f64) {
-        self.count += 1;
+        self.count = self.count.saturating_add(1);
         let (counts, ratios, n) = &mut self.filling;
         *counts += place as f64;
         *ratios += ratio;
-        *n += 1;
+        *n = n.saturating_add(1);
         if *n < self.per_point {
             return;
         }
@@ -57,7 +57,8 @@ impl TrendPoints {
                 (f64::midpoint(pair[0].0, pair[1].0), f64::midpoint(pair[0].1, pair[1].1))
             };
             self.points = self.points.chunks_exact(2).map(merge).collect();
-            self.per_point *= 2;
+            // A state that was damaged on its way may hold any number.
+            self.per_point = self.per_point.saturating_mul(2);
         }
     }
 
@@ -80,7 +81,7 @@ impl TrendPoints {
             slope_per_cycle: median(&slopes),
             slope_low: at((pairs - spread) / 2.0 - 1.0),
             slope_high: at((pairs + spread) / 2.0),
-            cycles: self.per_point * points.len() as u64,
+            cycles: self.per_point.saturating_mul(points.len() as u64),
         })
     }
 

@@ -82,7 +82,7 @@ fn every_kind_of_damage_has_its_reason() {
     channel[at] = 17;
     assert_eq!(read(&sealed(channel), 5), Err(WireError::UnknownChannel(17)));
     let mut extra = GOLDEN.to_vec();
-    extra[HEAD + 1] |= 0x04;
+    extra[HEAD + 1] |= 0x10;
     assert_eq!(why(&sealed(extra)), "it has fields that version 1 does not have");
 }
 

@@ -150,11 +150,10 @@ fn feed_of(knots: &Knots, factor: f64) -> Vec<Knot> {
 
 #[test]
 fn energy_and_cost_give_up_time_for_work_and_never_the_other_way_round() {
-    let mut differed = 0;
     for seed in [4, 7] {
         let mut case = draw(Model::Other, seed).unwrap();
         let AnyPlant::Other(model) = &mut case.plant else { unreachable!("a case of the second model") };
-        // A torque that grows faster than the feed: what a slower hole saves, until the drag of the tool eats it.
+        // A torque that grows faster than the feed: a slower hole is less work.
         model.spindle.iter_mut().for_each(|bump| bump.exponent = 1.5);
         let case = case;
         let cycles = cycles(&case, &[1.0, 0.85, 1.15]);
@@ -174,15 +173,14 @@ fn energy_and_cost_give_up_time_for_work_and_never_the_other_way_round() {
         for other in [&time, &energy] {
             assert!(spent(&cost) <= spent(other) * 1.003, "case {seed}: {} {}", spent(&cost), spent(other));
         }
-        let held = energy.sections.iter().flat_map(|section| &section.bindings);
-        differed += usize::from(held.into_iter().any(|(binding, _)| *binding == Binding::Objective));
+        // Here a slower hole is always less work, so the least energy is found far from the shortest time.
+        assert!(work(&energy) < 0.9 * work(&time) && seconds(&energy) > 2.0 * seconds(&time), "case {seed}");
         // Joules are told where the machine says what a percent stands for.
         assert_eq!(time.prediction.energy_j, None);
         let rated = changed(&case, |params| params.watts_per_percent = Some(70.0));
         let joules = optimise(&cycles, &rated, Some(&first(&case))).unwrap().prediction.energy_j.unwrap();
         assert!((joules.expected - 70.0 * work(&time)).abs() < 1e-6 * joules.expected);
     }
-    assert!(differed > 0, "energy has a minimum over the feed somewhere");
 }
 
 #[test]
