@@ -120,7 +120,7 @@ impl Plant for CoarseModel {
             if time >= next_sample || done {
                 let uneven = noise.as_deref_mut().map_or(0.0, |noise| 0.3 * (noise.uniform() - 0.5));
                 next_sample = time + self.period_s * (1.0 + uneven) - STEP_S / 2.0;
-                if run.time_s.len() % self.repeats.max(1) == 0 {
+                if run.time_s.len().is_multiple_of(self.repeats.max(1)) {
                     told = [0, 1].map(|drive| load[drive] + self.idle_percent[drive]);
                     if let Some(noise) = noise.as_deref_mut() {
                         told = told.map(|load| {
