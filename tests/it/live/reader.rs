@@ -41,6 +41,13 @@ impl Reader {
         Self { response, text: String::new(), comments: 0 }
     }
 
+    /// As a program comes: with that token.
+    pub(super) async fn with_token(served: &Served, token: &str) -> Self {
+        let response = served.client.get(served.url("/v1/live")).bearer_auth(token).send().await.unwrap();
+        assert_eq!(response.status(), 200);
+        Self { response, text: String::new(), comments: 0 }
+    }
+
     /// The next event; `None` where the server ended the view.
     pub(super) async fn next(&mut self) -> Option<Told> {
         loop {

@@ -3,6 +3,7 @@
 use super::Served;
 use super::reader::Reader;
 use serde_json::json;
+use std::time::Duration;
 
 /// Begins a session with a token made for it; the cookie, and the token's id.
 async fn sign_in(served: &Served) -> (String, String) {
@@ -18,7 +19,7 @@ async fn sign_in(served: &Served) -> (String, String) {
 
 #[tokio::test]
 async fn a_live_view_ends_with_its_session_or_its_token_and_others_go_on() {
-    let served = Served::start(&[]).await;
+    let served = Served::start(&[("live.heartbeat_ms", "50")]).await;
     let (left, _) = sign_in(&served).await;
     let (revoked, id) = sign_in(&served).await;
     let mut program = Reader::open(&served, "", None).await;
@@ -33,6 +34,14 @@ async fn a_live_view_ends_with_its_session_or_its_token_and_others_go_on() {
     assert_eq!(signed_out.next().await, None, "the view goes on after signing out");
     assert_eq!(served.send("DELETE", &format!("/v1/tokens/{id}"), None).await.0, 200);
     assert_eq!(cut_off.next().await, None, "the view goes on without its token");
+    // A program that reads with a token of its own ends with that one.
+    let (_, made) = served.send("POST", "/v1/tokens", Some(json!({"name": "wall", "role": "viewer"}))).await;
+    let mut wall = Reader::with_token(&served, made["token"].as_str().unwrap()).await;
+    assert_eq!(wall.next().await.unwrap().name, "state");
+    let path = format!("/v1/tokens/{}", made["id"].as_str().unwrap());
+    assert_eq!(served.send("DELETE", &path, None).await.0, 200);
+    let ended = tokio::time::timeout(Duration::from_secs(20), wall.next()).await;
+    assert_eq!(ended.expect("the view goes on without its token"), None);
     served.with_a_shop().await;
     served.post_cycle("c1", 20.0).await;
     program.next_of("cycle").await;

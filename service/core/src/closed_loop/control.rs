@@ -332,7 +332,7 @@ impl Control {
         }
     }
 
-    /// Forgets what the loads of a cycle have taught, since it is judged from its start again.
+    /// Least and greatest override that may be answered, percent; `None` where it is always neutral.
     pub fn bounds_percent(&self) -> Option<(f64, f64)> {
         match self {
             Self::Friction(friction) => {

@@ -2,7 +2,7 @@
 
 use super::extract::{Query, query_id};
 use super::problem::{Problem, ProblemDocument};
-use crate::auth::{Caller, Session};
+use crate::auth::Caller;
 use crate::live::{Position, Reader};
 use crate::state::AppState;
 use axum::extract::State;
@@ -12,7 +12,6 @@ use feedwright_core::ids::MachineId;
 use futures_util::StreamExt;
 use http::HeaderMap;
 use serde::Deserialize;
-use std::future::pending;
 use std::time::Duration;
 use utoipa::IntoParams;
 
@@ -60,14 +59,15 @@ pub(super) async fn events(
         Some((event, reader))
     });
     let beats = KeepAlive::new().interval(state.live.config().heartbeat()).text("heartbeat");
-    let events = events.take_until(over(state.clone(), caller.session()));
+    let events = events.take_until(over(state.clone(), caller));
     Ok(Sse::new(events).keep_alive(beats).into_response())
 }
 
-/// Waits until a reader's session is over: by time, by sign-out, or with its token. A token has no session to end.
-async fn over(state: AppState, session: Option<Session>) {
-    let Some(session) = session else {
-        return pending().await;
+/// Waits until a reader may read no more: its token is revoked, or its session is over by time, by sign-out or with its
+/// token.
+async fn over(state: AppState, caller: Caller) {
+    let Some(session) = caller.session() else {
+        return caller.revoked(&state, state.live.config().heartbeat()).await;
     };
     loop {
         let moved = state.live.sessions_moved();

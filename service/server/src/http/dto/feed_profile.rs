@@ -142,8 +142,23 @@ impl ProfileBody {
             work_material: operation.work_material.clone(),
             spindle_speed_rpm: operation.spindle_speed_rpm,
         });
+        self.checked(at, operation.id.clone(), conditions)
+    }
+
+    /// The checked profile as it stands, whatever its operation says today; `at` is the path of this body.
+    pub fn as_it_stands(&self, at: &str) -> Result<Profile, Vec<Violation>> {
+        let operation = self.operation(at).map_err(|one| vec![one])?;
+        self.checked(at, operation, self.conditions.clone().unwrap_or_default())
+    }
+
+    fn checked(
+        &self,
+        at: &str,
+        operation: OperationId,
+        conditions: ConditionsBody,
+    ) -> Result<Profile, Vec<Violation>> {
         let input = ProfileInput {
-            operation: operation.id.clone(),
+            operation,
             tool_type: self.tool_type.clone(),
             knots: self
                 .knots

@@ -3,10 +3,8 @@
 use super::feed_profile::ProfileBody;
 use feedwright_core::cycle::ProfileVersion;
 use feedwright_core::feed::nc::Stamp;
-use feedwright_core::feed::profile::{
-    Conditions, KnotInput, Profile, ProfileHash, ProfileInput, SectionInput, WearBandInput,
-};
-use feedwright_core::ids::{OperationId, ProfileId};
+use feedwright_core::feed::profile::{Profile, ProfileHash};
+use feedwright_core::ids::ProfileId;
 use feedwright_core::invalid::Violation;
 use serde::{Deserialize, Serialize};
 
@@ -73,7 +71,7 @@ pub fn read(text: &str, hash: impl Fn(&Profile) -> ProfileHash) -> Result<(Stamp
     };
     let stated = ProfileHash::parse(&file.hash)
         .ok_or_else(|| vec![Violation::new("hash", "not_an_export", "is no hash")])?;
-    let profile = content(file.content)?;
+    let profile = file.content.as_it_stands("content")?;
     if hash(&profile) != stated {
         let why = "the content is not what its hash stands for: the file was changed";
         return Err(vec![Violation::new("hash", "hash_mismatch", why)]);
@@ -98,31 +96,6 @@ pub fn read(text: &str, hash: impl Fn(&Profile) -> ProfileHash) -> Result<(Stamp
             }
         }
     }
-}
-
-/// The content as a profile; what it depends on is what the file says, whatever the operation says today.
-fn content(body: ProfileBody) -> Result<Profile, Vec<Violation>> {
-    let operation = OperationId::parse("content.operation", &body.operation).map_err(|one| vec![one])?;
-    let conditions = body.conditions.unwrap_or_default();
-    let input = ProfileInput {
-        operation,
-        tool_type: body.tool_type,
-        knots: (body.knots.iter())
-            .map(|knot| KnotInput { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min })
-            .collect(),
-        sections: (body.sections.iter())
-            .map(|section| SectionInput { kind: section.kind.0, to_mm: section.to_mm })
-            .collect(),
-        limits: body.limits.to_input(),
-        wear: WearBandInput { from_level: body.wear.from_level, to_level: body.wear.to_level },
-        conditions: Conditions {
-            program: conditions.program,
-            work_material: conditions.work_material,
-            spindle_speed_rpm: conditions.spindle_speed_rpm,
-        },
-    };
-    let inside = |one: Violation| Violation { path: format!("content.{}", one.path), ..one };
-    Profile::new(input).map_err(|wrong| wrong.into_iter().map(inside).collect())
 }
 
 #[cfg(test)]
