@@ -3,10 +3,12 @@
 
 use crate::process::Running;
 use serde_json::json;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use tokio::sync::Barrier;
 use tokio::time::{MissedTickBehavior, interval_at};
 
 /// How many connections at which pace for how long.
@@ -37,6 +39,8 @@ impl Wire {
 pub(crate) struct Outcome {
     pub(crate) messages: u64,
     pub(crate) asked: u64,
+    /// Processor time of the server from the first message to the last answer, s.
+    pub(crate) spent: f64,
     pub(crate) p50: Duration,
     pub(crate) p99: Duration,
 }
@@ -65,14 +69,28 @@ pub(crate) async fn register(server: &Running, machines: u32) {
     put("/v1/operations/O1".to_owned(), operation).await;
 }
 
-/// One round: every connection at its pace, spread over the period.
+/// One round: every connection at its pace, spread over the period. Only messages are measured: connections and cycles
+/// begin before, and cycles end after.
 pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) -> Outcome {
-    let begin = Instant::now() + Duration::from_millis(500) + Duration::from_millis(2) * load.connections;
+    // Passed by all when every cycle has begun, and again when every answer is there.
+    let gate = Arc::new(Barrier::new(load.connections as usize + 1));
     let machines = (0..load.connections).map(|index| {
         let (address, token) = (peer.address.trim_start_matches("http://").to_owned(), peer.token.clone());
-        tokio::spawn(machine(address, token, wire, load, (index, round), begin))
+        let gate = Arc::clone(&gate);
+        tokio::spawn(async move {
+            let mut machine = Machine::begin(&address, &token, wire, load, (index, round)).await;
+            gate.wait().await;
+            let times = machine.send().await;
+            gate.wait().await;
+            machine.end().await;
+            times
+        })
     });
     let tasks: Vec<_> = machines.collect();
+    gate.wait().await;
+    let before = peer.cpu_seconds();
+    gate.wait().await;
+    let spent = peer.cpu_seconds() - before;
     let mut times = Vec::new();
     for task in tasks {
         times.extend(task.await.expect("a machine ends"));
@@ -91,6 +109,7 @@ pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) ->
     Outcome {
         messages: times.len() as u64,
         asked: u64::from(load.connections) * u64::from(load.per_second) * u64::from(load.seconds),
+        spent,
         p50: at(0.5),
         p99: at(0.99),
     }
@@ -98,49 +117,67 @@ pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) ->
 
 static CYCLE: AtomicU32 = AtomicU32::new(0);
 
-async fn machine(
-    address: String,
-    token: String,
-    wire: Wire,
+/// A connection, with a cycle that runs where it is a stream.
+struct Machine {
+    stream: TcpStream,
+    spoken: Spoken,
     load: Load,
-    (index, round): (u32, usize),
-    begin: Instant,
-) -> Vec<Duration> {
-    let mut stream = TcpStream::connect(&address).await.expect("a connection");
-    stream.set_nodelay(true).expect("an option");
-    let period_ms = 1000.0 / f64::from(load.per_second);
-    let mut spoken = Spoken { wire, answer: Vec::new() };
-    if wire.is_echo() {
-        let lengths = [spoken.question(0, 0).len(), if wire == Wire::EchoBinary { 66 } else { 520 }];
-        let head: Vec<u8> =
-            lengths.iter().flat_map(|length| u32::try_from(*length).expect("short").to_le_bytes()).collect();
-        stream.write_all(&head).await.expect("a head");
-        spoken.answer.resize(lengths[1], 0);
-    } else {
-        upgrade(&mut stream, &address, &token, index).await;
-    }
-    tokio::time::sleep_until(begin.into()).await;
-    if !wire.is_echo() {
-        let cycle = CYCLE.fetch_add(1, Ordering::Relaxed);
-        start(&mut stream, &format!("b{index}-{round}-{cycle}"), period_ms, &mut spoken).await;
-    }
-    let period = Duration::from_secs_f64(period_ms / 1000.0);
-    let shift = period * index / load.connections;
-    let mut ticks = interval_at(tokio::time::Instant::now() + period + shift, period);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Burst);
-    let mut times = Vec::with_capacity((load.per_second * load.seconds) as usize);
-    for sample in 0..load.per_second * load.seconds {
-        ticks.tick().await;
-        // The echo's questions are all as long as its first one.
-        let question =
-            if wire.is_echo() { spoken.question(0, 0) } else { spoken.question(sample + 2, sample) };
-        let asked = Instant::now();
-        if stream.write_all(&question).await.is_err() || spoken.read(&mut stream).await.is_err() {
-            break;
+    index: u32,
+}
+
+impl Machine {
+    async fn begin(address: &str, token: &str, wire: Wire, load: Load, (index, round): (u32, usize)) -> Self {
+        let mut stream = TcpStream::connect(address).await.expect("a connection");
+        stream.set_nodelay(true).expect("an option");
+        let mut spoken = Spoken { wire, answer: Vec::new() };
+        if wire.is_echo() {
+            let lengths = [spoken.question(0, 0).len(), if wire == Wire::EchoBinary { 66 } else { 520 }];
+            let head: Vec<u8> =
+                lengths.iter().flat_map(|length| u32::try_from(*length).expect("short").to_le_bytes()).collect();
+            stream.write_all(&head).await.expect("a head");
+            spoken.answer.resize(lengths[1], 0);
+        } else {
+            upgrade(&mut stream, address, token, index).await;
+            let cycle = CYCLE.fetch_add(1, Ordering::Relaxed);
+            let period_ms = 1000.0 / f64::from(load.per_second);
+            start(&mut stream, &format!("b{index}-{round}-{cycle}"), period_ms, &mut spoken).await;
         }
-        times.push(asked.elapsed());
+        Self { stream, spoken, load, index }
     }
-    times
+
+    /// Sends every sample at its pace; how long each answer took.
+    async fn send(&mut self) -> Vec<Duration> {
+        let Self { stream, spoken, load, index } = self;
+        let period = Duration::from_secs(1) / load.per_second;
+        let shift = period * *index / load.connections;
+        let mut ticks = interval_at(tokio::time::Instant::now() + period + shift, period);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Burst);
+        let mut times = Vec::with_capacity((load.per_second * load.seconds) as usize);
+        for sample in 0..load.per_second * load.seconds {
+            ticks.tick().await;
+            // The echo's questions are all as long as its first one.
+            let question =
+                if spoken.wire.is_echo() { spoken.question(0, 0) } else { spoken.question(sample + 2, sample) };
+            let asked = Instant::now();
+            if stream.write_all(&question).await.is_err() || spoken.read(stream).await.is_err() {
+                break;
+            }
+            times.push(asked.elapsed());
+        }
+        times
+    }
+
+    /// Ends the cycle and waits until it is stored, so that nothing of it is left for another round.
+    async fn end(mut self) {
+        if self.spoken.wire.is_echo() {
+            return;
+        }
+        let message = json!({"type": "end", "n": u32::MAX});
+        self.stream.write_all(&frame(0x81, message.to_string().as_bytes())).await.expect("an end");
+        self.spoken.read(&mut self.stream).await.expect("it ended");
+        let text = String::from_utf8_lossy(&self.spoken.answer);
+        assert!(text.contains("\"stored\""), "{text}");
+    }
 }
 
 async fn upgrade(stream: &mut TcpStream, address: &str, token: &str, index: u32) {

@@ -77,11 +77,9 @@ async fn compare() {
     for round in 0..ROUNDS {
         for (_, wire, cost, outcomes) in &mut costs {
             let peer = if wire.is_echo() { &echo } else { &server };
-            let before = peer.cpu_seconds();
             let outcome = client::run(peer, *wire, COMPARED, round).await;
-            let spent = peer.cpu_seconds() - before;
             #[expect(clippy::cast_precision_loss, reason = "a few million")]
-            cost.push(spent * 1e6 / outcome.messages as f64);
+            cost.push(outcome.spent * 1e6 / outcome.messages as f64);
             outcomes.push(outcome);
         }
     }
@@ -105,9 +103,8 @@ async fn compare() {
 async fn shop() {
     let dir = tempfile::tempdir().expect("a folder");
     let server = server(&dir).await;
-    let before = server.cpu_seconds();
     let outcome = client::run(&server, Wire::Binary, SHOP, 0).await;
-    let spent = (server.cpu_seconds() - before) / f64::from(SHOP.seconds);
+    let spent = outcome.spent / f64::from(SHOP.seconds);
     println!(
         "{SHOP:?}: {} messages answered of {}, p50 {:.2} ms, p99 {:.2} ms, {:.2} of a core, {} MiB resident",
         outcome.messages,

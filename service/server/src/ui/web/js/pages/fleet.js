@@ -147,6 +147,8 @@ function nothing(who) {
   $("#add").addEventListener("click", () => { if ($("#add").getAttribute("aria-disabled") !== "true") location.assign("/settings#machines"); });
 }
 
+// Within a line only the first letter is lowered: German nouns keep theirs.
+const lowered = (text) => text.charAt(0).toLowerCase() + text.slice(1);
 // The wall is read from eight metres: machines never change their place, and only what is abnormal has a border.
 function wallFrame() {
   document.body.className = "wall";
@@ -173,7 +175,7 @@ function wallPaint() {
   const known = new Set(rows.map((row) => row.machine));
   for (const [machine, node] of nodes) if (!known.has(machine)) { node.remove(); nodes.delete(machine); }
   [...nodes.keys()].sort(natural).forEach((machine, i) => { const node = nodes.get(machine); if (grid.children[i] !== node) grid.insertBefore(node, grid.children[i] ?? null); });
-  put($("#counts"), html`${states.map((state) => html`<span class="state ${state}">${icon(signs[state])}<b>${num(count(state))}</b> ${t(`state.${state}`).toLowerCase()}</span>`)}`);
+  put($("#counts"), html`${states.map((state) => html`<span class="state ${state}">${icon(signs[state])}<b>${num(count(state))}</b> ${lowered(t(`state.${state}`))}</span>`)}`);
   put($("#clock"), time(Date.now()));
 }
 
