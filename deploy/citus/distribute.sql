@@ -4,8 +4,8 @@
 -- database and stopped again, and before any data is in it. Servers connect to the coordinator. Needs Citus 12 or newer
 -- on PostgreSQL 15 or newer, with the workers added (citus_add_node) and citus.shard_replication_factor = 1.
 --
--- Every key of a distributed table contains the column that it is distributed by, and no table has a foreign key: a
--- test of the project holds this file against the migrations, table by table.
+-- Every distributed table is distributed by machine_id, every key of one contains it, no table has a foreign key, and
+-- distributed tables are joined by it: a test of the project holds this file against the migrations and statements.
 
 BEGIN;
 
@@ -29,9 +29,9 @@ SELECT create_distributed_table('tool_wear_checkpoints', 'machine_id', colocate_
 SELECT create_distributed_table('calibrations', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('retention', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('sample_drops', 'machine_id', colocate_with => 'cycles');
-
--- As many as cycles, asked for by their own id, which says nothing of the machine.
-SELECT create_distributed_table('recommendations', 'recommendation_id', colocate_with => 'none');
+SELECT create_distributed_table('cycle_overrides', 'machine_id', colocate_with => 'cycles');
+-- Asked for by their own id alone, which each worker then looks for.
+SELECT create_distributed_table('recommendations', 'machine_id', colocate_with => 'cycles');
 
 COMMIT;
 
@@ -44,6 +44,5 @@ COMMIT;
 -- local: registry_generation
 -- local: sessions
 -- local: stream_leases
--- local: cycle_overrides
 -- local: last_backup
 -- local: write_probe

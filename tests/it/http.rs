@@ -2,6 +2,7 @@
 
 mod app;
 pub(crate) mod commands;
+mod demoted;
 mod feed_profiles;
 mod lists;
 mod matrix;
@@ -11,6 +12,7 @@ mod quarantine;
 mod reading;
 mod registry;
 mod replicas;
+mod retention;
 mod service;
 mod sessions;
 mod sockets;

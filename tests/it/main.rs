@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of stories are part of the stories")]
 
+mod engines;
 mod friction;
 mod fuzz;
 mod hang_ups;

@@ -2,14 +2,16 @@
 
 mod answers;
 mod bad_input;
+mod binary;
 mod lives;
 mod restart;
+mod weekend;
 
 use feedwright_core::units::Timestamp;
 use feedwright_server::clock::Clock;
 use feedwright_server::config::Config;
 use feedwright_server::server::{RunningServer, Server};
-use feedwright_store::{SqliteOptions, SqliteStore, Store};
+use feedwright_store::{PostgresOptions, PostgresStore, SqliteOptions, SqliteStore, Store};
 use secrecy::ExposeSecret;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -22,6 +24,8 @@ pub(crate) const MORNING_US: i64 = 1_777_874_400_000_000;
 pub(crate) struct Shop {
     server: Option<RunningServer>,
     dir: Option<tempfile::TempDir>,
+    /// Address of its database, where that is PostgreSQL's.
+    database: Option<String>,
     pub(crate) client: reqwest::Client,
     pub(crate) address: String,
     pub(crate) admin: String,
@@ -35,20 +39,22 @@ pub(crate) struct Answer {
 }
 
 impl Shop {
-    /// Opens a shop on SQLite, at half past six.
+    /// Opens a shop at half past six, on SQLite unless its story is told on PostgreSQL.
     pub(crate) async fn open() -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let mut shop = Self::start(dir, "").await;
+        let database = crate::engines::next_database().await;
+        let mut shop = Self::start(dir, database, "").await;
         shop.register().await;
         shop
     }
 
-    async fn start(dir: tempfile::TempDir, admin: &str) -> Self {
-        let (server, address) = serve(dir.path().to_owned()).await;
+    async fn start(dir: tempfile::TempDir, database: Option<String>, admin: &str) -> Self {
+        let (server, address) = serve(dir.path().to_owned(), database.as_deref()).await;
         let made = server.first_admin_token.as_ref().map(|token| token.expose_secret().to_owned());
         Self {
             server: Some(server),
             dir: Some(dir),
+            database,
             client: reqwest::Client::new(),
             address,
             admin: made.unwrap_or_else(|| admin.to_owned()),
@@ -58,7 +64,7 @@ impl Shop {
     /// Shuts the server down and starts another one on the same data.
     pub(crate) async fn restart(mut self) -> Self {
         self.server.take().unwrap().shutdown().await.unwrap();
-        Self::start(self.dir.take().unwrap(), &self.admin).await
+        Self::start(self.dir.take().unwrap(), self.database.take(), &self.admin).await
     }
 
     async fn register(&mut self) {
@@ -121,10 +127,15 @@ impl Shop {
     }
 }
 
-async fn serve(dir: PathBuf) -> (RunningServer, String) {
+async fn serve(dir: PathBuf, database: Option<&str>) -> (RunningServer, String) {
     let config = Config::for_tests(&dir).unwrap();
-    let store = SqliteStore::open(dir.join("feedwright.sqlite3"), SqliteOptions::default()).await.unwrap();
-    let store: Arc<dyn Store> = Arc::new(store);
+    let store: Arc<dyn Store> = match database {
+        None => {
+            let path = dir.join("feedwright.sqlite3");
+            Arc::new(SqliteStore::open(path, SqliteOptions::default()).await.unwrap())
+        }
+        Some(address) => Arc::new(PostgresStore::open(address, PostgresOptions::default()).await.unwrap()),
+    };
     let clock = Clock::fixed(Timestamp::from_micros(MORNING_US + 1_800_000_000));
     let server = Server::start(config, store, clock).await.unwrap();
     let address = format!("http://{}", server.local_addr);

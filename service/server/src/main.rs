@@ -4,6 +4,10 @@ use clap::Parser;
 use feedwright_server::cli::{Cli, run};
 use std::process::ExitCode;
 
+/// A post allocates some hundred times, on several threads, and frees on others.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 #[tokio::main]
 async fn main() -> ExitCode {
     match run(Cli::parse()).await {

@@ -91,7 +91,10 @@ impl App {
 
     pub(super) async fn with(settings: &[(&str, &str)]) -> Self {
         let dir = TempDir::new().unwrap();
-        let config = config(&dir, settings);
+        let address = crate::engines::next_database().await;
+        let mut settings = settings.to_vec();
+        settings.extend(address.as_deref().map(|address| ("database.url", address)));
+        let config = config(&dir, &settings);
         let database = database::open(&config).await.unwrap();
         let metrics = Arc::new(Metrics::new(config.limits.metric_machines).unwrap());
         let clock = Clock::fixed(NOW);

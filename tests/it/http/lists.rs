@@ -3,7 +3,12 @@
 use super::app::{App, tool};
 use http::StatusCode;
 
-#[tokio::test]
+crate::engines::on_both!(
+    pages_hold_every_row_once,
+    limits_and_cursors_are_checked,
+    a_cursor_goes_with_its_filters,
+);
+
 async fn pages_hold_every_row_once() {
     let app = App::new().await;
     for number in 0..7 {
@@ -24,7 +29,6 @@ async fn pages_hold_every_row_once() {
     }
 }
 
-#[tokio::test]
 async fn limits_and_cursors_are_checked() {
     let app = App::new().await;
     for number in 0..3 {
@@ -57,7 +61,6 @@ async fn limits_and_cursors_are_checked() {
     assert!(rest.get("next_cursor").is_none());
 }
 
-#[tokio::test]
 async fn a_cursor_goes_with_its_filters() {
     let app = App::registered().await;
     for kind in ["mounted_new", "changed", "reground"] {

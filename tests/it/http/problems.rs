@@ -6,6 +6,14 @@ use feedwright_store::Role;
 use http::{Request, StatusCode};
 use serde_json::json;
 
+crate::engines::on_both!(
+    unknown_paths_and_methods_are_told_as_problems,
+    a_body_is_refused_for_its_type_its_size_or_its_form,
+    each_bad_field_is_named_by_its_path,
+    every_violation_is_listed_not_only_the_first,
+    a_sane_request_id_is_taken_over_and_another_is_not,
+);
+
 async fn put_raw(app: &App, content_type: Option<&str>, body: &str) -> super::app::Answer {
     let mut request = Request::put("/v1/machines/M1")
         .header("authorization", format!("Bearer {}", app.token(Role::Engineer)));
@@ -15,7 +23,6 @@ async fn put_raw(app: &App, content_type: Option<&str>, body: &str) -> super::ap
     app.send(request.body(Body::from(body.to_owned())).unwrap()).await
 }
 
-#[tokio::test]
 async fn unknown_paths_and_methods_are_told_as_problems() {
     let app = App::new().await;
     let answer = app.get("/v2/machines").await;
@@ -36,7 +43,6 @@ async fn unknown_paths_and_methods_are_told_as_problems() {
     assert!(answer.json()["detail"].as_str().unwrap().contains("opened"));
 }
 
-#[tokio::test]
 async fn a_body_is_refused_for_its_type_its_size_or_its_form() {
     let app = App::with(&[("limits.registration_bytes", "1000")]).await;
     for kind in [None, Some("text/plain"), Some("application/x-www-form-urlencoded")] {
@@ -53,7 +59,6 @@ async fn a_body_is_refused_for_its_type_its_size_or_its_form() {
     }
 }
 
-#[tokio::test]
 async fn each_bad_field_is_named_by_its_path() {
     let app = App::new().await;
     let good = machine().to_string();
@@ -102,7 +107,6 @@ async fn each_bad_field_is_named_by_its_path() {
     assert_eq!(app.get("/v1/machines/M1").await.status, StatusCode::NOT_FOUND, "nothing was kept");
 }
 
-#[tokio::test]
 async fn every_violation_is_listed_not_only_the_first() {
     let app = App::new().await;
     let mut body = machine();
@@ -117,7 +121,6 @@ async fn every_violation_is_listed_not_only_the_first() {
     }
 }
 
-#[tokio::test]
 async fn a_sane_request_id_is_taken_over_and_another_is_not() {
     let app = App::new().await;
     let answer = app.call(Role::Viewer, "GET", "/v1/tools/X", &[("x-request-id", "edge-7.A_1")], None).await;

@@ -6,6 +6,11 @@ use feedwright_store::{QuarantineBounds, QuarantineEntry, Role};
 use http::StatusCode;
 use serde_json::{Value, json};
 
+crate::engines::on_both!(
+    an_entry_is_shown_with_its_body_and_discarded_with_a_reason,
+    a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays,
+);
+
 const BOUNDS: QuarantineBounds = QuarantineBounds { entries: 10, bytes: 1_000_000 };
 
 async fn keep(app: &App, id: &str, body: &[u8]) {
@@ -27,7 +32,6 @@ async fn settle(app: &App, id: &str, body: Value) -> super::app::Answer {
     app.post(&format!("/v1/quarantine/{id}"), body).await
 }
 
-#[tokio::test]
 async fn an_entry_is_shown_with_its_body_and_discarded_with_a_reason() {
     let app = App::registered().await;
     keep(&app, "q1", b"{\"cycle_id\": \"c-1\", \"x\": 1e999}").await;
@@ -62,7 +66,6 @@ async fn an_entry_is_shown_with_its_body_and_discarded_with_a_reason() {
     assert!(audit.contains("test cut"), "{audit}");
 }
 
-#[tokio::test]
 async fn a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays() {
     let app = App::registered().await;
     let cycle = |energy: Value| {

@@ -5,6 +5,14 @@ use feedwright_store::Role;
 use http::StatusCode;
 use serde_json::{Value, json};
 
+crate::engines::on_both!(
+    samples_come_chosen_in_a_range_and_few_enough_for_a_screen,
+    samples_come_in_the_form_that_is_accepted,
+    what_cannot_be_read_says_why,
+    buckets_hold_every_cycle_once_and_gaps_are_no_zeros,
+    the_last_cycles_of_a_tool_and_how_worn_it_was_after_each,
+);
+
 const SAMPLES: &str = "/v1/machines/M1/cycles/s1/samples";
 
 async fn shop() -> App {
@@ -42,7 +50,6 @@ async fn sampled(app: &App) {
     .await;
 }
 
-#[tokio::test]
 async fn samples_come_chosen_in_a_range_and_few_enough_for_a_screen() {
     let app = shop().await;
     sampled(&app).await;
@@ -74,7 +81,6 @@ async fn samples_come_chosen_in_a_range_and_few_enough_for_a_screen() {
     );
 }
 
-#[tokio::test]
 async fn samples_come_in_the_form_that_is_accepted() {
     let app = shop().await;
     sampled(&app).await;
@@ -96,7 +102,6 @@ async fn samples_come_in_the_form_that_is_accepted() {
     assert_eq!((refused.status, refused.code().as_str()), (StatusCode::NOT_ACCEPTABLE, "not_acceptable"));
 }
 
-#[tokio::test]
 async fn what_cannot_be_read_says_why() {
     let app = shop().await;
     sampled(&app).await;
@@ -153,7 +158,6 @@ fn reported(number: u32, at: &str, joules: f64) -> Value {
     })
 }
 
-#[tokio::test]
 async fn buckets_hold_every_cycle_once_and_gaps_are_no_zeros() {
     let app = shop().await;
     for (number, at, joules) in
@@ -201,7 +205,6 @@ async fn buckets_hold_every_cycle_once_and_gaps_are_no_zeros() {
     }
 }
 
-#[tokio::test]
 async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {
     let app = shop().await;
     for number in 0..30 {

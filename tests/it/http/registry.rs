@@ -5,7 +5,14 @@ use feedwright_store::Role;
 use http::StatusCode;
 use serde_json::{Value, json};
 
-#[tokio::test]
+crate::engines::on_both!(
+    what_is_put_comes_back_with_its_version,
+    a_change_names_the_version_it_is_based_on,
+    a_reset_needs_a_reason_and_goes_into_the_audit,
+    fitted_lines_get_versions,
+    a_machine_without_overloads_has_nothing_to_acknowledge,
+);
+
 async fn what_is_put_comes_back_with_its_version() {
     let app = App::new().await;
     for (path, body, field) in [
@@ -30,7 +37,6 @@ async fn what_is_put_comes_back_with_its_version() {
     }
 }
 
-#[tokio::test]
 async fn a_change_names_the_version_it_is_based_on() {
     let app = App::registered().await;
     let change = |name: &str| {
@@ -75,7 +81,6 @@ async fn a_change_names_the_version_it_is_based_on() {
     assert_eq!((newer.status, newer.json()["name"].as_str()), (StatusCode::OK, Some("b")));
 }
 
-#[tokio::test]
 async fn a_reset_needs_a_reason_and_goes_into_the_audit() {
     let app = App::registered().await;
     let mounted = json!({"kind": "mounted_new", "at": "2026-05-04T05:00:00Z",
@@ -106,7 +111,6 @@ async fn a_reset_needs_a_reason_and_goes_into_the_audit() {
     assert!(audit.contains("machine/M1"), "{audit}");
 }
 
-#[tokio::test]
 async fn fitted_lines_get_versions() {
     let app = App::registered().await;
     let line = json!({"slope": 20.0, "intercept": -50.0, "min_percent": 5.0, "max_percent": 45.0,
@@ -132,7 +136,6 @@ async fn fitted_lines_get_versions() {
     assert_eq!(unknown.status, StatusCode::NOT_FOUND);
 }
 
-#[tokio::test]
 async fn a_machine_without_overloads_has_nothing_to_acknowledge() {
     let app = App::registered().await;
     let answer = app.call(Role::Engineer, "POST", "/v1/machines/M1/acknowledge", &[], None).await;

@@ -3,6 +3,16 @@
 use super::{Shop, at, reported};
 use serde_json::{Value, json};
 
+crate::engines::on_both!(
+    a_cycle_is_answered_with_its_summary_the_wear_and_what_to_run_next,
+    the_same_cycle_again_is_known_and_another_content_a_conflict_that_loses_nothing,
+    a_batch_answers_every_line_and_a_bad_one_fails_alone,
+    gzip_and_zstd_bodies_are_the_same_cycle,
+    a_cycle_and_its_samples_can_be_read_back_and_listed,
+    a_mes_asks_what_to_run_next,
+    prometheus_sees_what_happened,
+);
+
 fn sampled(number: i64) -> Value {
     let load: Vec<f64> = (0..400).map(|k| if (100..300).contains(&k) { 20.0 } else { 0.0 }).collect();
     json!({
@@ -12,7 +22,6 @@ fn sampled(number: i64) -> Value {
     })
 }
 
-#[tokio::test]
 async fn a_cycle_is_answered_with_its_summary_the_wear_and_what_to_run_next() {
     let shop = Shop::open().await;
     let answer = shop.cycle("M1", &sampled(1)).await;
@@ -39,7 +48,6 @@ async fn a_cycle_is_answered_with_its_summary_the_wear_and_what_to_run_next() {
     assert_eq!((kept.status, &kept.body), (200, advice));
 }
 
-#[tokio::test]
 async fn the_same_cycle_again_is_known_and_another_content_a_conflict_that_loses_nothing() {
     let shop = Shop::open().await;
     assert_eq!(shop.cycle("M1", &reported(1, 1000.0)).await.status, 201);
@@ -61,7 +69,6 @@ async fn the_same_cycle_again_is_known_and_another_content_a_conflict_that_loses
     assert_eq!(shop.cycle("M2", &reported(1, 1001.0)).await.status, 201);
 }
 
-#[tokio::test]
 async fn a_batch_answers_every_line_and_a_bad_one_fails_alone() {
     let shop = Shop::open().await;
     let mut lines: Vec<String> = (1..=100).map(|number| reported(number, 1000.0).to_string()).collect();
@@ -85,7 +92,6 @@ async fn a_batch_answers_every_line_and_a_bad_one_fails_alone() {
     assert_eq!((&wear.body["cycles"], &wear.body["state"]), (&json!(97), &json!("good")));
 }
 
-#[tokio::test]
 async fn gzip_and_zstd_bodies_are_the_same_cycle() {
     let shop = Shop::open().await;
     let json = reported(1, 1000.0).to_string();
@@ -100,7 +106,6 @@ async fn gzip_and_zstd_bodies_are_the_same_cycle() {
     }
 }
 
-#[tokio::test]
 async fn a_cycle_and_its_samples_can_be_read_back_and_listed() {
     let shop = Shop::open().await;
     for number in 1..=25 {
@@ -138,7 +143,6 @@ async fn a_cycle_and_its_samples_can_be_read_back_and_listed() {
     assert!(csv.text.lines().nth(1).unwrap().contains("rated_power,2800"), "{}", csv.text);
 }
 
-#[tokio::test]
 async fn a_mes_asks_what_to_run_next() {
     let shop = Shop::open().await;
     let viewer = shop.token("viewer", None).await;
@@ -173,7 +177,6 @@ async fn a_mes_asks_what_to_run_next() {
     assert_eq!(shop.send_as(ask("machine=M2&operation=O1&tool=T1"), &own).await.status, 403);
 }
 
-#[tokio::test]
 async fn prometheus_sees_what_happened() {
     let shop = Shop::open().await;
     for number in 1..=6 {

@@ -3,9 +3,16 @@
 use super::{Shop, reported};
 use serde_json::{Value, json};
 
+crate::engines::on_both!(
+    content_that_cannot_be_is_named_and_kept_in_quarantine,
+    what_is_unusual_but_possible_is_stored_with_flags,
+    bodies_that_are_torn_too_large_or_foreign_are_refused_and_not_kept,
+    only_the_machine_itself_may_post_its_cycles,
+    what_was_quarantined_can_be_repaired_and_taken_in,
+);
+
 const CYCLES: &str = "/v1/machines/M1/cycles";
 
-#[tokio::test]
 async fn content_that_cannot_be_is_named_and_kept_in_quarantine() {
     let shop = Shop::open().await;
     let with = |samples: &str| {
@@ -56,7 +63,6 @@ async fn content_that_cannot_be_is_named_and_kept_in_quarantine() {
     assert_eq!(shop.get("/v1/cycles").await.body["items"], json!([]));
 }
 
-#[tokio::test]
 async fn what_is_unusual_but_possible_is_stored_with_flags() {
     let shop = Shop::open().await;
     let cycle = json!({
@@ -83,7 +89,6 @@ async fn what_is_unusual_but_possible_is_stored_with_flags() {
     assert!(shop.get("/v1/alarms?open=true").await.text.contains("overload"));
 }
 
-#[tokio::test]
 async fn bodies_that_are_torn_too_large_or_foreign_are_refused_and_not_kept() {
     let shop = Shop::open().await;
     let refused = |answer: &super::Answer| {
@@ -112,7 +117,6 @@ async fn bodies_that_are_torn_too_large_or_foreign_are_refused_and_not_kept() {
     assert_eq!(shop.get("/v1/quarantine").await.body["items"], json!([]));
 }
 
-#[tokio::test]
 async fn only_the_machine_itself_may_post_its_cycles() {
     let shop = Shop::open().await;
     let own = shop.token("machine", Some("M1")).await;
@@ -136,7 +140,6 @@ async fn only_the_machine_itself_may_post_its_cycles() {
     assert_eq!(shop.send_as(post("M1"), &own).await.status, 401);
 }
 
-#[tokio::test]
 async fn what_was_quarantined_can_be_repaired_and_taken_in() {
     let shop = Shop::open().await;
     let bad = reported(1, 1000.0).to_string().replace("1000.0", "NaN");

@@ -3,6 +3,18 @@
 use super::{Shop, at, reported};
 use serde_json::{Value, json};
 
+crate::engines::on_both!(
+    a_tool_wears_is_alarmed_and_changed,
+    a_broken_tool_is_suspected_at_once_and_an_air_cut_told_from_it_by_the_next_cycle,
+    changed_conditions_are_alarmed_and_confirmed_by_an_engineer,
+    unregistered_tools_are_kept_and_counted_once_they_are_registered,
+    late_and_shuffled_cycles_end_in_the_same_verdict,
+    a_tool_that_moves_between_machines_has_one_verdict,
+    a_clock_that_was_never_set_spoils_nothing,
+    an_event_may_name_a_cycle_that_has_not_come_yet,
+    another_rating_is_another_baseline_and_no_wear,
+);
+
 async fn state_after(shop: &Shop, cycles: &[(i64, f64)]) -> Value {
     let mut last = Value::Null;
     for (number, joules) in cycles {
@@ -13,7 +25,6 @@ async fn state_after(shop: &Shop, cycles: &[(i64, f64)]) -> Value {
     last
 }
 
-#[tokio::test]
 async fn a_tool_wears_is_alarmed_and_changed() {
     let shop = Shop::open().await;
     let mut cycles: Vec<(i64, f64)> = (1..=5).map(|number| (number, 1000.0)).collect();
@@ -37,7 +48,6 @@ async fn a_tool_wears_is_alarmed_and_changed() {
     assert!(audit.text.contains("worn") && audit.text.contains("tool/T1"), "{}", audit.text);
 }
 
-#[tokio::test]
 async fn a_broken_tool_is_suspected_at_once_and_an_air_cut_told_from_it_by_the_next_cycle() {
     let shop = Shop::open().await;
     let good: Vec<(i64, f64)> = (1..=8).map(|number| (number, 1000.0)).collect();
@@ -53,7 +63,6 @@ async fn a_broken_tool_is_suspected_at_once_and_an_air_cut_told_from_it_by_the_n
     assert_eq!(shop.get("/v1/alarms?open=true").await.body["items"], json!([]));
 }
 
-#[tokio::test]
 async fn changed_conditions_are_alarmed_and_confirmed_by_an_engineer() {
     let shop = Shop::open().await;
     let good: Vec<(i64, f64)> = (1..=8).map(|number| (number, 1000.0)).collect();
@@ -68,7 +77,6 @@ async fn changed_conditions_are_alarmed_and_confirmed_by_an_engineer() {
     assert_eq!((&wear["state"], &wear["level"]["as_run"]), (&json!("good"), &json!(1.0)), "{wear}");
 }
 
-#[tokio::test]
 async fn unregistered_tools_are_kept_and_counted_once_they_are_registered() {
     let shop = Shop::open().await;
     for number in 1..=6 {
@@ -92,7 +100,6 @@ async fn unregistered_tools_are_kept_and_counted_once_they_are_registered() {
     assert_eq!((&wear.body["state"], &wear.body["counted"]), (&json!("good"), &json!(6)), "{}", wear.text);
 }
 
-#[tokio::test]
 async fn late_and_shuffled_cycles_end_in_the_same_verdict() {
     let energies: Vec<(i64, f64)> = (1..=60)
         .map(|number| (number, if number == 20 { 90.0 } else { 1000.0 + 1.5 * number as f64 }))
@@ -110,7 +117,6 @@ async fn late_and_shuffled_cycles_end_in_the_same_verdict() {
     );
 }
 
-#[tokio::test]
 async fn a_tool_that_moves_between_machines_has_one_verdict() {
     let shop = Shop::open().await;
     let good: Vec<(i64, f64)> =
@@ -127,7 +133,6 @@ async fn a_tool_that_moves_between_machines_has_one_verdict() {
     assert_eq!(wear.body["state"], "worn");
 }
 
-#[tokio::test]
 async fn a_clock_that_was_never_set_spoils_nothing() {
     let shop = Shop::open().await;
     let mut early = reported(1, 5000.0);
@@ -144,7 +149,6 @@ async fn a_clock_that_was_never_set_spoils_nothing() {
     assert_eq!((&wear["state"], &wear["cycles"]), (&json!("good"), &json!(5)));
 }
 
-#[tokio::test]
 async fn an_event_may_name_a_cycle_that_has_not_come_yet() {
     for (kind, cycles) in [("changed", 6), ("reground", 6), ("mounted_new", 6), ("conditions_confirmed", 12)]
     {
@@ -168,7 +172,6 @@ async fn an_event_may_name_a_cycle_that_has_not_come_yet() {
     }
 }
 
-#[tokio::test]
 async fn another_rating_is_another_baseline_and_no_wear() {
     let shop = Shop::open().await;
     let loaded = |number: i64| {

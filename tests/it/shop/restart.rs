@@ -3,7 +3,8 @@
 use super::{Shop, reported};
 use serde_json::json;
 
-#[tokio::test]
+crate::engines::on_both!(a_restart_loses_nothing_and_goes_on_to_the_bit,);
+
 async fn a_restart_loses_nothing_and_goes_on_to_the_bit() {
     let shop = Shop::open().await;
     for number in 1..=7 {

@@ -70,6 +70,9 @@ async fn every_table_is_placed_and_every_key_of_a_distributed_one_holds_its_colu
             held += 1;
         }
     }
+    for (table, by) in &placed {
+        assert!(by.as_ref().is_none_or(|by| by == "machine_id"), "{table} is distributed by {by:?}");
+    }
     let distributed = placed.values().flatten().count();
     assert!(held >= distributed, "each of the {distributed} has a primary key, found {held}");
 
@@ -97,20 +100,66 @@ async fn every_table_is_placed_and_every_key_of_a_distributed_one_holds_its_colu
     given.done().await;
 }
 
+/// The statements in a source: its string literals that name a join, in one line each.
+fn joins(source: &str) -> Vec<String> {
+    let flat = source.split_whitespace().collect::<Vec<_>>().join(" ");
+    let literals = flat.split('"').filter(|text| text.contains("JOIN "));
+    literals.map(str::to_owned).collect()
+}
+
+/// Rows of different machines stand on different nodes: what joins two distributed tables joins them by machine.
+#[test]
+fn distributed_tables_are_joined_by_machine() {
+    let distributed: BTreeSet<String> =
+        placed().into_iter().filter(|(_, by)| by.is_some()).map(|(table, _)| table).collect();
+    let mut joined = 0;
+    let mut held = 0;
+    for (path, text) in sources() {
+        for statement in joins(&text) {
+            for (at, _) in statement.match_indices("JOIN ") {
+                joined += 1;
+                let rest = &statement[at + "JOIN ".len()..];
+                let mut words = rest.split(' ');
+                let (table, alias) = (words.next().unwrap_or(""), words.next().unwrap_or(""));
+                if !distributed.contains(table) {
+                    continue;
+                }
+                held += 1;
+                let condition = rest.split(" ON ").nth(1).unwrap_or("");
+                let ends = ["JOIN ", "WHERE ", "ORDER ", "GROUP "];
+                let end =
+                    ends.iter().filter_map(|word| condition.find(word)).min().unwrap_or(condition.len());
+                assert!(
+                    condition[..end].contains(&format!("{alias}.machine_id = ")),
+                    "{path}: {table} is joined otherwise than by machine: {statement}"
+                );
+            }
+        }
+    }
+    assert!(joined >= 10 && held >= 2, "statements are found: {joined} joins, {held} of distributed tables");
+}
+
+/// Every source of the store, by its path.
+fn sources() -> Vec<(String, String)> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../service/store/src");
+    let mut paths = vec![std::path::PathBuf::from(folder)];
+    let mut read = Vec::new();
+    while let Some(path) = paths.pop() {
+        if path.is_dir() {
+            paths.extend(std::fs::read_dir(path).unwrap().flatten().map(|entry| entry.path()));
+        } else {
+            read.push((path.display().to_string(), std::fs::read_to_string(&path).unwrap()));
+        }
+    }
+    read
+}
+
 /// Citus refuses to lock rows of several shards at once: a tool's folds stand on as many as it has machines.
 #[test]
 fn no_statement_locks_rows_of_several_shards() {
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../service/store/src");
-    let mut files = vec![std::path::PathBuf::from(folder)];
-    let mut read = 0;
-    while let Some(path) = files.pop() {
-        if path.is_dir() {
-            files.extend(std::fs::read_dir(path).unwrap().flatten().map(|entry| entry.path()));
-            continue;
-        }
-        let text = std::fs::read_to_string(&path).unwrap();
-        assert!(!text.contains("FOR UPDATE") && !text.contains("FOR SHARE"), "{}", path.display());
-        read += 1;
+    let sources = sources();
+    for (path, text) in &sources {
+        assert!(!text.contains("FOR UPDATE") && !text.contains("FOR SHARE"), "{path}");
     }
-    assert!(read > 30, "the store's sources are read");
+    assert!(sources.len() > 30, "the store's sources are read");
 }

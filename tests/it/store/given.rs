@@ -72,18 +72,22 @@ impl Given {
         Self { store: Arc::new(store), place: Place::File(folder) }
     }
 
-    /// A database of its own on the server that `tests/postgres` started. Without one the story fails, so that nobody
-    /// believes it was told; `None` only where a person asked to leave it out.
+    /// Address of the server that `tests/postgres` started. Without one the story fails, so that nobody believes it was
+    /// told; `None` only where a person asked to leave it out.
+    pub(crate) fn server() -> Option<String> {
+        let server = std::env::var("FEEDWRIGHT_TEST_POSTGRES").ok();
+        let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+        assert!(
+            server.is_some() || set("FEEDWRIGHT_TEST_SKIP_POSTGRES") && !set("CI"),
+            "no PostgreSQL: run `tests/run`, or this command behind `tests/postgres`, or set \
+             FEEDWRIGHT_TEST_SKIP_POSTGRES=1 to leave its stories out"
+        );
+        server
+    }
+
+    /// A database of its own on that server.
     pub(crate) async fn postgres() -> Option<Self> {
-        let Ok(server) = std::env::var("FEEDWRIGHT_TEST_POSTGRES") else {
-            let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
-            assert!(
-                set("FEEDWRIGHT_TEST_SKIP_POSTGRES") && !set("CI"),
-                "no PostgreSQL: run `tests/run`, or this command behind `tests/postgres`, or set \
-                 FEEDWRIGHT_TEST_SKIP_POSTGRES=1 to leave its stories out"
-            );
-            return None;
-        };
+        let server = Self::server()?;
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let name = format!("story_{}_{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
         let mut admin = PgConnection::connect(&server).await.expect("the server of tests/postgres answers");
@@ -169,6 +173,16 @@ impl Given {
                 format!("{base}/{name}")
             }
         }
+    }
+
+    /// Removes a database whose servers may not have let go of it yet.
+    pub(crate) async fn removed(self) {
+        self.store.close().await;
+        let Place::Database { server, name } = self.place else { unreachable!("only a database is removed") };
+        let mut admin = PgConnection::connect(&server).await.expect("the server answers");
+        let mut drop = sqlx::QueryBuilder::<sqlx::Postgres>::new("DROP DATABASE ");
+        drop.push(&name).push(" WITH (FORCE)");
+        drop.build().persistent(false).execute(&mut admin).await.expect("removed");
     }
 
     pub(crate) async fn done(self) {

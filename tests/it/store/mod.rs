@@ -11,7 +11,7 @@ mod citus;
 mod cycles;
 mod feed_profiles;
 mod models;
-mod operations;
+pub(crate) mod operations;
 mod registry;
 mod replicas;
 mod retention;

@@ -48,7 +48,7 @@ async fn answers(url: &str) {
 }
 
 /// A PostgreSQL server of a story's own, that it may stop and start.
-struct Cluster {
+pub(crate) struct Cluster {
     folder: tempfile::TempDir,
     binaries: PathBuf,
     port: u16,
@@ -56,7 +56,7 @@ struct Cluster {
 
 impl Cluster {
     /// `None` only where a person asked to leave the stories of PostgreSQL out.
-    fn new() -> Option<Self> {
+    pub(crate) fn new() -> Option<Self> {
         std::env::var_os("FEEDWRIGHT_TEST_POSTGRES").or_else(|| {
             assert!(
                 std::env::var_os("FEEDWRIGHT_TEST_SKIP_POSTGRES").is_some(),
@@ -95,11 +95,11 @@ impl Cluster {
         assert!(command.stdout(Stdio::null()).status().unwrap().success(), "pg_ctl {arguments:?}");
     }
 
-    fn url(&self) -> String {
+    pub(crate) fn url(&self) -> String {
         format!("postgres://feedwright@127.0.0.1:{}/postgres", self.port)
     }
 
-    async fn run(&self, sql: &'static str) {
+    pub(crate) async fn run(&self, sql: &'static str) {
         PgConnection::connect(&self.url()).await.unwrap().execute(sql).await.unwrap();
     }
 }

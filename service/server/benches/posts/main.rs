@@ -4,13 +4,15 @@
 //! `-- --peers` it starts VictoriaMetrics and InfluxDB too (Debian's packages `victoria-metrics` and `influxdb`) and
 //! prints ratios; behind `tests/postgres` it also reads cycles out of rows of PostgreSQL.
 //! `-- --weekend` replays 96,000 cycles of 200 machines while others post live; `-- --growth 10000000` tells what so
-//! many cycles do to the cost of the next one. It never judges: absolute figures of a shared machine are noise, ratios
-//! of one run are the result.
+//! many cycles do to the cost of the next one; `-- --stages` tells what each step of a post costs by itself;
+//! `-- --blocks` tells what samples of many cycles in one block would save. It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
 
+mod blocks;
 mod data;
 mod growth;
 mod peers;
 mod process;
+mod stages;
 mod weekend;
 
 use data::Cycle;
@@ -21,8 +23,8 @@ use std::time::{Duration, Instant};
 
 /// Cycles of one round, as in a shop of 40 machines.
 const CYCLES: usize = 4_000;
-/// Clients that post at the same time in the throughput rounds.
-const CLIENTS: usize = 8;
+/// Clients that post at the same time in the throughput rounds: every machine has its own connection.
+const CLIENTS: usize = data::MACHINES;
 /// Cycles of the latency round: one client, one cycle a request.
 const ALONE: usize = 500;
 /// Rounds whose median is printed.
@@ -72,6 +74,12 @@ fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     let given = |name: &str| arguments.iter().position(|argument| argument == name);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+    if given("--blocks").is_some() {
+        return blocks::measure();
+    }
+    if given("--stages").is_some() {
+        return stages::measure();
+    }
     if given("--weekend").is_some() {
         return runtime.block_on(weekend::replay());
     }

@@ -18,12 +18,12 @@ pub(crate) struct Running {
 }
 
 impl Running {
-    /// Feedwright in that directory, on a free port.
+    /// Feedwright in that directory, on a free port. Like its peers here it writes no line per request.
     pub(crate) async fn feedwright(dir: &Path) -> Self {
         let port = free_port();
         let mut child = Command::new(env!("CARGO_BIN_EXE_feedwright"))
             .args(["--data-dir".as_ref(), dir.as_os_str()])
-            .args(["serve", "--listen", &format!("127.0.0.1:{port}")])
+            .args(["--set", "log.level=warn", "serve", "--listen", &format!("127.0.0.1:{port}")])
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()

@@ -35,6 +35,7 @@ struct Round {
 }
 
 fn main() {
+    feedwright_server::tls::use_ring();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
     runtime.block_on(run());
 }

@@ -1,15 +1,23 @@
 //! The bounded sequence of what was shown.
 
-use super::event::Event;
+use super::event::{Event, Kind};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// An event as it was shown.
+/// An event as it was shown: its data is text, a fifth of what a tree of it takes, and thousands are kept.
 #[derive(Debug)]
 pub(super) struct Shown {
     /// Its number; samples have none.
     pub(super) number: Option<u64>,
-    pub(super) event: Event,
+    pub(super) kind: Kind,
+    pub(super) machine: Option<String>,
+    pub(super) data: Box<str>,
+}
+
+impl Shown {
+    pub(super) fn new(number: Option<u64>, event: Event) -> Self {
+        Self { number, kind: event.kind, machine: event.machine, data: event.data.to_string().into() }
+    }
 }
 
 /// The newest events, numbered from 1.
@@ -38,7 +46,7 @@ impl History {
         if self.events.len() == self.most {
             self.events.pop_front();
         }
-        self.events.push_back(Arc::new(Shown { number: Some(self.newest), event }));
+        self.events.push_back(Arc::new(Shown::new(Some(self.newest), event)));
         self.newest
     }
 
@@ -57,7 +65,6 @@ impl History {
 
 #[cfg(test)]
 mod tests {
-    use super::super::event::{Event, Kind};
     use super::*;
 
     fn numbers(batch: &Batch) -> Vec<u64> {

@@ -99,7 +99,7 @@ impl Live {
     fn show(&self, event: Event) {
         if event.kind == Kind::Sample {
             // Fails where nobody watches.
-            let _ = self.samples.send(Arc::new(Shown { number: None, event }));
+            let _ = self.samples.send(Arc::new(Shown::new(None, event)));
             return;
         }
         if event.kind == Kind::Machine {

@@ -1,7 +1,7 @@
 //! One reader: a position in the history, and samples where it asks for them.
 
 use super::Live;
-use super::event::{Event, Kind};
+use super::event::Kind;
 use super::history::Shown;
 use crate::lifecycle::Lifecycle;
 use axum::response::sse;
@@ -74,11 +74,13 @@ impl Reader {
                 reader.next = position.number + 1;
             }
             // Numbers of another server, or of this one before it was started again, mean nothing here.
-            Some(_) => reader.push("gap", None, &json!({"reason": "other_server", "missed": null})),
+            Some(_) => {
+                reader.push("gap", None, &json!({"reason": "other_server", "missed": null}).to_string())
+            }
             None => {}
         }
         // The state carries the position before what follows, so that a reader who sees nothing more can resume too.
-        reader.push("state", Some(reader.next - 1), &state);
+        reader.push("state", Some(reader.next - 1), &state.to_string());
         Some(reader)
     }
 
@@ -90,8 +92,8 @@ impl Reader {
         machines
     }
 
-    fn push(&mut self, name: &str, number: Option<u64>, data: &serde_json::Value) {
-        let mut event = sse::Event::default().event(name).data(data.to_string());
+    fn push(&mut self, name: &str, number: Option<u64>, data: &str) {
+        let mut event = sse::Event::default().event(name).data(data);
         if let Some(number) = number {
             event = event.id(format!("{}-{number}", self.live.boot));
         }
@@ -101,8 +103,8 @@ impl Reader {
         self.ready.push_back(event);
     }
 
-    fn wants(&self, event: &Event) -> bool {
-        match (&self.machine, &event.machine) {
+    fn wants(&self, shown: &Shown) -> bool {
+        match (&self.machine, &shown.machine) {
             (Some(wanted), Some(machine)) => wanted == machine,
             _ => true,
         }
@@ -115,13 +117,13 @@ impl Reader {
         };
         if let Some((first, last)) = batch.missed {
             let data = json!({"reason": "reader_too_slow", "missed": last - first + 1});
-            self.push(Kind::Gap.as_str(), Some(last), &data);
+            self.push(Kind::Gap.as_str(), Some(last), &data.to_string());
             self.next = last + 1;
         }
         for shown in batch.events {
             self.next = shown.number.map_or(self.next, |number| number + 1);
-            if self.wants(&shown.event) {
-                self.push(shown.event.kind.as_str(), shown.number, &shown.event.data);
+            if self.wants(&shown) {
+                self.push(shown.kind.as_str(), shown.number, &shown.data);
             }
         }
     }
@@ -146,12 +148,13 @@ impl Reader {
             tokio::select! {
                 changed = self.newest.changed() => changed.ok()?,
                 sample = sample => match sample {
-                    Ok(shown) if self.wants(&shown.event) => {
-                        self.push(shown.event.kind.as_str(), None, &shown.event.data);
+                    Ok(shown) if self.wants(&shown) => {
+                        self.push(shown.kind.as_str(), None, &shown.data);
                     }
                     Ok(_) => {}
                     Err(broadcast::error::RecvError::Lagged(missed)) => {
-                        self.push(Kind::Gap.as_str(), None, &json!({"reason": "samples_too_fast", "missed": missed}));
+                        let data = json!({"reason": "samples_too_fast", "missed": missed});
+                        self.push(Kind::Gap.as_str(), None, &data.to_string());
                     }
                     Err(broadcast::error::RecvError::Closed) => self.samples = None,
                 },

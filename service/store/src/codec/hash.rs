@@ -66,6 +66,21 @@ impl Hash {
         self.waiting.extend_from_slice(bytes);
     }
 
+    /// Words as little-endian bytes, many at a time.
+    fn words<T: Copy>(&mut self, words: &[T], bits: impl Fn(T) -> u64) {
+        for words in words.chunks(WAITING / 8) {
+            if self.waiting.len() + 8 * words.len() > WAITING {
+                self.hasher.update(&self.waiting);
+                self.waiting.clear();
+            }
+            let begin = self.waiting.len();
+            self.waiting.resize(begin + 8 * words.len(), 0);
+            for (place, word) in self.waiting[begin..].chunks_exact_mut(8).zip(words) {
+                place.copy_from_slice(&bits(*word).to_le_bytes());
+            }
+        }
+    }
+
     fn text(&mut self, text: &str) {
         let length = u32::try_from(text.len()).unwrap_or(u32::MAX);
         self.bytes(&length.to_le_bytes());
@@ -112,11 +127,11 @@ impl Hash {
         match column {
             Column::Decimal { scale, values } => {
                 self.bytes(&[*scale]);
-                values.iter().for_each(|value| self.bytes(&value.to_le_bytes()));
+                self.words(values, i64::cast_unsigned);
             }
             Column::Exact(bits) => {
                 self.bytes(&[255]);
-                bits.iter().for_each(|bits| self.bytes(&bits.to_le_bytes()));
+                self.words(bits, |bits| bits);
             }
         }
     }

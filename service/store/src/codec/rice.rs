@@ -59,14 +59,14 @@ impl BitWriter {
         Self { out, waiting: 0, count: 0 }
     }
 
-    /// At most 32 bits of `value`.
-    #[expect(clippy::cast_possible_truncation, reason = "the highest byte of those that wait")]
+    /// At most 32 bits, which `value` does not exceed. Fewer than 32 wait before and after.
+    #[expect(clippy::cast_possible_truncation, reason = "the highest 32 bits of those that wait")]
     fn put(&mut self, value: u64, bits: u32) {
         self.waiting = self.waiting << bits | value;
         self.count += bits;
-        while self.count >= 8 {
-            self.count -= 8;
-            self.out.push((self.waiting >> self.count) as u8);
+        if self.count >= 32 {
+            self.count -= 32;
+            self.out.extend_from_slice(&((self.waiting >> self.count) as u32).to_be_bytes());
         }
     }
 
@@ -86,8 +86,12 @@ impl BitWriter {
             // Ones and a zero.
             let ones = (1_u64 << (quotient + 1)) - 2;
             let bits = u32::try_from(quotient).unwrap_or(ESCAPE) + 1;
-            self.put(ones, bits);
-            self.put_long(residual, k);
+            if bits + k <= 32 {
+                self.put(ones << k | residual & ((1 << k) - 1), bits + k);
+            } else {
+                self.put(ones, bits);
+                self.put_long(residual, k);
+            }
         } else {
             self.put((1 << ESCAPE) - 1, ESCAPE);
             self.put_long(residual, 64);
@@ -95,9 +99,15 @@ impl BitWriter {
         parameter.follow(residual);
     }
 
+    #[expect(clippy::cast_possible_truncation, reason = "the highest byte of those that wait")]
     pub(super) fn finish(mut self) -> Vec<u8> {
-        if self.count > 0 {
-            self.put(0, 8 - self.count);
+        // The last byte is filled up with zeros; what waits is below 40 bits then.
+        let padding = self.count.next_multiple_of(8) - self.count;
+        self.waiting <<= padding;
+        self.count += padding;
+        while self.count > 0 {
+            self.count -= 8;
+            self.out.push((self.waiting >> self.count) as u8);
         }
         self.out
     }

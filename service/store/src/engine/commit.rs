@@ -2,7 +2,7 @@
 
 use super::memory::Memory;
 use super::registry::GroupRegistry;
-use super::wear::{self, ToolWear, Versions};
+use super::wear::{self, Heads, ToolWear, Versions};
 use super::{Conn, alarms, cycles, dialect, feed_profiles, models, recommendations};
 use crate::error::{StoreError, StoreResult};
 use crate::history::beginning;
@@ -40,12 +40,12 @@ pub(super) async fn group(
     let operations = group.iter().map(|new| &new.cycle.operation);
     dialect::lock(conn, &Locks::group(machines, operations, tools.iter().copied())).await?;
     // Asked under the locks: who changes what this group rests on waits for its end, or has ended before.
-    let (generation, versions) = wear::heads(conn, &tools).await?;
+    let Heads { generation, any_profile, versions } = wear::heads(conn, &tools).await?;
     memory.begin(generation);
     let registry = GroupRegistry::load(conn, registry, generation, group).await?;
     let placed = place_all(conn, group, &registry).await?;
     let verdicts = count_all(conn, group, &placed, (&registry, &versions, memory), now).await?;
-    let knowledge = know_all(conn, group, &registry).await?;
+    let knowledge = know_all(conn, group, &registry, any_profile).await?;
     let mut answers = Vec::with_capacity(group.len());
     let mut issued = Vec::with_capacity(group.len());
     for (new, placed) in group.iter().zip(placed) {
@@ -84,15 +84,15 @@ async fn know_all<'a>(
     conn: &mut Conn,
     group: &'a [NewCycle],
     registry: &GroupRegistry,
+    any_profile: bool,
 ) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Known>> {
-    let any_active = feed_profiles::any_active(conn).await?;
     let mut known = BTreeMap::new();
     for cycle in group.iter().map(|new| &new.cycle) {
         let key = (&cycle.operation, &cycle.tool);
         if let Entry::Vacant(unknown) = known.entry(key) {
             let operation = registry.operations.get(&cycle.operation);
             let process = models::knowledge(conn, operation.map(AsRef::as_ref), &cycle.tool).await?;
-            let profiles = if any_active {
+            let profiles = if any_profile {
                 feed_profiles::active(conn, &cycle.operation, &cycle.tool).await?
             } else {
                 Vec::new()

@@ -362,16 +362,6 @@ async fn roll_back(conn: &mut Conn, line: &FeedProfile, actor: &Actor, now: Time
     audit::add(conn, actor, now, "feed_profile.rollback", subject, &detail).await
 }
 
-/// Whether anything is active at all: most shops begin without.
-pub(super) async fn any_active(conn: &mut Conn) -> StoreResult<bool> {
-    let one: Option<i64> = sqlx::query_scalar::<Db, _>(
-        "SELECT CAST(1 AS BIGINT) FROM feed_profiles WHERE active_version IS NOT NULL LIMIT 1",
-    )
-    .fetch_optional(&mut *conn)
-    .await?;
-    Ok(one.is_some())
-}
-
 /// Active versions for an operation and the type of a tool, by their wear bands.
 pub(super) async fn active(
     conn: &mut Conn,

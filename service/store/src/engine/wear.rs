@@ -59,25 +59,34 @@ struct WearRow {
 /// Versions of the stored folds of one tool, by machine: what a fold in memory is held against.
 pub(super) type Versions = BTreeMap<MachineId, i64>;
 
-/// The generation of the registry and the versions of the folds of some tools, in one statement.
-pub(super) async fn heads(
-    conn: &mut Conn,
-    tools: &BTreeSet<&ToolId>,
-) -> StoreResult<(i64, BTreeMap<ToolId, Versions>)> {
+/// What a group asks first, in one statement.
+pub(super) struct Heads {
+    /// The generation of the registry.
+    pub(super) generation: i64,
+    /// Whether any feed profile is active.
+    pub(super) any_profile: bool,
+    /// Versions of the folds of the group's tools.
+    pub(super) versions: BTreeMap<ToolId, Versions>,
+}
+
+/// Asks for the heads of some tools.
+pub(super) async fn heads(conn: &mut Conn, tools: &BTreeSet<&ToolId>) -> StoreResult<Heads> {
     let rows: Vec<(String, String, i64)> = sqlx::query_as::<Db, _>(dialect::HEADS)
         .bind(dialect::list(tools.iter().map(|tool| tool.as_str())))
         .fetch_all(&mut *conn)
         .await?;
-    let mut generation = 0;
-    let mut versions: BTreeMap<ToolId, Versions> = BTreeMap::new();
+    let mut heads = Heads { generation: 0, any_profile: false, versions: BTreeMap::new() };
     for (tool, machine, version) in &rows {
-        if tool.is_empty() {
-            generation = *version;
+        if !tool.is_empty() {
+            let versions = heads.versions.entry(id("tool_id", tool)?).or_default();
+            versions.insert(id("machine_id", machine)?, *version);
+        } else if machine.is_empty() {
+            heads.generation = *version;
         } else {
-            versions.entry(id("tool_id", tool)?).or_default().insert(id("machine_id", machine)?, *version);
+            heads.any_profile = *version > 0;
         }
     }
-    Ok((generation, versions))
+    Ok(heads)
 }
 
 /// The state of those bytes, where this version of the fold wrote them.

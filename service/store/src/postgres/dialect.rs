@@ -90,11 +90,13 @@ pub(super) const WEAR_OF_TOOL_LOCKED: &str =
     "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
      WHERE tool_id = $1 ORDER BY machine_id";
 
-/// The generation of the registry, under an empty name, and the versions of the folds of a list of tools. The tools'
-/// names are locked by then.
+/// The generation of the registry and whether any feed profile is active, under empty names of a tool, and the versions
+/// of the folds of a list of tools. The tools' names are locked by then.
 pub(super) const HEADS: &str =
     "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
      FROM registry_generation
+     UNION ALL SELECT '', 'profiles', CAST(COUNT(*) AS BIGINT)
+     FROM (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL LIMIT 1) AS active
      UNION ALL SELECT tool_id, machine_id, version FROM tool_wear WHERE tool_id = ANY($1)";
 
 /// A list of ids as one parameter.

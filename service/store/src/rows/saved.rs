@@ -37,6 +37,7 @@ pub(crate) struct IssuedRow {
     pub(crate) level_decides: Option<&'static str>,
     pub(crate) level_value: Option<f64>,
     pub(crate) level_sd: Option<f64>,
+    pub(crate) machine_id: String,
 }
 
 impl IssuedRow {
@@ -71,6 +72,7 @@ impl IssuedRow {
             level_decides: level.and_then(|level| level.decides).map(LevelBasis::as_str),
             level_value: level_float("level_value", |level| level.value)?,
             level_sd: optional_float("level_sd", level.and_then(|level| level.sd))?,
+            machine_id: recommendation.machine.as_str().to_owned(),
         })
     }
 }

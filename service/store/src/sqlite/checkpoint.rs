@@ -8,8 +8,12 @@ use std::time::Duration;
 use tokio::sync::{Mutex, Notify};
 use tokio::task::JoinHandle;
 
-/// A log this long (128 MiB of 8 KiB pages) means that a reader holds an old snapshot, or that the disk is too slow.
-const LONG_WAL_PAGES: u64 = 16_384;
+/// A log this long (128 MiB of 4 KiB pages) means that a reader holds an old snapshot, or that the disk is too slow.
+const LONG_WAL_PAGES: u64 = 32_768;
+
+/// A log this long (8 MiB) is begun anew: written over, not made longer, it needs no space of the file system in each
+/// commit.
+const REUSED_WAL_PAGES: u64 = 2_048;
 
 #[derive(Debug)]
 pub(super) struct Checkpoints {
@@ -56,11 +60,8 @@ async fn run(mut conn: Conn, every: Duration, wal_pages: Arc<AtomicU64>, stop: A
             () = stop.notified() => break,
             _ = ticks.tick() => {}
         }
-        let statement =
-            if long { "PRAGMA wal_checkpoint(RESTART)" } else { "PRAGMA wal_checkpoint(PASSIVE)" };
-        match sqlx::query_as::<_, (i64, i64, i64)>(statement).fetch_one(&mut conn).await {
-            Ok((_, pages, moved)) => {
-                let pages = u64::try_from(pages).unwrap_or(0);
+        match checkpoint(&mut conn).await {
+            Ok((pages, moved)) => {
                 wal_pages.store(pages, Ordering::Relaxed);
                 if pages > LONG_WAL_PAGES && !long {
                     tracing::warn!(pages, moved, "the write-ahead log is long");
@@ -73,4 +74,20 @@ async fn run(mut conn: Conn, every: Duration, wal_pages: Arc<AtomicU64>, stop: A
     if let Err(error) = conn.close().await {
         tracing::warn!(%error, "checkpoint connection did not close cleanly");
     }
+}
+
+/// Moves what can be moved without anybody waiting. Where that was much, the writer is held up for the few pages that
+/// came meanwhile, so that it can begin the log anew. Returns the pages in the log, and how many of them were moved.
+async fn checkpoint(conn: &mut Conn) -> Result<(u64, i64), sqlx::Error> {
+    let moved = run_checkpoint(conn, "PRAGMA wal_checkpoint(PASSIVE)").await?;
+    if moved.0 < REUSED_WAL_PAGES {
+        Ok(moved)
+    } else {
+        run_checkpoint(conn, "PRAGMA wal_checkpoint(RESTART)").await
+    }
+}
+
+async fn run_checkpoint(conn: &mut Conn, statement: &'static str) -> Result<(u64, i64), sqlx::Error> {
+    let (_, pages, moved) = sqlx::query_as::<_, (i64, i64, i64)>(statement).fetch_one(conn).await?;
+    Ok((u64::try_from(pages).unwrap_or(0), moved))
 }

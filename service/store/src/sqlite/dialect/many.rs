@@ -1,56 +1,48 @@
-//! Many rows in one statement: each statement is a hop to the connection's thread, which costs more than a row.
+//! Many rows in one statement: each statement is a hop to the connection's thread, which costs as much as a row.
 //!
-//! Statements exist for 1, 4, 16 and 64 rows. What is left over goes into the next larger one, whose last rows have no
-//! values: SQLite takes them as NULL, and rows whose first column is NULL are not inserted.
+//! There is a statement for each number of rows up to 16, and for 32 and 64: rows to fill one up would cost SQLite as
+//! much as rows that are there.
 
 use crate::error::StoreResult;
 use crate::rows::{CycleRow, IssuedRow, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
+use std::sync::LazyLock;
 
-type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
+/// Numbers of rows beyond which there is not a statement for each.
+const EACH: usize = 16;
+const LARGER: [usize; 2] = [32, 64];
 
-/// Most rows in one statement.
-const MOST: usize = 64;
-
-/// Statements for 1, 4, 16 and 64 rows between a head and a tail.
-macro_rules! statements {
-    ($head:expr, $row:expr, $tail:expr) => {
-        [
-            concat!($head, $row, $tail),
-            concat!($head, statements!(@4 $row), $tail),
-            concat!($head, statements!(@16 $row), $tail),
-            concat!(
-                $head, statements!(@16 $row), ",", statements!(@16 $row), ",", statements!(@16 $row), ",",
-                statements!(@16 $row), $tail
-            ),
-        ]
-    };
-    (@4 $row:expr) => { concat!($row, ",", $row, ",", $row, ",", $row) };
-    (@16 $row:expr) => {
-        concat!(statements!(@4 $row), ",", statements!(@4 $row), ",", statements!(@4 $row), ",", statements!(@4 $row))
-    };
+/// One statement for several numbers of rows, made once in the life of the process.
+struct Statements {
+    texts: Vec<&'static str>,
 }
 
-/// Place of the smallest statement that holds so many rows.
-const fn size_of(rows: usize) -> usize {
-    match rows {
-        0 | 1 => 0,
-        2..=4 => 1,
-        5..=16 => 2,
-        _ => 3,
+impl Statements {
+    fn new(head: &str, row: &str, tail: &str) -> Self {
+        let text = |rows| &*format!("{head}{}{tail}", vec![row; rows].join(",")).leak();
+        Self { texts: (1..=EACH).chain(LARGER).map(text).collect() }
     }
-}
 
-fn fitting(statements: &[&'static str; 4], rows: usize) -> Query {
-    sqlx::query(statements[size_of(rows)])
+    /// The statement for as many of the rows as there is one for, and those rows and the rest.
+    fn first<'r, T>(&self, rows: &'r [T]) -> Option<(&'static str, &'r [T], &'r [T])> {
+        let (place, count) = match rows.len() {
+            0 => return None,
+            count @ 1..=EACH => (count - 1, count),
+            17..=31 => (EACH - 1, EACH),
+            32..=63 => (EACH, LARGER[0]),
+            _ => (EACH + 1, LARGER[1]),
+        };
+        let (now, later) = rows.split_at(count);
+        Some((self.texts[place], now, later))
+    }
 }
 
 macro_rules! cycles_head {
     ($($column:ident: $type:ty = $placeholder:literal,)*) => {
         concat!(
-            "INSERT INTO cycles (", cycles_head!(@list $(stringify!($column),)*), ") SELECT * FROM (VALUES "
+            "INSERT INTO cycles (", cycles_head!(@list $(stringify!($column),)*), ") VALUES "
         )
     };
     (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
@@ -64,11 +56,13 @@ macro_rules! cycles_row {
     (@one $column:ident) => { ",?" };
 }
 
-const CYCLES: [&str; 4] = statements!(
-    cycle_columns!(cycles_head),
-    cycle_columns!(cycles_row),
-    ") WHERE column1 IS NOT NULL ON CONFLICT (machine_id, cycle_id) DO NOTHING RETURNING machine_id, cycle_id"
-);
+static CYCLES: LazyLock<Statements> = LazyLock::new(|| {
+    Statements::new(
+        cycle_columns!(cycles_head),
+        cycle_columns!(cycles_row),
+        " ON CONFLICT (machine_id, cycle_id) DO NOTHING RETURNING machine_id, cycle_id",
+    )
+});
 
 /// Inserts cycles of different keys; returns the keys of those that are new.
 pub(in crate::sqlite) async fn insert_cycles(
@@ -76,8 +70,10 @@ pub(in crate::sqlite) async fn insert_cycles(
     rows: &[&CycleRow],
 ) -> StoreResult<Vec<(String, String)>> {
     let mut new = Vec::with_capacity(rows.len());
-    for rows in rows.chunks(MOST) {
-        let mut query = sqlx::query_as(CYCLES[size_of(rows.len())]);
+    let mut rest = rows;
+    while let Some((text, rows, later)) = CYCLES.first(rest) {
+        rest = later;
+        let mut query = sqlx::query_as(text);
         for row in rows {
             macro_rules! bind {
                 ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(row.$column.clone()))* };
@@ -89,19 +85,20 @@ pub(in crate::sqlite) async fn insert_cycles(
     Ok(new)
 }
 
-const BLOCKS: [&str; 4] = statements!(
-    "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) SELECT * FROM (VALUES ",
-    "(?,?,?,?)",
-    ") WHERE column1 IS NOT NULL"
-);
+static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
+    let head = "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ";
+    Statements::new(head, "(?,?,?,?)", "")
+});
 
 /// Inserts the sample blocks of cycles.
 pub(in crate::sqlite) async fn insert_blocks(
     conn: &mut Conn,
     rows: &[(&CycleRow, &[u8])],
 ) -> StoreResult<()> {
-    for rows in rows.chunks(MOST) {
-        let mut query = fitting(&BLOCKS, rows.len());
+    let mut rest = rows;
+    while let Some((text, rows, later)) = BLOCKS.first(rest) {
+        rest = later;
+        let mut query = sqlx::query(text);
         for (row, block) in rows {
             query = query
                 .bind(row.machine_id.clone())
@@ -114,15 +111,15 @@ pub(in crate::sqlite) async fn insert_blocks(
     Ok(())
 }
 
-const WEAR: [&str; 4] = statements!(
-    "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
-     SELECT * FROM (VALUES ",
-    "(?,?,?,?,?,1,?)",
-    ") WHERE column1 IS NOT NULL
-     ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
-         fold_version = excluded.fold_version, state = excluded.state, version = tool_wear.version + 1,
-         updated_at_us = excluded.updated_at_us"
-);
+static WEAR: LazyLock<Statements> = LazyLock::new(|| {
+    Statements::new(
+        "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us) VALUES ",
+        "(?,?,?,?,?,1,?)",
+        " ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
+             fold_version = excluded.fold_version, state = excluded.state, version = tool_wear.version + 1,
+             updated_at_us = excluded.updated_at_us",
+    )
+});
 
 /// Writes the folds of machines and tools.
 pub(in crate::sqlite) async fn save_wear(
@@ -130,8 +127,10 @@ pub(in crate::sqlite) async fn save_wear(
     rows: &[SavedWear],
     now: Timestamp,
 ) -> StoreResult<()> {
-    for rows in rows.chunks(MOST) {
-        let mut query = fitting(&WEAR, rows.len());
+    let mut rest = rows;
+    while let Some((text, rows, later)) = WEAR.first(rest) {
+        rest = later;
+        let mut query = sqlx::query(text);
         for row in rows {
             query = query
                 .bind(row.machine_id.clone())
@@ -146,22 +145,26 @@ pub(in crate::sqlite) async fn save_wear(
     Ok(())
 }
 
-const RECOMMENDATIONS: [&str; 4] = statements!(
-    "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
-         level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-         data_age_ms, level_decides, level_value, level_sd)
-     SELECT * FROM (VALUES ",
-    "(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
-    ") WHERE column1 IS NOT NULL"
-);
+static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
+    Statements::new(
+        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
+             level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
+             data_age_ms, level_decides, level_value, level_sd, machine_id)
+         VALUES ",
+        "(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
+        "",
+    )
+});
 
 /// Inserts recommendations whose advice is kept.
 pub(in crate::sqlite) async fn insert_recommendations(
     conn: &mut Conn,
     rows: &[IssuedRow],
 ) -> StoreResult<()> {
-    for rows in rows.chunks(MOST) {
-        let mut query = fitting(&RECOMMENDATIONS, rows.len());
+    let mut rest = rows;
+    while let Some((text, rows, later)) = RECOMMENDATIONS.first(rest) {
+        rest = later;
+        let mut query = sqlx::query(text);
         for row in rows {
             query = query
                 .bind(row.recommendation_id.clone())
@@ -179,7 +182,8 @@ pub(in crate::sqlite) async fn insert_recommendations(
                 .bind(row.data_age_ms)
                 .bind(row.level_decides)
                 .bind(row.level_value)
-                .bind(row.level_sd);
+                .bind(row.level_sd)
+                .bind(row.machine_id.clone());
         }
         query.execute(&mut *conn).await?;
     }

@@ -1,0 +1,112 @@
+//! A PostgreSQL that is demoted to read-only under a running server, and promoted again.
+
+use super::app::{machine, operation, tool};
+use crate::store::operations::Cluster;
+use feedwright_server::clock::Clock;
+use feedwright_server::config::{Config, Sources};
+use feedwright_server::server::Server;
+use feedwright_store::{PostgresOptions, PostgresStore};
+use secrecy::ExposeSecret;
+use serde_json::{Value, json};
+use sqlx::{Connection, Executor, PgConnection};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Looks that are taken, and the time between them: what is waited for comes with a reload and with the next probe.
+const LOOKS: usize = 300;
+const BETWEEN: Duration = Duration::from_millis(50);
+
+fn cycle(number: usize) -> Value {
+    json!({
+        "cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1",
+        "started_at": format!("2026-05-04T05:{:02}:{:02}Z", number / 60, number % 60),
+        "reported": {"energy_joules": 1000.0},
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn it_is_refused_clearly_and_taken_up_again() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let flags = [("data_dir", dir.path().to_str().unwrap()), ("server.listen", "127.0.0.1:0")];
+    let flags = flags.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
+    let config = Config::load(&Sources { flags, ..Sources::default() }).unwrap();
+    let options = PostgresOptions { patience: Duration::from_secs(1), ..PostgresOptions::default() };
+    let store = PostgresStore::open(&cluster.url(), options).await.unwrap();
+    let server = Server::start(config, Arc::new(store), Clock::fixed(super::app::NOW)).await.unwrap();
+    let token = server.first_admin_token.as_ref().unwrap().expose_secret().to_owned();
+    let (client, address) = (reqwest::Client::new(), format!("http://{}", server.local_addr));
+    for (path, body) in [("machines/M1", machine()), ("tools/T1", tool()), ("operations/O1", operation())] {
+        let put = client.put(format!("{address}/v1/{path}")).bearer_auth(&token).json(&body);
+        assert_eq!(put.send().await.unwrap().status().as_u16(), 201, "{path}");
+    }
+    let post = async |number: usize| {
+        let post = client.post(format!("{address}/v1/machines/M1/cycles")).bearer_auth(&token);
+        let answer = post.json(&cycle(number)).send().await.unwrap();
+        let retry = answer.headers().get("retry-after").map(|value| value.to_str().unwrap().to_owned());
+        (answer.status().as_u16(), retry, answer.json::<Value>().await.unwrap())
+    };
+    let ready = async || client.get(format!("{address}/readyz")).send().await.unwrap().status().as_u16();
+    assert_eq!((post(1).await.0, ready().await), (201, 200));
+
+    cluster.run("ALTER SYSTEM SET default_transaction_read_only = on").await;
+    cluster.run("SELECT pg_reload_conf()").await;
+    let mut acknowledged = vec![1];
+    let mut refused = None;
+    for number in 2..LOOKS {
+        // Until the reload has reached every session, a cycle may still be stored: then it has to be there.
+        let answer = post(number).await;
+        if answer.0 == 201 {
+            acknowledged.push(number);
+            tokio::time::sleep(BETWEEN).await;
+            continue;
+        }
+        refused = Some((number, answer));
+        break;
+    }
+    let (number, (status, retry, problem)) = refused.expect("the reload arrives");
+    assert_eq!((status, &problem["status"]), (503, &json!(503)), "{problem}");
+    assert!(retry.is_some_and(|seconds| seconds.parse::<u32>().is_ok()), "{problem}");
+    assert!(problem["quarantine_id"].is_null(), "its machine has to keep its copy: {problem}");
+    assert!(!problem["detail"].as_str().unwrap().is_empty() && !problem.to_string().contains("postgres://"));
+    let mut looks = 0;
+    while ready().await != 503 {
+        looks += 1;
+        assert!(looks < LOOKS, "it never says that it is not ready");
+        tokio::time::sleep(BETWEEN).await;
+    }
+    assert_eq!(post(number).await.0, 503, "still");
+    let alive = client.get(format!("{address}/healthz")).send().await.unwrap();
+    assert_eq!(alive.status().as_u16(), 200, "waiting for its database is no reason to be killed");
+
+    let mut admin = PgConnection::connect(&cluster.url()).await.unwrap();
+    admin.execute("SET default_transaction_read_only = off").await.unwrap();
+    admin.execute("ALTER SYSTEM RESET default_transaction_read_only").await.unwrap();
+    admin.execute("SELECT pg_reload_conf()").await.unwrap();
+    let mut looks = 0;
+    loop {
+        let (status, _, body) = post(number).await;
+        if status == 201 {
+            break;
+        }
+        assert_eq!(status, 503, "new, since nothing was stored meanwhile: {body}");
+        looks += 1;
+        assert!(looks < LOOKS, "it never takes writes again: {body}");
+        tokio::time::sleep(BETWEEN).await;
+    }
+    acknowledged.push(number);
+    let mut looks = 0;
+    while ready().await != 200 {
+        looks += 1;
+        assert!(looks < LOOKS, "it never says that it is ready again");
+        tokio::time::sleep(BETWEEN).await;
+    }
+    for number in &acknowledged {
+        assert_eq!(post(*number).await.0, 200, "c{number} is known");
+    }
+    let wear = client.get(format!("{address}/v1/tools/T1/wear")).bearer_auth(&token).send().await.unwrap();
+    assert_eq!(wear.json::<Value>().await.unwrap()["cycles"], acknowledged.len(), "each is counted once");
+    server.shutdown().await.unwrap();
+}

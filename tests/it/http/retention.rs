@@ -1,0 +1,74 @@
+//! What retention drops is seen: by whoever reads the cycle, by whoever asks for the decisions, and by Prometheus.
+
+use super::app::{App, operation};
+use feedwright_server::retention;
+use feedwright_store::Role;
+use http::StatusCode;
+use serde_json::json;
+
+crate::engines::on_both!(dropped_samples_are_gone_and_say_why_and_the_summary_stays);
+
+const M1: &str = "/v1/machines/M1";
+
+async fn metric(app: &App, name: &str) -> f64 {
+    let text = String::from_utf8(app.get("/metrics").await.body).unwrap();
+    let line = text.lines().find(|line| line.starts_with(&format!("{name} ")));
+    line.unwrap_or_else(|| panic!("{name} is not in\n{text}")).rsplit_once(' ').unwrap().1.parse().unwrap()
+}
+
+async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
+    let app = App::registered().await;
+    assert_eq!(app.put("/v1/operations/O1", operation()).await.status, StatusCode::CREATED);
+    for number in 1..=3 {
+        let cycle = json!({
+            "cycle_id": format!("s{number}"), "tool": "T1", "operation": "O1",
+            "started_at": format!("2026-05-04T05:0{number}:00Z"),
+            "samples": {"period_ms": 10, "spindle_load_percent": vec![20.0; 400]},
+        });
+        let answer = app.call(Role::Machine, "POST", &format!("{M1}/cycles"), &[], Some(cycle)).await;
+        assert_eq!(answer.status, StatusCode::CREATED, "{answer:?}");
+    }
+    let before = app.get(&format!("{M1}/cycles/s1")).await.json();
+    assert_eq!(app.get(&format!("{M1}/cycles/s1/samples")).await.status, StatusCode::OK);
+    retention::run(&app.state).await.unwrap();
+    assert_eq!(
+        metric(&app, "feedwright_sample_drop_cycles_total").await,
+        0.0,
+        "nobody said that anything goes"
+    );
+
+    let put = app.put(&format!("{M1}/retention"), json!({"samples_bytes": 1})).await;
+    assert!(put.status.is_success(), "{put:?}");
+    retention::run(&app.state).await.unwrap();
+    for number in 1..=3 {
+        let gone = app.get(&format!("{M1}/cycles/s{number}/samples")).await;
+        assert_eq!((gone.status, gone.code().as_str()), (StatusCode::GONE, "samples_dropped"));
+        let problem = gone.json();
+        assert_eq!(
+            (&problem["reason"], &problem["dropped_at"]),
+            (&json!("size"), &json!("2026-05-04T06:00:00Z"))
+        );
+    }
+    let mut after = app.get(&format!("{M1}/cycles/s1")).await.json();
+    let seen = after.as_object_mut().unwrap();
+    assert_eq!(seen.remove("samples_dropped_at"), Some(json!("2026-05-04T06:00:00Z")));
+    assert_eq!(seen.insert("has_samples".to_owned(), json!(true)), Some(json!(false)));
+    assert_eq!(after, before, "the rest of the cycle stays");
+    assert_eq!(app.get("/v1/tools/T1/wear").await.json()["cycles"], 3);
+
+    let decisions = app.get(&format!("{M1}/retention")).await.json();
+    assert_eq!(decisions["samples_bytes"], 1, "{decisions}");
+    let drops = decisions["dropped"].as_array().unwrap_or_else(|| panic!("{decisions}"));
+    assert_eq!((drops.len(), &drops[0]["reason"], &drops[0]["cycles"]), (1, &json!("size"), &json!(3)));
+    let bytes = drops[0]["bytes"].as_f64().unwrap();
+    assert!(bytes > 0.0);
+    assert_eq!(metric(&app, "feedwright_sample_drop_cycles_total").await, 3.0);
+    assert_eq!(metric(&app, "feedwright_sample_drop_bytes_total").await, bytes);
+    assert_eq!(metric(&app, "feedwright_sample_drop_decisions_total{reason=\"size\"}").await, 1.0);
+    // A cycle that never had samples is another matter.
+    let none = json!({"cycle_id": "r1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:10:00Z",
+                      "reported": {"energy_joules": 1000.0}});
+    let answer = app.call(Role::Machine, "POST", &format!("{M1}/cycles"), &[], Some(none)).await;
+    assert_eq!(answer.status, StatusCode::CREATED);
+    assert_eq!(app.get(&format!("{M1}/cycles/r1/samples")).await.status, StatusCode::NOT_FOUND);
+}
