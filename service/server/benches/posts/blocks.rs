@@ -53,7 +53,7 @@ fn joined(cycles: &[&Cycle]) -> Samples {
 
 /// Bits that the residuals of every column hold by Shannon's formula over their frequencies, each column by the best
 /// one of three predictions: the value before, the line through the two before, and their mean.
-#[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "small decimals")]
+#[expect(clippy::cast_possible_truncation, reason = "small decimals")]
 fn entropy(samples: &Samples) -> f64 {
     let of = |residuals: &mut dyn Iterator<Item = i64>| {
         let (mut seen, mut all) = (HashMap::<i64, f64>::new(), 0.0);

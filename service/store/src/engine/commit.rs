@@ -9,7 +9,7 @@ use crate::history::beginning;
 use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
 use crate::registry::Registry;
-use crate::rows::{CutRow, CycleRow, FactsRow, IssuedRow, Place};
+use crate::rows::{BlockRow, CutRow, CycleRow, FactsRow, IssuedRow, Place, Rest, SavedWear};
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
@@ -43,8 +43,8 @@ pub(super) async fn group(
     let Heads { generation, any_profile, versions } = wear::heads(conn, &tools).await?;
     memory.begin(generation);
     let registry = GroupRegistry::load(conn, registry, generation, group).await?;
-    let placed = place_all(conn, group, &registry).await?;
-    let verdicts = count_all(conn, group, &placed, (&registry, &versions, memory), now).await?;
+    let (placed, blocks) = place_all(conn, group, &registry).await?;
+    let (verdicts, wear) = count_all(conn, group, &placed, (&registry, &versions, memory), now).await?;
     let knowledge = know_all(conn, group, &registry, any_profile).await?;
     let mut answers = Vec::with_capacity(group.len());
     let mut issued = Vec::with_capacity(group.len());
@@ -67,7 +67,7 @@ pub(super) async fn group(
         issued.push(row);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
-    dialect::insert_recommendations(conn, &issued).await?;
+    dialect::write_rest(conn, &Rest { blocks, wear, issued }, now).await?;
     Ok(answers)
 }
 
@@ -103,12 +103,12 @@ async fn know_all<'a>(
     Ok(known)
 }
 
-/// Stores what is new of the group, and tells the rest from it.
-async fn place_all(
+/// Stores what is new of the group, and tells the rest from it; with the blocks of samples that are to be written.
+async fn place_all<'a>(
     conn: &mut Conn,
-    group: &[NewCycle],
+    group: &'a [NewCycle],
     registry: &GroupRegistry,
-) -> StoreResult<Vec<Placed>> {
+) -> StoreResult<(Vec<Placed>, Vec<BlockRow<'a>>)> {
     // Ascending keys, so that two servers with the same cycles cannot wait for each other.
     let mut rows: BTreeMap<(&MachineId, &CycleId), (usize, CycleRow, CycleSummary)> = BTreeMap::new();
     for (index, new) in group.iter().enumerate() {
@@ -123,17 +123,21 @@ async fn place_all(
         }
     }
     let keyed: Vec<&CycleRow> = rows.values().map(|(_, row, _)| row).collect();
-    let inserted = dialect::insert_cycles(conn, &keyed).await?;
-    let all_new = inserted.len() == keyed.len();
-    let inserted: HashSet<(String, String)> = inserted.into_iter().collect();
-    let is_new =
-        |row: &CycleRow| all_new || inserted.contains(&(row.machine_id.clone(), row.cycle_id.clone()));
+    let known_before: HashSet<(String, String)> =
+        dialect::insert_cycles(conn, &keyed).await?.into_iter().collect();
+    let is_new = |row: &CycleRow| {
+        known_before.is_empty() || !known_before.contains(&(row.machine_id.clone(), row.cycle_id.clone()))
+    };
     let fresh: Vec<_> = rows.into_values().filter(|(_, row, _)| is_new(row)).collect();
     let mut blocks = Vec::with_capacity(fresh.len());
     for (index, row, _) in &fresh {
-        blocks.extend(group[*index].encoded.samples.as_deref().map(|block| (row, block)));
+        blocks.extend(group[*index].encoded.samples.as_deref().map(|block| BlockRow {
+            machine_id: row.machine_id.clone(),
+            received_at_us: row.received_at_us,
+            cycle_id: row.cycle_id.clone(),
+            block,
+        }));
     }
-    dialect::insert_blocks(conn, &blocks).await?;
     for (index, _, _) in &fresh {
         if let Some(cut) = CutRow::of(&group[*index].cycle)? {
             models::insert_cut(conn, &cut).await?;
@@ -153,7 +157,7 @@ async fn place_all(
             None => known(conn, new).await?,
         });
     }
-    Ok(all)
+    Ok((all, blocks))
 }
 
 /// The summary of a cycle that is stored now: under another generation of the registry than it was made under, it is
@@ -186,14 +190,14 @@ async fn known(conn: &mut Conn, new: &NewCycle) -> StoreResult<Placed> {
     }
 }
 
-/// Folds what is new into the tools of the group; returns the verdict on each registered tool.
+/// Folds what is new into the tools of the group; returns the verdict on each registered tool, and the folds to write.
 async fn count_all(
     conn: &mut Conn,
     group: &[NewCycle],
     placed: &[Placed],
     (registry, versions, memory): (&GroupRegistry, &BTreeMap<ToolId, Versions>, &mut Memory),
     now: Timestamp,
-) -> StoreResult<BTreeMap<ToolId, Verdict>> {
+) -> StoreResult<(BTreeMap<ToolId, Verdict>, Vec<SavedWear>)> {
     let mut fresh: BTreeMap<&ToolId, BTreeMap<&MachineId, Vec<FactsRow>>> = BTreeMap::new();
     for (new, placed) in group.iter().zip(placed) {
         let cycle = &new.cycle;
@@ -222,7 +226,6 @@ async fn count_all(
         changed.extend(wear.take_changed()?);
         memory.keep(tool.clone(), wear);
     }
-    dialect::save_wear(conn, &changed, now).await?;
     for (new, placed) in group.iter().zip(placed) {
         if let Placed::New(_, summary) = placed
             && summary.flags.contains(Flag::LoadOver400)
@@ -232,7 +235,7 @@ async fn count_all(
             alarms::raise(conn, AlarmKind::Overload, Some(machine), Some(tool), &message, now).await?;
         }
     }
-    Ok(verdicts)
+    Ok((verdicts, changed))
 }
 
 async fn count_tool(

@@ -2,7 +2,7 @@
 
 mod many;
 
-pub(super) use many::{insert_blocks, insert_cycles, insert_recommendations, save_wear};
+pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
 
 use super::Conn;
 use crate::error::StoreResult;

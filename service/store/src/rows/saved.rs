@@ -17,6 +17,23 @@ pub(crate) struct SavedWear {
     pub(crate) state: Vec<u8>,
 }
 
+/// A row of `cycle_samples`.
+#[derive(Debug)]
+pub(crate) struct BlockRow<'a> {
+    pub(crate) machine_id: String,
+    pub(crate) received_at_us: i64,
+    pub(crate) cycle_id: String,
+    pub(crate) block: &'a [u8],
+}
+
+/// What a group writes after its cycles, of which nothing is read back in its transaction.
+#[derive(Debug)]
+pub(crate) struct Rest<'a> {
+    pub(crate) blocks: Vec<BlockRow<'a>>,
+    pub(crate) wear: Vec<SavedWear>,
+    pub(crate) issued: Vec<IssuedRow>,
+}
+
 /// A row of `recommendations`, with the advice that it refers to.
 #[derive(Debug)]
 pub(crate) struct IssuedRow {

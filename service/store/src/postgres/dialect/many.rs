@@ -2,9 +2,10 @@
 
 use crate::error::StoreResult;
 use crate::postgres::Conn;
-use crate::rows::{CycleRow, IssuedRow, SavedWear, cycle_columns};
+use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
+use std::collections::HashSet;
 
 macro_rules! cycles {
     ($($column:ident: $type:ty = $placeholder:literal,)*) => {
@@ -19,7 +20,7 @@ macro_rules! cycles {
 
 const CYCLES: &str = cycle_columns!(cycles);
 
-/// Inserts cycles of different keys, in their order; returns the keys of those that are new.
+/// Inserts cycles of different keys, in their order; returns the keys of those that were known before.
 pub(in crate::postgres) async fn insert_cycles(
     conn: &mut Conn,
     rows: &[&CycleRow],
@@ -33,14 +34,17 @@ pub(in crate::postgres) async fn insert_cycles(
             query $(.bind(rows.iter().map(|row| row.$column.clone()).collect::<Vec<$type>>()))*
         };
     }
-    Ok(cycle_columns!(bind).fetch_all(&mut *conn).await?)
+    let new: HashSet<(String, String)> =
+        cycle_columns!(bind).fetch_all(&mut *conn).await?.into_iter().collect();
+    if new.len() == rows.len() {
+        return Ok(Vec::new());
+    }
+    let keys = rows.iter().map(|row| (row.machine_id.clone(), row.cycle_id.clone()));
+    Ok(keys.filter(|key| !new.contains(key)).collect())
 }
 
 /// Inserts the sample blocks of cycles.
-pub(in crate::postgres) async fn insert_blocks(
-    conn: &mut Conn,
-    rows: &[(&CycleRow, &[u8])],
-) -> StoreResult<()> {
+async fn insert_blocks(conn: &mut Conn, rows: &[BlockRow<'_>]) -> StoreResult<()> {
     if rows.is_empty() {
         return Ok(());
     }
@@ -48,10 +52,10 @@ pub(in crate::postgres) async fn insert_blocks(
         "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block)
          SELECT * FROM UNNEST($1, $2, $3, $4)",
     )
-    .bind(rows.iter().map(|(row, _)| row.machine_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|(row, _)| row.received_at_us).collect::<Vec<_>>())
-    .bind(rows.iter().map(|(row, _)| row.cycle_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|(_, block)| *block).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.received_at_us).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.cycle_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.block).collect::<Vec<_>>())
     .execute(&mut *conn)
     .await?;
     Ok(())
@@ -119,4 +123,15 @@ pub(in crate::postgres) async fn insert_recommendations(
     .execute(&mut *conn)
     .await?;
     Ok(())
+}
+
+/// Writes the rest of a group.
+pub(in crate::postgres) async fn write_rest(
+    conn: &mut Conn,
+    rest: &Rest<'_>,
+    now: Timestamp,
+) -> StoreResult<()> {
+    insert_blocks(conn, &rest.blocks).await?;
+    save_wear(conn, &rest.wear, now).await?;
+    insert_recommendations(conn, &rest.issued).await
 }

@@ -1,14 +1,17 @@
 //! Many rows in one statement: each statement is a hop to the connection's thread, which costs as much as a row.
 //!
 //! There is a statement for each number of rows up to 16, and for 32 and 64: rows to fill one up would cost SQLite as
-//! much as rows that are there.
+//! much as rows that are there. What is written last goes in one hop, statement behind statement, where all of it has
+//! as many rows.
 
 use crate::error::StoreResult;
-use crate::rows::{CycleRow, IssuedRow, SavedWear, cycle_columns};
+use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
 use std::sync::LazyLock;
+
+type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
 
 /// Numbers of rows beyond which there is not a statement for each.
 const EACH: usize = 16;
@@ -21,7 +24,7 @@ struct Statements {
 
 impl Statements {
     fn new(head: &str, row: &str, tail: &str) -> Self {
-        let text = |rows| &*format!("{head}{}{tail}", vec![row; rows].join(",")).leak();
+        let text = |rows| -> &'static str { format!("{head}{}{tail}", vec![row; rows].join(",")).leak() };
         Self { texts: (1..=EACH).chain(LARGER).map(text).collect() }
     }
 
@@ -56,33 +59,47 @@ macro_rules! cycles_row {
     (@one $column:ident) => { ",?" };
 }
 
+/// Asks which of the keys are there, and inserts the others behind it: nobody else writes in between. RETURNING would
+/// hand every new key back, each a message from the connection's thread.
 static CYCLES: LazyLock<Statements> = LazyLock::new(|| {
-    Statements::new(
+    let keys = Statements::new(
+        "SELECT c.machine_id, c.cycle_id FROM (VALUES ",
+        "(?,?)",
+        // In this order: it looks up each key instead of reading an index from end to end.
+        ") AS k CROSS JOIN cycles c ON c.machine_id = k.column1 AND c.cycle_id = k.column2",
+    );
+    let insert = Statements::new(
         cycle_columns!(cycles_head),
         cycle_columns!(cycles_row),
-        " ON CONFLICT (machine_id, cycle_id) DO NOTHING RETURNING machine_id, cycle_id",
-    )
+        " ON CONFLICT (machine_id, cycle_id) DO NOTHING",
+    );
+    let both = keys.texts.iter().zip(insert.texts);
+    let texts = both.map(|(keys, insert)| -> &'static str { format!("{keys}; {insert}").leak() });
+    Statements { texts: texts.collect() }
 });
 
-/// Inserts cycles of different keys; returns the keys of those that are new.
+/// Inserts cycles of different keys; returns the keys of those that were known before.
 pub(in crate::sqlite) async fn insert_cycles(
     conn: &mut Conn,
     rows: &[&CycleRow],
 ) -> StoreResult<Vec<(String, String)>> {
-    let mut new = Vec::with_capacity(rows.len());
+    let mut known = Vec::new();
     let mut rest = rows;
     while let Some((text, rows, later)) = CYCLES.first(rest) {
         rest = later;
         let mut query = sqlx::query_as(text);
+        for row in rows {
+            query = query.bind(row.machine_id.clone()).bind(row.cycle_id.clone());
+        }
         for row in rows {
             macro_rules! bind {
                 ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(row.$column.clone()))* };
             }
             query = cycle_columns!(bind);
         }
-        new.extend(query.fetch_all(&mut *conn).await?);
+        known.extend(query.fetch_all(&mut *conn).await?);
     }
-    Ok(new)
+    Ok(known)
 }
 
 static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
@@ -90,25 +107,15 @@ static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
     Statements::new(head, "(?,?,?,?)", "")
 });
 
-/// Inserts the sample blocks of cycles.
-pub(in crate::sqlite) async fn insert_blocks(
-    conn: &mut Conn,
-    rows: &[(&CycleRow, &[u8])],
-) -> StoreResult<()> {
-    let mut rest = rows;
-    while let Some((text, rows, later)) = BLOCKS.first(rest) {
-        rest = later;
-        let mut query = sqlx::query(text);
-        for (row, block) in rows {
-            query = query
-                .bind(row.machine_id.clone())
-                .bind(row.received_at_us)
-                .bind(row.cycle_id.clone())
-                .bind(block.to_vec());
-        }
-        query.execute(&mut *conn).await?;
+fn bind_blocks(mut query: Query, rows: &[BlockRow<'_>]) -> Query {
+    for row in rows {
+        query = query
+            .bind(row.machine_id.clone())
+            .bind(row.received_at_us)
+            .bind(row.cycle_id.clone())
+            .bind(row.block.to_vec());
     }
-    Ok(())
+    query
 }
 
 static WEAR: LazyLock<Statements> = LazyLock::new(|| {
@@ -121,6 +128,19 @@ static WEAR: LazyLock<Statements> = LazyLock::new(|| {
     )
 });
 
+fn bind_wear(mut query: Query, rows: &[SavedWear], now: Timestamp) -> Query {
+    for row in rows {
+        query = query
+            .bind(row.machine_id.clone())
+            .bind(row.tool_id.clone())
+            .bind(row.folded)
+            .bind(i64::from(FOLD_VERSION))
+            .bind(row.state.clone())
+            .bind(now.micros());
+    }
+    query
+}
+
 /// Writes the folds of machines and tools.
 pub(in crate::sqlite) async fn save_wear(
     conn: &mut Conn,
@@ -130,17 +150,7 @@ pub(in crate::sqlite) async fn save_wear(
     let mut rest = rows;
     while let Some((text, rows, later)) = WEAR.first(rest) {
         rest = later;
-        let mut query = sqlx::query(text);
-        for row in rows {
-            query = query
-                .bind(row.machine_id.clone())
-                .bind(row.tool_id.clone())
-                .bind(row.folded)
-                .bind(i64::from(FOLD_VERSION))
-                .bind(row.state.clone())
-                .bind(now.micros());
-        }
-        query.execute(&mut *conn).await?;
+        bind_wear(sqlx::query(text), rows, now).execute(&mut *conn).await?;
     }
     Ok(())
 }
@@ -156,6 +166,30 @@ static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
     )
 });
 
+fn bind_recommendations(mut query: Query, rows: &[IssuedRow]) -> Query {
+    for row in rows {
+        query = query
+            .bind(row.recommendation_id.clone())
+            .bind(row.advice_hash.to_vec())
+            .bind(row.issued_at_us)
+            .bind(row.valid_until_us)
+            .bind(row.level_as_run)
+            .bind(row.level_lowest)
+            .bind(row.level_highest)
+            .bind(row.level_n)
+            .bind(row.level_window)
+            .bind(row.remaining_cycles)
+            .bind(row.remaining_low)
+            .bind(row.remaining_high)
+            .bind(row.data_age_ms)
+            .bind(row.level_decides)
+            .bind(row.level_value)
+            .bind(row.level_sd)
+            .bind(row.machine_id.clone());
+    }
+    query
+}
+
 /// Inserts recommendations whose advice is kept.
 pub(in crate::sqlite) async fn insert_recommendations(
     conn: &mut Conn,
@@ -164,28 +198,37 @@ pub(in crate::sqlite) async fn insert_recommendations(
     let mut rest = rows;
     while let Some((text, rows, later)) = RECOMMENDATIONS.first(rest) {
         rest = later;
-        let mut query = sqlx::query(text);
-        for row in rows {
-            query = query
-                .bind(row.recommendation_id.clone())
-                .bind(row.advice_hash.to_vec())
-                .bind(row.issued_at_us)
-                .bind(row.valid_until_us)
-                .bind(row.level_as_run)
-                .bind(row.level_lowest)
-                .bind(row.level_highest)
-                .bind(row.level_n)
-                .bind(row.level_window)
-                .bind(row.remaining_cycles)
-                .bind(row.remaining_low)
-                .bind(row.remaining_high)
-                .bind(row.data_age_ms)
-                .bind(row.level_decides)
-                .bind(row.level_value)
-                .bind(row.level_sd)
-                .bind(row.machine_id.clone());
-        }
-        query.execute(&mut *conn).await?;
+        bind_recommendations(sqlx::query(text), rows).execute(&mut *conn).await?;
     }
     Ok(())
+}
+
+/// Blocks, folds and recommendations of as many rows each; parameters are numbered on from statement to statement.
+static ALL: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+    let text = |at: usize| -> &'static str {
+        format!("{}; {}; {}", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
+    };
+    (0..EACH).map(text).collect()
+});
+
+/// Writes the rest of a group.
+pub(in crate::sqlite) async fn write_rest(
+    conn: &mut Conn,
+    rest: &Rest<'_>,
+    now: Timestamp,
+) -> StoreResult<()> {
+    let Rest { blocks, wear, issued } = rest;
+    let rows = issued.len();
+    if (1..=EACH).contains(&rows) && blocks.len() == rows && wear.len() == rows {
+        let query = bind_wear(bind_blocks(sqlx::query(ALL[rows - 1]), blocks), wear, now);
+        bind_recommendations(query, issued).execute(&mut *conn).await?;
+        return Ok(());
+    }
+    let mut left = blocks.as_slice();
+    while let Some((text, rows, later)) = BLOCKS.first(left) {
+        left = later;
+        bind_blocks(sqlx::query(text), rows).execute(&mut *conn).await?;
+    }
+    save_wear(conn, wear, now).await?;
+    insert_recommendations(conn, issued).await
 }
