@@ -101,7 +101,10 @@ pub fn read(text: &str, hash: impl Fn(&Profile) -> ProfileHash) -> Result<(Stamp
 #[cfg(test)]
 mod tests {
     use super::*;
-    use feedwright_core::feed::profile::{LimitsInput, SectionKind};
+    use feedwright_core::feed::profile::{
+        Conditions, KnotInput, LimitsInput, ProfileInput, SectionInput, SectionKind, WearBandInput,
+    };
+    use feedwright_core::ids::OperationId;
     use feedwright_store::profile_hash;
     use proptest::prelude::*;
 
