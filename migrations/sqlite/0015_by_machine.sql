@@ -37,11 +37,12 @@ CREATE TABLE recommendations_by_machine (
     PRIMARY KEY (recommendation_id, machine_id)
 ) WITHOUT ROWID, STRICT;
 
+-- Without its advice nobody knows whose one was; it is kept all the same.
 INSERT INTO recommendations_by_machine
 SELECT r.recommendation_id, r.advice_hash, r.issued_at_us, r.valid_until_us, r.level_as_run, r.level_lowest,
        r.level_highest, r.level_n, r.level_window, r.remaining_cycles, r.remaining_low, r.remaining_high, r.data_age_ms,
-       r.level_decides, r.level_value, r.level_sd, json_extract(a.body, '$.machine')
-FROM recommendations r JOIN advices a ON a.advice_hash = r.advice_hash
+       r.level_decides, r.level_value, r.level_sd, COALESCE(json_extract(a.body, '$.machine'), 'unknown')
+FROM recommendations r LEFT JOIN advices a ON a.advice_hash = r.advice_hash
 ORDER BY r.recommendation_id;
 
 DROP TABLE recommendations;

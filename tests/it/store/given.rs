@@ -106,7 +106,7 @@ impl Given {
     }
 
     /// Runs a statement on the tables themselves, as any other client of the database might.
-    pub(crate) async fn raw(&self, sql: &'static str) -> Result<u64, sqlx::Error> {
+    pub(crate) async fn raw(&self, sql: impl sqlx::SqlSafeStr) -> Result<u64, sqlx::Error> {
         match &self.place {
             Place::File(_) => {
                 Ok(sqlx::query(sql).execute(&mut self.sqlite_tables().await).await?.rows_affected())

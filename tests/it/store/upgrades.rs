@@ -1,0 +1,214 @@
+//! Databases of before: opened by this version, they hold what they held, to the bit.
+
+use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored, tool};
+use feedwright_core::ids::RecommendationId;
+use feedwright_core::tool::ToolEventKind;
+use feedwright_store::transfer::{TableSum, back_up_postgres, back_up_sqlite};
+use feedwright_store::{
+    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, SqliteOptions, SqliteStore,
+    Store,
+};
+use sqlx::migrate::Migrator;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, SqliteConnection};
+use std::path::{Path, PathBuf};
+
+super::given::stories!(with tables: what_a_database_of_before_holds_is_all_there_and_goes_on);
+
+/// The version before recommendations stood by their machine and SQLite's folds in an ordinary table.
+const BEFORE: i64 = 14;
+
+/// Pages of the SQLite files of that version, bytes.
+const PAGE_BEFORE: i64 = 8192;
+
+async fn migrations(engine: &str) -> Migrator {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../migrations")).join(engine);
+    Migrator::new(folder).await.unwrap()
+}
+
+/// Makes the database what that version would have made of the same rows.
+async fn set_back(given: &Given) {
+    if given.is_postgres() {
+        set_back_postgres(&given.address()).await;
+    } else {
+        set_back_sqlite(&given.file()).await;
+    }
+}
+
+async fn set_back_sqlite(file: &Path) {
+    let newer = file.with_extension("newer");
+    std::fs::rename(file, &newer).unwrap();
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).create_if_missing(true);
+    let options = options.page_size(u32::try_from(PAGE_BEFORE).unwrap());
+    let options = options.journal_mode(sqlx::sqlite::SqliteJournalMode::Wal);
+    let mut conn = options.connect().await.unwrap();
+    migrations("sqlite").await.run_to(BEFORE, &mut conn).await.unwrap();
+    sqlx::query("ATTACH DATABASE $1 AS newer").bind(newer.to_str()).execute(&mut conn).await.unwrap();
+    let tables: Vec<(String, String)> = sqlx::query_as(
+        "SELECT s.name, (SELECT group_concat('\"' || c.name || '\"', ', ') FROM pragma_table_info(s.name, 'main') AS c)
+         FROM main.sqlite_schema AS s
+         WHERE s.type = 'table' AND s.name NOT LIKE 'sqlite_%' AND s.name <> '_sqlx_migrations'",
+    )
+    .fetch_all(&mut conn)
+    .await
+    .unwrap();
+    for (table, columns) in tables {
+        // The migrations fill some tables themselves.
+        for sql in [
+            format!("DELETE FROM main.\"{table}\""),
+            format!("INSERT INTO main.\"{table}\" ({columns}) SELECT {columns} FROM newer.\"{table}\""),
+        ] {
+            conn.execute(AssertSqlSafe(sql)).await.unwrap();
+        }
+    }
+    conn.execute("DETACH DATABASE newer").await.unwrap();
+    conn.close().await.unwrap();
+    std::fs::remove_file(newer).unwrap();
+}
+
+async fn set_back_postgres(address: &str) {
+    let mut conn = PgConnection::connect(address).await.unwrap();
+    conn.execute("ALTER SCHEMA public RENAME TO newer; CREATE SCHEMA public").await.unwrap();
+    migrations("postgres").await.run_to(BEFORE, &mut conn).await.unwrap();
+    let tables: Vec<(String, String)> = sqlx::query_as(
+        "SELECT c.table_name::TEXT, string_agg(quote_ident(c.column_name), ', ' ORDER BY c.ordinal_position)
+         FROM information_schema.columns c
+         JOIN pg_class k ON k.oid = to_regclass('public.' || quote_ident(c.table_name))
+         WHERE c.table_schema = 'public' AND k.relkind IN ('r', 'p') AND NOT k.relispartition
+             AND c.table_name <> '_sqlx_migrations'
+         GROUP BY c.table_name",
+    )
+    .fetch_all(&mut conn)
+    .await
+    .unwrap();
+    assert!(tables.len() > 20, "the tables are found: {tables:?}");
+    for (table, columns) in tables {
+        let copy = format!(
+            "INSERT INTO public.\"{table}\" ({columns}) OVERRIDING SYSTEM VALUE SELECT {columns} FROM newer.\"{table}\""
+        );
+        // The migrations fill some tables themselves; the audit lets nobody delete, and is not one of them.
+        if table != "audit" {
+            conn.execute(AssertSqlSafe(format!("DELETE FROM public.\"{table}\""))).await.unwrap();
+        }
+        conn.execute(AssertSqlSafe(copy)).await.unwrap();
+    }
+    conn.execute("DROP SCHEMA newer CASCADE").await.unwrap();
+    for (table, key) in [("audit", "audit_id"), ("alarms", "alarm_id"), ("tool_events", "event_id")] {
+        let follow = format!(
+            "SELECT setval(pg_get_serial_sequence('{table}', '{key}'), (SELECT COALESCE(MAX({key}), 1) FROM {table}))"
+        );
+        conn.execute(AssertSqlSafe(follow)).await.unwrap();
+    }
+    conn.close().await.unwrap();
+}
+
+async fn open(given: &Given) -> Box<dyn Store> {
+    if given.is_postgres() {
+        Box::new(PostgresStore::open(&given.address(), PostgresOptions::default()).await.unwrap())
+    } else {
+        Box::new(SqliteStore::open(given.file(), SqliteOptions::default()).await.unwrap())
+    }
+}
+
+/// Number of rows and digest of every table.
+async fn sums(given: &Given) -> Vec<(String, TableSum)> {
+    let folder = tempfile::tempdir().unwrap();
+    let backup = folder.path().join("backup");
+    let made = if given.is_postgres() {
+        back_up_postgres(&given.address(), &backup, at(1)).await
+    } else {
+        back_up_sqlite(&given.file(), &backup, at(1)).await
+    };
+    made.unwrap().tables
+}
+
+/// Everything that the trait shows of the cycles, the tools and the advice that was handed out.
+async fn shown(store: &dyn Store, advice: &[RecommendationId]) -> Vec<String> {
+    let mut lines = Vec::new();
+    for cycle in store.cycles(&CycleFilter::default(), Page { after: None, limit: 1000 }).await.unwrap() {
+        let samples = store.cycle_samples(&cycle.cycle.machine, &cycle.cycle.id).await.unwrap();
+        lines.push(format!("{cycle:?} {samples:?}"));
+    }
+    for tool in ["T1", "T2"] {
+        lines.push(format!("{:?}", store.verdict(&tool.try_into().unwrap()).await.unwrap()));
+    }
+    for id in advice {
+        let issued = store.recommendation(id).await.unwrap();
+        lines.push(format!("{:?}", issued.unwrap_or_else(|| panic!("{id} was handed out"))));
+    }
+    lines
+}
+
+/// The `n`th of the story: two machines, two tools, some without samples.
+fn run(n: u32) -> Run {
+    Run {
+        machine: if n.is_multiple_of(7) { "M2" } else { "M1" },
+        tool: if n.is_multiple_of(9) { "T2".to_owned() } else { "T1".to_owned() },
+        sampled: !n.is_multiple_of(5),
+        load: 30.0 + f64::from(n) * 0.07,
+        ..Run::nth(n)
+    }
+}
+
+async fn page_bytes(file: PathBuf) -> i64 {
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).read_only(true);
+    let mut conn: SqliteConnection = options.connect().await.unwrap();
+    sqlx::query_scalar("PRAGMA page_size").fetch_one(&mut conn).await.unwrap()
+}
+
+async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    store.put_tool(tool("T2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    let mut advice = Vec::new();
+    for n in 1..=60 {
+        advice.push(stored(&*store, &run(n)).await.recommendation.id);
+    }
+    let changed = event(ToolEventKind::Changed, at(50 * 60));
+    store.add_tool_event(&"T1".try_into().unwrap(), changed, &engineer(), at(9000)).await.unwrap();
+    // A row whose advice is gone cannot be shown, and is kept all the same: whose it was, nobody knows.
+    let hash = if given.is_postgres() { "'\\x00'::BYTEA" } else { "x'00'" };
+    let orphan = format!(
+        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, machine_id)
+         VALUES ('alone', {hash}, 1, 2, 'unknown')"
+    );
+    given.raw(AssertSqlSafe(orphan)).await.unwrap();
+    let (before, folds) = (shown(&*store, &advice).await, given.wear_states().await);
+    store.close().await;
+    let summed = sums(given).await;
+    assert!(summed.iter().any(|(table, sum)| table == "recommendations" && sum.rows == 61), "{summed:?}");
+
+    set_back(given).await;
+    let store = open(given).await;
+    assert_eq!(sums(given).await, summed, "every row of every table");
+    assert_eq!(shown(&*store, &advice).await, before);
+    assert_eq!(given.wear_states().await, folds);
+    assert_eq!(store.check_tables().await.unwrap(), []);
+    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    if !given.is_postgres() {
+        assert_eq!(
+            page_bytes(given.file()).await,
+            PAGE_BEFORE,
+            "a file keeps the pages that it was made with"
+        );
+        let fresh = Given::sqlite().await;
+        assert_eq!(page_bytes(fresh.file()).await, 4096);
+        fresh.done().await;
+    }
+
+    // What a machine posts again is known, and the folds go on from where they were.
+    let counted = store.verdict(&"T1".try_into().unwrap()).await.unwrap().cycles;
+    for (n, new) in [(60, 0), (61, 1)] {
+        let Some(Ok(Committed::Stored(answer) | Committed::Known(answer))) =
+            commit(&*store, &[run(n)]).await.pop()
+        else {
+            panic!("cycle {n} is answered");
+        };
+        let rows =
+            given.raw("UPDATE recommendations SET machine_id = machine_id WHERE machine_id = 'M1'").await;
+        assert!(rows.unwrap() > 50, "they stand by their machine");
+        assert_eq!(answer.verdict.cycles, counted + new, "{:?}", answer.verdict);
+        assert!(store.recommendation(&answer.recommendation.id).await.unwrap().is_some());
+    }
+    store.close().await;
+}
