@@ -21,6 +21,10 @@ pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../mi
 /// A checkpoint that restarts the log holds up the writer while it waits for readers: no longer than this.
 const CHECKPOINT_PATIENCE: Duration = Duration::from_millis(20);
 
+/// What stays, in bytes, of a log that a long reader or a migration made longer: usually it is begun anew long before,
+/// and a small disk has its space back.
+const KEPT_WAL_BYTES: &str = "67108864";
+
 /// What a connection that reads keeps of the file, in KiB below zero. The system keeps the rest, once for all of them.
 const READER_CACHE: &str = "-2048";
 
@@ -108,6 +112,7 @@ fn settings(path: &Path, patience: Duration) -> SqliteConnectOptions {
         .statement_cache_capacity(200)
         // The checkpoint has a connection of its own: inside the writer it is what the slowest commits wait for.
         .pragma("wal_autocheckpoint", "0")
+        .pragma("journal_size_limit", KEPT_WAL_BYTES)
         .pragma("temp_store", "MEMORY")
         .pragma("cache_size", "-16384")
         .pragma("trusted_schema", "OFF")
