@@ -1,6 +1,6 @@
 //! Cycles come in once, are found again to the bit, and fail alone.
 
-use super::given::{Run, at, commit, machine, new_cycle, shop, stored, stories};
+use super::given::{Run, at, commit, engineer, machine, new_cycle, shop, stored, stories, tool};
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{Committed, CycleFilter, CycleKey, Page, Precondition, Store, StoreError};
@@ -10,6 +10,7 @@ stories!(
     a_cycle_is_found_again_to_the_bit,
     a_cycle_is_new_then_known_then_a_conflict,
     duplicates_inside_a_group_are_seen,
+    groups_of_every_size_are_whole,
     a_row_that_fails_fails_alone,
     an_unknown_machine_stores_nothing,
     pages_have_neither_gaps_nor_repeats,
@@ -79,6 +80,57 @@ async fn duplicates_inside_a_group_are_seen(store: Arc<dyn Store>) {
     ));
     let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
     assert_eq!(verdict.last.unwrap().cycle.as_str(), "c00002");
+}
+
+/// A statement holds some numbers of rows and not others: around each, nothing is left out and nothing written twice.
+/// Each group has cycles of many tools or of one, some with samples, some known before, one of them twice.
+async fn groups_of_every_size_are_whole(store: Arc<dyn Store>) {
+    const SIZES: [u32; 14] = [1, 2, 3, 15, 16, 17, 31, 32, 33, 48, 63, 64, 65, 130];
+    shop(&*store).await;
+    for n in 2..=40 {
+        let tool = tool(&format!("T{n}"));
+        store.put_tool(tool, Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    }
+    let (mut next, mut all) = (1, Vec::new());
+    for size in SIZES {
+        for (many_tools, sampled, known) in [(true, true, 0), (false, true, 3), (true, false, 5)] {
+            let runs: Vec<Run> = (next..next + size)
+                .map(|n| Run {
+                    tool: format!("T{}", if many_tools { n % 40 + 1 } else { 1 }),
+                    sampled: sampled || n % 2 == 0,
+                    ..Run::nth(n)
+                })
+                .collect();
+            next += size;
+            let before: Vec<Run> =
+                runs.iter().filter(|run| known > 0 && run.seconds / 60 % known == 0).cloned().collect();
+            for run in &before {
+                stored(&*store, run).await;
+            }
+            let group: Vec<Run> = runs.iter().chain(runs.last()).cloned().collect();
+            let outcomes = commit(&*store, &group).await;
+            for (at, outcome) in outcomes.into_iter().enumerate() {
+                let again = at == runs.len() || before.iter().any(|run| run.id == group[at].id);
+                let answer = match outcome {
+                    Ok(Committed::Stored(answer)) if !again => answer,
+                    Ok(Committed::Known(answer)) if again => answer,
+                    other => panic!("{} of {size}: {other:?}", group[at].id),
+                };
+                let advice = store.recommendation(&answer.recommendation.id).await.unwrap();
+                assert_eq!(advice, Some(answer.recommendation), "{} of {size}", group[at].id);
+            }
+            all.extend(runs);
+        }
+    }
+    let list = store.cycles(&CycleFilter::default(), Page { after: None, limit: 10_000 }).await.unwrap();
+    assert_eq!(list.len(), all.len());
+    for (found, run) in list.iter().zip(&all) {
+        assert_eq!((found.cycle.id.as_str(), found.has_samples), (run.id.as_str(), run.sampled));
+    }
+    let checked = store.check_cycles(None, 10_000).await.unwrap();
+    assert_eq!((checked.checked, checked.faults), (all.len() as u64, vec![]));
+    let check = store.check_wear(false).await.unwrap();
+    assert_eq!((check.rows, check.different), (40, vec![]));
 }
 
 async fn a_row_that_fails_fails_alone(store: Arc<dyn Store>) {

@@ -7,6 +7,7 @@ use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
     Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Store,
 };
+use sqlx::{Connection, PgConnection};
 use std::sync::Arc;
 
 async fn replica(given: &Given) -> Arc<dyn Store> {
@@ -87,6 +88,27 @@ async fn partitions_are_made_ahead_and_used() {
     let moved = given.raw("UPDATE cycle_samples_202601 SET block = block").await.unwrap();
     assert_eq!(moved, 1, "January's cycle is in January's partition");
     assert_eq!(given.raw("UPDATE cycle_samples_default SET block = block").await.unwrap(), 1);
+    // What is compressed already is not compressed again: in the table, in its partitions, and in those to come.
+    let mut tables = PgConnection::connect(&given.address()).await.unwrap();
+    let storage: Vec<(String, i8)> = sqlx::query_as(
+        "SELECT c.relname::TEXT, a.attstorage FROM pg_attribute a JOIN pg_class c ON c.oid = a.attrelid
+         WHERE a.attname = 'block' AND c.relname LIKE 'cycle_samples%' AND c.relkind IN ('r', 'p')
+         ORDER BY c.relname",
+    )
+    .fetch_all(&mut tables)
+    .await
+    .unwrap();
+    tables.close().await.unwrap();
+    let external: Vec<&str> = storage.iter().map(|(name, _)| name.as_str()).collect();
+    let expected = [
+        "cycle_samples",
+        "cycle_samples_202601",
+        "cycle_samples_202602",
+        "cycle_samples_202603",
+        "cycle_samples_default",
+    ];
+    assert_eq!(external, expected);
+    assert!(storage.iter().all(|(_, storage)| *storage == b'e'.cast_signed()), "{storage:?}");
     // Dropping a partition is how retention works: the cycle stays, its samples are gone.
     given.raw("DROP TABLE cycle_samples_202601").await.unwrap();
     let page = Page { after: None, limit: 9 };

@@ -157,6 +157,28 @@ mod tests {
     }
 
     #[test]
+    fn words_are_hashed_as_their_bytes_wherever_the_waiting_ones_end() {
+        for before in [0, 1, 7, WAITING - 8, WAITING - 7, WAITING] {
+            for count in [0, 1, 2, WAITING / 8 - 1, WAITING / 8, WAITING / 8 + 1, 20_000] {
+                let (bytes, words) = (vec![7; before], (0..count as u64).collect::<Vec<_>>());
+                let words: Vec<u64> =
+                    words.iter().map(|word| word.wrapping_mul(0x9E37_79B9_7F4A_7C15)).collect();
+                let mut hash = Hash { hasher: blake3::Hasher::new(), waiting: Vec::new() };
+                hash.bytes(&bytes);
+                hash.words(&words, |word| word);
+                hash.hasher.update(&hash.waiting);
+                let plain: Vec<u8> =
+                    bytes.into_iter().chain(words.iter().flat_map(|word| word.to_le_bytes())).collect();
+                assert_eq!(
+                    hash.hasher.finalize(),
+                    blake3::hash(&plain),
+                    "{count} words after {before} bytes"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn every_field_is_content() {
         let original = content_hash(&cycle());
         let changes: [fn(&mut feedwright_core::cycle::CycleDraft); 9] = [
