@@ -10,7 +10,8 @@ crate::engines::on_both!(dropped_samples_are_gone_and_say_why_and_the_summary_st
 
 const M1: &str = "/v1/machines/M1";
 
-async fn metric(app: &App, name: &str) -> f64 {
+/// A count, which is whole.
+async fn metric(app: &App, name: &str) -> u64 {
     let text = String::from_utf8(app.get("/metrics").await.body).unwrap();
     let line = text.lines().find(|line| line.starts_with(&format!("{name} ")));
     line.unwrap_or_else(|| panic!("{name} is not in\n{text}")).rsplit_once(' ').unwrap().1.parse().unwrap()
@@ -33,7 +34,7 @@ async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
     retention::run(&app.state).await.unwrap();
     assert_eq!(
         metric(&app, "feedwright_sample_drop_cycles_total").await,
-        0.0,
+        0,
         "nobody said that anything goes"
     );
 
@@ -60,11 +61,11 @@ async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
     assert_eq!(decisions["samples_bytes"], 1, "{decisions}");
     let drops = decisions["dropped"].as_array().unwrap_or_else(|| panic!("{decisions}"));
     assert_eq!((drops.len(), &drops[0]["reason"], &drops[0]["cycles"]), (1, &json!("size"), &json!(3)));
-    let bytes = drops[0]["bytes"].as_f64().unwrap();
-    assert!(bytes > 0.0);
-    assert_eq!(metric(&app, "feedwright_sample_drop_cycles_total").await, 3.0);
+    let bytes = drops[0]["bytes"].as_u64().unwrap();
+    assert!(bytes > 0);
+    assert_eq!(metric(&app, "feedwright_sample_drop_cycles_total").await, 3);
     assert_eq!(metric(&app, "feedwright_sample_drop_bytes_total").await, bytes);
-    assert_eq!(metric(&app, "feedwright_sample_drop_decisions_total{reason=\"size\"}").await, 1.0);
+    assert_eq!(metric(&app, "feedwright_sample_drop_decisions_total{reason=\"size\"}").await, 1);
     // A cycle that never had samples is another matter.
     let none = json!({"cycle_id": "r1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:10:00Z",
                       "reported": {"energy_joules": 1000.0}});

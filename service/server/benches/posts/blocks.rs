@@ -40,7 +40,7 @@ fn joined(cycles: &[&Cycle]) -> Samples {
         let machine = cycle.machine.as_str().try_into().expect("an id");
         let now = Timestamp::from_micros(i64::MAX / 2);
         let read = body::decode(&machine, cycle.json().as_bytes(), 10_000, now).expect("a cycle");
-        let samples = read.samples.expect("samples");
+        let samples = read.samples.as_ref().expect("samples");
         if columns.is_empty() {
             columns.extend(samples.columns().map(|(channel, _)| (channel, Vec::new())));
         }

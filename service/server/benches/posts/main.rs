@@ -5,7 +5,8 @@
 //! prints ratios; behind `tests/postgres` it also reads cycles out of rows of PostgreSQL.
 //! `-- --weekend` replays 96,000 cycles of 200 machines while others post live; `-- --growth 10000000` tells what so
 //! many cycles do to the cost of the next one; `-- --stages` tells what each step of a post costs by itself;
-//! `-- --blocks` tells what samples of many cycles in one block would save. It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
+//! `-- --blocks` tells what samples of many cycles in one block would save. It never judges: absolute figures of a shared
+//! machine are noise, ratios of one run are the result.
 
 mod blocks;
 mod data;

@@ -75,7 +75,7 @@ impl Reader {
             }
             // Numbers of another server, or of this one before it was started again, mean nothing here.
             Some(_) => {
-                reader.push("gap", None, &json!({"reason": "other_server", "missed": null}).to_string())
+                reader.push("gap", None, &json!({"reason": "other_server", "missed": null}).to_string());
             }
             None => {}
         }
