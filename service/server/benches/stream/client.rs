@@ -132,8 +132,10 @@ impl Machine {
         let mut spoken = Spoken { wire, answer: Vec::new() };
         if wire.is_echo() {
             let lengths = [spoken.question(0, 0).len(), if wire == Wire::EchoBinary { 66 } else { 520 }];
-            let head: Vec<u8> =
-                lengths.iter().flat_map(|length| u32::try_from(*length).expect("short").to_le_bytes()).collect();
+            let head: Vec<u8> = lengths
+                .iter()
+                .flat_map(|length| u32::try_from(*length).expect("short").to_le_bytes())
+                .collect();
             stream.write_all(&head).await.expect("a head");
             spoken.answer.resize(lengths[1], 0);
         } else {
@@ -156,8 +158,11 @@ impl Machine {
         for sample in 0..load.per_second * load.seconds {
             ticks.tick().await;
             // The echo's questions are all as long as its first one.
-            let question =
-                if spoken.wire.is_echo() { spoken.question(0, 0) } else { spoken.question(sample + 2, sample) };
+            let question = if spoken.wire.is_echo() {
+                spoken.question(0, 0)
+            } else {
+                spoken.question(sample + 2, sample)
+            };
             let asked = Instant::now();
             if stream.write_all(&question).await.is_err() || spoken.read(stream).await.is_err() {
                 break;
