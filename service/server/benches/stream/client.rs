@@ -6,7 +6,7 @@ use serde_json::json;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 use tokio::sync::Barrier;
 use tokio::time::{MissedTickBehavior, interval_at};
@@ -119,7 +119,8 @@ static CYCLE: AtomicU32 = AtomicU32::new(0);
 
 /// A connection, with a cycle that runs where it is a stream.
 struct Machine {
-    stream: TcpStream,
+    /// Buffered, so that an answer is one call of the kernel here as it is at the server.
+    stream: BufReader<TcpStream>,
     spoken: Spoken,
     load: Load,
     index: u32,
@@ -127,8 +128,9 @@ struct Machine {
 
 impl Machine {
     async fn begin(address: &str, token: &str, wire: Wire, load: Load, (index, round): (u32, usize)) -> Self {
-        let mut stream = TcpStream::connect(address).await.expect("a connection");
+        let stream = TcpStream::connect(address).await.expect("a connection");
         stream.set_nodelay(true).expect("an option");
+        let mut stream = BufReader::with_capacity(1024, stream);
         let mut spoken = Spoken { wire, answer: Vec::new() };
         if wire.is_echo() {
             let lengths = [spoken.question(0, 0).len(), if wire == Wire::EchoBinary { 66 } else { 520 }];
@@ -185,7 +187,7 @@ impl Machine {
     }
 }
 
-async fn upgrade(stream: &mut TcpStream, address: &str, token: &str, index: u32) {
+async fn upgrade(stream: &mut BufReader<TcpStream>, address: &str, token: &str, index: u32) {
     let request = format!(
         "GET /v1/machines/B{index}/stream HTTP/1.1\r\nhost: {address}\r\nupgrade: websocket\r\nconnection: Upgrade\r\n\
          sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\nsec-websocket-version: 13\r\n\
@@ -199,7 +201,7 @@ async fn upgrade(stream: &mut TcpStream, address: &str, token: &str, index: u32)
     assert!(head.starts_with(b"HTTP/1.1 101"), "{}", String::from_utf8_lossy(&head));
 }
 
-async fn start(stream: &mut TcpStream, cycle: &str, period_ms: f64, spoken: &mut Spoken) {
+async fn start(stream: &mut BufReader<TcpStream>, cycle: &str, period_ms: f64, spoken: &mut Spoken) {
     let now = jiff::Timestamp::now().to_string();
     let message = json!({
         "type": "start", "n": 1, "cycle_id": cycle, "tool": "T1", "operation": "O1", "started_at": now, "sent_at": now,
@@ -252,7 +254,7 @@ impl Spoken {
     }
 
     /// Reads one answer, past pings.
-    async fn read(&mut self, stream: &mut TcpStream) -> std::io::Result<()> {
+    async fn read(&mut self, stream: &mut BufReader<TcpStream>) -> std::io::Result<()> {
         if self.wire.is_echo() {
             return stream.read_exact(&mut self.answer).await.map(drop);
         }

@@ -140,6 +140,11 @@ const fn quality(quality: Quality) -> u8 {
     }
 }
 
+/// Bytes of the answer to so many samples.
+pub const fn length(samples: usize) -> usize {
+    48 + 16 * samples
+}
+
 /// Writes the answer to samples.
 pub fn overrides(out: &mut Vec<u8>, told: Told, answer: &Answer, each: &[SampleAdvice]) {
     let advise = told.mode == Mode::Advise;
@@ -294,7 +299,7 @@ mod tests {
             "0000000000005940",
             "0000000011000000"
         );
-        assert_eq!(hex(&out), expected);
+        assert_eq!((hex(&out), out.len()), (expected.to_owned(), length(1)));
         let mut shadow = Vec::new();
         overrides(&mut shadow, Told { n: 3, re: 7, mode: Mode::Shadow }, &answer, &each);
         assert_eq!((shadow[1], hex(&shadow[40..48])), (0x20, "000000000000f87f".to_owned()));

@@ -21,9 +21,12 @@ use feedwright_core::closed_loop::{Answer, Batch, LoopReason, LoopReasons, Sampl
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
 use feedwright_core::vibratory::peak_to_peak::{ControllerInput, ControllerSettings, VibrationSample};
-use std::pin::pin;
+use futures_util::StreamExt;
+use futures_util::future::BoxFuture;
+use futures_util::stream::FuturesUnordered;
 use std::time::Duration;
-use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
+use tokio::time::{Instant, Interval, MissedTickBehavior, interval, timeout};
+use tokio_util::sync::CancellationToken;
 
 /// Unreadable messages in a row after which a connection is closed: it speaks something else.
 const MOST_UNREADABLE: u32 = 100;
@@ -62,6 +65,47 @@ impl Closing {
             Self::Revoked => (4401, "the token was revoked"),
         }
     }
+}
+
+/// What a connection waits for beside its messages.
+enum Watched {
+    /// It is time for a ping.
+    Beat(Interval),
+    /// The stream is to be closed.
+    Close(Closing),
+}
+
+async fn beat(mut beats: Interval) -> Watched {
+    beats.tick().await;
+    Watched::Beat(beats)
+}
+
+/// Everything that a connection waits for beside its messages. Each is looked at only when it has stirred: a message
+/// does not pay for what happens once in a while.
+fn watch<'a>(
+    state: &'a AppState,
+    caller: &'a Caller,
+    leave: &'a CancellationToken,
+) -> FuturesUnordered<BoxFuture<'a, Watched>> {
+    let every = state.config.stream.heartbeat();
+    let mut beats = interval(every);
+    beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let watched: [BoxFuture<'a, Watched>; 4] = [
+        Box::pin(beat(beats)),
+        Box::pin(async {
+            leave.cancelled().await;
+            Watched::Close(Closing::TakenOver)
+        }),
+        Box::pin(async {
+            state.lifecycle.stopping().await;
+            Watched::Close(Closing::GoingAway)
+        }),
+        Box::pin(async move {
+            caller.revoked(state, every).await;
+            Watched::Close(Closing::Revoked)
+        }),
+    ];
+    watched.into_iter().collect()
 }
 
 /// What goes on the wire.
@@ -117,15 +161,9 @@ impl Connection {
 
     /// Answers messages until the stream ends; why it is to be closed, where the other end did not close it.
     async fn run(&mut self, caller: &Caller, socket: &mut WebSocket) -> Option<Closing> {
-        let config = self.state.config.stream.clone();
-        let lifecycle = self.state.lifecycle.clone();
-        let leave = self.ownership.leave.clone();
-        let state = self.state.clone();
-        let mut stopping = pin!(lifecycle.stopping());
-        let mut revoked = pin!(caller.revoked(&state, config.heartbeat()));
-        let mut left = pin!(leave.cancelled());
-        let mut beats = interval(config.heartbeat());
-        beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let idle = self.state.config.stream.idle();
+        let (state, leave) = (self.state.clone(), self.ownership.leave.clone());
+        let mut watched = watch(&state, caller, &leave);
         let mut heard = Instant::now();
         loop {
             tokio::select! {
@@ -150,17 +188,18 @@ impl Connection {
                         return Some(Closing::Unreadable);
                     }
                 }
-                _ = beats.tick() => {
-                    if heard.elapsed() >= config.idle() {
-                        return Some(Closing::Idle);
+                Some(event) = watched.next() => match event {
+                    Watched::Close(closing) => return Some(closing),
+                    Watched::Beat(beats) => {
+                        if heard.elapsed() >= idle {
+                            return Some(Closing::Idle);
+                        }
+                        if socket.send(Message::Ping(Bytes::new())).await.is_err() {
+                            return None;
+                        }
+                        watched.push(Box::pin(beat(beats)));
                     }
-                    if socket.send(Message::Ping(Bytes::new())).await.is_err() {
-                        return None;
-                    }
-                }
-                () = &mut left => return Some(Closing::TakenOver),
-                () = &mut stopping => return Some(Closing::GoingAway),
-                () = &mut revoked => return Some(Closing::Revoked),
+                },
             }
         }
     }
@@ -215,20 +254,21 @@ impl Connection {
     fn samples(&mut self, now: Timestamp, message: SamplesMessage) -> Option<Out> {
         let re = message.n;
         let most = self.state.config.stream.samples_per_message;
-        let ordered = {
-            let held = self.ownership.held()?;
-            match &held.cycle {
-                Some(cycle) => cycle.order(message, most),
-                None => Err(no_cycle()),
-            }
+        let mut held = self.ownership.held()?;
+        let ordered = match &held.cycle {
+            Some(cycle) => cycle.order(message, most),
+            None => Err(no_cycle()),
         };
         let ordered = match ordered {
             Ok(ordered) => ordered,
-            Err(violation) => return self.fault(now, Some(re), &violation),
+            Err(violation) => {
+                drop(held);
+                return self.fault(now, Some(re), &violation);
+            }
         };
-        let n = self.number();
-        let mut held = self.ownership.held()?;
         let answered = judge(&self.state, &self.ownership, &mut held, (now, &ordered), &mut self.each)?;
+        self.sent = self.sent.wrapping_add(1);
+        let n = self.sent;
         let cycle = held.cycle.as_ref()?;
         let message = OverrideMessage {
             kind: "override",
@@ -242,13 +282,13 @@ impl Connection {
 
     fn binary(&mut self, bytes: &[u8]) -> Option<Out> {
         let now = self.state.clock.now();
-        let decimals = {
-            let held = self.ownership.held()?;
-            held.cycle.as_ref().map(|cycle| cycle.decimals.clone()).unwrap_or_default()
-        };
-        let frame = match binary::read(bytes, &decimals) {
+        let most = self.state.config.stream.samples_per_message;
+        let mut held = self.ownership.held()?;
+        let decimals = held.cycle.as_ref().map_or(&[][..], |cycle| &cycle.decimals);
+        let frame = match binary::read(bytes, decimals) {
             Ok(frame) => frame,
             Err(bad) => {
+                drop(held);
                 let violation = Violation::new("", "malformed_frame", bad.why);
                 return self.fault(now, bad.n, &violation);
             }
@@ -256,28 +296,26 @@ impl Connection {
         self.unreadable = 0;
         match frame {
             Frame::Samples { n: re, first, count, values, times_ms } => {
-                let most = self.state.config.stream.samples_per_message;
-                let fits = {
-                    let held = self.ownership.held()?;
-                    held.cycle
-                        .as_ref()
-                        .map_or(Err(no_cycle()), |cycle| cycle.fits(count, times_ms.len(), most))
-                };
+                let fits = held
+                    .cycle
+                    .as_ref()
+                    .map_or_else(|| Err(no_cycle()), |cycle| cycle.fits(count, times_ms.len(), most));
                 if let Err(violation) = fits {
+                    drop(held);
                     return self.fault(now, Some(re), &violation);
                 }
-                let n = self.number();
-                let mut held = self.ownership.held()?;
                 let ordered = Ordered { first, count, values, times_ms };
                 let answered =
                     judge(&self.state, &self.ownership, &mut held, (now, &ordered), &mut self.each)?;
                 let mode = held.cycle.as_ref()?.running.mode();
                 drop(held);
-                let mut out = Vec::with_capacity(48 + 16 * self.each.len());
+                let n = self.number();
+                let mut out = Vec::with_capacity(binary::length(self.each.len()));
                 binary::overrides(&mut out, Told { n, re, mode }, &answered, &self.each);
                 Some(Out::Binary(out))
             }
             Frame::Vibration { n: re, first, block } => {
+                drop(held);
                 let Some(monitor) = &mut self.monitor else {
                     return self.fault(now, Some(re), &no_monitor());
                 };

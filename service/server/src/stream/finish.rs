@@ -60,8 +60,7 @@ async fn try_store(
 ) -> Result<Accepted, Problem> {
     // Before the cycle: with the cycle stored and these lost, nobody would send them again.
     keep_overrides(state, machine, &cycle.id, cycle).await?;
-    let body = cycle.body(cycle.id.as_str(), outcome, reported);
-    let json = Bytes::from(body.to_string());
+    let json = Bytes::from(cycle.body(cycle.id.as_str(), outcome, reported).to_string());
     if cycle.running.was_cut_short() {
         state.intake.accept_incomplete(machine, json, Refused::ToQuarantine).await
     } else {

@@ -165,7 +165,11 @@ impl Streams {
     /// Charges a slot for the samples that its cycle holds now.
     pub fn charge(&self, held: &mut Held) {
         let bytes = held.cycle.as_ref().map_or(0, |cycle| cycle.running.record().bytes());
-        if bytes >= held.charged {
+        if bytes == held.charged {
+            // As nearly always: what every stream shares is left alone.
+            return;
+        }
+        if bytes > held.charged {
             self.held_bytes.fetch_add(bytes - held.charged, Ordering::Relaxed);
         } else {
             self.held_bytes.fetch_sub(held.charged - bytes, Ordering::Relaxed);
