@@ -167,6 +167,9 @@ impl Connection {
         let mut heard = Instant::now();
         loop {
             tokio::select! {
+                // Messages first. A machine that never pauses does not hide the rest: the runtime lets a task read only so
+                // much before it has to wait once.
+                biased;
                 received = socket.recv() => {
                     heard = Instant::now();
                     let out = match received {
@@ -639,9 +642,10 @@ fn judge(
     }
     let interval_us =
         i64::try_from(state.live.config().sample_interval_ms).unwrap_or(i64::MAX).saturating_mul(1000);
-    if now.micros().saturating_sub(cycle.shown_us) >= interval_us && state.live.samples_are_watched() {
+    if now.micros().saturating_sub(cycle.shown_us) >= interval_us {
+        // Once an interval, watched or not: whether somebody watches is behind a lock that every stream shares.
         cycle.shown_us = now.micros();
-        if let Some(last) = each.last() {
+        if let Some(last) = each.last().filter(|_| state.live.samples_are_watched()) {
             state.live.publish(Event::new(Kind::Sample, Some(machine), cycle.shown(machine, ordered, last)));
         }
     }
