@@ -19,7 +19,7 @@ const ROUNDS: usize = 3;
 
 /// Probability that a cycle is overloaded, as it is planned with. Depths are counted as if each were uncertain for itself,
 /// which overstates it: of the study's cycles less than half as many are (docs/feed-optimiser.md).
-const OVERLOAD_RISK: f64 = 0.02;
+const OVERLOAD_RISK: f64 = 0.03;
 
 /// Halvings in which the margin is found that the risk asks, and the largest margin in standard deviations.
 const MARGIN_HALVINGS: usize = 10;
@@ -141,6 +141,8 @@ pub(super) struct Planner<'a> {
     known_z: f64,
     cycle_z: f64,
     pub(super) heating_until_mm: f64,
+    /// Costs of a second and of a percent-second of spindle load over idle.
+    pub(super) weights: (f64, f64),
     /// How far the axis lags behind the programmed feed, s.
     pub(super) servo_s: f64,
 }
@@ -222,6 +224,7 @@ impl<'a> Planner<'a> {
             known_z: normal_quantile(settings.confidence),
             cycle_z: WIDEST_MARGIN,
             heating_until_mm,
+            weights: settings.objective.weights(relation.idle[1]),
             servo_s: 0.0,
         }
     }
@@ -257,9 +260,7 @@ impl<'a> Planner<'a> {
 
     /// Actual feed at a node, mm/min, from the programmed one there and the actual one a node before.
     pub(super) fn acting_feed(&self, programmed: f64, before: Option<f64>) -> f64 {
-        let Some(before) = before.filter(|_| self.servo_s > 1e-4) else { return programmed };
-        let time = self.relation.grid.step_mm() * 120.0 / (programmed + before);
-        before + (1.0 - (-time / self.servo_s).exp()) * (programmed - before)
+        acting_feed(programmed, before, self.relation.grid.step_mm(), self.servo_s)
     }
 
     /// How far a drive's load crosses its bounds at a node, in ln load; below 0 it keeps them.
@@ -400,7 +401,7 @@ impl<'a> Planner<'a> {
             binding: vec![Binding::Unknown; count],
             heat: vec![0.0; count],
         };
-        let weights = self.settings.objective.weights();
+        let weights = self.weights;
         let mut heat = 0.0;
         for (node, &(cap, mut binding)) in caps.iter().enumerate() {
             envelope.heat[node] = heat;
@@ -470,7 +471,7 @@ impl<'a> Planner<'a> {
     /// What knots are expected to do; allocates nothing, because a search asks it thousands of times.
     pub(super) fn outlook(&self, knots: &[Knot]) -> Outlook {
         let grid = &self.relation.grid;
-        let weights = self.settings.objective.weights();
+        let weights = self.weights;
         let mut out = Outlook::default();
         let (mut heat, mut at) = (0.0, 0);
         let mut before = 0.0;
@@ -518,7 +519,7 @@ impl<'a> Planner<'a> {
 
     /// Cost of a step at a node for a feed, with the heat of the envelope; for comparing feeds, not for telling them.
     pub(super) fn local_cost(&self, node: usize, heat: f64, feed: f64) -> f64 {
-        let weights = self.settings.objective.weights();
+        let weights = self.weights;
         let load = match &self.relation.nodes[node] {
             Some(known) if weights.1 > 0.0 => {
                 self.relation.load(known, 1, feed.ln(), self.relation.phi(heat), 0.0).mean.exp()
@@ -593,6 +594,13 @@ impl<'a> Planner<'a> {
     pub(super) fn acceleration(&self) -> f64 {
         self.settings.acceleration_mm_s2 * PLANNED_ACCELERATION
     }
+}
+
+/// Actual feed, mm/min, of an axis that follows with a first-order lag, from the actual one `step_mm` before.
+pub(super) fn acting_feed(programmed: f64, before: Option<f64>, step_mm: f64, servo_s: f64) -> f64 {
+    let Some(before) = before.filter(|_| servo_s > 1e-4) else { return programmed };
+    let time = step_mm * 120.0 / (programmed + before);
+    before + (1.0 - (-time / servo_s).exp()) * (programmed - before)
 }
 
 /// Where heating ends: as set, or where the feed-drive load has clearly fallen behind its maximum within it.

@@ -35,6 +35,12 @@ const CLEARLY_BETTER: f64 = 0.85;
 const SAME_FEED: f64 = 0.04;
 const MOST_SERVO_LAG_S: f64 = 0.1;
 
+/// Lags that are tried, the largest difference in ln feed that counts in fitting one, and the last of the way, in which
+/// the axis stops and says nothing of its lag, mm.
+const SERVO_STEPS: u32 = 50;
+const MOST_OFF: f64 = 0.2;
+const STOPPING_MM: f64 = 0.5;
+
 /// Steps in which the wear is tried up to which a profile holds, and where the trying ends.
 const WEAR_STEP: f64 = 0.0025;
 const MOST_MORE_WEAR: f64 = 0.2;
@@ -202,10 +208,12 @@ pub fn optimise(
         }
     }
     skipped.sort_by(|a, b| a.id.cmp(&b.id).then(a.reason.as_str().cmp(b.reason.as_str())));
-    let servo_s = last.map_or(0.0, |_| servo_lag_s(&courses, &feed, &grid));
-    let planner = Planner::new(&relation, settings, feed, &least).with_servo(servo_s);
-    let seen = seen_loads(cycles, &courses, &planner.last, settings, &grid);
-    let planner = if last.is_some() { planner.after_overload(&seen) } else { planner };
+    let lag_s = last.and_then(|_| followed_with_lag_s(&courses, &feed, &grid));
+    let planner = Planner::new(&relation, settings, feed, &least).with_servo(lag_s.unwrap_or(0.0));
+    let planner = match lag_s {
+        Some(_) => planner.after_overload(&seen_loads(cycles, &courses, settings, &grid)),
+        None => planner,
+    };
     let planner = planner.with_even_risk();
     let envelope = planner.envelope();
     let last_knots =
@@ -381,48 +389,49 @@ fn run_feed(courses: &[Course], grid: &Grid, settings: &Settings) -> (Vec<f64>, 
     (feed, least)
 }
 
-/// How far the axis lags behind the programmed feed, s: the difference of programmed and actual feed over the
-/// acceleration, from the latest cycle if it ran the profile tried last; else 0.
-fn servo_lag_s(courses: &[Course], programmed: &[f64], grid: &Grid) -> f64 {
-    let Some(latest) = courses.last() else { return 0.0 };
-    let mut off: Vec<f64> = (latest.readings.iter().zip(programmed))
-        .filter_map(|(reading, feed)| Some((reading.as_ref()?.x - feed.ln()).abs()))
-        .collect();
-    if off.is_empty() || super::course::quantile(&mut off, 0.5) > SAME_FEED {
-        return 0.0;
-    }
-    let (mut product, mut square) = (0.0, 0.0);
-    for (node, feed) in programmed.iter().enumerate().take(grid.count() - 1).skip(1) {
-        let speed = |at: usize| latest.readings[at].as_ref().map(|reading| reading.x.exp() / 60.0);
-        let (Some(before), Some(here), Some(after)) = (speed(node - 1), speed(node), speed(node + 1)) else {
-            continue;
-        };
-        let acceleration = here * (after - before) / (2.0 * grid.step_mm());
-        // Weighted by time, and not where the axis stops at the end of the path.
-        if grid.end_mm() - grid.depth_mm(node) > 0.5 {
-            product += (feed / 60.0 - here) * acceleration / here;
-            square += acceleration * acceleration / here;
+/// How far the axis lagged behind the programmed feed in the latest cycle, s; `None` if that cycle did not run the profile.
+///
+/// An axis that lags runs faster than programmed wherever the profile slows down, so whether it ran the profile is judged
+/// with the lag that fits best: judged without, the worst axes would count as having run something else.
+fn followed_with_lag_s(courses: &[Course], programmed: &[f64], grid: &Grid) -> Option<f64> {
+    let latest = courses.last()?;
+    let off = |servo_s: f64| {
+        let mut before = None;
+        let mut off = Vec::with_capacity(grid.count());
+        for (node, (reading, feed)) in latest.readings.iter().zip(programmed).enumerate() {
+            let acting = super::plan::acting_feed(*feed, before, grid.step_mm(), servo_s);
+            before = Some(acting);
+            // Not where the axis stops at the end of the path.
+            if let Some(reading) = reading
+                && grid.end_mm() - grid.depth_mm(node) > STOPPING_MM
+            {
+                off.push((reading.x - acting.ln()).abs());
+            }
+        }
+        off
+    };
+    let misfit = |servo_s: f64| off(servo_s).iter().map(|off| off.min(MOST_OFF).powi(2)).sum::<f64>();
+    let (mut best_s, mut least) = (0.0, misfit(0.0));
+    for step in 1..=SERVO_STEPS {
+        let servo_s = MOST_SERVO_LAG_S * f64::from(step) / f64::from(SERVO_STEPS);
+        let misfit = misfit(servo_s);
+        if misfit < least {
+            (best_s, least) = (servo_s, misfit);
         }
     }
-    if square > 0.0 { (product / square).clamp(0.0, MOST_SERVO_LAG_S) } else { 0.0 }
+    let mut off = off(best_s);
+    (!off.is_empty() && super::course::quantile(&mut off, 0.5) <= SAME_FEED).then_some(best_s)
 }
 
-/// ln of the larger filtered load over its set load at each node, from the latest cycle if it ran the profile tried last.
+/// ln of the larger filtered load over its set load at each node, from the latest cycle.
 fn seen_loads(
     cycles: &[RecordedCycle],
     courses: &[Course],
-    programmed: &[f64],
     settings: &Settings,
     grid: &Grid,
 ) -> Vec<Option<f64>> {
     let mut seen: Vec<Option<f64>> = vec![None; grid.count()];
     let Some(latest) = courses.last() else { return seen };
-    let mut off: Vec<f64> = (latest.readings.iter().zip(programmed))
-        .filter_map(|(reading, feed)| Some((reading.as_ref()?.x - feed.ln()).abs()))
-        .collect();
-    if off.is_empty() || super::course::quantile(&mut off, 0.5) > SAME_FEED {
-        return seen;
-    }
     let matching =
         cycles.iter().filter(|cycle| cycle.id == latest.id && cycle.operation == settings.operation);
     let Some(cycle) = matching.min_by(|a, b| compare_cycles(a, b)) else { return seen };

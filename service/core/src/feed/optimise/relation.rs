@@ -62,8 +62,9 @@ const NEW_TOOL: f64 = 1.0;
 /// Spread of wear over the cycles from which its effect is told.
 const TOLD_WEAR: f64 = 0.02;
 
-/// Share of the slope that uncertainty may take away when the feed is lowered: lowering it always lowers the load.
-const LOWERING_DOUBT: f64 = 0.6;
+/// Share of the slope that uncertainty may take away, at three standard deviations, when the feed is lowered: lowering it
+/// always lowers the load, but a load of which much knows no feed hardly.
+const LOWERING_DOUBT: f64 = 0.9;
 
 /// One drive at one depth.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -46,7 +46,8 @@ pub struct Bushing {
 pub enum Objective {
     /// Time from contact to the end of the path.
     Time,
-    /// Spindle work over idle. It has a minimum over the feed where the load grows faster than the feed.
+    /// The spindle's work, with what it idles with for as long as the hole takes. Idling asks for a faster feed, a load
+    /// that grows faster than the feed for a slower one: between them lies the minimum.
     Energy,
     /// `per_second` × time + `per_percent_second` × spindle load over idle × time.
     Cost {
@@ -58,11 +59,11 @@ pub enum Objective {
 }
 
 impl Objective {
-    /// Weights of a second and of a percent-second.
-    pub(crate) const fn weights(self) -> (f64, f64) {
+    /// Weights of a second and of a percent-second over the spindle's idle load, percent.
+    pub(crate) fn weights(self, idle_percent: f64) -> (f64, f64) {
         match self {
             Self::Time => (1.0, 0.0),
-            Self::Energy => (0.0, 1.0),
+            Self::Energy => (idle_percent.max(0.0), 1.0),
             Self::Cost { per_second, per_percent_second } => (per_second, per_percent_second),
         }
     }

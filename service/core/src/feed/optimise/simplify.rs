@@ -114,8 +114,8 @@ fn level(grid: &Grid, envelope: &Envelope) -> Vec<Knot> {
 
 fn edges(planner: &Planner<'_>, envelope: &Envelope, places: &[usize]) -> Vec<Edge> {
     let grid = &planner.relation.grid;
-    let time_only = planner.settings.objective.weights().1 <= 0.0;
-    let weight = planner.settings.objective.weights().0;
+    let time_only = planner.weights.1 <= 0.0;
+    let weight = planner.weights.0;
     let mut edges = Vec::new();
     let state = |place: usize, share: usize| u32::try_from(place * SHARES.len() + share).unwrap_or(u32::MAX);
     for (a, &from) in places.iter().enumerate() {

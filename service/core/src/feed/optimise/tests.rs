@@ -168,13 +168,27 @@ fn energy_and_cost_give_up_time_for_work_and_never_the_other_way_round() {
         let seconds = |one: &Proposal| one.prediction.time_s.expected;
         let work = |one: &Proposal| one.prediction.spindle_percent_s.expected;
         let spent = |one: &Proposal| seconds(one) + price * work(one);
-        assert!(work(&energy) <= work(&time) * 1.003, "case {seed}: {} {}", work(&energy), work(&time));
+        let over_idle = asked(Objective::Cost { per_second: 0.0, per_percent_second: 1.0 });
+        let whole = |one: &Proposal| work(one) + one.idle_percent[1] * seconds(one);
+        for other in [&time, &over_idle, &cost] {
+            assert!(
+                whole(&energy) <= whole(other) * 1.003,
+                "case {seed}: {} {}",
+                whole(&energy),
+                whole(other)
+            );
+        }
+        // What the spindle idles with is saved by a faster hole.
+        assert!(seconds(&energy) < seconds(&over_idle), "case {seed}");
         assert!(seconds(&energy) >= seconds(&time) * 0.997, "case {seed}");
-        for other in [&time, &energy] {
+        for other in [&time, &over_idle, &energy] {
             assert!(spent(&cost) <= spent(other) * 1.003, "case {seed}: {} {}", spent(&cost), spent(other));
         }
-        // Here a slower hole is always less work, so the least energy is found far from the shortest time.
-        assert!(work(&energy) < 0.9 * work(&time) && seconds(&energy) > 2.0 * seconds(&time), "case {seed}");
+        // Here a slower hole is always less work over idle, and that is found far from the shortest time.
+        assert!(
+            work(&over_idle) < 0.9 * work(&time) && seconds(&over_idle) > 2.0 * seconds(&time),
+            "case {seed}"
+        );
         // Joules are told where the machine says what a percent stands for.
         assert_eq!(time.prediction.energy_j, None);
         let rated = changed(&case, |params| params.watts_per_percent = Some(70.0));
@@ -296,8 +310,9 @@ fn loads_that_were_recorded_filtered_are_read_where_they_arose() {
     let of = |cycles: &[RecordedCycle]| {
         optimise(cycles, &settings, Some(&first(&case))).unwrap().prediction.time_s.expected
     };
+    // Filtered loads are less uneven, so the plan may be a little bolder.
     let change = of(&late) / of(&raw) - 1.0;
-    assert!(change.abs() < 0.04, "{change}");
+    assert!((-0.07..0.02).contains(&change), "{change}");
     // What ran is measured the same, filtered here or by the control.
     let [one, other] = [&raw[0], &late[0]].map(|cycle| Actual::of(cycle, &settings, 5.0).unwrap());
     assert!((one.peak_spindle_percent - other.peak_spindle_percent).abs() < 1.0, "{one:?} {other:?}");

@@ -76,6 +76,28 @@ mod tests {
     }
 
     #[test]
+    fn without_a_clamp_a_tenfold_overload_stops_the_feed_and_the_printed_sum_rounds_above_200() {
+        assert!(next_override(100.0, 10.0, correction(10.0, 2.0), 200.0).abs() < f64::MIN_POSITIVE);
+        let (ovr, c) = (199.999_999_949_828_83_f64, 0.999_999_999_999_981_7_f64);
+        let printed = 200.0 * (ovr / 200.0 + c - ovr * c / 200.0);
+        assert!(printed > 200.0 && printed < 200.000_000_000_000_1, "{printed}");
+        assert!(next_override(ovr, 0.0, c, 200.0) <= 200.0);
+    }
+
+    /// C_F as printed, without the inner max(0, …).
+    #[test]
+    fn the_printed_correction_rises_again_just_below_the_preferred_load_and_this_one_does_not() {
+        let printed = |load: f64, b: f64| 1.0 - (-b * (0.999 - load).powi(2)).exp().sqrt();
+        assert!(printed(0.9999, 1e3) > printed(0.9995, 1e3) && printed(0.9995, 1e3) > printed(0.999, 1e3));
+        for load in [0.999, 0.9995, 0.9999, 1.0] {
+            assert!(correction(load, 1e3).abs() < f64::MIN_POSITIVE);
+        }
+        for load in [0.0, 0.5, 0.9] {
+            assert!((correction(load, 2.0) - printed(load, 2.0)).abs() < 1e-15);
+        }
+    }
+
+    #[test]
     fn a_braking_drive_reads_as_no_load() {
         assert!(relative_load(-300.0, 30.0).abs() < 1e-12);
     }

@@ -41,6 +41,20 @@ fn without_a_rise_limit_a_cycle_takes_the_44_and_18_ipo_of_the_bare_equations() 
 }
 
 #[test]
+fn the_papers_law_has_the_papers_numbers() {
+    let params = LawParams::paper(30.0, 40.0).unwrap();
+    let weights = params.weights.as_array();
+    for (weight, paper) in weights.into_iter().zip([0.4, 0.1, 0.5]) {
+        assert!((weight - paper).abs() < 1e-15, "{weights:?}");
+    }
+    assert_eq!((params.set_feed_drive_percent, params.set_spindle_percent), (Some(30.0), Some(40.0)));
+    assert_eq!(params.heating, Heating::Time { ms: 2000.0 });
+    let range = OverrideRange::new(5.0, 200.0).unwrap();
+    assert_eq!(params.bounds, OverrideBounds::new(range, range));
+    assert!((params.period_ms - 10.0).abs() < 1e-15 && (params.intensity - 2.0).abs() < 1e-15);
+}
+
+#[test]
 fn a_rise_takes_five_points_per_sample_and_a_fall_is_immediate() {
     let config = law(|_| {});
     let mut state = LawState::new();

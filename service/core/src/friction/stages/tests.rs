@@ -113,21 +113,29 @@ fn without_a_flange_the_hole_ends_in_the_idle_travel() {
 #[test]
 fn a_short_tool_has_a_short_idle_travel_and_a_very_short_one_none() {
     let s = PaperStrategies::new().unwrap();
-    let drilled = |cylinder_mm: f64, seed| {
+    let drilled = |strategy: &Strategy, cylinder_mm: f64, seed| {
         let mut params = paper_params();
         params.tool.cylinder_length_mm = cylinder_mm;
         let collar = params.tool.collar_depth_mm() - params.sheet.flash_height_mm;
-        let end = until(&s.constant, collar + 1.5);
+        let end = until(strategy, collar + 1.5);
         (collar, stages(&hole(|p| p.tool.cylinder_length_mm = cylinder_mm, &end, 0.0, seed)))
     };
-    for seed in [None, Some(1), Some(2), Some(3)] {
-        let (collar, short) = drilled(5.5, seed);
-        assert!(depth(short.falling_edge) < collar, "{short:?}");
-        assert!((depth(short.flange) - collar).abs() < 1.0, "collar at {collar}: {short:?}");
+    for strategy in [&s.constant, &s.stepped, &s.linear] {
+        for seed in [None, Some(1), Some(2), Some(3)] {
+            let (collar, short) = drilled(strategy, 5.5, seed);
+            let name = &strategy.name;
+            assert!(depth(short.falling_edge) < collar, "{name}: {short:?}");
+            assert!((depth(short.flange) - collar).abs() < 1.0, "{name}, collar at {collar}: {short:?}");
+        }
     }
-    // The collar arrives while the loads still fall: no sharp fall, so no stage C.
-    let (_, very_short) = drilled(3.0, None);
+    // The collar arrives while the loads still fall: no sharp fall, so no stage C, and a flange follows B.
+    let (collar, shorter) = drilled(&s.constant, 4.0, None);
+    assert!(shorter.falling_edge.is_none(), "{shorter:?}");
+    assert!((depth(shorter.flange) - collar).abs() < 0.5, "collar at {collar}: {shorter:?}");
+    // Shorter still, the thrust rises by a thirtieth of its maximum: by load there is no flange.
+    let (_, very_short) = drilled(&s.constant, 3.0, None);
     assert!(very_short.breakthrough.is_some() && very_short.falling_edge.is_none(), "{very_short:?}");
+    assert!(very_short.flange.is_none(), "{very_short:?}");
 }
 
 #[test]
