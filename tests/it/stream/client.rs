@@ -76,6 +76,36 @@ impl Machine {
         }
     }
 
+    /// Sends and never waits for an answer, until the stream is closed: with which code.
+    pub(crate) async fn flood(self) -> Option<u16> {
+        let (mut out, mut back) = self.socket.split();
+        let sending = async {
+            for n in self.n + 1.. {
+                let heartbeat = json!({"type": "heartbeat", "n": n}).to_string();
+                if out.send(Message::Text(heartbeat.into())).await.is_err() {
+                    break;
+                }
+            }
+            std::future::pending().await
+        };
+        let reading = async {
+            loop {
+                match back.next().await {
+                    Some(Ok(Message::Close(frame))) => return frame.map(|frame| frame.code.into()),
+                    Some(Ok(_)) => {}
+                    None | Some(Err(_)) => return None,
+                }
+            }
+        };
+        let closed = async {
+            tokio::select! {
+                code = reading => code,
+                () = sending => None,
+            }
+        };
+        tokio::time::timeout(PATIENCE, closed).await.expect("it is closed")
+    }
+
     pub(crate) async fn send(&mut self, message: Message) {
         self.socket.send(message).await.unwrap();
     }

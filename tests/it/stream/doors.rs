@@ -64,6 +64,21 @@ async fn a_stream_ends_with_the_token_that_opened_it() {
     served.server.shutdown().await.unwrap();
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_machine_that_never_pauses_is_not_deaf_to_its_end() {
+    let served = Served::start(&[("stream.heartbeat_ms", "50")]).await;
+    served.with_a_shop().await;
+    let (_, made) = served
+        .send("POST", "/v1/tokens", Some(json!({"name": "M1", "role": "machine", "machine": "M1"})))
+        .await;
+    let machine = Machine::connect(&served, made["token"].as_str().unwrap()).await;
+    let flooding = tokio::spawn(machine.flood());
+    let path = format!("/v1/tokens/{}", made["id"].as_str().unwrap());
+    assert_eq!(served.send("DELETE", &path, None).await.0, 200);
+    assert_eq!(flooding.await.unwrap(), Some(4401));
+    served.server.shutdown().await.unwrap();
+}
+
 #[tokio::test]
 async fn what_is_too_large_or_no_protocol_at_all_ends_the_stream_with_its_code() {
     let served =

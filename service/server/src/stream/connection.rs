@@ -167,9 +167,6 @@ impl Connection {
         let mut heard = Instant::now();
         loop {
             tokio::select! {
-                // Messages first. A machine that never pauses does not hide the rest: the runtime lets a task read only so
-                // much before it has to wait once.
-                biased;
                 received = socket.recv() => {
                     heard = Instant::now();
                     let out = match received {
