@@ -21,7 +21,7 @@ async function withPage(options, work) { const page = await browser.page(shop, o
 const PAGES = {
   fleet: "/", wall: "/?view=wall", cycle: "/cycle?machine=sim-4&compare=new", "cycle-one-sample": "/cycle?machine=odd-1&id=one", "cycle-gaps": "/cycle?machine=odd-1&id=gaps",
   tool: "/tool?id=sim-tool-1", "tool-adaptive": "/tool?id=sim-tool-4", "tool-odd": "/tool?id=odd-tool", "tool-new": "/tool?id=new-tool", profile: "/profile", next: "/next?machine=sim-1",
-  strategies: "/studies", turning: "/studies#turning", plunge: "/studies#plunge",
+  strategies: "/studies", vibratory: "/studies#vibratory", turning: "/studies#turning", plunge: "/studies#plunge",
   machines: "/settings", operations: "/settings#operations", tools: "/settings#tools", alarms: "/settings#alarms", quarantine: "/settings#quarantine", tokens: "/settings#tokens", audit: "/settings#audit", "sign-in": "/sign-in",
 };
 const MAIN = ["fleet", "cycle", "tool", "profile", "next", "strategies", "machines"];

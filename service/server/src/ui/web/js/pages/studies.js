@@ -80,7 +80,7 @@ async function vibratory() {
         const k = dpr(); c.save(); clip(u);
         c.lineJoin = "round"; c.beginPath(); border.points.forEach((point, i) => { const x = X(u, body.frequency_ratio.min + i / (border.points.length - 1) * (body.frequency_ratio.max - body.frequency_ratio.min)), y = Y(u, Math.min(point.cutting_coefficient, body.cutting_coefficient.max * 3)); if (i) c.lineTo(x, y); else c.moveTo(x, y); });
         c.strokeStyle = token("--surface"); c.lineWidth = 4.5 * k; c.stroke(); c.strokeStyle = token("--sig-limit"); c.lineWidth = 2 * k; c.setLineDash([6 * k, 4 * k]); c.stroke(); c.setLineDash([]);
-        c.font = `600 ${12 * k}px ${FONT}`; c.fillStyle = token("--ink"); c.textAlign = "left"; c.textBaseline = "top"; halo(c, t("study.unstable"), u.bbox.left + 10 * k, u.bbox.top + 10 * k);
+        c.font = `600 ${12 * k}px ${FONT}`; c.fillStyle = token("--ink"); c.textAlign = "center"; c.textBaseline = "top"; halo(c, t("study.unstable"), u.bbox.left + u.bbox.width / 2, u.bbox.top + 10 * k);
         if (moved) { const x = X(u, map.frequency_ratios[here[0]]), y = Y(u, map.cutting_coefficients[here[1]]); c.strokeStyle = token("--ink"); c.lineWidth = 2 * k; c.strokeRect(x - 5 * k, y - 5 * k, 10 * k, 10 * k); }
         c.restore();
       },
