@@ -480,6 +480,7 @@ await check("profile: knots are dragged by mouse, touch and keyboard, the loads 
   await withPage({ role: "engineer", ...SIZES.tablet }, async (page) => {
     await page.go("/profile?id=cross-member&version=3");
     await page.waitForFunction(() => document.querySelectorAll(".knob").length === 7);
+    await page.locator(DRAWN.profile).first().waitFor(); // its figures stand above the chart, and move it down
     const feed = () => page.locator("#knots tr:nth-child(5) td:nth-child(3) input").inputValue(), before = Number(await feed());
     await page.locator("#feed").scrollIntoViewIfNeeded();
     const box = await page.locator(".knob").nth(4).boundingBox(), x = box.x + box.width / 2, y = box.y + box.height / 2;
