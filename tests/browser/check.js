@@ -483,7 +483,11 @@ await check("profile: knots are dragged by mouse, touch and keyboard, the loads 
     await page.locator(DRAWN.profile).first().waitFor(); // its figures stand above the chart, and move it down
     const feed = () => page.locator("#knots tr:nth-child(5) td:nth-child(3) input").inputValue(), before = Number(await feed());
     await page.locator("#feed").scrollIntoViewIfNeeded();
-    const box = await page.locator(".knob").nth(4).boundingBox(), x = box.x + box.width / 2, y = box.y + box.height / 2;
+    // Nobody touches within a frame of what has just moved: where the knob stands in three frames in a row.
+    const [x, y] = await page.evaluate(async () => {
+      const frame = () => new Promise((wake) => requestAnimationFrame(wake)), place = () => { const box = document.querySelectorAll(".knob")[4].getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; };
+      for (let at = place(), still = 0; ;) { await frame(); const now = place(); still = now.join() === at.join() ? still + 1 : 0; at = now; if (still === 3) return at; }
+    });
     const client = await page.context().newCDPSession(page), touch = (type, at) => client.send("Input.dispatchTouchEvent", { type, touchPoints: at ? [{ x: at[0], y: at[1] }] : [] });
     await touch("touchStart", [x, y]);
     for (const down of [10, 25, 40]) await touch("touchMove", [x, y + down]);
