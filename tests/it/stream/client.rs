@@ -86,7 +86,7 @@ impl Machine {
                     break;
                 }
             }
-            std::future::pending().await
+            std::future::pending::<()>().await;
         };
         let reading = async {
             loop {
