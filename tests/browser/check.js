@@ -15,7 +15,15 @@ async function check(name, work) {
   try { await work(); console.log(`ok    ${name} (${((performance.now() - begun) / 1000).toFixed(1)} s)`); } catch (error) { failed.push(name); console.log(`FAIL  ${name}\n${error.stack ?? error}`); }
 }
 const nothingWrong = (page) => assert.deepEqual(page.wrong, []);
-async function withPage(options, work) { const page = await browser.page(shop, options); try { await work(page); nothingWrong(page); } finally { await page.finish(); } }
+/** A page and what is done there; what it looked like, and what else went wrong, is told of whatever fails. */
+async function withPage(options, work) {
+  const page = await browser.page(shop, options);
+  try { await work(page); nothingWrong(page); } catch (error) {
+    await page.screenshot({ path: `${SHOTS}failed-${failed.length}.png`, timeout: 10_000 }).catch(() => {});
+    error.stack += `\n    on ${page.url()}, failed-${failed.length}.png; wrong: ${page.wrong.join("; ")}; the server: ${shop.log.slice(-2000)}`;
+    throw error;
+  } finally { await page.finish(); }
+}
 
 /** Every page, and every state of one that is a page of its own. */
 const PAGES = {
@@ -52,7 +60,7 @@ await check("texts: both languages have the same keys, and every key that is use
 });
 
 await check("tracks: what a zoom shows is the minimum and maximum of every pixel column", async () => {
-  const { Track, forward } = await import(`${WEB}js/track.js`);
+  const { Track, forward, placeOf } = await import(`${WEB}js/track.js`);
   const count = 60_000, x = Array.from({ length: count }, (_, i) => i * 0.01), y = x.map((value, i) => Math.sin(value) + (i * 7919 % 1000) / 1000);
   const track = new Track(x, { y });
   let seed = 1;
@@ -67,6 +75,22 @@ await check("tracks: what a zoom shows is the minimum and maximum of every pixel
     const inside = y.filter((_, i) => x[i] >= min && x[i] <= max);
     assert.ok(low <= inside.reduce((a, b) => Math.min(a, b)) && high >= inside.reduce((a, b) => Math.max(a, b)), "a peak is missing");
     assert.ok(drawn <= 2010, `${drawn} columns for 1000 pixels`);
+  }
+  // Panned by less than a pixel and by many, forth and back: a column that is there again is the same, and no sample is in none.
+  const columns = new Map();
+  for (const shift of [0, 0.1, 33.3, 120, 33.3, 0]) {
+    const count = new Map();
+    track.each("y", 100 + shift, 350 + shift, 1000, (_, low, high, edge) => {
+      const key = Math.round(edge / 0.25);
+      assert.ok(!count.has(key), "a column is drawn once");
+      count.set(key, [low, high]);
+      assert.deepEqual(columns.get(key) ?? [low, high], [low, high]);
+      columns.set(key, [low, high]);
+    });
+    for (let i = placeOf(track.x, 100 + shift); i < placeOf(track.x, 350 + shift); i++) {
+      const [low, high] = count.get(Math.floor(x[i] / 0.25 + 1e-9)) ?? [];
+      assert.ok(low <= y[i] && y[i] <= high, `sample ${i} is in no column`);
+    }
   }
   const holed = new Track([0, 1, 2, 3], { y: [1, null, 3, 4] });
   assert.equal(holed.at("y", 1), null);
@@ -111,6 +135,8 @@ await check("sign-in: a wrong token is told and stays, a good one goes on to whe
       await page.keyboard.press("Enter");
       await page.waitForFunction(() => document.body.dataset.page === "fleet");
       assert.ok(page.url().startsWith(shop.address), page.url());
+      // The fleet asks again and again: it is left before its session is taken away.
+      await page.goto("about:blank");
       await page.context().clearCookies();
     }
   });

@@ -58,25 +58,56 @@ export function line(u, track, name, { color, width = 1.9, dash = [], alpha = 1 
   c.save();
   clip(u);
   c.strokeStyle = token(color); c.lineWidth = width * k; c.globalAlpha = alpha; c.setLineDash(dash.map((part) => part * k));
+  c.fillStyle = c.strokeStyle;
   c.beginPath();
   const { min: low, max: high } = u.scales.y, { left, top, width: w, height: h } = u.bbox;
-  // Where every pixel column has its stroke, nobody sees a rounded corner, and it costs most of the frame.
-  c.lineJoin = track.between(min, max) > 2 * w ? "bevel" : "round";
   const sx = w / (max - min), sy = h / (high - low), y = (value) => top + (high - value) * sy;
-  let pen = false, alone = null;
   const lonely = [];
-  track.each(name, min, max, Math.round(w), (x, a, b) => {
-    if (Number.isNaN(a)) { if (alone) lonely.push(alone); alone = null; pen = false; return; }
-    const px = left + (x - min) * sx;
-    if (pen) { c.lineTo(px, y(a)); alone = null; } else { c.moveTo(px, y(a)); pen = true; alone = b === a ? [px, y(a)] : null; }
-    if (b !== a) c.lineTo(px, y(b));
-  });
-  c.stroke();
+  // Where every pixel column has its stroke, a bar in each looks the same, and corners are most of what a stroke costs.
+  if (dash.length === 0 && track.between(min, max) > 2 * w) bars(c, track, name, { min, max, w, at: (x) => left + (x - min) * sx, y, thick: width * k });
+  else {
+    c.lineJoin = "round";
+    let pen = false, alone = null, px = 0, flat = null, drawn = null;
+    track.each(name, min, max, Math.round(w), (x, a, b) => {
+      if (Number.isNaN(a)) { if (flat !== null && pen) c.lineTo(px, y(flat)); if (alone) lonely.push(alone); alone = null; flat = null; pen = false; return; }
+      const at = left + (x - min) * sx;
+      // A stretch of one value is one piece of the line, however many samples it has.
+      if (pen && a === b && a === drawn) { px = at; flat = a; alone = null; return; }
+      if (flat !== null && pen) c.lineTo(px, y(flat));
+      flat = null;
+      if (pen) { c.lineTo(at, y(a)); alone = null; } else { c.moveTo(at, y(a)); pen = true; alone = b === a ? [at, y(a)] : null; }
+      if (b !== a) c.lineTo(at, y(b));
+      drawn = b; px = at;
+    });
+    if (flat !== null && pen) c.lineTo(px, y(flat));
+    c.stroke();
+    if (alone) lonely.push(alone);
+  }
   // A value without neighbours makes no line: it is a dot.
-  if (alone) lonely.push(alone);
-  c.fillStyle = c.strokeStyle;
   for (const [px, py] of lonely) { c.beginPath(); c.arc(px, py, Math.max(2, width * 1.2) * k, 0, 7); c.fill(); }
   c.restore();
+}
+
+/** A dense line: in every pixel column a bar from its least to its greatest value, and on to the column before. */
+function bars(c, track, name, { min, max, w, at, y, thick }) {
+  // Bars on each other would be seen through a line that is not opaque: there each is as wide as its column.
+  const wide = c.globalAlpha < 1 ? 1 : Math.max(1, Math.round(thick)), tall = Math.max(1, thick);
+  const begin = Math.floor(at(min)) - 1, end = Math.ceil(at(max)) + 1;
+  let before = null, from = 0, to = 0, up = NaN, down = NaN;
+  const put = () => { if (up <= down) c.fillRect(from - (wide >> 1), Math.round(up - tall / 2), to - from + wide, Math.max(1, Math.round(down - up + tall))); };
+  const bar = (px, a, b) => {
+    const high = y(before ? Math.max(b, before[1]) : b), low = y(before ? Math.min(a, before[2]) : a);
+    if (high === up && low === down && px === to + 1) to = px; else { put(); from = to = px; up = high; down = low; }
+    before = [px, a, b];
+  };
+  track.each(name, min, max, Math.round(w), (_, a, b, edge) => {
+    if (Number.isNaN(a)) { put(); up = NaN; before = null; return; }
+    const px = Math.round(at(edge));
+    // Samples that lie further apart than a column are joined, as any line joins its samples.
+    if (before && px > before[0] + 1) for (let [last, low, high] = before, i = Math.max(begin, last + 1); i < Math.min(end, px); i++) { const part = (i - last) / (px - last); bar(i, low + part * (a - low), high + part * (b - high)); }
+    bar(px, a, b);
+  });
+  put();
 }
 
 /** A horizontal limit with its name in the right margin (or inside, on a phone). */

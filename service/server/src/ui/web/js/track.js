@@ -71,30 +71,38 @@ export class Track {
     const part = (value - x[i - 1]) / (x[i] - x[i - 1]), between = values[i - 1] + part * (values[i] - values[i - 1]);
     return Number.isNaN(between) ? null : between;
   }
-  /** Calls draw(x, min, max) for what a plot of `width` pixels shows of min..max: every sample, or every pixel column. */
+  /** Calls draw(x, min, max) for what a plot of `width` pixels shows of min..max: every sample, or every pixel column, with
+   *  where that begins.
+   *  Columns stand still while the plot is panned: nothing flickers, and what was looked at once is not looked at again. */
   each(name, min, max, width, draw) {
     const { x } = this, values = this.columns[name];
     const from = Math.max(0, placeOf(x, min) - 1), to = Math.min(x.length, placeOf(x, max) + 2);
     if (to - from <= 2 * width) { for (let i = from; i < to; i++) draw(x[i], values[i], values[i]); return; }
-    const step = (max - min) / width;
-    let i = from;
-    while (i < to) {
-      const edge = (Math.floor((x[i] - min) / step) + 1) * step + min;
-      let end = i + 1;
-      // Samples are all but evenly spaced: a guess, then the exact place.
-      if (end < to && x[end] < edge) { end = placeFrom(x, edge, i + 1, to); }
-      const found = this.extremes(name, i, end);
-      if (found) draw(x[i], found[0], found[1], values[i], values[end - 1]); else draw(x[i], NaN, NaN);
-      i = end;
+    const { step, first, starts, seen } = this.pixels((max - min) / width), { low, high, known } = seen[name] ??= { low: new Float64Array(starts.length), high: new Float64Array(starts.length), known: new Uint8Array(starts.length) };
+    const start = (column) => { if (starts[column] < 0) starts[column] = placeOf(x, (first + column) * step); return starts[column]; };
+    const last = Math.min(starts.length - 2, Math.floor(x[to - 1] / step) - first);
+    for (let column = Math.max(0, Math.floor(x[from] / step) - first); column <= last; column++) {
+      const begin = start(column), end = start(column + 1);
+      if (begin === end) continue;
+      if (!known[column]) {
+        const found = this.extremes(name, begin, end);
+        low[column] = found ? found[0] : NaN; high[column] = found ? found[1] : NaN; known[column] = 1;
+      }
+      draw(x[begin], low[column], high[column], (first + column) * step);
     }
   }
-}
-function placeFrom(x, value, from, to) {
-  let step = 1, low = from;
-  while (low + step < to && x[low + step] < value) { low += step; step *= 2; }
-  let high = Math.min(to, low + step + 1);
-  while (low < high) { const mid = (low + high) >> 1; if (x[mid] < value) low = mid + 1; else high = mid; }
-  return Math.max(low, from);
+  /** The pixel columns of the whole track for one zoom: where each begins, and what was found in it. */
+  pixels(width) {
+    const step = +width.toPrecision(9);
+    if (this.grid?.step !== step) {
+      const { x } = this, first = Math.floor(x[0] / step), count = Math.floor(x[x.length - 1] / step) - first + 1;
+      this.grid = { step, first, starts: new Int32Array(count + 1).fill(-1), seen: {} };
+      // Whatever rounding says of the outermost samples: none is left out.
+      this.grid.starts[0] = 0;
+      this.grid.starts[count] = x.length;
+    }
+    return this.grid;
+  }
 }
 
 /** The way forward over depth: samples that are deeper than every one before, from `first` mm on. */

@@ -124,7 +124,7 @@ function build() {
 }
 const middle = () => { const b = A.course?.stages?.find((stage) => stage.stage === "B"); return b ? (placeX(b.from) + placeX(b.to)) / 2 : (whole[0] + whole[1]) / 2; };
 /** All rows show the same part of x. */
-function window_(min, max, zoomed = true) { for (const plot of plots) { plot.zoomed = zoomed; plot.quiet = true; plot.setScale("x", { min, max }); plot.quiet = false; } requestAnimationFrame(() => readout(pin)); }
+function window_(min, max, zoomed = true) { for (const plot of plots) { plot.zoomed = zoomed; plot.quiet = true; plot.setScale("x", { min, max }); plot.quiet = false; } requestAnimationFrame(() => mark(pin)); }
 function follow(u) { if (u.quiet || plots.length === 0) return; const { min, max } = u.scales.x; if (u.zoomed || (min === whole[0] && max === whole[1])) return; window_(min, max); }
 const resetZoom = () => window_(whole[0], whole[1], false);
 const seen = () => { const { min, max } = plots[0].scales.x; return [min, max]; };
@@ -202,15 +202,22 @@ function stageNames(u, c, stages) {
 }
 
 function move(x) { pin = x; readout(x); }
-/** What stands at x, in the table and on the lines. */
-function readout(x) {
+/** Where x stands in what the rows show now: all that a zoom changes of what is read out. */
+function mark(x) {
   if (plots.length === 0 || x == null) return;
   const a = A.tracks[axisOf], b = B?.tracks[axisOf];
   for (const plot of plots) {
-    const left = plot.valToPos(x, "x"), inside = left >= 0 && left <= plot.over.clientWidth;
+    // The width as the plot knows it: asking the page for it in the midst of changes would lay it out for every row.
+    const left = plot.valToPos(x, "x"), inside = left >= 0 && left <= plot.bbox.width / dpr();
     plot.hair.hidden = !inside; plot.hair.style.transform = `translateX(${left}px)`;
     [a.at(plot.row.main, x), b?.at(plot.row.main, x)].forEach((value, i) => { const dot = plot.dots[i]; if (!dot) return; dot.hidden = !inside || value == null; if (value != null) dot.style.transform = `translate(${left}px, ${plot.valToPos(value, "y")}px)`; dot.className = `dot-mark ${i ? "other" : ""}`; dot.style.borderColor = i ? "" : `var(${plot.row.color})`; });
   }
+}
+/** What stands at x, in the table and on the lines. */
+function readout(x) {
+  if (plots.length === 0 || x == null) return;
+  mark(x);
+  const a = A.tracks[axisOf], b = B?.tracks[axisOf];
   const z = axisOf === "z" ? x : a.at("z", x), s = axisOf === "t" ? x : a.at("t", x);
   put($("#at"), [z == null ? null : unit(z, "mm", 2), s == null ? null : unit(s, "s", 2)].filter(Boolean).join(", "));
   const stage = (A.course?.stages ?? []).find((one) => x >= placeX(one.from) && x < placeX(one.to));
