@@ -94,7 +94,7 @@ function bars(c, track, name, { min, max, w, at, y, thick }) {
   const wide = c.globalAlpha < 1 ? 1 : Math.max(1, Math.round(thick)), tall = Math.max(1, thick);
   const begin = Math.floor(at(min)) - 1, end = Math.ceil(at(max)) + 1;
   let before = null, from = 0, to = 0, up = NaN, down = NaN;
-  const put = () => { if (up <= down) c.fillRect(from - (wide >> 1), Math.round(up - tall / 2), to - from + wide, Math.max(1, Math.round(down - up + tall))); };
+  const put = () => { if (up <= down) c.fillRect(from - (wide >> 1), up - tall / 2, to - from + wide, down - up + tall); };
   const bar = (px, a, b) => {
     const high = y(before ? Math.max(b, before[1]) : b), low = y(before ? Math.min(a, before[2]) : a);
     if (high === up && low === down && px === to + 1) to = px; else { put(); from = to = px; up = high; down = low; }
