@@ -3,9 +3,11 @@
 use super::cycle::StreamedCycle;
 use crate::http::dto::time;
 use crate::http::problem::{FieldError, Problem};
+use bytes::{BufMut, BytesMut};
 use feedwright_core::closed_loop::monitor::BlockAdvice;
 use feedwright_core::closed_loop::{Answer, LoopReasons, Mode, SampleAdvice};
 use feedwright_core::invalid::Violation;
+use feedwright_core::units::Timestamp;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -42,7 +44,8 @@ pub struct StandingPart<'a> {
     #[schema(value_type = Vec<String>)]
     pub reasons: Codes,
     /// Not to be acted on after this, by the server's clock.
-    pub valid_until: String,
+    #[schema(value_type = String)]
+    pub valid_until: At,
     /// The same in ms: count it from the moment the message that is answered was sent.
     pub valid_for_ms: i64,
     /// `good`, `limited`, `stale` or `missing`.
@@ -235,6 +238,16 @@ pub struct GainMessage {
     pub reasons: Codes,
 }
 
+/// A time, shown as every other.
+#[derive(Debug, Clone, Copy)]
+pub struct At(pub Timestamp);
+
+impl Serialize for At {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&time::show(self.0))
+    }
+}
+
 /// Reasons as their codes.
 #[derive(Debug, Clone, Copy)]
 pub struct Codes(pub LoopReasons);
@@ -253,7 +266,7 @@ pub fn standing<'a>(cycle: &'a StreamedCycle, answer: &Answer) -> StandingPart<'
         mode: cycle.running.mode().as_str(),
         override_percent: advise.then(|| answer.ovr.percent()),
         reasons: Codes(answer.reasons),
-        valid_until: time::show(answer.valid_until),
+        valid_until: At(answer.valid_until),
         valid_for_ms: answer.valid_for_ms,
         quality: answer.quality.as_str(),
         age_ms: answer.age_ms,
@@ -343,12 +356,164 @@ pub fn problem<'a>(
     }
 }
 
+/// Writes the answer to samples, byte for byte what [`OverrideMessage`] serialises to. It is told for every sample of
+/// every machine: names and words that need no escaping are written as they are.
+pub fn overrides(
+    out: &mut BytesMut,
+    (n, re): (u32, u32),
+    standing: &StandingPart<'_>,
+    (mode, each): (Mode, &[SampleAdvice]),
+) {
+    out.put_slice(b"{\"type\":\"override\",\"n\":");
+    put(out, &n);
+    member(out, "re", &re);
+    member(out, "cycle_id", standing.cycle_id);
+    word(out, "mode", standing.mode);
+    if let Some(percent) = standing.override_percent {
+        member(out, "override_percent", &percent);
+    }
+    codes(out, standing.reasons);
+    name(out, "valid_until");
+    out.put_u8(b'"');
+    time::write(out, standing.valid_until.0);
+    out.put_u8(b'"');
+    member(out, "valid_for_ms", &standing.valid_for_ms);
+    word(out, "quality", standing.quality);
+    member(out, "age_ms", &standing.age_ms);
+    member(out, "next", &standing.next);
+    member(out, "overload", &standing.overload);
+    member(out, "law_version", standing.law_version);
+    if let Some(profile) = standing.profile {
+        member(out, "profile", profile);
+    }
+    if let Some(hash) = standing.program_hash {
+        member(out, "program_hash", hash);
+    }
+    if let Some(plunge) = &standing.plunge {
+        member(out, "plunge", plunge);
+    }
+    name(out, "each");
+    let advise = mode == Mode::Advise;
+    for (i, advice) in each.iter().enumerate() {
+        out.put_slice(if i == 0 { b"[{" } else { b",{" });
+        if advise {
+            out.put_slice(b"\"override_percent\":");
+            put(out, &advice.ovr.percent());
+            out.put_u8(b',');
+        }
+        out.put_slice(b"\"reasons\":");
+        list(out, advice.reasons);
+        out.put_u8(b'}');
+    }
+    out.put_slice(if each.is_empty() { b"[]}" } else { b"]}" });
+}
+
+fn name(out: &mut BytesMut, name: &str) {
+    out.put_slice(b",\"");
+    out.put_slice(name.as_bytes());
+    out.put_slice(b"\":");
+}
+
+/// Numbers and text as JSON has them. Into memory, and with finite floats or null, this cannot fail.
+fn put<T: Serialize + ?Sized>(out: &mut BytesMut, value: &T) {
+    let _ = serde_json::to_writer(out.writer(), value);
+}
+
+fn member<T: Serialize + ?Sized>(out: &mut BytesMut, named: &str, value: &T) {
+    name(out, named);
+    put(out, value);
+}
+
+/// A word of ours: letters, digits and underscores.
+fn word(out: &mut BytesMut, named: &str, word: &'static str) {
+    name(out, named);
+    out.put_u8(b'"');
+    out.put_slice(word.as_bytes());
+    out.put_u8(b'"');
+}
+
+fn codes(out: &mut BytesMut, reasons: Codes) {
+    name(out, "reasons");
+    list(out, reasons.0);
+}
+
+fn list(out: &mut BytesMut, reasons: LoopReasons) {
+    out.put_u8(b'[');
+    for (i, code) in reasons.codes().enumerate() {
+        out.put_slice(if i == 0 { b"\"" } else { b",\"" });
+        out.put_slice(code.as_bytes());
+        out.put_u8(b'"');
+    }
+    out.put_u8(b']');
+}
+
 /// A message as text. Maps with string keys and finite floats cannot fail to serialise.
 pub fn text(message: &impl Serialize) -> String {
-    // An answer to a sample is about 500 bytes: no growing on the way there.
-    let mut bytes = Vec::with_capacity(640);
-    match serde_json::to_writer(&mut bytes, message) {
-        Ok(()) => String::from_utf8(bytes).unwrap_or_default(),
-        Err(_) => String::new(),
+    serde_json::to_string(message).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::message::ProfileMessage;
+    use feedwright_core::friction::feed_override::{OverrideBounds, OverrideRange};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn an_answer_to_samples_is_what_its_description_serialises_to(
+            (n, re, next) in any::<(u32, u32, u64)>(),
+            (bits, micros, valid_for_ms) in (any::<u64>(), any::<i64>(), any::<i64>()),
+            cycle_id in ".{0,12}",
+            (advise, overload) in any::<(bool, bool)>(),
+            age_ms in proptest::option::of(any::<f64>()),
+            percents in proptest::collection::vec((0.0..300.0_f64, any::<u64>()), 0..4),
+            (version, hash) in (proptest::option::of(any::<u32>()), proptest::option::of("[0-9a-f]{8}")),
+            plunge in proptest::option::of((any::<f64>(), proptest::option::of(-9.0..9.0_f64))),
+        ) {
+            let mode = if advise { Mode::Advise } else { Mode::Shadow };
+            let profile = version.map(|version| ProfileMessage { id: cycle_id.clone(), version });
+            let standing = || StandingPart {
+                cycle_id: &cycle_id,
+                mode: mode.as_str(),
+                override_percent: advise.then_some(87.5),
+                reasons: Codes(LoopReasons::from_bits(bits)),
+                valid_until: At(Timestamp::from_micros(micros)),
+                valid_for_ms,
+                quality: LoopReasons::from_bits(bits).quality().as_str(),
+                age_ms,
+                next,
+                overload,
+                law_version: "a law",
+                profile: profile.as_ref(),
+                program_hash: hash.as_deref(),
+                plunge: plunge.map(|(bite_mm, contact_offset_mm)| PlungePart {
+                    phase: "work",
+                    feed_mm_min: advise.then_some(50.0),
+                    bite_mm,
+                    contact_offset_mm,
+                    breakthrough_depth_mm: None,
+                }),
+            };
+            let range = OverrideRange::new(1.0, 255.0).unwrap();
+            let limits = OverrideBounds::new(range, range);
+            let each: Vec<SampleAdvice> = percents
+                .iter()
+                .map(|(percent, bits)| SampleAdvice {
+                    ovr: limits.clamp(*percent).0,
+                    reasons: LoopReasons::from_bits(*bits),
+                })
+                .collect();
+            let mut written = BytesMut::new();
+            overrides(&mut written, (n, re), &standing(), (mode, &each));
+            let described = OverrideMessage {
+                kind: "override",
+                n,
+                re: Some(re),
+                standing: standing(),
+                each: Some(super::each(mode, &each)),
+            };
+            prop_assert_eq!(String::from_utf8(written.to_vec()).unwrap(), text(&described));
+        }
     }
 }

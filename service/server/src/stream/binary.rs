@@ -3,6 +3,8 @@
 //! Values are whole numbers of a channel's last decimal, so that a number means the same in either encoding: dividing
 //! by a power of ten is rounded as reading the decimal text is.
 
+use super::cycle::Ordered;
+use bytes::{BufMut, BytesMut};
 use feedwright_core::closed_loop::monitor::BlockAdvice;
 use feedwright_core::closed_loop::plunge::PlungePhase;
 use feedwright_core::closed_loop::reason::Quality;
@@ -29,18 +31,10 @@ pub const MOST_DECIMALS: u8 = 9;
 /// A binary message of a machine.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Frame {
-    /// Samples, column after column.
+    /// Samples, which stand in what was given to be filled.
     Samples {
         /// Number of the message.
         n: u32,
-        /// Number of the first sample.
-        first: u64,
-        /// Samples.
-        count: usize,
-        /// Values.
-        values: Vec<f64>,
-        /// Times, ms.
-        times_ms: Vec<f64>,
     },
     /// A block of vibration.
     Vibration {
@@ -70,8 +64,11 @@ fn i32_at(bytes: &[u8], at: usize) -> Option<i32> {
     Some(i32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
 }
 
-/// Reads a frame; `decimals` are those of the cycle's channels in their order.
-pub fn read(bytes: &[u8], decimals: &[u8]) -> Result<Frame, BadFrame> {
+/// 10 to the power of a channel's decimals.
+const UNITS: [f64; MOST_DECIMALS as usize + 1] = [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9];
+
+/// Reads a frame; `decimals` are those of the cycle's channels in their order. Samples fill `ordered`.
+pub fn read(bytes: &[u8], decimals: &[u8], ordered: &mut Ordered) -> Result<Frame, BadFrame> {
     let (Some(n), Some(first)) = (u32_at(bytes, 4), u32_at(bytes, 8)) else {
         return Err(BadFrame { n: None, why: "a frame has at least 12 bytes" });
     };
@@ -88,18 +85,23 @@ pub fn read(bytes: &[u8], decimals: &[u8]) -> Result<Frame, BadFrame> {
                 return Err(bad("the length is not that of its samples of the cycle's channels"));
             }
             let column = |c: usize, decimals: u8| {
-                let unit = 10_f64.powi(i32::from(decimals));
+                let unit = UNITS.get(usize::from(decimals)).copied().unwrap_or(f64::NAN);
                 (0..count).map(move |i| match i32_at(body, 4 * (c * count + i)) {
                     None | Some(MISSING) => f64::NAN,
                     Some(value) => f64::from(value) / unit,
                 })
             };
-            let mut values = Vec::with_capacity(count * decimals.len());
+            let Ordered { first: number, count: samples, values, times_ms } = ordered;
+            (*number, *samples) = (first.into(), count);
+            values.clear();
             for (c, decimals) in decimals.iter().enumerate() {
                 values.extend(column(c, *decimals));
             }
-            let times_ms = if flags == WITH_TIMES { column(decimals.len(), 3).collect() } else { Vec::new() };
-            Ok(Frame::Samples { n, first: first.into(), count, values, times_ms })
+            times_ms.clear();
+            if flags == WITH_TIMES {
+                times_ms.extend(column(decimals.len(), 3));
+            }
+            Ok(Frame::Samples { n })
         }
         (VIBRATION, 0) => {
             if body.len() != 8 * count {
@@ -146,33 +148,33 @@ pub const fn length(samples: usize) -> usize {
 }
 
 /// Writes the answer to samples.
-pub fn overrides(out: &mut Vec<u8>, told: Told, answer: &Answer, each: &[SampleAdvice]) {
+pub fn overrides(out: &mut BytesMut, told: Told, answer: &Answer, each: &[SampleAdvice]) {
     let advise = told.mode == Mode::Advise;
     let shown = |percent: f64| if advise { percent } else { f64::NAN };
     let flags = u8::from(advise)
         | u8::from(answer.overloaded) << 1
         | u8::from(answer.plunge.is_some()) << 2
         | quality(answer.quality) << 4;
-    out.push(OVERRIDES);
-    out.push(flags);
-    out.extend(u16::try_from(each.len()).unwrap_or(u16::MAX).to_le_bytes());
-    out.extend(told.n.to_le_bytes());
-    out.extend(told.re.to_le_bytes());
-    out.extend(u32::try_from(answer.next).unwrap_or(u32::MAX).to_le_bytes());
-    out.extend(u32::try_from(answer.valid_for_ms).unwrap_or(0).to_le_bytes());
+    out.put_u8(OVERRIDES);
+    out.put_u8(flags);
+    out.put_u16_le(u16::try_from(each.len()).unwrap_or(u16::MAX));
+    out.put_u32_le(told.n);
+    out.put_u32_le(told.re);
+    out.put_u32_le(u32::try_from(answer.next).unwrap_or(u32::MAX));
+    out.put_u32_le(u32::try_from(answer.valid_for_ms).unwrap_or(0));
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
         reason = "casts saturate; no age is below 0"
     )]
     let age_us = answer.age_ms.map_or(u32::MAX, |age_ms| (age_ms * 1000.0) as u32);
-    out.extend(age_us.to_le_bytes());
-    out.extend(answer.valid_until.micros().to_le_bytes());
-    out.extend(answer.reasons.bits().to_le_bytes());
-    out.extend(shown(answer.ovr.percent()).to_le_bytes());
+    out.put_u32_le(age_us);
+    out.put_i64_le(answer.valid_until.micros());
+    out.put_u64_le(answer.reasons.bits());
+    out.put_f64_le(shown(answer.ovr.percent()));
     for advice in each {
-        out.extend(shown(advice.ovr.percent()).to_le_bytes());
-        out.extend(advice.reasons.bits().to_le_bytes());
+        out.put_f64_le(shown(advice.ovr.percent()));
+        out.put_u64_le(advice.reasons.bits());
     }
     if let Some(step) = &answer.plunge {
         let phase = match step.phase {
@@ -180,28 +182,28 @@ pub fn overrides(out: &mut Vec<u8>, told: Told, answer: &Answer, each: &[SampleA
             PlungePhase::Work => 1,
             PlungePhase::Retract => 2,
         };
-        out.extend([phase, 0, 0, 0, 0, 0, 0, 0]);
+        out.put_slice(&[phase, 0, 0, 0, 0, 0, 0, 0]);
         let found = |mm: Option<f64>| mm.unwrap_or(f64::NAN);
         let feed = if advise { step.feed.mm_min() } else { f64::NAN };
         for value in [feed, step.bite_mm, found(step.contact_offset_mm), found(step.breakthrough_depth_mm)] {
-            out.extend(value.to_le_bytes());
+            out.put_f64_le(value);
         }
     }
 }
 
 /// Writes the answer to a block of vibration.
-pub fn gain(out: &mut Vec<u8>, n: u32, re: u32, advice: &BlockAdvice) {
-    out.push(GAIN);
-    out.push(0);
-    out.extend(u16::try_from(advice.unusable).unwrap_or(u16::MAX).to_le_bytes());
-    out.extend(n.to_le_bytes());
-    out.extend(re.to_le_bytes());
-    out.extend(u32::try_from(advice.next).unwrap_or(u32::MAX).to_le_bytes());
-    out.extend(advice.reasons.bits().to_le_bytes());
+pub fn gain(out: &mut BytesMut, n: u32, re: u32, advice: &BlockAdvice) {
+    out.put_u8(GAIN);
+    out.put_u8(0);
+    out.put_u16_le(u16::try_from(advice.unusable).unwrap_or(u16::MAX));
+    out.put_u32_le(n);
+    out.put_u32_le(re);
+    out.put_u32_le(u32::try_from(advice.next).unwrap_or(u32::MAX));
+    out.put_u64_le(advice.reasons.bits());
     let values =
         [advice.gain, advice.gain_range.0, advice.gain_range.1, advice.amplitude_mm, advice.frequency_hz];
     for value in values {
-        out.extend(value.to_le_bytes());
+        out.put_f64_le(value);
     }
 }
 
@@ -224,17 +226,17 @@ mod tests {
             0x7d, 0x00, 0x00, 0x00, 0xfa, 0x00, 0x00, 0x00, //
             0xd7, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x80,
         ];
-        let Ok(Frame::Samples { n, first, count, values, times_ms }) = read(&bytes, &[3, 1]) else {
-            panic!("it is a frame");
-        };
-        assert_eq!((n, first, count, times_ms.len()), (7, 40, 2, 0));
+        let mut ordered = Ordered { first: 9, count: 9, values: vec![9.0; 9], times_ms: vec![9.0; 9] };
+        assert_eq!(read(&bytes, &[3, 1], &mut ordered), Ok(Frame::Samples { n: 7 }));
+        let Ordered { first, count, values, times_ms } = &ordered;
+        assert_eq!((*first, *count, values.len(), times_ms.len()), (40, 2, 4, 0));
         assert_eq!(values[..3], [0.125, 0.25, 21.5]);
         assert!(values[3].is_nan());
         let mut timed = bytes.to_vec();
         timed[1] = 1;
         timed.extend([0x10, 0x27, 0x00, 0x00, 0x20, 0x4e, 0x00, 0x00]);
-        let Ok(Frame::Samples { times_ms, .. }) = read(&timed, &[3, 1]) else { panic!("it has times") };
-        assert_eq!(times_ms, [10.0, 20.0]);
+        assert_eq!(read(&timed, &[3, 1], &mut ordered), Ok(Frame::Samples { n: 7 }));
+        assert_eq!(ordered.times_ms, [10.0, 20.0]);
     }
 
     #[test]
@@ -243,16 +245,17 @@ mod tests {
             for decimals in 0..=MOST_DECIMALS {
                 let mut bytes = vec![SAMPLES, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0];
                 bytes.extend(i32::to_le_bytes(value));
-                let Ok(Frame::Samples { values, .. }) = read(&bytes, &[decimals]) else { panic!() };
+                let mut ordered = Ordered::default();
+                read(&bytes, &[decimals], &mut ordered).expect("a frame");
                 let text = format!("{value}e-{decimals}");
-                assert_eq!(values[0].to_bits(), text.parse::<f64>().unwrap().to_bits(), "{text}");
+                assert_eq!(ordered.values[0].to_bits(), text.parse::<f64>().unwrap().to_bits(), "{text}");
             }
         }
     }
 
     #[test]
     fn what_is_no_frame_is_refused_with_its_number() {
-        let number = |bytes: &[u8]| read(bytes, &[3]).unwrap_err().n;
+        let number = |bytes: &[u8]| read(bytes, &[3], &mut Ordered::default()).unwrap_err().n;
         assert_eq!(number(&[]), None);
         assert_eq!(number(&[1, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0]), None);
         let head = [1, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0];
@@ -282,7 +285,7 @@ mod tests {
             overloaded: false,
         };
         let each = [SampleAdvice { ovr: FeedOverride::NEUTRAL, reasons }];
-        let mut out = Vec::new();
+        let mut out = BytesMut::new();
         overrides(&mut out, Told { n: 3, re: 7, mode: Mode::Advise }, &answer, &each);
         let expected = concat!(
             "81",
@@ -300,7 +303,7 @@ mod tests {
             "0000000011000000"
         );
         assert_eq!((hex(&out), out.len()), (expected.to_owned(), length(1)));
-        let mut shadow = Vec::new();
+        let mut shadow = BytesMut::new();
         overrides(&mut shadow, Told { n: 3, re: 7, mode: Mode::Shadow }, &answer, &each);
         assert_eq!((shadow[1], hex(&shadow[40..48])), (0x20, "000000000000f87f".to_owned()));
     }

@@ -1,7 +1,7 @@
 //! One socket: a message at a time, answered before the next is read.
 
 use super::answer::{self, OverrideMessage, PlainMessage, ResumedMessage, StartedMessage, StoredMessage};
-use super::binary::{self, Frame, Told};
+use super::binary::{self, Frame};
 use super::cycle::{self, Checked, Ordered, StreamedCycle};
 use super::finish::{self, connection_gone, show};
 use super::message::{
@@ -14,22 +14,25 @@ use crate::http::dto::time;
 use crate::http::problem::Problem;
 use crate::live::{Event, Kind, MachineState};
 use crate::state::AppState;
-use axum::extract::ws::{CloseFrame, Message, WebSocket};
-use bytes::Bytes;
+use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket};
+use bytes::{Bytes, BytesMut};
 use feedwright_core::closed_loop::monitor::{MOST_BLOCK, Monitor};
 use feedwright_core::closed_loop::{Answer, Batch, LoopReason, LoopReasons, SampleAdvice};
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
 use feedwright_core::vibratory::peak_to_peak::{ControllerInput, ControllerSettings, VibrationSample};
-use futures_util::StreamExt;
-use futures_util::future::BoxFuture;
-use futures_util::stream::FuturesUnordered;
 use std::time::Duration;
-use tokio::time::{Instant, Interval, MissedTickBehavior, interval, timeout};
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tokio_util::sync::CancellationToken;
 
 /// Unreadable messages in a row after which a connection is closed: it speaks something else.
 const MOST_UNREADABLE: u32 = 100;
+/// An answer to one sample as text is about 500 bytes: no growing on the way there.
+const TEXT_BYTES: usize = 640;
+/// How late samples may be counted.
+const COUNTED_EVERY_US: i64 = 100_000;
 /// How long the other end has to answer a close.
 const CLOSE_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -67,51 +70,44 @@ impl Closing {
     }
 }
 
-/// What a connection waits for beside its messages.
-enum Watched {
+/// What a connection is told beside its messages.
+enum Told {
     /// It is time for a ping.
-    Beat(Interval),
+    Beat,
     /// The stream is to be closed.
     Close(Closing),
 }
 
-async fn beat(mut beats: Interval) -> Watched {
-    beats.tick().await;
-    Watched::Beat(beats)
-}
-
-/// Everything that a connection waits for beside its messages. Each is looked at only when it has stirred: a message
-/// does not pay for what happens once in a while.
-fn watch<'a>(
-    state: &'a AppState,
-    caller: &'a Caller,
-    leave: &'a CancellationToken,
-) -> FuturesUnordered<BoxFuture<'a, Watched>> {
+/// Waits for everything that a connection waits for beside its messages, in a task of its own: a message does not pay
+/// for what happens once in a while.
+async fn watch(state: AppState, caller: Caller, leave: CancellationToken, tell: mpsc::Sender<Told>) {
     let every = state.config.stream.heartbeat();
-    let mut beats = interval(every);
-    beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let watched: [BoxFuture<'a, Watched>; 4] = [
-        Box::pin(beat(beats)),
-        Box::pin(async {
-            leave.cancelled().await;
-            Watched::Close(Closing::TakenOver)
-        }),
-        Box::pin(async {
-            state.lifecycle.stopping().await;
-            Watched::Close(Closing::GoingAway)
-        }),
-        Box::pin(async move {
-            caller.revoked(state, every).await;
-            Watched::Close(Closing::Revoked)
-        }),
-    ];
-    watched.into_iter().collect()
+    let beating = async {
+        let mut beats = interval(every);
+        beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            beats.tick().await;
+            if tell.send(Told::Beat).await.is_err() {
+                return;
+            }
+        }
+    };
+    let closing = tokio::select! {
+        () = leave.cancelled() => Closing::TakenOver,
+        () = state.lifecycle.stopping() => Closing::GoingAway,
+        () = caller.revoked(&state, every) => Closing::Revoked,
+        // The connection is gone.
+        () = beating => return,
+    };
+    let _ = tell.send(Told::Close(closing)).await;
 }
 
 /// What goes on the wire.
 enum Out {
     Text(String),
-    Binary(Vec<u8>),
+    /// Text that was written where answers to samples are.
+    Written(Bytes),
+    Binary(Bytes),
 }
 
 /// Serves one stream until it ends.
@@ -122,7 +118,8 @@ pub async fn serve(state: AppState, caller: Caller, ownership: Ownership, mut so
     let running = ownership.slot.lock().cycle.is_some();
     show(&state, &ownership.slot, if running { MachineState::Interrupted } else { MachineState::Connected });
     let mut connection = Connection::new(state.clone(), ownership.clone());
-    let closing = connection.run(&caller, &mut socket).await;
+    let closing = connection.run(caller, &mut socket).await;
+    connection.count(0, None);
     if let Some(closing) = closing {
         close(&mut socket, closing).await;
     }
@@ -151,19 +148,39 @@ struct Connection {
     sent: u32,
     unreadable: u32,
     monitor: Option<Monitor>,
+    /// The samples of a binary message, and what each is answered; kept from one message to the next.
+    ordered: Ordered,
     each: Vec<SampleAdvice>,
+    /// Where answers to samples are written, one after the other.
+    out: BytesMut,
+    /// Samples that the service's counter does not have yet, and when it was told last, µs.
+    counted: usize,
+    counted_us: i64,
 }
 
 impl Connection {
-    const fn new(state: AppState, ownership: Ownership) -> Self {
-        Self { state, ownership, sent: 0, unreadable: 0, monitor: None, each: Vec::new() }
+    fn new(state: AppState, ownership: Ownership) -> Self {
+        Self {
+            state,
+            ownership,
+            sent: 0,
+            unreadable: 0,
+            monitor: None,
+            ordered: Ordered::default(),
+            each: Vec::new(),
+            out: BytesMut::new(),
+            counted: 0,
+            counted_us: i64::MIN,
+        }
     }
 
     /// Answers messages until the stream ends; why it is to be closed, where the other end did not close it.
-    async fn run(&mut self, caller: &Caller, socket: &mut WebSocket) -> Option<Closing> {
+    async fn run(&mut self, caller: Caller, socket: &mut WebSocket) -> Option<Closing> {
         let idle = self.state.config.stream.idle();
-        let (state, leave) = (self.state.clone(), self.ownership.leave.clone());
-        let mut watched = watch(&state, caller, &leave);
+        let (tell, mut told) = mpsc::channel(1);
+        // Ends with this function.
+        let mut watching = JoinSet::new();
+        watching.spawn(watch(self.state.clone(), caller, self.ownership.leave.clone(), tell));
         let mut heard = Instant::now();
         loop {
             tokio::select! {
@@ -179,7 +196,8 @@ impl Connection {
                     let Some(out) = out else { return Some(Closing::TakenOver) };
                     let message = match out {
                         Out::Text(text) => Message::Text(text.into()),
-                        Out::Binary(bytes) => Message::Binary(bytes.into()),
+                        Out::Written(bytes) => Message::Text(Utf8Bytes::try_from(bytes).unwrap_or_default()),
+                        Out::Binary(bytes) => Message::Binary(bytes),
                     };
                     if socket.send(message).await.is_err() {
                         return None;
@@ -188,19 +206,29 @@ impl Connection {
                         return Some(Closing::Unreadable);
                     }
                 }
-                Some(event) = watched.next() => match event {
-                    Watched::Close(closing) => return Some(closing),
-                    Watched::Beat(beats) => {
+                event = told.recv() => match event {
+                    Some(Told::Close(closing)) => return Some(closing),
+                    // Nobody is left who would see its end.
+                    None => return Some(Closing::GoingAway),
+                    Some(Told::Beat) => {
                         if heard.elapsed() >= idle {
                             return Some(Closing::Idle);
                         }
                         if socket.send(Message::Ping(Bytes::new())).await.is_err() {
                             return None;
                         }
-                        watched.push(Box::pin(beat(beats)));
                     }
                 },
             }
+        }
+    }
+
+    /// Counts samples that were answered. The counter is every stream's: it is told once in a while, and at the end.
+    fn count(&mut self, samples: usize, now: Option<Timestamp>) {
+        self.counted += samples;
+        if now.is_none_or(|now| now.micros().saturating_sub(self.counted_us) >= COUNTED_EVERY_US) {
+            self.state.metrics.stream_samples(std::mem::take(&mut self.counted));
+            self.counted_us = now.map_or(i64::MIN, Timestamp::micros);
         }
     }
 
@@ -216,7 +244,7 @@ impl Connection {
             Ok(incoming) => {
                 self.unreadable = 0;
                 match incoming {
-                    Incoming::Samples(message) => self.samples(now, message),
+                    Incoming::Samples(message) => self.samples(now, &message),
                     Incoming::Start(message) => self.start(now, *message).await,
                     Incoming::End(message) => self.end(now, *message).await,
                     Incoming::Resume(message) => self.resume(now, &message),
@@ -251,33 +279,29 @@ impl Connection {
         Some(Out::Text(answer::text(&answer::problem(n, Some(re), problem, standing))))
     }
 
-    fn samples(&mut self, now: Timestamp, message: SamplesMessage) -> Option<Out> {
+    fn samples(&mut self, now: Timestamp, message: &SamplesMessage) -> Option<Out> {
         let re = message.n;
         let most = self.state.config.stream.samples_per_message;
         let mut held = self.ownership.held()?;
-        let ordered = match &held.cycle {
-            Some(cycle) => cycle.order(message, most),
-            None => Err(no_cycle()),
-        };
-        let ordered = match ordered {
-            Ok(ordered) => ordered,
-            Err(violation) => {
-                drop(held);
-                return self.fault(now, Some(re), &violation);
-            }
-        };
-        let answered = judge(&self.state, &self.ownership, &mut held, (now, &ordered), &mut self.each)?;
+        let fits = held
+            .cycle
+            .as_ref()
+            .map_or_else(|| Err(no_cycle()), |cycle| cycle.order(message, most, &mut self.ordered));
+        if let Err(violation) = fits {
+            drop(held);
+            return self.fault(now, Some(re), &violation);
+        }
+        let ordered = (now, &self.ordered);
+        let answered = judge(&self.state, &self.ownership, &mut held, ordered, &mut self.each)?;
         self.sent = self.sent.wrapping_add(1);
-        let n = self.sent;
         let cycle = held.cycle.as_ref()?;
-        let message = OverrideMessage {
-            kind: "override",
-            n,
-            re: Some(re),
-            standing: answer::standing(cycle, &answered),
-            each: Some(answer::each(cycle.running.mode(), &self.each)),
-        };
-        Some(Out::Text(answer::text(&message)))
+        let standing = answer::standing(cycle, &answered);
+        let each = (cycle.running.mode(), &self.each[..]);
+        self.out.reserve(TEXT_BYTES);
+        answer::overrides(&mut self.out, (self.sent, re), &standing, each);
+        drop(held);
+        self.count(self.ordered.count, Some(now));
+        Some(Out::Written(self.out.split().freeze()))
     }
 
     fn binary(&mut self, bytes: &[u8]) -> Option<Out> {
@@ -285,7 +309,7 @@ impl Connection {
         let most = self.state.config.stream.samples_per_message;
         let mut held = self.ownership.held()?;
         let decimals = held.cycle.as_ref().map_or(&[][..], |cycle| &cycle.decimals);
-        let frame = match binary::read(bytes, decimals) {
+        let frame = match binary::read(bytes, decimals, &mut self.ordered) {
             Ok(frame) => frame,
             Err(bad) => {
                 drop(held);
@@ -295,24 +319,24 @@ impl Connection {
         };
         self.unreadable = 0;
         match frame {
-            Frame::Samples { n: re, first, count, values, times_ms } => {
-                let fits = held
-                    .cycle
-                    .as_ref()
-                    .map_or_else(|| Err(no_cycle()), |cycle| cycle.fits(count, times_ms.len(), most));
+            Frame::Samples { n: re } => {
+                let fits = held.cycle.as_ref().map_or_else(
+                    || Err(no_cycle()),
+                    |cycle| cycle.fits(self.ordered.count, self.ordered.times_ms.len(), most),
+                );
                 if let Err(violation) = fits {
                     drop(held);
                     return self.fault(now, Some(re), &violation);
                 }
-                let ordered = Ordered { first, count, values, times_ms };
-                let answered =
-                    judge(&self.state, &self.ownership, &mut held, (now, &ordered), &mut self.each)?;
+                let ordered = (now, &self.ordered);
+                let answered = judge(&self.state, &self.ownership, &mut held, ordered, &mut self.each)?;
                 let mode = held.cycle.as_ref()?.running.mode();
                 drop(held);
                 let n = self.number();
-                let mut out = Vec::with_capacity(binary::length(self.each.len()));
-                binary::overrides(&mut out, Told { n, re, mode }, &answered, &self.each);
-                Some(Out::Binary(out))
+                self.out.reserve(binary::length(self.each.len()));
+                binary::overrides(&mut self.out, binary::Told { n, re, mode }, &answered, &self.each);
+                self.count(self.ordered.count, Some(now));
+                Some(Out::Binary(self.out.split().freeze()))
             }
             Frame::Vibration { n: re, first, block } => {
                 drop(held);
@@ -321,9 +345,8 @@ impl Connection {
                 };
                 let advice = monitor.take(first, &block);
                 let n = self.number();
-                let mut out = Vec::new();
-                binary::gain(&mut out, n, re, &advice);
-                Some(Out::Binary(out))
+                binary::gain(&mut self.out, n, re, &advice);
+                Some(Out::Binary(self.out.split().freeze()))
             }
         }
     }
@@ -455,6 +478,8 @@ impl Connection {
 
     async fn end(&mut self, now: Timestamp, message: EndMessage) -> Option<Out> {
         let re = message.n;
+        // Whoever reads the answer finds every sample counted.
+        self.count(0, None);
         let cycle = match self.take_ended(&message)? {
             Ending::Cycle(cycle) => cycle,
             Ending::Known(status, answer) => {
@@ -619,7 +644,6 @@ fn judge(
     let batch = Batch { first: *first, count: *count, values, times_ms };
     each.clear();
     let answered = cycle.running.take(now, &batch, each);
-    state.metrics.stream_samples(*count);
     let machine = &ownership.slot.machine;
     if answered.overloaded && !cycle.overload_told {
         cycle.overload_told = true;

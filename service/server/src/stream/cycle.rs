@@ -418,7 +418,7 @@ fn plunge_loop(
 }
 
 /// Samples as the cycle's channels have them: column after column, in their order.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Ordered {
     /// Number of the first sample.
     pub first: u64,
@@ -432,12 +432,17 @@ pub struct Ordered {
 
 impl StreamedCycle {
     /// Orders the columns of a message; what does not fit the cycle is named.
-    pub fn order(&self, message: SamplesMessage, most: usize) -> Result<Ordered, Violation> {
+    pub fn order(
+        &self,
+        message: &SamplesMessage,
+        most: usize,
+        ordered: &mut Ordered,
+    ) -> Result<(), Violation> {
         let record = self.running.record();
         let channels = record.channels();
-        let count = message.columns.first().map_or(message.time_ms.len(), |(_, column)| column.len());
-        for (channel, column) in &message.columns {
-            if !channels.contains(channel) {
+        let count = message.columns().next().map_or(message.time_ms.len(), |(_, column)| column.len());
+        for (channel, column) in message.columns() {
+            if !channels.contains(&channel) {
                 let why = "was not among the channels of the start";
                 return Err(Violation::new(channel.as_str(), "unknown_channel", why));
             }
@@ -447,15 +452,18 @@ impl StreamedCycle {
             }
         }
         self.fits(count, message.time_ms.len(), most)?;
-        let mut values = Vec::with_capacity(count * channels.len());
+        (ordered.first, ordered.count) = (message.first, count);
+        ordered.values.clear();
         for channel in channels {
-            match message.columns.iter().find(|(sent, _)| sent == channel) {
-                Some((_, column)) => values.extend_from_slice(column),
+            match message.columns().find(|(sent, _)| sent == channel) {
+                Some((_, column)) => ordered.values.extend_from_slice(column),
                 // Declared and not sent: not measured.
-                None => values.resize(values.len() + count, f64::NAN),
+                None => ordered.values.resize(ordered.values.len() + count, f64::NAN),
             }
         }
-        Ok(Ordered { first: message.first, count, values, times_ms: message.time_ms })
+        ordered.times_ms.clear();
+        ordered.times_ms.extend_from_slice(&message.time_ms);
+        Ok(())
     }
 
     /// Whether so many samples with so many times fit the cycle.

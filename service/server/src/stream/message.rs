@@ -6,7 +6,7 @@
 use crate::http::dto::peak_to_peak::ControllerBody;
 use feedwright_core::cycle::Channel;
 use feedwright_core::invalid::Violation;
-use serde::de::{Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::borrow::Cow;
 use std::fmt;
@@ -205,8 +205,22 @@ pub struct SamplesMessage {
     pub first: u64,
     /// Times since the start of the cycle, ms.
     pub time_ms: Vec<f64>,
-    /// Columns of equal length.
-    pub columns: Vec<(Channel, Vec<f64>)>,
+    /// Each column's channel, and where it ends among the values.
+    ends: Vec<(Channel, usize)>,
+    /// The values of every column, column after column.
+    values: Vec<f64>,
+}
+
+impl SamplesMessage {
+    /// The columns, in the order in which they came.
+    pub fn columns(&self) -> impl Iterator<Item = (Channel, &[f64])> {
+        let mut from = 0;
+        self.ends.iter().map(move |(channel, to)| {
+            let column = self.values.get(from..*to).unwrap_or_default();
+            from = *to;
+            (*channel, column)
+        })
+    }
 }
 
 /// The schema of [`SamplesMessage`], which is read by hand: a column for each channel that the start has named.
@@ -319,40 +333,48 @@ fn located(text: &str, error: &serde_json::Error) -> Violation {
     }
 }
 
-/// A number, null, or an array of them; null is kept as what is not a number.
-struct Column(Vec<f64>);
+/// Adds a column to some values: a number, null, or an array of them; null is kept as what is not a number.
+struct Column<'a>(&'a mut Vec<f64>);
 
-impl<'de> Deserialize<'de> for Column {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Values;
-        impl<'de> Visitor<'de> for Values {
-            type Value = Column;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a number, null or an array of them")
-            }
-            fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<Column, E> {
-                Ok(Column(vec![value]))
-            }
-            #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 every range refuses it")]
-            fn visit_u64<E: serde::de::Error>(self, value: u64) -> Result<Column, E> {
-                Ok(Column(vec![value as f64]))
-            }
-            #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 every range refuses it")]
-            fn visit_i64<E: serde::de::Error>(self, value: i64) -> Result<Column, E> {
-                Ok(Column(vec![value as f64]))
-            }
-            fn visit_unit<E: serde::de::Error>(self) -> Result<Column, E> {
-                Ok(Column(vec![f64::NAN]))
-            }
-            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Column, A::Error> {
-                let mut values = Vec::new();
-                while let Some(value) = seq.next_element::<Option<f64>>()? {
-                    values.push(value.unwrap_or(f64::NAN));
-                }
-                Ok(Column(values))
-            }
+impl<'de> DeserializeSeed<'de> for Column<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Column<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number, null or an array of them")
+    }
+
+    fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<(), E> {
+        self.0.push(value);
+        Ok(())
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 every range refuses it")]
+    fn visit_u64<E: serde::de::Error>(self, value: u64) -> Result<(), E> {
+        self.visit_f64(value as f64)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 every range refuses it")]
+    fn visit_i64<E: serde::de::Error>(self, value: i64) -> Result<(), E> {
+        self.visit_f64(value as f64)
+    }
+
+    fn visit_unit<E: serde::de::Error>(self) -> Result<(), E> {
+        self.visit_f64(f64::NAN)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        while let Some(value) = seq.next_element::<Option<f64>>()? {
+            self.0.push(value.unwrap_or(f64::NAN));
         }
-        deserializer.deserialize_any(Values)
+        Ok(())
     }
 }
 
@@ -372,17 +394,21 @@ impl<'de> Deserialize<'de> for SamplesMessage {
                         "type" => drop(map.next_value::<IgnoredAny>()?),
                         "n" => n = Some(map.next_value()?),
                         "first" => first = Some(map.next_value()?),
-                        "time_ms" => message.time_ms = map.next_value::<Column>()?.0,
+                        "time_ms" => {
+                            message.time_ms.clear();
+                            map.next_value_seed(Column(&mut message.time_ms))?;
+                        }
                         name => {
                             let Some(channel) = Channel::parse(name) else {
                                 return Err(A::Error::custom(format!(
                                     "unknown field `{name}`, expected a channel"
                                 )));
                             };
-                            if message.columns.iter().any(|(known, _)| *known == channel) {
+                            if message.ends.iter().any(|(known, _)| *known == channel) {
                                 return Err(A::Error::custom(format!("duplicate field `{name}`")));
                             }
-                            message.columns.push((channel, map.next_value::<Column>()?.0));
+                            map.next_value_seed(Column(&mut message.values))?;
+                            message.ends.push((channel, message.values.len()));
                         }
                     }
                 }
@@ -411,11 +437,14 @@ mod tests {
         let group = samples(
             r#"{"type":"samples","n":7,"first":40,"depth_mm":[0.1,0.2],"spindle_load_percent":[21,null]}"#,
         );
-        assert_eq!((group.n, group.first, group.columns.len()), (7, 40, 2));
-        assert_eq!(group.columns[0], (Channel::DepthMm, vec![0.1, 0.2]));
-        assert!(group.columns[1].1[1].is_nan());
+        let columns: Vec<_> = group.columns().collect();
+        assert_eq!((group.n, group.first, columns.len()), (7, 40, 2));
+        assert_eq!(columns[0], (Channel::DepthMm, &[0.1, 0.2][..]));
+        assert_eq!((columns[1].0, columns[1].1[0]), (Channel::SpindleLoadPercent, 21.0));
+        assert!(columns[1].1.len() == 2 && columns[1].1[1].is_nan());
         let one = samples(r#"{"depth_mm":0.1,"first":3,"n":1,"type":"samples","time_ms":40}"#);
-        assert_eq!((one.columns, one.time_ms), (vec![(Channel::DepthMm, vec![0.1])], vec![40.0]));
+        assert_eq!(one.columns().collect::<Vec<_>>(), [(Channel::DepthMm, &[0.1][..])]);
+        assert_eq!(one.time_ms, [40.0]);
     }
 
     #[test]

@@ -42,6 +42,8 @@ pub struct Held {
     connected: bool,
     /// Ends the owner's connection.
     leave: CancellationToken,
+    /// Whether the owner was told to leave: `leave` says so too, behind a lock of its own.
+    told_to_leave: bool,
     /// Generation of the lease.
     pub generation: i64,
     /// The cycle that runs.
@@ -118,6 +120,7 @@ impl Streams {
             let mut held = slot.lock();
             held.leave.cancel();
             held.leave = CancellationToken::new();
+            held.told_to_leave = false;
             held.owner += 1;
             held.connected = true;
             held.generation = generation;
@@ -206,7 +209,9 @@ impl Slot {
     /// The lease is another server's: whoever is connected here leaves.
     pub fn lost(&self) {
         self.lease_until_us.store(0, Ordering::Relaxed);
-        self.lock().leave.cancel();
+        let mut held = self.lock();
+        held.told_to_leave = true;
+        held.leave.cancel();
     }
 
     /// Whether somebody is connected, with the lease of which generation.
@@ -220,6 +225,6 @@ impl Ownership {
     /// What the slot holds, as long as this connection owns it.
     pub fn held(&self) -> Option<MutexGuard<'_, Held>> {
         let held = self.slot.lock();
-        (held.owner == self.owner && !self.leave.is_cancelled()).then_some(held)
+        (held.owner == self.owner && !held.told_to_leave).then_some(held)
     }
 }

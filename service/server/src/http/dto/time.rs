@@ -1,5 +1,6 @@
 //! Times in JSON: RFC 3339, UTC, to the microsecond.
 
+use bytes::BufMut;
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
 
@@ -10,6 +11,16 @@ pub fn show(at: Timestamp) -> String {
         // Every time that was read is in range; one that was added up may leave it.
         Err(_) if at.micros() > 0 => jiff::Timestamp::MAX.to_string(),
         Err(_) => jiff::Timestamp::MIN.to_string(),
+    }
+}
+
+/// Writes a time as [`show`] shows it.
+pub fn write(out: &mut bytes::BytesMut, at: Timestamp) {
+    static PRINTER: jiff::fmt::temporal::DateTimePrinter = jiff::fmt::temporal::DateTimePrinter::new();
+    let written = jiff::Timestamp::from_microsecond(at.micros())
+        .and_then(|at| PRINTER.print_timestamp(&at, jiff::fmt::StdIoWrite(out.writer())));
+    if written.is_err() {
+        out.put_slice(show(at).as_bytes());
     }
 }
 
