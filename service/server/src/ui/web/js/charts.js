@@ -33,6 +33,7 @@ export function chart(host, options) {
     hooks: {
       drawClear: [(u) => { u.ctx.save(); clip(u); options.back?.(u, u.ctx); u.ctx.restore(); }],
       draw: [(u) => { u.ctx.save(); options.front?.(u, u.ctx); u.ctx.restore(); }],
+      ready: options.onReady ? [(u) => options.onReady(u)] : [],
       setCursor: options.onCursor ? [(u) => options.onCursor(u)] : [],
       setScale: options.onScale ? [(u, key) => key === "x" && options.onScale(u)] : [],
     },

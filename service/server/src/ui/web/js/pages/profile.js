@@ -98,7 +98,9 @@ function build() {
       names.sort((a, b) => a[1] - b[1]);
       for (let i = 1; i < names.length; i++) if (names[i][1] - names[i - 1][1] < 15 * k) names[i][1] = names[i - 1][1] + 15 * k;
       for (const [text, y, color, weight] of names) { c.font = `${weight} ${12 * k}px ${FONT}`; c.fillStyle = token(color); c.fillText(text, x, y); }
-    }, onSize: () => place() });
+    },
+    // Knobs have their places once the scales are there, not when the prediction is.
+    onReady: () => queueMicrotask(place), onSize: () => place() });
   const load = (id, key, color, set, axisX, title) => {
     const top = () => nice(Math.max(20, (set ?? 0) * 1.25, ...[prediction, before].map((one) => one?.track.extremes(key, 0, one.track.x.length)?.[1] ?? 0)) * 1.02);
     const plot = chart($(id), { height: 104 + (axisX ? 30 : 0), pad: [8, right, 0, 0], xr, range: () => [0, top()], ysplits: () => { const list = splits(0, top()); return list.length > 4 ? list.filter((_, n) => n % 2 === 0) : list; }, left: 48, zoom: false, axisX, aria: title, front: (u, c) => {
