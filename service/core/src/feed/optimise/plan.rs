@@ -19,7 +19,7 @@ const ROUNDS: usize = 3;
 
 /// Probability that a cycle is overloaded, as it is planned with. Depths are counted as if each were uncertain for itself,
 /// which overstates it: of the study's cycles less than half as many are (docs/feed-optimiser.md).
-const OVERLOAD_RISK: f64 = 0.03;
+const OVERLOAD_RISK: f64 = 0.02;
 
 /// Halvings in which the margin is found that the risk asks, and the largest margin in standard deviations.
 const MARGIN_HALVINGS: usize = 10;
