@@ -37,7 +37,7 @@ const LOCAL_SLOPE_SD: f64 = 0.3;
 const LOCAL_WEAR_SD: f64 = 2.0;
 
 /// How wrong the expansion in ln feed may be beside its bend, per unit of ln feed away from where it was measured.
-const CURVATURE_SD: f64 = 0.10;
+const CURVATURE_SD: f64 = 0.08;
 
 /// Distance in ln feed beyond which the slope changes no further, and the largest share of the slope that the bend may
 /// take away or add until there: a load never falls with the feed.
@@ -225,7 +225,7 @@ impl Relation {
         }
     }
 
-    /// φ of a heat in percent-seconds.
+    /// φ of a heat in √percent·s.
     pub(super) fn phi(&self, heat: f64) -> f64 {
         (heat / self.heat_scale).ln_1p()
     }
@@ -249,6 +249,14 @@ impl Relation {
         let all = known + noise.common * noise.common + one.uneven * one.uneven + one.reading * one.reading;
         LnLoad { mean, known_sd: known.sqrt() * self.spread_scale, cycle_sd: all.sqrt() * self.spread_scale }
     }
+}
+
+/// Heat per second that a spindle load over idle, percent, puts in, √percent.
+///
+/// Some loads soften with the work put in and some with the time in contact alone. At half the feed the work of a hole grows
+/// little and the time doubles; a heat between the two is wrong by half at most.
+pub(super) fn heat_rate(load: f64) -> f64 {
+    load.max(0.0).sqrt()
 }
 
 /// What a bend of 1 adds to ln load: half the square of the distance, a straight line beyond the reach.
