@@ -163,10 +163,9 @@ impl LoopReasons {
 
     /// The codes, the loop's first.
     pub fn codes(self) -> impl Iterator<Item = &'static str> {
-        let of_loop = LoopReason::ALL.iter().filter(move |reason| self.contains(**reason)).map(|r| r.code());
-        let of_law =
-            law::Reason::ALL.into_iter().filter(move |reason| self.has_law(*reason)).map(law::Reason::code);
-        of_loop.chain(of_law)
+        let of_loop = places(self.0 >> SHIFT).filter_map(|bit| LoopReason::ALL.get(bit)).map(|r| r.code());
+        let of_law = places(self.0 & ((1 << SHIFT) - 1)).filter_map(|bit| law::Reason::ALL.get(bit));
+        of_loop.chain(of_law.map(|reason| reason.code()))
     }
 
     /// How good the data behind an answer with these reasons is.
@@ -198,6 +197,18 @@ impl LoopReasons {
             Quality::Good
         }
     }
+}
+
+/// The places of the bits of a word, lowest first.
+fn places(mut word: u64) -> impl Iterator<Item = usize> {
+    core::iter::from_fn(move || {
+        let place = word.trailing_zeros();
+        // None is left where there are as many zeros as places.
+        (word != 0).then(|| {
+            word &= word - 1;
+            place as usize
+        })
+    })
 }
 
 impl From<law::Reasons> for LoopReasons {
