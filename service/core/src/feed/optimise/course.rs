@@ -40,7 +40,7 @@ pub(super) struct Reading {
     pub(super) y: [f64; 2],
     /// Variance of `y` from the noise of reading alone.
     pub(super) var: [f64; 2],
-    /// Heat put in before, percent-seconds of spindle load over idle.
+    /// Heat put in before, √percent·s of the spindle load over idle.
     pub(super) heat: f64,
 }
 
@@ -236,7 +236,7 @@ fn front(samples: &[Sample], idle_spindle: f64, memory_s: f64) -> Vec<Front> {
             deepest = sample.depth_mm;
             front.push(Front { depth_mm: sample.depth_mm, x: sample.feed.ln(), load: sample.load, heat });
         }
-        heat += (sample.load[1] - idle_spindle).max(0.0) * dt;
+        heat += super::relation::heat_rate(sample.load[1] - idle_spindle) * dt;
     }
     front
 }

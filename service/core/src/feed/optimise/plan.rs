@@ -450,7 +450,7 @@ impl<'a> Planner<'a> {
         let load = self.relation.nodes[node].as_ref().map_or(0.0, |known| {
             self.relation.load(known, 1, feed.ln(), self.relation.phi(heat), 0.0).mean.exp()
         });
-        heat * keep + load * time
+        heat * keep + super::relation::heat_rate(load) * time
     }
 
     /// The feeds lowered to what the axis reaches between the nodes: v·dv/dz ≤ a, both ways.
@@ -509,7 +509,7 @@ impl<'a> Planner<'a> {
                 }
             }
             out.crossed += (programmed / self.caps[node].0).ln().max(0.0) * CAP_WEIGHT;
-            heat += spindle * time;
+            heat += super::relation::heat_rate(spindle) * time;
             out.time_s += time;
             out.percent_s += spindle * time;
         }

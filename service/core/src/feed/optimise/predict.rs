@@ -90,7 +90,7 @@ pub(super) fn follow(planner: &Planner<'_>, knots: &[Knot], more_wear: f64) -> V
                 [0, 1].map(|drive| relation.load(known, drive, feed.ln(), relation.phi(heat), more_wear));
             let means = loads.map(|load| load.mean.exp());
             expected.spindle = means[1];
-            heat += means[1] * time_s;
+            heat += super::relation::heat_rate(means[1]) * time_s;
             expected.load = Some(
                 [0, 1].map(|drive| filters[drive].step(means[drive], time_s, lag) + relation.idle[drive]),
             );

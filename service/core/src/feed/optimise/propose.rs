@@ -9,7 +9,7 @@ use super::profile::{Knots, acceleration_mm_s2};
 use super::recording::{MOST_CYCLES, RecordedCycle, SkipReason, Skipped, nothing_usable};
 use super::relation::{MEMORY_S, Relation};
 use super::settings::Settings;
-use super::simplify::simplify;
+use super::simplify::{polish, simplify};
 use crate::friction::error::Invalid;
 use crate::friction::program::Knot;
 use std::cmp::Ordering;
@@ -232,7 +232,6 @@ fn assemble(
     let settings = planner.settings;
     let factor = settings.override_factor();
     let mut warnings = Vec::new();
-    let found = settle(planner, &simplify(planner, envelope, settings.most_knots));
     let last_valid =
         last.is_some_and(|knots| settings.check(knots).is_ok() && planner.keeps_limits(last_knots));
     if last.is_some() && !last_valid {
@@ -240,10 +239,17 @@ fn assemble(
     }
     let last_outlook = planner.outlook(last_knots);
     let last_keeps = last_valid && last_outlook.most_crossed <= HAIR;
+    let gains = |knots: &Knots| {
+        planner.outlook(&scaled(knots.as_slice(), factor)).cost <= last_outlook.cost * (1.0 - LEAST_GAIN)
+    };
+    let mut found = settle(planner, &simplify(planner, envelope, settings.most_knots));
+    if last_keeps && !found.as_ref().is_some_and(gains) {
+        // Few knots on fixed depths may miss a way under a steep envelope that the last profile shows.
+        found = settle(planner, &polish(planner, last_knots.to_vec())).or(found);
+    }
     let (knots, advice) = match (found, last) {
         (Some(found), Some(last)) => {
-            let new = planner.outlook(&scaled(found.as_slice(), factor));
-            if last_keeps && new.cost > last_outlook.cost * (1.0 - LEAST_GAIN) {
+            if last_keeps && !gains(&found) {
                 (last.clone(), Advice::Keep)
             } else {
                 (found, if last_keeps { Advice::Try } else { Advice::Replace })

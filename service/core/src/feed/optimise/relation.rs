@@ -2,12 +2,15 @@
 //!
 //! At every depth, with x = ln feed, h the heat put in so far and w the wear:
 //!
-//! ln(load − idle) = a + s·(x − x₀) − m·(φ − φ₀) + k·(w − w₀),   φ = ln(1 + h/h₀).
+//! ln(load − idle) = a + s·(x − x₀) + c·q(x − x₀) − m·(φ − φ₀) + k·(w − w₀),   φ = ln(1 + h/h₀),   q(d) ≈ d²/2.
 //!
-//! Nothing of it is a process model: it is the first-order expansion of any load that grows with the feed, falls with
-//! heat and changes with wear, about the profile that was tried last. Level a belongs to the depth; slope s and wear k to
-//! its neighbourhood, drawn towards the drive's own; memory m to the drive. Cycles far from the expansion point in
-//! feed or heat count less. What only a law's feeds show never teaches the slope.
+//! Nothing of it is a process model: it is the expansion of any load that grows with the feed, falls with heat and
+//! changes with wear, about the profile that was tried last. Level a belongs to the depth; slope s and wear k to
+//! its neighbourhood, drawn towards the drive's own; memory m and bend c to the drive. Cycles far from the expansion point
+//! in feed or heat count less. What only a law's feeds show never teaches the slope.
+//!
+//! The bend is there because a load of which a part knows no feed and a part grows with it is convex in x: s rises by
+//! s·(1 − s) per unit of x. A pure power is not bent; half of it is expected, and what cycles at three feeds show counts.
 
 use super::course::Course;
 use super::grid::Grid;
@@ -20,6 +23,9 @@ pub(super) const MEMORY_S: f64 = 6.0;
 /// What is expected before any cycle was seen, per drive.
 const PRIOR_SLOPE: f64 = 0.7;
 const PRIOR_SLOPE_SD: f64 = 0.3;
+/// Share of s·(1 − s) that the bend is expected to be, and how unsure that is.
+const PRIOR_BEND: f64 = 0.5;
+const PRIOR_BEND_SD: f64 = 0.2;
 const PRIOR_MEMORY: f64 = 0.35;
 const PRIOR_MEMORY_SD: f64 = 0.35;
 /// ln load per unit of energy ratio: a worn tool (1.1) drags up to half as much again somewhere.
@@ -30,8 +36,13 @@ const PRIOR_WEAR_SD: f64 = 2.0;
 const LOCAL_SLOPE_SD: f64 = 0.3;
 const LOCAL_WEAR_SD: f64 = 2.0;
 
-/// How wrong a straight line in ln feed may be, per unit of ln feed away from where it was measured.
-const CURVATURE_SD: f64 = 0.12;
+/// How wrong the expansion in ln feed may be beside its bend, per unit of ln feed away from where it was measured.
+const CURVATURE_SD: f64 = 0.08;
+
+/// Distance in ln feed beyond which the slope changes no further, and the largest share of the slope that the bend may
+/// take away or add until there: a load never falls with the feed.
+const BENT_REACH: f64 = 0.7;
+const MOST_BENT: f64 = 0.7;
 
 /// Half width of the neighbourhood that shares a slope, mm.
 const NEIGHBOURHOOD_MM: f64 = 1.0;
@@ -49,6 +60,9 @@ const PRIOR_NOISE_WEIGHT: f64 = 2.0;
 const MOST_USUAL_UNEVEN: f64 = 0.06;
 const UNEVEN_REACH_MM: f64 = 1.5;
 const LOCAL_NOISE_WEIGHT: f64 = 2.0;
+
+/// Terms that all depths have in common: slope, memory, wear, bend.
+const COMMON_TERMS: usize = 4;
 
 /// Largest square of a residual that counts in how far the relation misses.
 const MOST_MISSED: f64 = 0.04;
@@ -73,6 +87,9 @@ pub(super) struct DriveNode {
     pub(super) level_var: f64,
     pub(super) slope: f64,
     pub(super) slope_var: f64,
+    /// Change of the slope per unit of ln feed.
+    pub(super) bend: f64,
+    pub(super) bend_var: f64,
     pub(super) wear: f64,
     pub(super) wear_var: f64,
     /// Standard deviation of the noise of reading in ln load, of one filtered sample.
@@ -141,6 +158,8 @@ struct Local {
 struct Fit {
     slope: f64,
     slope_var: f64,
+    bend: f64,
+    bend_var: f64,
     memory: f64,
     memory_var: f64,
     wear: f64,
@@ -174,7 +193,7 @@ impl Relation {
             .iter()
             .map(|course| wear_ratio.map_or(0.0, |planned| course.wear_ratio.unwrap_or(least) - planned))
             .collect();
-        let table = Table::new(&grid, courses, heat_scale, &wears);
+        let table = Table::new(&grid, courses, about, heat_scale, &wears);
         let fits = [0, 1].map(|drive| table.fit(drive));
         let mut nodes = vec![None; grid.count()];
         for (at, node) in nodes.iter_mut().enumerate() {
@@ -206,7 +225,7 @@ impl Relation {
         }
     }
 
-    /// φ of a heat in percent-seconds.
+    /// φ of a heat in √percent·s.
     pub(super) fn phi(&self, heat: f64) -> f64 {
         (heat / self.heat_scale).ln_1p()
     }
@@ -215,8 +234,11 @@ impl Relation {
     pub(super) fn load(&self, node: &Node, drive: usize, x: f64, phi: f64, more_wear: f64) -> LnLoad {
         let one = &node.drives[drive];
         let (dx, dphi) = (x - node.x, phi - node.phi);
-        let mean = one.level + one.slope * dx - self.memory[drive] * dphi + one.wear * more_wear;
-        let mut slope_var = (one.slope_var + CURVATURE_SD * CURVATURE_SD) * dx * dx;
+        let bent = bent(dx);
+        let mean =
+            one.level + one.slope * dx + one.bend * bent - self.memory[drive] * dphi + one.wear * more_wear;
+        let mut slope_var =
+            (one.slope_var + CURVATURE_SD * CURVATURE_SD) * dx * dx + one.bend_var * bent * bent;
         if dx < 0.0 {
             let most = LOWERING_DOUBT / 3.0 * one.slope * dx;
             slope_var = slope_var.min(most * most);
@@ -227,6 +249,20 @@ impl Relation {
         let all = known + noise.common * noise.common + one.uneven * one.uneven + one.reading * one.reading;
         LnLoad { mean, known_sd: known.sqrt() * self.spread_scale, cycle_sd: all.sqrt() * self.spread_scale }
     }
+}
+
+/// Heat per second that a spindle load over idle, percent, puts in, √percent.
+///
+/// Some loads soften with the work put in and some with the time in contact alone. At half the feed the work of a hole grows
+/// little and the time doubles; a heat between the two is wrong by half at most.
+pub(super) fn heat_rate(load: f64) -> f64 {
+    load.max(0.0).sqrt()
+}
+
+/// What a bend of 1 adds to ln load: half the square of the distance, a straight line beyond the reach.
+fn bent(dx: f64) -> f64 {
+    let far = dx.abs();
+    if far <= BENT_REACH { far * far / 2.0 } else { BENT_REACH * (far - BENT_REACH / 2.0) }
 }
 
 /// Half the largest heat that any cycle put in: where memory begins to matter.
@@ -240,6 +276,8 @@ fn heat_scale(courses: &[Course]) -> f64 {
 struct Row {
     cycle: usize,
     x: f64,
+    /// What a bend of 1 adds here.
+    bent: f64,
     phi: f64,
     wear: f64,
     y: [f64; 2],
@@ -257,12 +295,13 @@ struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    fn new(grid: &'a Grid, courses: &[Course], heat_scale: f64, wears: &[f64]) -> Self {
+    fn new(grid: &'a Grid, courses: &[Course], about: &[f64], heat_scale: f64, wears: &[f64]) -> Self {
         let row = |node: usize, cycle: usize| {
             let reading = courses[cycle].readings[node]?;
             Some(Row {
                 cycle,
                 x: reading.x,
+                bent: bent(reading.x - about[node]),
                 phi: (reading.heat / heat_scale).ln_1p(),
                 wear: wears[cycle],
                 y: reading.y,
@@ -284,23 +323,28 @@ impl<'a> Table<'a> {
     /// What a drive has in common at all depths: slope, memory, wear and each cycle's offset; twice, because the
     /// weights need the noise that the residuals tell.
     fn fit(&self, drive: usize) -> Fit {
-        let mut fit = self.fit_once(drive, Noise { uneven: PRIOR_UNEVEN, common: PRIOR_COMMON });
+        let mut fit = self.fit_once(drive, Noise { uneven: PRIOR_UNEVEN, common: PRIOR_COMMON }, PRIOR_SLOPE);
         self.noise(drive, &mut fit);
         let (uneven, missed) = (std::mem::take(&mut fit.uneven), fit.missed);
-        Fit { uneven, missed, ..self.fit_once(drive, fit.noise) }
+        Fit { uneven, missed, ..self.fit_once(drive, fit.noise, fit.slope) }
     }
 
-    fn fit_once(&self, drive: usize, noise: Noise) -> Fit {
-        let size = 3 + self.cycles;
+    /// `slope` is what the expected bend follows from.
+    fn fit_once(&self, drive: usize, noise: Noise, slope: f64) -> Fit {
+        let size = COMMON_TERMS + self.cycles;
         let mut left = vec![0.0; size * size];
         let mut right = vec![0.0; size];
-        let priors =
-            [(PRIOR_SLOPE, PRIOR_SLOPE_SD), (PRIOR_MEMORY, PRIOR_MEMORY_SD), (PRIOR_WEAR, PRIOR_WEAR_SD)];
+        let priors = [
+            (PRIOR_SLOPE, PRIOR_SLOPE_SD),
+            (PRIOR_MEMORY, PRIOR_MEMORY_SD),
+            (PRIOR_WEAR, PRIOR_WEAR_SD),
+            (PRIOR_BEND * (slope * (1.0 - slope)).max(0.0), PRIOR_BEND_SD),
+        ];
         for (at, (value, sd)) in priors.into_iter().enumerate() {
             left[at * size + at] = 1.0 / (sd * sd);
             right[at] = value / (sd * sd);
         }
-        for at in 3..size {
+        for at in COMMON_TERMS..size {
             left[at * size + at] = 1.0 / (noise.common * noise.common);
         }
         for rows in &self.rows {
@@ -323,12 +367,13 @@ impl<'a> Table<'a> {
             };
             let (x, phi, wear, y) =
                 (mean(&|row| row.x), mean(&|row| row.phi), mean(&|row| row.wear), mean(&|row| row.y[drive]));
+            let bent = mean(&|row| row.bent);
             for (row, weight) in usable.iter().zip(&weights) {
                 let mut line: Vec<(usize, f64)> =
-                    vec![(0, row.x - x), (1, -(row.phi - phi)), (2, row.wear - wear)];
+                    vec![(0, row.x - x), (1, -(row.phi - phi)), (2, row.wear - wear), (3, row.bent - bent)];
                 for (other, other_weight) in usable.iter().zip(&weights) {
                     let own = if other.cycle == row.cycle { 1.0 } else { 0.0 };
-                    line.push((3 + other.cycle, own - other_weight / total));
+                    line.push((COMMON_TERMS + other.cycle, own - other_weight / total));
                 }
                 for (i, a) in &line {
                     right[*i] += weight * a * (row.y[drive] - y);
@@ -338,7 +383,7 @@ impl<'a> Table<'a> {
                 }
             }
         }
-        let (values, variances) = solve(left, right, 3);
+        let (values, variances) = solve(left, right, COMMON_TERMS);
         Fit {
             slope: values[0].clamp(*SLOPES.start(), *SLOPES.end()),
             slope_var: variances[0],
@@ -346,7 +391,9 @@ impl<'a> Table<'a> {
             memory_var: variances[1],
             wear: values[2],
             wear_var: variances[2],
-            offsets: values[3..].to_vec(),
+            bend: values[3],
+            bend_var: variances[3],
+            offsets: values[COMMON_TERMS..].to_vec(),
             noise,
             uneven: Vec::new(),
             missed: 0.0,
@@ -416,7 +463,7 @@ impl<'a> Table<'a> {
     }
 
     fn residual(&self, row: &Row, drive: usize, fit: &Fit) -> f64 {
-        row.y[drive] - fit.slope * row.x + fit.memory * row.phi
+        row.y[drive] - fit.slope * row.x - fit.bend * row.bent + fit.memory * row.phi
             - fit.wear * row.wear
             - fit.offsets.get(row.cycle).copied().unwrap_or(0.0)
     }
@@ -437,9 +484,10 @@ impl<'a> Table<'a> {
     fn drive_node(&self, at: usize, about: f64, phi: f64, drive: usize, fit: &Fit) -> DriveNode {
         let Local { slope, slope_var, wear, wear_var } = self.local(at, drive, fit);
         let curvature = slope_var + CURVATURE_SD * CURVATURE_SD;
+        let (bend, bend_var) = (fit.bend.clamp(-MOST_BENT * slope, MOST_BENT * slope), fit.bend_var);
         let noise = Noise { uneven: fit.uneven[at], ..fit.noise };
-        let (mut total, mut level, mut off_x, mut off_phi, mut off_wear, mut common) =
-            (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        let (mut total, mut level, mut off_x, mut off_bent, mut off_phi, mut off_wear, mut common) =
+            (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         let mut reading = 0.0;
         for row in &self.rows[at] {
             let (dx, dphi) = (row.x - about, row.phi - phi);
@@ -447,20 +495,25 @@ impl<'a> Table<'a> {
                 + noise.common.powi(2)
                 + row.var[drive]
                 + curvature * dx * dx
+                + bend_var * row.bent * row.bent
                 + fit.memory_var * dphi * dphi
                 + wear_var * row.wear * row.wear;
             let weight = 1.0 / var;
             total += weight;
-            level += weight * (row.y[drive] - slope * dx + fit.memory * dphi - wear * row.wear);
+            level +=
+                weight * (row.y[drive] - slope * dx - bend * row.bent + fit.memory * dphi - wear * row.wear);
             off_x += weight * dx;
+            off_bent += weight * row.bent;
             off_phi += weight * dphi;
             off_wear += weight * row.wear;
             common += weight * weight * (noise.common.powi(2) + noise.uneven.powi(2) + row.var[drive]);
             reading += weight * row.var[drive];
         }
         let (dx, dphi, dwear) = (off_x / total, off_phi / total, off_wear / total);
+        let bent = off_bent / total;
         let level_var = common / (total * total)
             + curvature * dx * dx
+            + bend_var * bent * bent
             + fit.memory_var * dphi * dphi
             + wear_var * dwear * dwear;
         DriveNode {
@@ -468,6 +521,8 @@ impl<'a> Table<'a> {
             level_var,
             slope,
             slope_var,
+            bend,
+            bend_var,
             wear,
             wear_var,
             reading: (reading / total).sqrt(),

@@ -170,7 +170,7 @@ fn edges(planner: &Planner<'_>, envelope: &Envelope, places: &[usize]) -> Vec<Ed
 }
 
 /// Moves knots one by one while it helps; never to where bounds are crossed more than before.
-fn polish(planner: &Planner<'_>, mut knots: Vec<Knot>) -> Vec<Knot> {
+pub(super) fn polish(planner: &Planner<'_>, mut knots: Vec<Knot>) -> Vec<Knot> {
     for ((feed_move, depth_move), weight) in FEED_MOVES.into_iter().zip(DEPTH_MOVES_MM).zip(CROSSING_WEIGHTS)
     {
         let value = |knots: &[Knot]| {

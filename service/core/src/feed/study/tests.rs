@@ -128,6 +128,24 @@ fn an_axis_that_lags_behind_a_steep_profile_overloads_nothing() {
     assert!(outcome.gap(TRIALS - 1) < 0.10, "{}", outcome.gap(TRIALS - 1));
 }
 
+/// Loads of which a part knows no feed and that soften with the time in contact: a raise by a third and a shorter way to it
+/// both meet more load than straight lines and the work put in tell, at all depths at once.
+#[test]
+fn a_raise_on_a_load_that_is_convex_in_the_feed_overloads_nothing() {
+    for (seed, reference_s) in [(1122, 3.672), (1137, 2.700)] {
+        let outcome = try_case(&draw(Model::Coarse, seed).unwrap(), reference_s).unwrap();
+        for (at, trial) in outcome.trials.iter().enumerate() {
+            let told = (trial.overload_s, trial.worst_ratio);
+            assert!(
+                trial.overload_s <= OVERLOAD_S + 1e-9 && trial.worst_ratio < 1.05,
+                "case {seed}, trial {}: {told:?}",
+                at + 1
+            );
+        }
+        assert!(outcome.gap(TRIALS - 1) < 0.10, "case {seed}: {}", outcome.gap(TRIALS - 1));
+    }
+}
+
 #[test]
 fn the_optimiser_is_shorter_than_each_strategy_of_the_paper_at_the_loads_that_it_keeps() {
     let rows = paper_rows(2001).unwrap();
