@@ -3,13 +3,13 @@
 
 use crate::process::Running;
 use serde_json::json;
+use std::io::Write;
+use std::os::fd::AsFd;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
-use tokio::sync::Barrier;
-use tokio::time::{MissedTickBehavior, interval_at};
 
 /// How many connections at which pace for how long.
 #[derive(Debug, Clone, Copy)]
@@ -17,6 +17,12 @@ pub(crate) struct Load {
     pub(crate) connections: u32,
     pub(crate) per_second: u32,
     pub(crate) seconds: u32,
+}
+
+impl Load {
+    const fn samples(self) -> u32 {
+        self.per_second * self.seconds
+    }
 }
 
 /// What is spoken.
@@ -62,38 +68,42 @@ pub(crate) async fn register(server: &Running, machines: u32) {
                        "override_max_percent": 150.0}
         });
         put(format!("/v1/machines/B{machine}"), body).await;
+        let tool = json!({"name": "bench", "tool_type": "bench"});
+        put(format!("/v1/tools/T{machine}"), tool).await;
     }
-    put("/v1/tools/T1".to_owned(), json!({"name": "T1", "tool_type": "bench"})).await;
     let operation = json!({"name": "O1", "process": "friction", "programmed_feed_mm_min": 150.0,
                            "feed_drive_load_set_percent": 30.0, "spindle_load_set_percent": 40.0});
     put("/v1/operations/O1".to_owned(), operation).await;
 }
 
-/// One round: every connection at its pace, spread over the period. Only messages are measured: connections and cycles
-/// begin before, and cycles end after.
+/// One round: every connection at its pace, spread over the period as machines that know nothing of each other are.
+/// Only messages are measured: connections and cycles begin before, and cycles end after.
 pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) -> Outcome {
-    // Passed by all when every cycle has begun, and again when every answer is there.
-    let gate = Arc::new(Barrier::new(load.connections as usize + 1));
-    let machines = (0..load.connections).map(|index| {
-        let (address, token) = (peer.address.trim_start_matches("http://").to_owned(), peer.token.clone());
-        let gate = Arc::clone(&gate);
+    let address = peer.address.trim_start_matches("http://");
+    let begun = (0..load.connections)
+        .map(|index| Machine::begin(address.to_owned(), peer.token.clone(), wire, load, (index, round)));
+    let machines = futures_util::future::join_all(begun.map(tokio::spawn)).await;
+    let machines: Vec<Machine> = machines.into_iter().map(|begun| begun.expect("a machine")).collect();
+    let senders: Vec<Sender> = machines.iter().map(Machine::sender).collect();
+    let before = peer.cpu_seconds();
+    let pacing = std::thread::spawn(move || pace(&senders, load));
+    let reading = machines.into_iter().map(|mut machine| {
         tokio::spawn(async move {
-            let mut machine = Machine::begin(&address, &token, wire, load, (index, round)).await;
-            gate.wait().await;
-            let times = machine.send().await;
-            gate.wait().await;
-            machine.end().await;
-            times
+            let times = machine.read().await;
+            (machine, times)
         })
     });
-    let tasks: Vec<_> = machines.collect();
-    gate.wait().await;
-    let before = peer.cpu_seconds();
-    gate.wait().await;
+    let read = futures_util::future::join_all(reading.collect::<Vec<_>>()).await;
     let spent = peer.cpu_seconds() - before;
-    let mut times = Vec::new();
-    for task in tasks {
-        times.extend(task.await.expect("a machine ends"));
+    pacing.join().expect("the pace");
+    let (mut times, mut ends) = (Vec::new(), Vec::new());
+    for read in read {
+        let (machine, measured) = read.expect("a machine reads");
+        times.extend(measured);
+        ends.push(tokio::spawn(machine.end()));
+    }
+    for end in ends {
+        end.await.expect("a machine ends");
     }
     times.sort_unstable();
     let at = |share: f64| {
@@ -108,32 +118,85 @@ pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) ->
     };
     Outcome {
         messages: times.len() as u64,
-        asked: u64::from(load.connections) * u64::from(load.per_second) * u64::from(load.seconds),
+        asked: u64::from(load.connections) * u64::from(load.samples()),
         spent,
         p50: at(0.5),
         p99: at(0.99),
     }
 }
 
+/// Less than this ahead nobody sleeps: the kernel would wake a thread later than that.
+const SHORTEST_SLEEP: Duration = Duration::from_micros(30);
+
+/// Sends every sample of every machine when it is due, from one thread: a timer for each would cost more than the
+/// message, and fire them all in the same millisecond.
+fn pace(senders: &[Sender], load: Load) {
+    let period = Duration::from_secs(1) / load.per_second;
+    let begin = Instant::now() + period;
+    for sample in 0..load.samples() {
+        for (index, sender) in (0..).zip(senders) {
+            let due = begin + period * sample + period * index / load.connections;
+            let ahead = due.saturating_duration_since(Instant::now());
+            if ahead > SHORTEST_SLEEP {
+                std::thread::sleep(ahead);
+            }
+            if sender.send(sample).is_err() {
+                return;
+            }
+        }
+    }
+}
+
 static CYCLE: AtomicU32 = AtomicU32::new(0);
+
+/// The sending end of a connection.
+struct Sender {
+    stream: std::net::TcpStream,
+    wire: Wire,
+    asked: Asked,
+}
+
+/// When each message was sent, ns since the connection began.
+#[derive(Clone)]
+struct Asked {
+    begun: Instant,
+    after_ns: Arc<[AtomicU64]>,
+}
+
+impl Sender {
+    fn send(&self, sample: u32) -> std::io::Result<()> {
+        // The echo's questions are all as long as its first one.
+        let (n, number) = if self.wire.is_echo() { (0, 0) } else { (sample + 2, sample) };
+        let question = question(self.wire, n, number);
+        let after_ns = u64::try_from(self.asked.begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        self.asked.after_ns[sample as usize].store(after_ns, Ordering::Release);
+        // A short message fits the kernel's buffer; a server that does not read ends the round.
+        (&self.stream).write_all(&question)
+    }
+}
 
 /// A connection, with a cycle that runs where it is a stream.
 struct Machine {
     /// Buffered, so that an answer is one call of the kernel here as it is at the server.
     stream: BufReader<TcpStream>,
     spoken: Spoken,
-    load: Load,
-    index: u32,
+    asked: Asked,
 }
 
 impl Machine {
-    async fn begin(address: &str, token: &str, wire: Wire, load: Load, (index, round): (u32, usize)) -> Self {
-        let stream = TcpStream::connect(address).await.expect("a connection");
+    async fn begin(
+        address: String,
+        token: String,
+        wire: Wire,
+        load: Load,
+        (index, round): (u32, usize),
+    ) -> Self {
+        let stream = TcpStream::connect(&address).await.expect("a connection");
         stream.set_nodelay(true).expect("an option");
         let mut stream = BufReader::with_capacity(1024, stream);
         let mut spoken = Spoken { wire, answer: Vec::new() };
         if wire.is_echo() {
-            let lengths = [spoken.question(0, 0).len(), if wire == Wire::EchoBinary { 66 } else { 520 }];
+            let lengths = [question(wire, 0, 0).len(), if wire == Wire::EchoBinary { 66 } else { 520 }];
             let head: Vec<u8> = lengths
                 .iter()
                 .flat_map(|length| u32::try_from(*length).expect("short").to_le_bytes())
@@ -141,35 +204,32 @@ impl Machine {
             stream.write_all(&head).await.expect("a head");
             spoken.answer.resize(lengths[1], 0);
         } else {
-            upgrade(&mut stream, address, token, index).await;
+            upgrade(&mut stream, &address, &token, index).await;
             let cycle = CYCLE.fetch_add(1, Ordering::Relaxed);
             let period_ms = 1000.0 / f64::from(load.per_second);
-            start(&mut stream, &format!("b{index}-{round}-{cycle}"), period_ms, &mut spoken).await;
+            let cycle = format!("b{index}-{round}-{cycle}");
+            start(&mut stream, (index, &cycle), period_ms, &mut spoken).await;
         }
-        Self { stream, spoken, load, index }
+        let after_ns = (0..load.samples()).map(|_| AtomicU64::new(0)).collect();
+        Self { stream, spoken, asked: Asked { begun: Instant::now(), after_ns } }
     }
 
-    /// Sends every sample at its pace; how long each answer took.
-    async fn send(&mut self) -> Vec<Duration> {
-        let Self { stream, spoken, load, index } = self;
-        let period = Duration::from_secs(1) / load.per_second;
-        let shift = period * *index / load.connections;
-        let mut ticks = interval_at(tokio::time::Instant::now() + period + shift, period);
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Burst);
-        let mut times = Vec::with_capacity((load.per_second * load.seconds) as usize);
-        for sample in 0..load.per_second * load.seconds {
-            ticks.tick().await;
-            // The echo's questions are all as long as its first one.
-            let question = if spoken.wire.is_echo() {
-                spoken.question(0, 0)
-            } else {
-                spoken.question(sample + 2, sample)
-            };
-            let asked = Instant::now();
-            if stream.write_all(&question).await.is_err() || spoken.read(stream).await.is_err() {
+    /// The same connection, to send on.
+    fn sender(&self) -> Sender {
+        let descriptor = self.stream.get_ref().as_fd().try_clone_to_owned().expect("a descriptor");
+        Sender { stream: descriptor.into(), wire: self.spoken.wire, asked: self.asked.clone() }
+    }
+
+    /// Reads every answer; how long each took.
+    async fn read(&mut self) -> Vec<Duration> {
+        let Self { stream, spoken, asked } = self;
+        let mut times = Vec::with_capacity(asked.after_ns.len());
+        for after_ns in asked.after_ns.iter() {
+            if spoken.read(stream).await.is_err() {
                 break;
             }
-            times.push(asked.elapsed());
+            let after = Duration::from_nanos(after_ns.load(Ordering::Acquire));
+            times.push(asked.begun.elapsed().saturating_sub(after));
         }
         times
     }
@@ -201,10 +261,15 @@ async fn upgrade(stream: &mut BufReader<TcpStream>, address: &str, token: &str, 
     assert!(head.starts_with(b"HTTP/1.1 101"), "{}", String::from_utf8_lossy(&head));
 }
 
-async fn start(stream: &mut BufReader<TcpStream>, cycle: &str, period_ms: f64, spoken: &mut Spoken) {
+async fn start(
+    stream: &mut BufReader<TcpStream>,
+    (index, cycle): (u32, &str),
+    period_ms: f64,
+    spoken: &mut Spoken,
+) {
     let now = jiff::Timestamp::now().to_string();
     let message = json!({
-        "type": "start", "n": 1, "cycle_id": cycle, "tool": "T1", "operation": "O1", "started_at": now, "sent_at": now,
+        "type": "start", "n": 1, "cycle_id": cycle, "tool": format!("T{index}"), "operation": "O1", "started_at": now, "sent_at": now,
         "period_ms": period_ms, "channels": ["depth_mm", "feed_drive_load_percent", "spindle_load_percent"],
         "program": {"between": "held", "knots": [{"depth_mm": 0.0, "feed_mm_min": 150.0}]}
     });
@@ -229,30 +294,30 @@ fn frame(first: u8, payload: &[u8]) -> Vec<u8> {
     out
 }
 
+/// One sample of depth and both loads.
+fn question(wire: Wire, n: u32, sample: u32) -> Vec<u8> {
+    if matches!(wire, Wire::Binary | Wire::EchoBinary) {
+        let mut payload = vec![1, 0, 1, 0];
+        payload.extend(n.to_le_bytes());
+        payload.extend(sample.to_le_bytes());
+        for value in [i32::try_from(sample % 20_000).unwrap_or(0), 280, 360] {
+            payload.extend(value.to_le_bytes());
+        }
+        return frame(0x82, &payload);
+    }
+    let text = format!(
+        "{{\"type\":\"samples\",\"n\":{n},\"first\":{sample},\"depth_mm\":12.345,\
+         \"feed_drive_load_percent\":28.0,\"spindle_load_percent\":36.0}}"
+    );
+    frame(0x81, text.as_bytes())
+}
+
 struct Spoken {
     wire: Wire,
     answer: Vec<u8>,
 }
 
 impl Spoken {
-    /// One sample of depth and both loads.
-    fn question(&self, n: u32, sample: u32) -> Vec<u8> {
-        if matches!(self.wire, Wire::Binary | Wire::EchoBinary) {
-            let mut payload = vec![1, 0, 1, 0];
-            payload.extend(n.to_le_bytes());
-            payload.extend(sample.to_le_bytes());
-            for value in [i32::try_from(sample % 20_000).unwrap_or(0), 280, 360] {
-                payload.extend(value.to_le_bytes());
-            }
-            return frame(0x82, &payload);
-        }
-        let text = format!(
-            "{{\"type\":\"samples\",\"n\":{n},\"first\":{sample},\"depth_mm\":12.345,\
-             \"feed_drive_load_percent\":28.0,\"spindle_load_percent\":36.0}}"
-        );
-        frame(0x81, text.as_bytes())
-    }
-
     /// Reads one answer, past pings.
     async fn read(&mut self, stream: &mut BufReader<TcpStream>) -> std::io::Result<()> {
         if self.wire.is_echo() {

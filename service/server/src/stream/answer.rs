@@ -382,12 +382,12 @@ pub fn overrides(
     member(out, "age_ms", &standing.age_ms);
     member(out, "next", &standing.next);
     member(out, "overload", &standing.overload);
-    member(out, "law_version", standing.law_version);
+    word(out, "law_version", standing.law_version);
     if let Some(profile) = standing.profile {
         member(out, "profile", profile);
     }
     if let Some(hash) = standing.program_hash {
-        member(out, "program_hash", hash);
+        word(out, "program_hash", hash);
     }
     if let Some(plunge) = &standing.plunge {
         member(out, "plunge", plunge);
@@ -424,8 +424,8 @@ fn member<T: Serialize + ?Sized>(out: &mut BytesMut, named: &str, value: &T) {
     put(out, value);
 }
 
-/// A word of ours: letters, digits and underscores.
-fn word(out: &mut BytesMut, named: &str, word: &'static str) {
+/// A word of ours, in which nothing has to be escaped.
+fn word(out: &mut BytesMut, named: &str, word: &str) {
     name(out, named);
     out.put_u8(b'"');
     out.put_slice(word.as_bytes());
@@ -456,6 +456,7 @@ pub fn text(message: &impl Serialize) -> String {
 mod tests {
     use super::*;
     use crate::stream::message::ProfileMessage;
+    use feedwright_core::closed_loop::control::LOOP_LAW_VERSION;
     use feedwright_core::friction::feed_override::{OverrideBounds, OverrideRange};
     use proptest::prelude::*;
 
@@ -484,7 +485,7 @@ mod tests {
                 age_ms,
                 next,
                 overload,
-                law_version: "a law",
+                law_version: LOOP_LAW_VERSION,
                 profile: profile.as_ref(),
                 program_hash: hash.as_deref(),
                 plunge: plunge.map(|(bite_mm, contact_offset_mm)| PlungePart {
