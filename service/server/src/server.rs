@@ -23,7 +23,7 @@ use feedwright_store::{Actor, Page, Role, Store, StoreError};
 use secrecy::SecretString;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpSocket};
 
 /// Why a server does not start.
 #[derive(Debug, thiserror::Error)]
@@ -73,9 +73,9 @@ impl Server {
         clock: Clock,
     ) -> Result<RunningServer, StartError> {
         tls::use_ring();
-        let listener = listen(config.server.listen).await?;
+        let listener = listen(config.server.listen)?;
         let metrics_listener = match config.metrics.listen {
-            Some(address) => Some(listen(address).await?),
+            Some(address) => Some(listen(address)?),
             None => None,
         };
         let first_admin_token = first_admin_token(&store, &clock).await?;
@@ -109,8 +109,19 @@ impl Server {
     }
 }
 
-async fn listen(address: SocketAddr) -> Result<TcpListener, StartError> {
-    TcpListener::bind(address).await.map_err(|source| StartError::Listen { address, source })
+/// Connections that may wait to be accepted, where the kernel permits as many: after a restart every machine of a shop
+/// comes at once, and what does not fit is dropped without a word.
+const WAITING: u32 = 4096;
+
+fn listen(address: SocketAddr) -> Result<TcpListener, StartError> {
+    let listening = || {
+        let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+        // A service that is started again does not wait for connections of the last one to be forgotten.
+        socket.set_reuseaddr(true)?;
+        socket.bind(address)?;
+        socket.listen(WAITING)
+    };
+    listening().map_err(|source| StartError::Listen { address, source })
 }
 
 fn address(listener: &TcpListener, asked: SocketAddr) -> Result<SocketAddr, StartError> {

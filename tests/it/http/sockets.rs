@@ -187,6 +187,21 @@ async fn shutdown_answers_what_is_under_way_and_refuses_what_is_new() {
     assert!(store.machine(&id).await.is_err(), "the store is closed");
 }
 
+/// After a restart every machine of a shop comes at once; what the kernel has no room for is dropped without a word.
+#[tokio::test]
+async fn whoever_comes_while_every_place_is_taken_waits_and_is_served() {
+    let running = start(&[("server.max_connections", "1")]).await;
+    let mut first = running.connect().await;
+    first.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+    assert!(first.read(&mut [0; 1024]).await.unwrap() > 0, "it has the only place");
+    let all = futures_util::future::join_all((0..500).map(|_| running.connect()));
+    let mut waiting = tokio::time::timeout(Duration::from_secs(30), all).await.expect("the kernel has room");
+    let mut last = waiting.pop().unwrap();
+    drop((first, waiting));
+    last.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+    assert!(last.read(&mut [0; 1024]).await.unwrap() > 0);
+}
+
 #[tokio::test]
 async fn shutdown_does_not_wait_for_a_client_that_never_ends() {
     let running = start(&[("server.shutdown_timeout_ms", "2000")]).await;

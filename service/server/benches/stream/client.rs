@@ -80,10 +80,16 @@ pub(crate) async fn register(server: &Running, machines: u32) {
 /// Only messages are measured: connections and cycles begin before, and cycles end after.
 pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) -> Outcome {
     let address = peer.address.trim_start_matches("http://");
-    let begun = (0..load.connections)
-        .map(|index| Machine::begin(address.to_owned(), peer.token.clone(), wire, load, (index, round)));
-    let machines = futures_util::future::join_all(begun.map(tokio::spawn)).await;
-    let machines: Vec<Machine> = machines.into_iter().map(|begun| begun.expect("a machine")).collect();
+    let mut machines = Vec::new();
+    // A few at a time: the echo's listener has room for a hundred that wait to be accepted.
+    for from in (0..load.connections).step_by(AT_ONCE) {
+        let begun = (from..load.connections).take(AT_ONCE).map(|index| {
+            tokio::spawn(Machine::begin(address.to_owned(), peer.token.clone(), wire, load, (index, round)))
+        });
+        for begun in futures_util::future::join_all(begun.collect::<Vec<_>>()).await {
+            machines.push(begun.expect("a machine"));
+        }
+    }
     let senders: Vec<Sender> = machines.iter().map(Machine::sender).collect();
     let before = peer.cpu_seconds();
     let pacing = std::thread::spawn(move || pace(&senders, load));
@@ -125,6 +131,8 @@ pub(crate) async fn run(peer: &Running, wire: Wire, load: Load, round: usize) ->
     }
 }
 
+/// Connections that are opened at once.
+const AT_ONCE: usize = 50;
 /// Less than this ahead nobody sleeps: the kernel would wake a thread later than that.
 const SHORTEST_SLEEP: Duration = Duration::from_micros(30);
 
@@ -140,9 +148,7 @@ fn pace(senders: &[Sender], load: Load) {
             if ahead > SHORTEST_SLEEP {
                 std::thread::sleep(ahead);
             }
-            if sender.send(sample).is_err() {
-                return;
-            }
+            sender.send(sample).expect("a message is sent");
         }
     }
 }
@@ -225,9 +231,7 @@ impl Machine {
         let Self { stream, spoken, asked } = self;
         let mut times = Vec::with_capacity(asked.after_ns.len());
         for after_ns in asked.after_ns.iter() {
-            if spoken.read(stream).await.is_err() {
-                break;
-            }
+            spoken.read(stream).await.expect("an answer");
             let after = Duration::from_nanos(after_ns.load(Ordering::Acquire));
             times.push(asked.begun.elapsed().saturating_sub(after));
         }
