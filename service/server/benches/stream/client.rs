@@ -273,8 +273,8 @@ async fn start(
 ) {
     let now = jiff::Timestamp::now().to_string();
     let message = json!({
-        "type": "start", "n": 1, "cycle_id": cycle, "tool": format!("T{index}"), "operation": "O1", "started_at": now, "sent_at": now,
-        "period_ms": period_ms, "channels": ["depth_mm", "feed_drive_load_percent", "spindle_load_percent"],
+        "type": "start", "n": 1, "cycle_id": cycle, "tool": format!("T{index}"), "operation": "O1",
+        "started_at": now, "sent_at": now, "period_ms": period_ms, "channels": ["depth_mm", "feed_drive_load_percent", "spindle_load_percent"],
         "program": {"between": "held", "knots": [{"depth_mm": 0.0, "feed_mm_min": 150.0}]}
     });
     stream.write_all(&frame(0x81, message.to_string().as_bytes())).await.expect("a start");

@@ -2,8 +2,9 @@
 //!
 //! `cargo bench -p feedwright-server --bench stream` runs, in turn and several times: the echo and the stream with the
 //! same connections at the same pace, one sample in and one override out, binary and text. It prints the processor
-//! time of the server per message, their ratio, and the round trip's percentiles: at the pace of the target, at a fourth of it, and
-//! with 500 machines at 100 Hz; with `-- --climb` it raises the pace on one core (`taskset`) until the 99th percentile exceeds one interpolator cycle.
+//! time of the server per message, their ratio, and the round trip's percentiles: at the pace of the target, at a
+//! fourth of it, and with 500 machines at 100 Hz; with `-- --climb` it raises the pace on one core (`taskset`) until the
+//! 99th percentile exceeds one interpolator cycle.
 //! It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
 
 #[path = "../posts/process.rs"]

@@ -285,16 +285,6 @@ pub fn standing<'a>(cycle: &'a StreamedCycle, answer: &Answer) -> StandingPart<'
     }
 }
 
-/// What each sample was answered.
-pub fn each(mode: Mode, advice: &[SampleAdvice]) -> Vec<EachPart> {
-    let advise = mode == Mode::Advise;
-    let part = |advice: &SampleAdvice| EachPart {
-        override_percent: advise.then(|| advice.ovr.percent()),
-        reasons: Codes(advice.reasons),
-    };
-    advice.iter().map(part).collect()
-}
-
 /// The answer to a block of vibration.
 pub const fn gain(n: u32, re: u32, advice: &BlockAdvice) -> GainMessage {
     GainMessage {
@@ -372,7 +362,8 @@ pub fn overrides(
     if let Some(percent) = standing.override_percent {
         member(out, "override_percent", &percent);
     }
-    codes(out, standing.reasons);
+    name(out, "reasons");
+    list(out, standing.reasons.0);
     name(out, "valid_until");
     out.put_u8(b'"');
     time::write(out, standing.valid_until.0);
@@ -432,11 +423,6 @@ fn word(out: &mut BytesMut, named: &str, word: &str) {
     out.put_u8(b'"');
 }
 
-fn codes(out: &mut BytesMut, reasons: Codes) {
-    name(out, "reasons");
-    list(out, reasons.0);
-}
-
 fn list(out: &mut BytesMut, reasons: LoopReasons) {
     out.put_u8(b'[');
     for (i, code) in reasons.codes().enumerate() {
@@ -459,6 +445,15 @@ mod tests {
     use feedwright_core::closed_loop::control::LOOP_LAW_VERSION;
     use feedwright_core::friction::feed_override::{OverrideBounds, OverrideRange};
     use proptest::prelude::*;
+
+    fn described(mode: Mode, advice: &[SampleAdvice]) -> Vec<EachPart> {
+        let advise = mode == Mode::Advise;
+        let part = |advice: &SampleAdvice| EachPart {
+            override_percent: advise.then(|| advice.ovr.percent()),
+            reasons: Codes(advice.reasons),
+        };
+        advice.iter().map(part).collect()
+    }
 
     proptest! {
         #[test]
@@ -512,7 +507,7 @@ mod tests {
                 n,
                 re: Some(re),
                 standing: standing(),
-                each: Some(super::each(mode, &each)),
+                each: Some(self::described(mode, &each)),
             };
             prop_assert_eq!(String::from_utf8(written.to_vec()).unwrap(), text(&described));
         }

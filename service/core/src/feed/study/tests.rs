@@ -112,38 +112,33 @@ fn a_sample_of_the_study_keeps_its_quality() {
     assert!(sum.most_knots <= 20 && sum.coverage > 0.75, "{sum:?}");
 }
 
-/// A profile that slows down steeply on an axis that follows 26 ms late: the tool is up to half as fast again as programmed
-/// where the load rises.
-#[test]
-fn an_axis_that_lags_behind_a_steep_profile_overloads_nothing() {
-    let outcome = try_case(&draw(Model::Other, 2018).unwrap(), 1.038).unwrap();
+/// No trial of a case is overloaded, or above 1.05 times L_set at all without noise, and the last is near the planner's.
+fn overloads_nothing(model: Model, seed: u64, reference_s: f64) {
+    let outcome = try_case(&draw(model, seed).unwrap(), reference_s).unwrap();
     for (at, trial) in outcome.trials.iter().enumerate() {
         let told = (trial.overload_s, trial.worst_ratio);
         assert!(
             trial.overload_s <= OVERLOAD_S + 1e-9 && trial.worst_ratio < 1.05,
-            "trial {}: {told:?}",
+            "case {seed}, trial {}: {told:?}",
             at + 1
         );
     }
-    assert!(outcome.gap(TRIALS - 1) < 0.10, "{}", outcome.gap(TRIALS - 1));
+    assert!(outcome.gap(TRIALS - 1) < 0.10, "case {seed}: {}", outcome.gap(TRIALS - 1));
+}
+
+/// A profile that slows down steeply on an axis that follows 26 ms late: the tool is up to half as fast again as programmed
+/// where the load rises.
+#[test]
+fn an_axis_that_lags_behind_a_steep_profile_overloads_nothing() {
+    overloads_nothing(Model::Other, 2018, 1.038);
 }
 
 /// Loads of which a part knows no feed and that soften with the time in contact: a raise by a third and a shorter way to it
 /// both meet more load than straight lines and the work put in tell, at all depths at once.
 #[test]
 fn a_raise_on_a_load_that_is_convex_in_the_feed_overloads_nothing() {
-    for (seed, reference_s) in [(1122, 3.672), (1137, 2.700)] {
-        let outcome = try_case(&draw(Model::Coarse, seed).unwrap(), reference_s).unwrap();
-        for (at, trial) in outcome.trials.iter().enumerate() {
-            let told = (trial.overload_s, trial.worst_ratio);
-            assert!(
-                trial.overload_s <= OVERLOAD_S + 1e-9 && trial.worst_ratio < 1.05,
-                "case {seed}, trial {}: {told:?}",
-                at + 1
-            );
-        }
-        assert!(outcome.gap(TRIALS - 1) < 0.10, "case {seed}: {}", outcome.gap(TRIALS - 1));
-    }
+    overloads_nothing(Model::Coarse, 1122, 3.672);
+    overloads_nothing(Model::Coarse, 1137, 2.700);
 }
 
 #[test]

@@ -1,27 +1,23 @@
 //! Times in JSON: RFC 3339, UTC, to the microsecond.
 
-use bytes::BufMut;
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
+use std::fmt::Write;
+
+/// Every time that was read is in range; one that was added up may leave it, and is shown as the last there is.
+fn in_range(at: Timestamp) -> jiff::Timestamp {
+    let end = if at.micros() > 0 { jiff::Timestamp::MAX } else { jiff::Timestamp::MIN };
+    jiff::Timestamp::from_microsecond(at.micros()).unwrap_or(end)
+}
 
 /// A time as JSON shows it, with as many digits as it needs.
 pub fn show(at: Timestamp) -> String {
-    match jiff::Timestamp::from_microsecond(at.micros()) {
-        Ok(at) => at.to_string(),
-        // Every time that was read is in range; one that was added up may leave it.
-        Err(_) if at.micros() > 0 => jiff::Timestamp::MAX.to_string(),
-        Err(_) => jiff::Timestamp::MIN.to_string(),
-    }
+    in_range(at).to_string()
 }
 
-/// Writes a time as [`show`] shows it.
-pub fn write(out: &mut bytes::BytesMut, at: Timestamp) {
-    static PRINTER: jiff::fmt::temporal::DateTimePrinter = jiff::fmt::temporal::DateTimePrinter::new();
-    let written = jiff::Timestamp::from_microsecond(at.micros())
-        .and_then(|at| PRINTER.print_timestamp(&at, jiff::fmt::StdIoWrite(out.writer())));
-    if written.is_err() {
-        out.put_slice(show(at).as_bytes());
-    }
+/// Writes a time as [`show`] shows it. Into memory this cannot fail.
+pub fn write(out: &mut impl Write, at: Timestamp) {
+    let _ = write!(out, "{}", in_range(at));
 }
 
 /// A time as tables show it: always with six digits, so that a reader which guesses the format from the first row
@@ -29,10 +25,7 @@ pub fn write(out: &mut bytes::BytesMut, at: Timestamp) {
 pub fn show_even(at: Timestamp) -> String {
     static PRINTER: jiff::fmt::temporal::DateTimePrinter =
         jiff::fmt::temporal::DateTimePrinter::new().precision(Some(6));
-    match jiff::Timestamp::from_microsecond(at.micros()) {
-        Ok(at) => PRINTER.timestamp_to_string(&at),
-        Err(_) => show(at),
-    }
+    PRINTER.timestamp_to_string(&in_range(at))
 }
 
 /// The time so many milliseconds after another, to the microsecond.
@@ -63,6 +56,11 @@ mod tests {
         assert_eq!(read("at", &show(at)), Ok(at));
         assert_eq!(read("at", "2025-11-21T04:20:28.123456+01:00"), Ok(at));
         assert_eq!(show(Timestamp::from_micros(0)), "1970-01-01T00:00:00Z");
+        for micros in [i64::MIN, i64::MAX] {
+            let mut written = String::new();
+            write(&mut written, Timestamp::from_micros(micros));
+            assert_eq!(written, show(Timestamp::from_micros(micros)));
+        }
         for text in ["", "yesterday", "2025-11-21", "2025-11-21T03:20:28", "1763695228"] {
             assert_eq!(read("at", text).unwrap_err().code, "invalid_timestamp", "{text}");
         }
