@@ -446,7 +446,7 @@ mod tests {
     use feedwright_core::friction::feed_override::{OverrideBounds, OverrideRange};
     use proptest::prelude::*;
 
-    fn described(mode: Mode, advice: &[SampleAdvice]) -> Vec<EachPart> {
+    fn each_part(mode: Mode, advice: &[SampleAdvice]) -> Vec<EachPart> {
         let advise = mode == Mode::Advise;
         let part = |advice: &SampleAdvice| EachPart {
             override_percent: advise.then(|| advice.ovr.percent()),
@@ -507,7 +507,7 @@ mod tests {
                 n,
                 re: Some(re),
                 standing: standing(),
-                each: Some(self::described(mode, &each)),
+                each: Some(each_part(mode, &each)),
             };
             prop_assert_eq!(String::from_utf8(written.to_vec()).unwrap(), text(&described));
         }

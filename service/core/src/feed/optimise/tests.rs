@@ -11,7 +11,10 @@ fn case(seed: u64) -> Case {
 
 /// Cycles of the case's first profile at several scales.
 fn cycles(case: &Case, scales: &[f64]) -> Vec<RecordedCycle> {
-    let mut noise = Noise::seeded(case.seed);
+    cycles_with(case, scales, Some(&mut Noise::seeded(case.seed)))
+}
+
+fn cycles_with(case: &Case, scales: &[f64], mut noise: Option<&mut Noise>) -> Vec<RecordedCycle> {
     (0..)
         .zip(scales)
         .map(|(order, scale)| {
@@ -20,7 +23,7 @@ fn cycles(case: &Case, scales: &[f64]) -> Vec<RecordedCycle> {
                 .iter()
                 .map(|knot| Knot { feed_mm_min: knot.feed_mm_min * scale, ..*knot })
                 .collect();
-            recorded(&case.plant.drill(&knots, Some(&mut noise)).unwrap(), order)
+            recorded(&case.plant.drill(&knots, noise.as_deref_mut()).unwrap(), order)
         })
         .collect()
 }
@@ -294,27 +297,31 @@ fn a_hold_in_a_cycle_teaches_nothing_wrong() {
 fn loads_that_were_recorded_filtered_are_read_where_they_arose() {
     let case = case(4);
     let settings = settings(&case.limits).unwrap();
-    let raw = cycles(&case, &[1.0, 0.9]);
     let weights = crate::friction::filter::FilterWeights::default();
-    let late: Vec<RecordedCycle> = raw
-        .iter()
-        .map(|cycle| {
-            let filtered = |column: &[f64]| {
-                let mut filter = crate::friction::filter::LoadFilter::new();
-                column.iter().map(|load| filter.step(&weights, *load)).collect::<Vec<_>>()
-            };
-            RecordedCycle {
+    let late = |raw: &[RecordedCycle]| -> Vec<RecordedCycle> {
+        let filtered = |column: &[f64]| {
+            let mut filter = crate::friction::filter::LoadFilter::new();
+            column.iter().map(|load| filter.step(&weights, *load)).collect::<Vec<_>>()
+        };
+        raw.iter()
+            .map(|cycle| RecordedCycle {
                 signal: LoadSignal::Filtered(weights),
                 feed_drive_percent: filtered(&cycle.feed_drive_percent),
                 spindle_percent: filtered(&cycle.spindle_percent),
                 ..cycle.clone()
-            }
-        })
-        .collect();
+            })
+            .collect()
+    };
     let of = |cycles: &[RecordedCycle]| {
         optimise(cycles, &settings, Some(&first(&case))).unwrap().prediction.time_s.expected
     };
+    // Without noise only where the loads are read differs.
+    let quiet = cycles_with(&case, &[1.0, 0.9], None);
+    let change = of(&late(&quiet)) / of(&quiet) - 1.0;
+    assert!(change.abs() < 0.04, "{change}");
     // Filtered loads are less uneven, so the plan may be a little bolder.
+    let raw = cycles(&case, &[1.0, 0.9]);
+    let late = late(&raw);
     let change = of(&late) / of(&raw) - 1.0;
     assert!((-0.07..0.02).contains(&change), "{change}");
     // What ran is measured the same, filtered here or by the control.
