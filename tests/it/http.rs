@@ -20,3 +20,4 @@ mod tls;
 mod tokens;
 mod traces;
 mod transfers;
+mod whole_history;

@@ -1,6 +1,7 @@
 //! The binary itself: first start, the one token, tokens beside and through a running server, signals.
 
 use std::io::{BufRead, BufReader, Read};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
@@ -51,13 +52,37 @@ pub(crate) struct Served {
 impl Served {
     /// Starts the service and reads its output up to the line that holds `until`.
     pub(crate) fn start(dir: &TempDir, until: &str) -> Self {
-        let mut child = feedwright(dir, &["serve"]).stderr(Stdio::piped()).spawn().unwrap();
+        Self::start_on(dir, None, until)
+    }
+
+    /// The same on the database at that address; on a file of the folder where there is none.
+    pub(super) fn start_on(dir: &TempDir, database: Option<&str>, until: &str) -> Self {
+        let mut command = feedwright(dir, &["serve"]);
+        if let Some(address) = database {
+            command.env("FEEDWRIGHT__DATABASE__URL", address);
+        }
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         let mut served = Self { child, stderr, log: String::new() };
         while !served.log.contains(until) {
             assert!(served.stderr.read_line(&mut served.log).unwrap() > 0, "it ended: {}", served.log);
         }
         served
+    }
+
+    /// Where it listens, of what it has said so far.
+    pub(crate) fn address(&self) -> SocketAddr {
+        let line = self.log.lines().find(|line| line.contains("listening")).unwrap();
+        let address = line.split("address=").nth(1);
+        let address = address.and_then(|rest| rest.split_whitespace().next()?.parse().ok());
+        address.unwrap_or_else(|| panic!("no address in {line}"))
+    }
+
+    /// What it holds in memory now, bytes.
+    pub(super) fn resident_bytes(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        line.trim().strip_suffix(" kB").and_then(|kib| kib.parse::<u64>().ok()).unwrap() * 1024
     }
 
     /// Sends SIGTERM; the whole output, and whether it ended well.

@@ -9,9 +9,7 @@ use tempfile::TempDir;
 /// Starts the binary and reads its log to the line that holds `until`; where it listens.
 fn started(dir: &TempDir, until: &str) -> (Served, SocketAddr) {
     let served = Served::start(dir, until);
-    let line = served.log.lines().find(|line| line.contains("listening")).unwrap();
-    let address = line.split("address=").nth(1).and_then(|rest| rest.split_whitespace().next()?.parse().ok());
-    let address = address.unwrap_or_else(|| panic!("no address in {line}"));
+    let address = served.address();
     (served, address)
 }
 

@@ -71,11 +71,14 @@ where
     };
     let rest = stream::try_unfold((Some(writer), pieces, turn), |(writer, mut pieces, turn)| async move {
         let Some(mut writer) = writer else { return Ok(None) };
-        let (bytes, writer) = match pieces.next().await {
-            Some(rows) => (writer.rows(&rows?)?, Some(writer)),
-            None => (writer.finish()?, None),
-        };
-        Ok::<_, TableError>(Some((Bytes::from(bytes), (writer, pieces, turn))))
+        // Some forms keep several pieces together.
+        while let Some(rows) = pieces.next().await {
+            let bytes = writer.rows(&rows?)?;
+            if !bytes.is_empty() {
+                return Ok(Some((Bytes::from(bytes), (Some(writer), pieces, turn))));
+            }
+        }
+        Ok::<_, TableError>(Some((Bytes::from(writer.finish()?), (None, pieces, turn))))
     });
     let body = Body::from_stream(stream::iter([Ok(Bytes::from(first))]).chain(rest));
     let headers = [

@@ -1,12 +1,19 @@
-//! Apache Parquet: a row group per piece, compressed with zstd; the footer comes last, so that nothing is kept but it.
+//! Apache Parquet: row groups of many pieces, compressed with zstd; the footer comes last, so that nothing is kept but
+//! it and the row group that is being filled.
 
 use super::{Field, Row, TableError, Writer, arrow};
 use ::parquet::arrow::ArrowWriter;
 use ::parquet::basic::{Compression, ZstdLevel};
-use ::parquet::file::properties::WriterProperties;
+use ::parquet::file::properties::{EnabledStatistics, WriterProperties};
 use arrow_schema::SchemaRef;
 use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// Rows of a row group. The footer tells of every column of every group, some hundred bytes each, and is kept to the
+/// end: ten million rows are 611 groups.
+const GROUP_ROWS: usize = 16_384;
+/// What a row group that is being filled may take, bytes, however long its texts are.
+const GROUP_BYTES: usize = 2 << 20;
 
 /// What was written and not yet taken; the writer counts for itself how much came before.
 #[derive(Debug, Clone, Default)]
@@ -40,6 +47,9 @@ impl File {
         let schema = arrow::schema(fields);
         let properties = WriterProperties::builder()
             .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).map_err(TableError::form)?))
+            .set_max_row_group_row_count(Some(GROUP_ROWS))
+            // Of pages they would be kept to the end too.
+            .set_statistics_enabled(EnabledStatistics::Chunk)
             .build();
         let taken = Taken::default();
         let writer = ArrowWriter::try_new(taken.clone(), schema.clone(), Some(properties));
@@ -50,7 +60,9 @@ impl File {
 impl Writer for File {
     fn rows(&mut self, rows: &[Row]) -> Result<Vec<u8>, TableError> {
         self.writer.write(&arrow::batch(&self.schema, rows)?).map_err(TableError::form)?;
-        self.writer.flush().map_err(TableError::form)?;
+        if self.writer.memory_size() > GROUP_BYTES {
+            self.writer.flush().map_err(TableError::form)?;
+        }
         Ok(self.taken.take())
     }
 

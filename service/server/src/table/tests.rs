@@ -91,7 +91,7 @@ fn arrow_and_parquet_come_back_to_the_bit() {
 
     let bytes = bytes::Bytes::from(written(Format::Parquet));
     let reader = ParquetRecordBatchReaderBuilder::try_new(bytes).unwrap();
-    assert_eq!(reader.metadata().num_row_groups(), 2, "a row group per piece");
+    assert_eq!(reader.metadata().num_row_groups(), 1, "pieces are put together");
     let batches: Result<Vec<_>, _> = reader.with_batch_size(2).build().unwrap().collect();
     same(&batches.unwrap());
     // A table without rows is a table all the same.
@@ -104,4 +104,34 @@ fn arrow_and_parquet_come_back_to_the_bit() {
             assert_eq!(reader.metadata().file_metadata().num_rows(), 0);
         }
     }
+}
+
+#[test]
+fn a_long_parquet_file_keeps_neither_many_groups_nor_a_large_one() {
+    /// Rows of 60 pieces; the text of each is long and its own, so that a row group is full before it has all its rows.
+    const PIECES: i64 = 60;
+    const PIECE: i64 = 500;
+    let mut file = writer(Format::Parquet, &fields()).unwrap();
+    let mut taken: Vec<usize> = Vec::new();
+    let mut bytes = Vec::new();
+    for piece in 0..PIECES {
+        let row = |at: i64| {
+            let number = piece * PIECE + at;
+            let text = format!("{number:0>128}");
+            vec![Cell::Time(number), Cell::from(text), Cell::Missing, Cell::Whole(number), Cell::Truth(true)]
+        };
+        let more = file.rows(&(0..PIECE).map(row).collect::<Vec<Row>>()).unwrap();
+        taken.push(more.len());
+        bytes.extend(more);
+    }
+    bytes.extend(file.finish().unwrap());
+    assert!(taken.iter().filter(|bytes| **bytes > 0).count() >= 2, "it leaves as it is made: {taken:?}");
+    let reader = ParquetRecordBatchReaderBuilder::try_new(bytes::Bytes::from(bytes)).unwrap();
+    let groups: Vec<i64> = reader.metadata().row_groups().iter().map(|group| group.num_rows()).collect();
+    assert_eq!(groups.iter().sum::<i64>(), PIECES * PIECE);
+    assert!(groups.len() <= 5 && groups.iter().all(|rows| *rows < 16_384), "{groups:?}");
+    let numbers = reader.build().unwrap().flat_map(|batch| {
+        batch.unwrap().column(3).as_primitive::<Int64Type>().values().to_vec()
+    });
+    assert!(numbers.eq(0..PIECES * PIECE), "every row once, in order");
 }
