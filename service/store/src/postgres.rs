@@ -33,9 +33,12 @@ type Db = sqlx::Postgres;
 type Conn = sqlx::PgConnection;
 type Engine = PostgresStore;
 
-/// One statement of a change takes no longer; a change that forgets its transaction is ended.
+/// One statement of a change takes no longer; a change that forgets its transaction is ended. The last setting is for
+/// Citus, and nothing to a server without it: by one connection to each worker a change reads what it wrote before, by
+/// several it may be refused (Citus issue 3426).
 const BEGIN: &str = "BEGIN; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_timeout = '15s'; \
-                     SET LOCAL idle_in_transaction_session_timeout = '30s'";
+                     SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                     SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
                               SET LOCAL statement_timeout = '30s'; \
                               SET LOCAL idle_in_transaction_session_timeout = '30s'";
@@ -43,7 +46,8 @@ const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
 /// that the pooler chose may have others of the same names: they go first.
 const BEGIN_POOLED: &str = "BEGIN; DEALLOCATE ALL; SET LOCAL statement_timeout = '30s'; \
                             SET LOCAL lock_timeout = '15s'; \
-                            SET LOCAL idle_in_transaction_session_timeout = '30s'";
+                            SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                            SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 const BEGIN_SNAPSHOT_POOLED: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; DEALLOCATE ALL; \
                                      SET LOCAL statement_timeout = '30s'; \
                                      SET LOCAL idle_in_transaction_session_timeout = '30s'";

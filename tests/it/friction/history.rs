@@ -100,6 +100,21 @@ async fn over_many_cycles_a_limit_is_tried_before_it_is_rolled_out() {
     assert_eq!(wide.body["happened"]["alarms_per_thousand"], 0.0);
     assert_eq!(wide.body["predicted"]["alarms_per_thousand"], 0.0);
     assert!(number(&wide.body["model_error"]["duration_median"]) < 0.05, "{}", wide.text);
+    // Of nothing there is no mean, no largest and no share.
+    let none = shop.post("/v1/what-if", &json!({"filter": {"machine": "F9"}})).await;
+    assert_eq!(
+        (&none.body["considered"], &none.body["complete"]),
+        (&json!(0), &json!(true)),
+        "{}",
+        none.text
+    );
+    for run in ["happened", "predicted"] {
+        for figure in ["mean_duration_s", "mean_energy_j", "peak_spindle_percent", "alarms_per_thousand"] {
+            assert_eq!(none.body[run].get(figure), Some(&json!(null)), "{run} {figure}");
+        }
+        assert_eq!(none.body[run]["overload_s"].to_string(), "0.0");
+    }
+    assert_eq!(none.body["model_error"]["duration_median"], json!(null));
     // Bounded, and it says where to go on.
     let some = shop.post("/v1/what-if", &json!({"filter": {"machine": "F1"}, "most_cycles": 4})).await;
     assert_eq!((&some.body["considered"], &some.body["complete"]), (&json!(4), &json!(false)));

@@ -125,6 +125,13 @@ fn distributed_tables_are_joined_by_machine() {
                     continue;
                 }
                 held += 1;
+                // All rows of its inner side that could be meant would be read first.
+                let beside =
+                    statement[..at].rsplit("FROM ").next().unwrap_or("").split(' ').next().unwrap_or("");
+                assert!(
+                    !statement[..at].ends_with("LEFT ") || distributed.contains(beside),
+                    "{path}: {beside}, which is not distributed, is left-joined with {table}: {statement}"
+                );
                 let condition = rest.split(" ON ").nth(1).unwrap_or("");
                 let ends = ["JOIN ", "WHERE ", "ORDER ", "GROUP "];
                 let end =
@@ -162,4 +169,23 @@ fn no_statement_locks_rows_of_several_shards() {
         assert!(!text.contains("FOR UPDATE") && !text.contains("FOR SHARE"), "{path}");
     }
     assert!(sources.len() > 30, "the store's sources are read");
+}
+
+/// A change that has written a table of which each node has a copy and then read shards by several connections may not
+/// join the two (Citus issue 3426): each change keeps to one connection a worker.
+#[test]
+fn every_change_keeps_to_one_connection_a_worker() {
+    let store = sources().into_iter().find(|(path, _)| path.ends_with("/src/postgres.rs"));
+    let (_, text) = store.expect("the store on PostgreSQL");
+    let (mut changes, mut reads) = (0, 0);
+    for begin in text.split("const BEGIN").skip(1) {
+        let statement = begin.split("\";").next().unwrap_or("");
+        if statement.contains("READ ONLY") {
+            reads += 1;
+        } else {
+            assert!(statement.contains("SET LOCAL citus.max_adaptive_executor_pool_size = 1"), "{statement}");
+            changes += 1;
+        }
+    }
+    assert_eq!((changes, reads), (2, 2), "with and without a pooler");
 }

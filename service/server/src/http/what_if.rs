@@ -241,29 +241,30 @@ impl Sum {
     }
 }
 
-/// Median and largest; 0 for none.
-fn spread(values: &mut [f64]) -> (f64, f64) {
+/// Median and largest, where there are any.
+fn spread(values: &mut [f64]) -> (Option<f64>, Option<f64>) {
     values.sort_by(f64::total_cmp);
-    let at = |index: usize| values.get(index).copied().unwrap_or(0.0);
+    let at = |index: usize| values.get(index).copied();
     (at(values.len() / 2), at(values.len().saturating_sub(1)))
 }
 
 fn total(runs: &[RunFigures], tolerated_s: f64) -> SumBody {
     #[expect(clippy::cast_precision_loss, reason = "at most a thousand cycles")]
-    let count = runs.len().max(1) as f64;
-    let largest = |of: fn(&RunFigures) -> f64| runs.iter().map(of).fold(0.0, f64::max);
+    let share = |sum: f64, count: usize| (count > 0).then(|| sum / count as f64);
+    let mean = |values: &[f64]| share(values.iter().sum(), values.len());
+    let all = |of: fn(&RunFigures) -> f64| runs.iter().map(of).collect::<Vec<f64>>();
+    let largest = |of| all(of).into_iter().reduce(f64::max);
     let energies: Vec<f64> = runs.iter().filter_map(|run| run.energy_j).collect();
-    #[expect(clippy::cast_precision_loss, reason = "at most a thousand cycles")]
-    let mean_energy_j = (!energies.is_empty()).then(|| energies.iter().sum::<f64>() / energies.len() as f64);
     let alarms = runs.iter().filter(|run| run.overload_s > tolerated_s).count();
     let alarms = u32::try_from(alarms).unwrap_or(u32::MAX);
     SumBody {
-        mean_duration_s: runs.iter().map(|run| run.duration_s).sum::<f64>() / count,
-        mean_energy_j,
+        mean_duration_s: mean(&all(|run| run.duration_s)),
+        mean_energy_j: mean(&energies),
         peak_feed_drive_percent: largest(|run| run.peak_feed_drive_percent),
         peak_spindle_percent: largest(|run| run.peak_spindle_percent),
-        overload_s: runs.iter().map(|run| run.overload_s).sum(),
+        // Adding zero: a sum over nothing is −0.0.
+        overload_s: runs.iter().map(|run| run.overload_s).sum::<f64>() + 0.0,
         alarms,
-        alarms_per_thousand: f64::from(alarms) * 1000.0 / count,
+        alarms_per_thousand: share(f64::from(alarms) * 1000.0, runs.len()),
     }
 }

@@ -130,8 +130,9 @@ fn a_long_parquet_file_keeps_neither_many_groups_nor_a_large_one() {
     let groups: Vec<i64> = reader.metadata().row_groups().iter().map(|group| group.num_rows()).collect();
     assert_eq!(groups.iter().sum::<i64>(), PIECES * PIECE);
     assert!(groups.len() <= 5 && groups.iter().all(|rows| *rows < 16_384), "{groups:?}");
-    let numbers = reader.build().unwrap().flat_map(|batch| {
-        batch.unwrap().column(3).as_primitive::<Int64Type>().values().to_vec()
-    });
+    let numbers = reader
+        .build()
+        .unwrap()
+        .flat_map(|batch| batch.unwrap().column(3).as_primitive::<Int64Type>().values().to_vec());
     assert!(numbers.eq(0..PIECES * PIECE), "every row once, in order");
 }

@@ -3,6 +3,7 @@
 use super::column::{Column, Columns, Time};
 use crate::record::ContentHash;
 use feedwright_core::cycle::Cycle;
+use zerocopy::{Immutable, IntoBytes};
 
 const DOMAIN: &[u8] = b"feedwright cycle content v1\n";
 
@@ -66,18 +67,12 @@ impl Hash {
         self.waiting.extend_from_slice(bytes);
     }
 
-    /// Words as little-endian bytes, many at a time.
-    fn words<T: Copy>(&mut self, words: &[T], bits: impl Fn(T) -> u64) {
-        for words in words.chunks(WAITING / 8) {
-            if self.waiting.len() + 8 * words.len() > WAITING {
-                self.hasher.update(&self.waiting);
-                self.waiting.clear();
-            }
-            let begin = self.waiting.len();
-            self.waiting.resize(begin + 8 * words.len(), 0);
-            for (place, word) in self.waiting[begin..].chunks_exact_mut(8).zip(words) {
-                place.copy_from_slice(&bits(*word).to_le_bytes());
-            }
+    /// Words as little-endian bytes.
+    fn words<T: IntoBytes + Immutable + Copy>(&mut self, words: &[T], to_le: impl Fn(T) -> T) {
+        if cfg!(target_endian = "little") {
+            words.as_bytes().chunks(WAITING).for_each(|bytes| self.bytes(bytes));
+        } else {
+            words.iter().for_each(|word| self.bytes(to_le(*word).as_bytes()));
         }
     }
 
@@ -127,11 +122,11 @@ impl Hash {
         match column {
             Column::Decimal { scale, values } => {
                 self.bytes(&[*scale]);
-                self.words(values, i64::cast_unsigned);
+                self.words(values, i64::to_le);
             }
             Column::Exact(bits) => {
                 self.bytes(&[255]);
-                self.words(bits, |bits| bits);
+                self.words(bits, u64::to_le);
             }
         }
     }
@@ -165,7 +160,7 @@ mod tests {
                     words.iter().map(|word| word.wrapping_mul(0x9E37_79B9_7F4A_7C15)).collect();
                 let mut hash = Hash { hasher: blake3::Hasher::new(), waiting: Vec::new() };
                 hash.bytes(&bytes);
-                hash.words(&words, |word| word);
+                hash.words(&words, u64::to_le);
                 hash.hasher.update(&hash.waiting);
                 let plain: Vec<u8> =
                     bytes.into_iter().chain(words.iter().flat_map(|word| word.to_le_bytes())).collect();

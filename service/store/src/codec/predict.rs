@@ -64,24 +64,20 @@ impl Predictor {
         }
     }
 
-    /// The predictor whose residuals are the smallest in all.
+    /// The predictor whose residuals are the smallest in all; of several the first.
     pub(super) fn best(values: &[i64]) -> Self {
-        let mut best = (u64::MAX, Self::Last);
-        for predictor in Self::ALL {
-            let cost = predictor.cost(values);
-            if cost < best.0 {
-                best = (cost, predictor);
-            }
-        }
-        best.1
-    }
-
-    fn cost(self, values: &[i64]) -> u64 {
-        let off = |value: i64, before: [i64; 4]| value.wrapping_sub(self.next(before)).unsigned_abs();
         // All over the same values, so that the costs compare; a choice needs no more of them than this.
         let step = (values.len() / TRIED).max(1);
-        let tried = values.windows(5).step_by(step);
-        tried.fold(0_u64, |sum, w| sum.saturating_add(off(w[4], [w[3], w[2], w[1], w[0]])))
+        let mut costs = [0_u64; Self::ALL.len()];
+        for w in values.windows(5).step_by(step) {
+            let before = [w[3], w[2], w[1], w[0]];
+            for (cost, predictor) in costs.iter_mut().zip(Self::ALL) {
+                // Sums of so few values below 2^56 do not overflow.
+                *cost += w[4].wrapping_sub(predictor.next(before)).unsigned_abs();
+            }
+        }
+        let cheapest = (0..costs.len()).min_by_key(|&at| costs[at]).unwrap_or(0);
+        Self::ALL[cheapest]
     }
 }
 

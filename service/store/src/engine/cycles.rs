@@ -6,19 +6,25 @@ use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
 use crate::rows::{CycleWithSamples, cycle_columns};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 
-macro_rules! select_sql {
+macro_rules! select_columns {
     ($($column:ident: $type:ty = $placeholder:literal,)*) => {
-        concat!(
-            "SELECT ", $("c.", stringify!($column), ", ",)*
-            "EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = c.machine_id
-                         AND s.received_at_us = c.received_at_us AND s.cycle_id = c.cycle_id) AS has_samples
-             FROM cycles c "
-        )
+        concat!("SELECT ", $("c.", stringify!($column), ", ",)*)
     };
 }
 
+// `$samples_of`, where it is known, names the machine of the samples once more by its parameter: a database of several
+// nodes asks one of them then, as it does not look through the condition inside.
 macro_rules! select {
-    ($($tail:literal),+) => { concat!(cycle_columns!(select_sql), $($tail),+) };
+    (samples $samples_of:literal, $($tail:literal),+) => {
+        concat!(
+            cycle_columns!(select_columns),
+            "EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = c.machine_id
+                         AND s.received_at_us = c.received_at_us AND s.cycle_id = c.cycle_id", $samples_of,
+            ") AS has_samples
+             FROM cycles c ", $($tail),+
+        )
+    };
+    ($($tail:literal),+) => { select!(samples "", $($tail),+) };
 }
 
 pub(super) async fn get(
@@ -26,12 +32,13 @@ pub(super) async fn get(
     machine: &MachineId,
     id: &CycleId,
 ) -> StoreResult<Option<StoredCycle>> {
-    let row: Option<CycleWithSamples> =
-        sqlx::query_as::<Db, _>(select!("WHERE c.machine_id = $1 AND c.cycle_id = $2"))
-            .bind(machine.as_str())
-            .bind(id.as_str())
-            .fetch_optional(&mut *conn)
-            .await?;
+    let row: Option<CycleWithSamples> = sqlx::query_as::<Db, _>(
+        select!(samples " AND s.machine_id = $1", "WHERE c.machine_id = $1 AND c.cycle_id = $2"),
+    )
+    .bind(machine.as_str())
+    .bind(id.as_str())
+    .fetch_optional(&mut *conn)
+    .await?;
     row.map(|row| row.stored()).transpose()
 }
 
@@ -64,8 +71,10 @@ pub(super) async fn samples(
 // The first condition drives an index; the others are checked on the way. `started_at_us` stands twice so that an
 // engine that cannot use a row comparison for a range still begins at the right place.
 macro_rules! page {
-    ($driver:literal) => {
+    ($driver:literal) => { page!(samples "", $driver) };
+    (samples $samples_of:literal, $driver:literal) => {
         select!(
+            samples $samples_of,
             "WHERE ",
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
@@ -80,6 +89,7 @@ const OF_TOOL: &str = page!(
      AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );
 const OF_MACHINE: &str = page!(
+    samples " AND s.machine_id = $2",
     "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
      AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );
@@ -136,8 +146,10 @@ pub(super) const LAST_WITH_TOOL_TYPE: &str = select!(
 );
 
 macro_rules! newest {
-    ($driver:literal) => {
+    ($driver:literal) => { newest!(samples "", $driver) };
+    (samples $samples_of:literal, $driver:literal) => {
         select!(
+            samples $samples_of,
             "WHERE ",
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
@@ -151,6 +163,7 @@ const LAST_OF_TOOL: &str = newest!(
      AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );
 const LAST_OF_MACHINE: &str = newest!(
+    samples " AND s.machine_id = $2",
     "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
      AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );

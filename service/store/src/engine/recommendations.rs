@@ -13,8 +13,17 @@ pub(super) async fn issue(conn: &mut Conn, issued: &IssuedRecommendation) -> Sto
     dialect::insert_recommendations(conn, &[row]).await
 }
 
-/// Keeps the advice that a recommendation refers to, where it is new.
+/// Keeps the advice that a recommendation refers to, where it is new. Asked first: on several nodes an advice stands on
+/// each of them, and writing it would keep all others from writing one until this change ends.
 pub(super) async fn keep_advice(conn: &mut Conn, row: &IssuedRow) -> StoreResult<()> {
+    let known: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT CAST(1 AS BIGINT) FROM advices WHERE advice_hash = $1")
+            .bind(row.advice_hash.as_slice())
+            .fetch_optional(&mut *conn)
+            .await?;
+    if known.is_some() {
+        return Ok(());
+    }
     sqlx::query::<Db>(
         "INSERT INTO advices (advice_hash, body) VALUES ($1, $2) ON CONFLICT (advice_hash) DO NOTHING",
     )

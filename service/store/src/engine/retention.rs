@@ -254,7 +254,7 @@ pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropp
     for (machine, before) in &machines {
         dialect::lock(conn, &Locks::subject("retention", machine)).await?;
         let lengths: Vec<i64> = sqlx::query_scalar::<Db, _>(
-            "DELETE FROM cycle_samples WHERE (machine_id, received_at_us, cycle_id) IN (
+            "DELETE FROM cycle_samples WHERE machine_id = $1 AND (machine_id, received_at_us, cycle_id) IN (
                  SELECT machine_id, received_at_us, cycle_id FROM cycle_samples
                  WHERE machine_id = $1 AND received_at_us < $2 ORDER BY received_at_us, cycle_id LIMIT $3)
              RETURNING CAST(length(block) AS BIGINT)",

@@ -10,6 +10,7 @@ use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use serde_json::json;
+use std::collections::BTreeMap;
 
 macro_rules! select {
     ($tail:literal) => {
@@ -78,15 +79,11 @@ pub(super) async fn put(
     Ok(outcome)
 }
 
-// The named cycle counts only where the same tool ran it: under another tool it is not one that the event covers.
 macro_rules! select_events {
     ($tail:literal) => {
         concat!(
-            "SELECT e.event_id, e.kind, e.at_us, e.first_machine_id, e.first_cycle_id, e.reason, e.actor,
-                    e.recorded_at_us, c.started_at_us AS first_started_at_us, c.seq AS first_seq
-             FROM tool_events e
-             LEFT JOIN cycles c ON c.machine_id = e.first_machine_id AND c.cycle_id = e.first_cycle_id
-                 AND c.tool_id = e.tool_id ",
+            "SELECT event_id, kind, at_us, first_machine_id, first_cycle_id, reason, actor, recorded_at_us
+             FROM tool_events ",
             $tail
         )
     };
@@ -94,13 +91,32 @@ macro_rules! select_events {
 
 /// All events of a tool where they take effect, in that order, and whether one names a cycle that is not stored.
 pub(super) async fn placed_events(conn: &mut Conn, tool: &ToolId) -> StoreResult<(Vec<PlacedEvent>, bool)> {
-    let rows: Vec<EventRow> = sqlx::query_as::<Db, _>(select_events!("WHERE e.tool_id = $1"))
+    let rows: Vec<EventRow> = sqlx::query_as::<Db, _>(select_events!("WHERE tool_id = $1"))
         .bind(tool.as_str())
         .fetch_all(&mut *conn)
         .await?;
-    let mut events = rows.iter().map(EventRow::placed).collect::<StoreResult<Vec<_>>>()?;
+    let naming = rows.iter().filter(|row| row.names_a_cycle()).count();
+    let first = if naming > 0 { first_cycles(conn, tool).await? } else { BTreeMap::new() };
+    let placed = rows.iter().map(|row| row.placed(first.get(&row.event_id).copied()));
+    let mut events = placed.collect::<StoreResult<Vec<_>>>()?;
     events.sort();
-    Ok((events, rows.iter().any(EventRow::is_unplaced)))
+    Ok((events, first.len() < naming))
+}
+
+/// Time and number of the cycles that events of a tool name, by event. A named cycle counts only where the same tool ran
+/// it: under another tool it is not one that the event covers. A statement of its own: events beside the cycles that some
+/// of them name would be an outer join, for which a database of several nodes reads all that the tool ever ran.
+async fn first_cycles(conn: &mut Conn, tool: &ToolId) -> StoreResult<BTreeMap<i64, (i64, Option<i64>)>> {
+    let rows: Vec<(i64, i64, Option<i64>)> = sqlx::query_as::<Db, _>(
+        "SELECT e.event_id, c.started_at_us, c.seq FROM tool_events e
+         JOIN cycles c ON c.machine_id = e.first_machine_id AND c.cycle_id = e.first_cycle_id
+             AND c.tool_id = e.tool_id
+         WHERE e.tool_id = $1",
+    )
+    .bind(tool.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    Ok(rows.into_iter().map(|(event, started, seq)| (event, (started, seq))).collect())
 }
 
 pub(super) async fn events(
@@ -109,7 +125,7 @@ pub(super) async fn events(
     page: &Page<RowNumber>,
 ) -> StoreResult<Vec<StoredToolEvent>> {
     let rows: Vec<EventRow> = sqlx::query_as::<Db, _>(select_events!(
-        "WHERE e.tool_id = $1 AND e.event_id > $2 ORDER BY e.event_id LIMIT $3"
+        "WHERE tool_id = $1 AND event_id > $2 ORDER BY event_id LIMIT $3"
     ))
     .bind(tool.as_str())
     .bind(page.after.unwrap_or(i64::MIN))

@@ -206,6 +206,7 @@ impl ToolWear {
                     tool_id: self.tool.as_str().to_owned(),
                     folded: count("folded", cached.folded)?,
                     state: fold.to_bytes(),
+                    version: cached.version,
                 });
                 cached.changed = false;
                 cached.version += 1;

@@ -227,7 +227,7 @@ impl PartialOrd for PlacedEvent {
     }
 }
 
-/// A row of `tool_events` with the order key of the cycle it names, where that one is stored for the same tool.
+/// A row of `tool_events`.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct EventRow {
     pub(crate) event_id: i64,
@@ -238,8 +238,6 @@ pub(crate) struct EventRow {
     pub(crate) reason: Option<String>,
     pub(crate) actor: String,
     pub(crate) recorded_at_us: i64,
-    pub(crate) first_started_at_us: Option<i64>,
-    pub(crate) first_seq: Option<i64>,
 }
 
 impl EventRow {
@@ -252,21 +250,19 @@ impl EventRow {
         }
     }
 
-    /// Whether it names a cycle that is not stored for its tool.
-    pub(crate) const fn is_unplaced(&self) -> bool {
-        self.first_cycle_id.is_some() && self.first_started_at_us.is_none()
+    /// Whether it names a cycle.
+    pub(crate) const fn names_a_cycle(&self) -> bool {
+        self.first_cycle_id.is_some()
     }
 
-    pub(crate) fn placed(&self) -> StoreResult<PlacedEvent> {
+    /// Where it takes effect: at the cycle it names, of which `first` is the time and the number, where that one is stored
+    /// for the same tool.
+    pub(crate) fn placed(&self, first: Option<(i64, Option<i64>)>) -> StoreResult<PlacedEvent> {
         let at = Timestamp::from_micros(self.at_us);
-        let place = match (self.first_cycle()?, self.first_started_at_us) {
-            (Some((machine, cycle)), Some(started)) => Place {
+        let place = match (self.first_cycle()?, first) {
+            (Some((machine, cycle)), Some((started, seq))) => Place {
                 at: Timestamp::from_micros(started),
-                cycle: Some((
-                    machine,
-                    self.first_seq.map(|seq| number("first_seq", seq)).transpose()?,
-                    cycle,
-                )),
+                cycle: Some((machine, seq.map(|seq| number("first_seq", seq)).transpose()?, cycle)),
             },
             _ => Place::at(at),
         };

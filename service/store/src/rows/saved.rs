@@ -15,6 +15,8 @@ pub(crate) struct SavedWear {
     pub(crate) tool_id: String,
     pub(crate) folded: i64,
     pub(crate) state: Vec<u8>,
+    /// Version of the row that it follows; 0 where there is none.
+    pub(crate) version: i64,
 }
 
 /// A row of `cycle_samples`.

@@ -63,7 +63,9 @@ impl DepthProfile {
         }
         let (start, end) = (from_mm.max(0.0), to_mm.min(config.params().depth_mm));
         let mut at = start;
-        while let Some(bin) = config.bin_of(at).filter(|_| at < end) {
+        while at < end
+            && let Some(bin) = config.bin_of(at)
+        {
             #[expect(clippy::cast_precision_loss, reason = "at most 512 bins")]
             let edge = ((bin + 1) as f64 * config.params().bin_mm).min(end);
             // Rounding may leave the edge where we stand.

@@ -108,6 +108,11 @@ impl Loads {
     }
 }
 
+/// `base` to that power; the usual power of 1 is the base itself, and costs a hundredth.
+fn power(base: f64, exponent: f64) -> f64 {
+    if exponent.to_bits() == 1.0_f64.to_bits() { base } else { base.powf(exponent) }
+}
+
 /// Memory of the detector within one hole.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StageDetector {
@@ -246,8 +251,8 @@ impl StageDetector {
         let raw_thrust = (mean.feed_drive - self.idle_mean).max(0.0);
         let raw_torque = (mean.spindle - spindle_idle).max(0.0);
         let loads = Loads {
-            thrust: raw_thrust / way.powf(params.thrust_feed_exponent),
-            torque: raw_torque / way.powf(params.torque_feed_exponent),
+            thrust: raw_thrust / power(way, params.thrust_feed_exponent),
+            torque: raw_torque / power(way, params.torque_feed_exponent),
             raw_thrust,
             raw_torque,
         };

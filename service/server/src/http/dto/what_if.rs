@@ -443,34 +443,34 @@ pub struct ManyAnswer {
     pub cycles: Option<Vec<WhatIfAnswer>>,
 }
 
-/// Sums over cycles; means and maxima are 0 where no cycle could be predicted.
+/// Sums over cycles; means and maxima are null where no cycle could be predicted.
 #[derive(Debug, Default, Serialize, ToSchema)]
 pub struct SumBody {
     /// Mean duration, s.
-    pub mean_duration_s: f64,
+    pub mean_duration_s: Option<f64>,
     /// Mean energy over the cycles that have one, J.
     pub mean_energy_j: Option<f64>,
     /// Largest feed-drive load of all, %.
-    pub peak_feed_drive_percent: f64,
+    pub peak_feed_drive_percent: Option<f64>,
     /// Largest spindle load of all, %.
-    pub peak_spindle_percent: f64,
+    pub peak_spindle_percent: Option<f64>,
     /// Time of overload, s.
     pub overload_s: f64,
     /// Cycles with an alarm.
     pub alarms: u32,
     /// Alarms per thousand cycles.
-    pub alarms_per_thousand: f64,
+    pub alarms_per_thousand: Option<f64>,
 }
 
-/// Errors over cycles.
+/// Errors over cycles; null where no cycle could be predicted.
 #[derive(Debug, Default, Serialize, ToSchema)]
 pub struct SumErrorBody {
     /// Median of the durations' absolute relative errors.
-    pub duration_median: f64,
+    pub duration_median: Option<f64>,
     /// Largest of them.
-    pub duration_largest: f64,
+    pub duration_largest: Option<f64>,
     /// Median of the largest spindle loads' absolute errors, points.
-    pub peak_spindle_median_points: f64,
+    pub peak_spindle_median_points: Option<f64>,
     /// Largest of them, points.
-    pub peak_spindle_largest_points: f64,
+    pub peak_spindle_largest_points: Option<f64>,
 }

@@ -1,6 +1,6 @@
 //! Many rows in one statement: an array per column, so that one prepared statement takes any number of rows.
 
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::postgres::Conn;
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use feedwright_core::units::Timestamp;
@@ -61,7 +61,8 @@ async fn insert_blocks(conn: &mut Conn, rows: &[BlockRow<'_>]) -> StoreResult<()
     Ok(())
 }
 
-/// Writes the folds of machines and tools.
+/// Writes the folds of machines and tools, each over the very version that it was made of. Locks see to that; where a
+/// database of several nodes shows a commit later than it was told, a newer fold must not be lost all the same.
 pub(in crate::postgres) async fn save_wear(
     conn: &mut Conn,
     rows: &[SavedWear],
@@ -70,13 +71,15 @@ pub(in crate::postgres) async fn save_wear(
     if rows.is_empty() {
         return Ok(());
     }
-    sqlx::query(
+    let written: Vec<i64> = sqlx::query_scalar(
         "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
-         SELECT machine_id, tool_id, folded, $5, state, 1, $6
-         FROM UNNEST($1, $2, $3, $4) AS saved (machine_id, tool_id, folded, state)
+         SELECT machine_id, tool_id, folded, $5, state, version + 1, $6
+         FROM UNNEST($1, $2, $3, $4, $7) AS saved (machine_id, tool_id, folded, state, version)
          ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
-             fold_version = excluded.fold_version, state = excluded.state, version = tool_wear.version + 1,
-             updated_at_us = excluded.updated_at_us",
+             fold_version = excluded.fold_version, state = excluded.state, version = excluded.version,
+             updated_at_us = excluded.updated_at_us
+         WHERE tool_wear.version = excluded.version - 1
+         RETURNING version",
     )
     .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
@@ -84,8 +87,12 @@ pub(in crate::postgres) async fn save_wear(
     .bind(rows.iter().map(|row| row.state.as_slice()).collect::<Vec<_>>())
     .bind(i64::from(FOLD_VERSION))
     .bind(now.micros())
-    .execute(&mut *conn)
+    .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())
+    .fetch_all(&mut *conn)
     .await?;
+    if written.len() < rows.len() {
+        return Err(StoreError::Unavailable("a tool's fold is newer than the one it was counted on".into()));
+    }
     Ok(())
 }
 
