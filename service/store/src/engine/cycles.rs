@@ -47,22 +47,13 @@ pub(super) async fn samples(
     machine: &MachineId,
     id: &CycleId,
 ) -> StoreResult<Option<Vec<u8>>> {
-    // Two lookups by whole keys: a join would not let the planner skip partitions before it runs.
-    let received: Option<i64> = sqlx::query_scalar::<Db, _>(
-        "SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2",
-    )
-    .bind(machine.as_str())
-    .bind(id.as_str())
-    .fetch_optional(&mut *conn)
-    .await?;
-    let Some(received) = received else {
-        return Ok(None);
-    };
+    // Each by its whole key. PostgreSQL has the time of receipt before it looks into any partition, and so looks into one;
+    // of a join it would have to try all of them.
     Ok(sqlx::query_scalar::<Db, _>(
-        "SELECT block FROM cycle_samples WHERE machine_id = $1 AND received_at_us = $2 AND cycle_id = $3",
+        "SELECT block FROM cycle_samples WHERE machine_id = $1 AND cycle_id = $2 AND received_at_us =
+             (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)",
     )
     .bind(machine.as_str())
-    .bind(received)
     .bind(id.as_str())
     .fetch_optional(&mut *conn)
     .await?)

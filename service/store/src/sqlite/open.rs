@@ -65,6 +65,8 @@ impl SqliteStore {
         let readers = SqlitePoolOptions::new()
             .max_connections(options.readers.max(1))
             .acquire_timeout(options.patience)
+            // A file does not hang up: asking each connection whether it is still there costs a hop to its thread.
+            .test_before_acquire(false)
             .connect_with(
                 connect.clone().read_only(true).create_if_missing(false).pragma("cache_size", READER_CACHE),
             )
