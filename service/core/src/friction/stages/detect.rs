@@ -108,7 +108,7 @@ impl Loads {
     }
 }
 
-/// `base` to that power; the usual power of 1 is the base itself, and costs a hundredth.
+/// `base` to that power; the usual power of 1 needs no computing.
 fn power(base: f64, exponent: f64) -> f64 {
     if exponent.to_bits() == 1.0_f64.to_bits() { base } else { base.powf(exponent) }
 }
