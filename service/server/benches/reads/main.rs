@@ -151,12 +151,12 @@ fn our_answer(tool: usize, body: &str) {
     check(tool, answer["series"][0]["value"].as_array().expect("values"));
 }
 
-/// Raw points, as its export gives them; it is told from when on, which spares it to find the last ones.
+/// Raw points, as its export gives them; it is told from when on (seconds), which spares it to find the last ones.
 fn their_question(tool: usize) -> String {
-    let from = MORNING_MS + 60_000 * (CYCLES - LAST) as u64;
+    let from = MORNING_MS / 1000 + 60 * (CYCLES - LAST) as u64;
     format!(
         "/api/v1/export?match[]=energy_joules%7Btool%3D%22T{tool}%22%7D&start={from}&end={}",
-        MORNING_MS + 86_400_000
+        MORNING_MS / 1000 + 86_400
     )
 }
 
