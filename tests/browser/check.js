@@ -531,7 +531,13 @@ await check("profile: knots are dragged by mouse, touch and keyboard, the loads 
 });
 
 await check("studies: map, border and their values by keyboard; turning against the fixed pair; every drill named with its limit; what fails keeps the input", async () => {
-  await withPage({ role: "viewer", expects: ["422"] }, async (page) => {
+  // 409: the map that is given up may have been finished in the same moment.
+  await withPage({ role: "viewer", expects: ["422", "409"] }, async (page) => {
+    // The first map comes unasked.
+    await page.go("/studies#vibratory");
+    await page.locator("#map canvas").waitFor();
+    await page.goto("about:blank");
+    // Another one is asked for before the first is there.
     await page.go("/studies#vibratory");
     await page.locator("#v-n").fill("11");
     await page.locator("#ask button").click();

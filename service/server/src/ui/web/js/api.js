@@ -66,13 +66,17 @@ export const may = (who, route) => who.may.includes(route);
 export async function computed(path, body, { signal, progress } = {}) {
   const answer = await ask("POST", path, { body, signal });
   if (answer.status !== 202) return answer.body;
-  // Whoever does not want it any more does not keep the server at it.
-  signal?.addEventListener("abort", () => { fetch(`/v1/jobs/${answer.body.id}`, { method: "DELETE", keepalive: true, headers: { "x-feedwright-page": "1" } }).catch(() => {}); }, { once: true });
+  // Whoever does not want it any more does not keep the server at it; what has ended is left alone.
+  const cancel = () => { fetch(`/v1/jobs/${answer.body.id}`, { method: "DELETE", keepalive: true, headers: { "x-feedwright-page": "1" } }).catch(() => {}); };
+  signal?.addEventListener("abort", cancel, { once: true });
   for (;;) {
     signal?.throwIfAborted();
     const job = await get(`/v1/jobs/${answer.body.id}`, { signal });
-    if (job.state === "done") return job.result;
-    if (job.state === "failed" || job.state === "cancelled") throw new ApiError(500, { code: job.state, detail: job.state });
+    if (["done", "failed", "cancelled"].includes(job.state)) {
+      signal?.removeEventListener("abort", cancel);
+      if (job.state === "done") return job.result;
+      throw new ApiError(500, { code: job.state, detail: job.state });
+    }
     progress?.(job);
     await new Promise((wake) => setTimeout(wake, 300));
   }

@@ -89,7 +89,8 @@ async function vibratory() {
     $("#map").addEventListener("keydown", (event) => { const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key]; if (!step) return; event.preventDefault(); moved = true; here = [Math.max(0, Math.min(columns - 1, here[0] + step[0])), Math.max(0, Math.min(rows - 1, here[1] + step[1]))]; say(); plot.redraw(false); });
     say();
   }
-  const borderAt = (border, body, p) => border.points[Math.round((p - body.frequency_ratio.min) / (body.frequency_ratio.max - body.frequency_ratio.min) * (border.points.length - 1))]?.cutting_coefficient ?? Infinity;
+  // A declaration: the first map is drawn before the lines below the question are reached.
+  function borderAt(border, body, p) { return border.points[Math.round((p - body.frequency_ratio.min) / (body.frequency_ratio.max - body.frequency_ratio.min) * (border.points.length - 1))]?.cutting_coefficient ?? Infinity; }
 }
 
 // Turning: the plan over the tool's life beside fixed parameters (Alaskari & Oraby 2017).
