@@ -16,9 +16,7 @@ const MOST_BYTES: u64 = 10 << 20;
 const FORMS: [&str; 4] =
     ["application/json", "text/csv", "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"];
 
-/// Writes the one cycle that is there again and again, each a second after the one before.
-const MANY: &str = "WITH RECURSIVE numbers(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM numbers WHERE n < ";
-
+/// The statement that writes the one cycle that is there again and again, each a second after the one before.
 fn again_and_again(columns: &[String]) -> String {
     let value = |column: &String| match column.as_str() {
         "cycle_id" => "cycle_id || '-' || n".to_owned(),
@@ -27,7 +25,11 @@ fn again_and_again(columns: &[String]) -> String {
     };
     let values: Vec<String> = columns.iter().map(value).collect();
     let (columns, values) = (columns.join(", "), values.join(", "));
-    format!("{MANY}{}) INSERT INTO cycles ({columns}) SELECT {values} FROM cycles, numbers", CYCLES - 1)
+    let numbers = "SELECT 1 UNION ALL SELECT n + 1 FROM numbers WHERE n <";
+    format!(
+        "WITH RECURSIVE numbers(n) AS ({numbers} {}) INSERT INTO cycles ({columns}) SELECT {values} FROM cycles, numbers",
+        CYCLES - 1
+    )
 }
 
 async fn fill(dir: &TempDir, database: Option<&str>) {
