@@ -25,6 +25,7 @@ mod audit;
 mod calibrations;
 mod continuity;
 mod course;
+mod decimal;
 mod feed_profiles;
 mod fleet;
 mod friction;

@@ -22,7 +22,7 @@ use crate::record::DatabaseUsage;
 use crate::registry::Registry;
 use crate::rows::number;
 use crate::slot::Slot;
-use crate::work::Work;
+use crate::work::{Work, Written};
 use feedwright_core::units::Timestamp;
 use reader::Reader;
 use sqlx::PgPool;
@@ -146,6 +146,15 @@ impl PostgresStore {
             outcome
         });
         task.await.map_err(panicked)?
+    }
+
+    /// Runs a group of cycles in one transaction, in a task that nobody can cancel.
+    async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
+    {
+        self.write(work).await.map(|(value, _)| value)
     }
 
     /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.

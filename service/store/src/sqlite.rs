@@ -19,13 +19,13 @@ use crate::record::DatabaseUsage;
 use crate::registry::Registry;
 use crate::rows::number;
 use crate::slot::Slot;
-use crate::work::Work;
+use crate::work::{Work, Written};
 use checkpoint::Checkpoints;
 use sqlx::pool::PoolConnection;
 use sqlx::{Connection, SqlitePool};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, MutexGuard};
 
 type Db = sqlx::Sqlite;
 type Conn = sqlx::SqliteConnection;
@@ -44,6 +44,8 @@ pub struct SqliteStore {
 struct Inner {
     /// `None` once closed.
     writer: Mutex<Option<Conn>>,
+    /// A group's statements begin and end its transaction: set while one may be open.
+    in_group: AtomicBool,
     readers: SqlitePool,
     gate: Gate,
     /// Set when the disk refused a write: an fsync is never retried, whatever comes later.
@@ -142,6 +144,23 @@ impl SqliteStore {
         task.await.map_err(panicked)?
     }
 
+    /// Runs a group of cycles, which begins and ends its transaction by its own statements, in a task that nobody can
+    /// cancel.
+    async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
+    {
+        let pass = self.inner.gate.enter().await?;
+        let inner = Arc::clone(&self.inner);
+        let task = tokio::spawn(async move {
+            let outcome = inner.group(work).await;
+            drop(pass);
+            outcome
+        });
+        task.await.map_err(panicked)?
+    }
+
     /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
     async fn snapshot<T, F>(&self, work: F) -> StoreResult<T>
     where
@@ -176,16 +195,10 @@ impl Inner {
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        let mut writer = self.writer.lock().await;
-        if self.refused.load(Ordering::Acquire) {
-            return Err(StoreError::NotWritable("the disk refused a write before".into()));
-        }
-        let conn = writer.as_mut().ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
+        let mut writer = self.writer().await?;
+        let conn = self.settled(writer.as_mut()).await?;
         let outcome = Self::attempt(conn, work).await;
-        if let Err(StoreError::NotWritable(error)) = &outcome {
-            tracing::error!(%error, "sqlite refuses writes, nothing is acknowledged any more");
-            self.refused.store(true, Ordering::Release);
-        }
+        self.heed(&outcome);
         outcome
     }
 
@@ -203,6 +216,57 @@ impl Inner {
                 transaction.rollback().await?;
                 Err(error)
             }
+        }
+    }
+
+    /// Each statement is a hop to the connection's thread: a group saves two by beginning its transaction with its first
+    /// statement and ending it with its last.
+    async fn group<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
+    {
+        let mut writer = self.writer().await?;
+        let conn = self.settled(writer.as_mut()).await?;
+        self.in_group.store(true, Ordering::Relaxed);
+        let outcome = match work(conn).await {
+            Ok((value, Written { .. })) => {
+                self.in_group.store(false, Ordering::Relaxed);
+                Ok(value)
+            }
+            Err(error) => {
+                self.settled(Some(conn)).await?;
+                Err(error)
+            }
+        };
+        self.heed(&outcome);
+        outcome
+    }
+
+    async fn writer(&self) -> StoreResult<MutexGuard<'_, Option<Conn>>> {
+        let writer = self.writer.lock().await;
+        if self.refused.load(Ordering::Acquire) {
+            return Err(StoreError::NotWritable("the disk refused a write before".into()));
+        }
+        Ok(writer)
+    }
+
+    /// The connection with no transaction open: what a group that failed, or panicked, has left is rolled back.
+    async fn settled<'c>(&self, conn: Option<&'c mut Conn>) -> StoreResult<&'c mut Conn> {
+        let conn = conn.ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
+        if self.in_group.load(Ordering::Relaxed) {
+            // Where it never began, or SQLite has rolled it back by itself, there is nothing to roll back.
+            if let Err(error) = sqlx::query("ROLLBACK").execute(&mut *conn).await {
+                tracing::debug!(%error, "nothing to roll back");
+            }
+            self.in_group.store(false, Ordering::Relaxed);
+        }
+        Ok(conn)
+    }
+
+    fn heed<T>(&self, outcome: &StoreResult<T>) {
+        if let Err(StoreError::NotWritable(error)) = outcome {
+            tracing::error!(%error, "sqlite refuses writes, nothing is acknowledged any more");
+            self.refused.store(true, Ordering::Release);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The description of the API, made from the table of routes.
 
 use super::problem::ProblemDocument;
-use super::routes::{Access, Description, Route, table};
+use super::routes::{Access, Description, descriptions};
 use axum::response::{IntoResponse, Response};
 use http::header;
 use std::sync::LazyLock;
@@ -40,8 +40,7 @@ fn describe() -> OpenApi {
     ProblemDocument::schemas(&mut nested);
     components.schemas.insert(ProblemDocument::name().into_owned(), ProblemDocument::schema());
     components.schemas.extend(nested);
-    for Description { path, mut item, schemas, access } in table().into_iter().filter_map(Route::description)
-    {
+    for Description { path, mut item, schemas, access } in descriptions() {
         for (method, operation) in operations(&mut item) {
             // Handlers of different nouns share their names; paths are unique.
             operation.operation_id = Some(operation_id(method, &path));

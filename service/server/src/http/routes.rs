@@ -64,14 +64,25 @@ pub struct Route {
     path: String,
     access: Access,
     body: BodyLimit,
-    item: Option<PathItem>,
-    schemas: Vec<(String, RefOr<Schema>)>,
+    is_described: bool,
+    description: Option<Box<Description>>,
     handler: MethodRouter<AppState>,
+}
+
+/// Whether routes keep their descriptions: all of them together take megabytes, which only who prints them needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Descriptions {
+    Kept,
+    Dropped,
 }
 
 impl Route {
     /// A route that describes itself: `routes!(handler)` with exactly one handler.
-    fn new((schemas, paths, handler): UtoipaMethodRouter<AppState>, access: Access) -> Self {
+    fn new(
+        (schemas, paths, handler): UtoipaMethodRouter<AppState>,
+        access: Access,
+        descriptions: Descriptions,
+    ) -> Self {
         let (path, item) = paths.paths.into_iter().next().unwrap_or_default();
         let method = match &item {
             PathItem { put: Some(_), .. } => Method::PUT,
@@ -79,7 +90,9 @@ impl Route {
             PathItem { delete: Some(_), .. } => Method::DELETE,
             _ => Method::GET,
         };
-        Self { method, path, access, body: BodyLimit::Registration, item: Some(item), schemas, handler }
+        let description = (descriptions == Descriptions::Kept)
+            .then(|| Box::new(Description { path: path.clone(), item, schemas, access }));
+        Self { method, path, access, body: BodyLimit::Registration, is_described: true, description, handler }
     }
 
     /// A page or a file of one: not part of the described API.
@@ -89,8 +102,8 @@ impl Route {
             path: path.to_owned(),
             access: Access::Open,
             body: BodyLimit::Registration,
-            item: None,
-            schemas: Vec::new(),
+            is_described: false,
+            description: None,
             handler,
         }
     }
@@ -118,13 +131,7 @@ impl Route {
 
     /// Whether it is part of the described API; pages and their files are not.
     pub const fn is_described(&self) -> bool {
-        self.item.is_some()
-    }
-
-    /// What it adds to the description of the API.
-    pub(super) fn description(self) -> Option<Description> {
-        let Self { path, item, schemas, access, .. } = self;
-        item.map(|item| Description { path, item, schemas, access })
+        self.is_described
     }
 }
 
@@ -138,100 +145,112 @@ pub(super) struct Description {
 
 /// Every route there is.
 pub fn table() -> Vec<Route> {
+    routes(Descriptions::Dropped)
+}
+
+/// What every route adds to the description of the API.
+pub(super) fn descriptions() -> impl Iterator<Item = Description> {
+    routes(Descriptions::Kept)
+        .into_iter()
+        .filter_map(|route| route.description.map(|description| *description))
+}
+
+fn routes(descriptions: Descriptions) -> Vec<Route> {
+    let route = |parts, access| Route::new(parts, access, descriptions);
     let mut table = vec![
-        Route::new(routes!(machines::put), ENGINEER),
-        Route::new(routes!(machines::get), READ_OR_OWN),
-        Route::new(routes!(machines::list), READ),
-        Route::new(routes!(retention::put), ENGINEER),
-        Route::new(routes!(retention::get), READ),
-        Route::new(routes!(calibrations::add), ENGINEER),
-        Route::new(routes!(calibrations::list), READ),
-        Route::new(routes!(tools::put), ENGINEER),
-        Route::new(routes!(tools::get), READ),
-        Route::new(routes!(tools::list), READ),
-        Route::new(routes!(tool_events::add), ENGINEER),
-        Route::new(routes!(tool_events::list), READ),
-        Route::new(routes!(operations::put), ENGINEER),
-        Route::new(routes!(operations::get), READ),
-        Route::new(routes!(operations::list), READ),
-        Route::new(routes!(alarms::list), READ),
-        Route::new(routes!(alarms::acknowledge), ENGINEER),
-        Route::new(routes!(alarms::acknowledge_machine), ENGINEER),
-        Route::new(routes!(quarantine::list), READ),
-        Route::new(routes!(quarantine::get), READ),
-        Route::new(routes!(quarantine::settle), ENGINEER).takes_cycles(),
-        Route::new(routes!(audit::list), READ),
-        Route::new(routes!(tokens::create), ADMIN),
-        Route::new(routes!(tokens::list), ADMIN),
-        Route::new(routes!(tokens::revoke), ADMIN),
+        route(routes!(machines::put), ENGINEER),
+        route(routes!(machines::get), READ_OR_OWN),
+        route(routes!(machines::list), READ),
+        route(routes!(retention::put), ENGINEER),
+        route(routes!(retention::get), READ),
+        route(routes!(calibrations::add), ENGINEER),
+        route(routes!(calibrations::list), READ),
+        route(routes!(tools::put), ENGINEER),
+        route(routes!(tools::get), READ),
+        route(routes!(tools::list), READ),
+        route(routes!(tool_events::add), ENGINEER),
+        route(routes!(tool_events::list), READ),
+        route(routes!(operations::put), ENGINEER),
+        route(routes!(operations::get), READ),
+        route(routes!(operations::list), READ),
+        route(routes!(alarms::list), READ),
+        route(routes!(alarms::acknowledge), ENGINEER),
+        route(routes!(alarms::acknowledge_machine), ENGINEER),
+        route(routes!(quarantine::list), READ),
+        route(routes!(quarantine::get), READ),
+        route(routes!(quarantine::settle), ENGINEER).takes_cycles(),
+        route(routes!(audit::list), READ),
+        route(routes!(tokens::create), ADMIN),
+        route(routes!(tokens::list), ADMIN),
+        route(routes!(tokens::revoke), ADMIN),
         // Open: the token is in the body, and its handler counts failures as `authorise` does.
-        Route::new(routes!(session::begin), Access::Open),
-        Route::new(routes!(session::get), EVERYONE),
-        Route::new(routes!(session::end), EVERYONE),
-        Route::new(routes!(fleet::get), READ),
-        Route::new(routes!(fleet::machine), READ),
-        Route::new(routes!(health::healthz), Access::Open),
-        Route::new(routes!(health::readyz), Access::Open),
-        Route::new(routes!(health::metrics), READ),
-        Route::new(routes!(openapi::document), Access::Open),
-        Route::new(routes!(cycles::post_cycle), OWN).takes_cycles(),
-        Route::new(routes!(cycles::post_batch), OWN).takes_cycles(),
-        Route::new(routes!(cycles::get_cycle), READ_OR_OWN),
-        Route::new(routes!(samples::get_samples), READ_OR_OWN),
-        Route::new(routes!(cycles::list_cycles), READ),
-        Route::new(routes!(summaries::get_summaries), READ),
-        Route::new(routes!(series::get_series), READ),
-        Route::new(routes!(course::get), READ_OR_OWN),
-        Route::new(routes!(wear::get_wear), READ),
-        Route::new(routes!(wear::get_history), READ),
-        Route::new(routes!(life::get), READ),
-        Route::new(routes!(recommendations::get_recommendation), READ_OR_OWN),
-        Route::new(routes!(recommendations::get_issued), READ_OR_OWN),
-        Route::new(routes!(library::put_turning), ENGINEER),
-        Route::new(routes!(library::get_turning), READ),
-        Route::new(routes!(library::list_turning), READ),
-        Route::new(routes!(library::put_plunge), ENGINEER),
-        Route::new(routes!(library::get_plunge), READ),
-        Route::new(routes!(library::list_plunge), READ),
-        Route::new(routes!(turning::plan), READ),
-        Route::new(routes!(turning::next), READ).takes_cycles(),
-        Route::new(routes!(plunge::feed), READ).takes_cycles(),
-        Route::new(routes!(plunge::saving), READ).takes_cycles(),
-        Route::new(routes!(plunge::recorded), READ),
-        Route::new(routes!(continuity::simulate), READ),
-        Route::new(routes!(continuity::map), READ),
-        Route::new(routes!(continuity::border), READ),
-        Route::new(routes!(continuity::advice), READ),
-        Route::new(routes!(peak_to_peak::tuning), READ),
-        Route::new(routes!(peak_to_peak::close_loop), READ),
-        Route::new(routes!(peak_to_peak::poincare), READ),
-        Route::new(routes!(peak_to_peak::recorded), READ).takes_cycles(),
-        Route::new(routes!(jobs::get), READ),
-        Route::new(routes!(jobs::cancel), READ),
-        Route::new(routes!(friction::simulate), READ),
-        Route::new(routes!(live::events), READ),
-        Route::new(routes!(stream::open), OWN),
-        Route::new(routes!(stream::overrides), READ_OR_OWN),
-        Route::new(routes!(what_if::of_cycle), READ),
-        Route::new(routes!(what_if::of_many), READ),
-        Route::new(routes!(calibrations::fit), ENGINEER),
-        Route::new(routes!(feed_profiles::draft), ENGINEER),
-        Route::new(routes!(feed_profiles::list), READ),
-        Route::new(routes!(feed_profiles::get), READ_OR_OWN),
-        Route::new(routes!(feed_profiles::versions), READ),
-        Route::new(routes!(feed_profiles::version), READ_OR_OWN),
-        Route::new(routes!(feed_profiles::compare), READ),
-        Route::new(routes!(feed_profiles::shadow), ENGINEER),
-        Route::new(routes!(feed_profiles::approve), APPROVER),
-        Route::new(routes!(feed_profiles::activate), RELEASE),
-        Route::new(routes!(feed_profiles::rollback), RELEASE),
-        Route::new(routes!(profile_files::export), READ_OR_OWN),
-        Route::new(routes!(profile_files::import), ENGINEER),
-        Route::new(routes!(profile_files::read), READ),
-        Route::new(routes!(profile_evidence::shadow_report), READ),
-        Route::new(routes!(profile_evidence::comparison), READ),
-        Route::new(routes!(profile_optimise::start), ENGINEER),
-        Route::new(routes!(profile_optimise::outcome), READ),
+        route(routes!(session::begin), Access::Open),
+        route(routes!(session::get), EVERYONE),
+        route(routes!(session::end), EVERYONE),
+        route(routes!(fleet::get), READ),
+        route(routes!(fleet::machine), READ),
+        route(routes!(health::healthz), Access::Open),
+        route(routes!(health::readyz), Access::Open),
+        route(routes!(health::metrics), READ),
+        route(routes!(openapi::document), Access::Open),
+        route(routes!(cycles::post_cycle), OWN).takes_cycles(),
+        route(routes!(cycles::post_batch), OWN).takes_cycles(),
+        route(routes!(cycles::get_cycle), READ_OR_OWN),
+        route(routes!(samples::get_samples), READ_OR_OWN),
+        route(routes!(cycles::list_cycles), READ),
+        route(routes!(summaries::get_summaries), READ),
+        route(routes!(series::get_series), READ),
+        route(routes!(course::get), READ_OR_OWN),
+        route(routes!(wear::get_wear), READ),
+        route(routes!(wear::get_history), READ),
+        route(routes!(life::get), READ),
+        route(routes!(recommendations::get_recommendation), READ_OR_OWN),
+        route(routes!(recommendations::get_issued), READ_OR_OWN),
+        route(routes!(library::put_turning), ENGINEER),
+        route(routes!(library::get_turning), READ),
+        route(routes!(library::list_turning), READ),
+        route(routes!(library::put_plunge), ENGINEER),
+        route(routes!(library::get_plunge), READ),
+        route(routes!(library::list_plunge), READ),
+        route(routes!(turning::plan), READ),
+        route(routes!(turning::next), READ).takes_cycles(),
+        route(routes!(plunge::feed), READ).takes_cycles(),
+        route(routes!(plunge::saving), READ).takes_cycles(),
+        route(routes!(plunge::recorded), READ),
+        route(routes!(continuity::simulate), READ),
+        route(routes!(continuity::map), READ),
+        route(routes!(continuity::border), READ),
+        route(routes!(continuity::advice), READ),
+        route(routes!(peak_to_peak::tuning), READ),
+        route(routes!(peak_to_peak::close_loop), READ),
+        route(routes!(peak_to_peak::poincare), READ),
+        route(routes!(peak_to_peak::recorded), READ).takes_cycles(),
+        route(routes!(jobs::get), READ),
+        route(routes!(jobs::cancel), READ),
+        route(routes!(friction::simulate), READ),
+        route(routes!(live::events), READ),
+        route(routes!(stream::open), OWN),
+        route(routes!(stream::overrides), READ_OR_OWN),
+        route(routes!(what_if::of_cycle), READ),
+        route(routes!(what_if::of_many), READ),
+        route(routes!(calibrations::fit), ENGINEER),
+        route(routes!(feed_profiles::draft), ENGINEER),
+        route(routes!(feed_profiles::list), READ),
+        route(routes!(feed_profiles::get), READ_OR_OWN),
+        route(routes!(feed_profiles::versions), READ),
+        route(routes!(feed_profiles::version), READ_OR_OWN),
+        route(routes!(feed_profiles::compare), READ),
+        route(routes!(feed_profiles::shadow), ENGINEER),
+        route(routes!(feed_profiles::approve), APPROVER),
+        route(routes!(feed_profiles::activate), RELEASE),
+        route(routes!(feed_profiles::rollback), RELEASE),
+        route(routes!(profile_files::export), READ_OR_OWN),
+        route(routes!(profile_files::import), ENGINEER),
+        route(routes!(profile_files::read), READ),
+        route(routes!(profile_evidence::shadow_report), READ),
+        route(routes!(profile_evidence::comparison), READ),
+        route(routes!(profile_optimise::start), ENGINEER),
+        route(routes!(profile_optimise::outcome), READ),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),

@@ -1,5 +1,6 @@
 //! The samples of one cycle: chosen channels, a range, few enough rows for a screen, in the form that is accepted.
 
+use super::decimal;
 use super::dto::cycle::SamplesBody;
 use super::dto::time;
 use super::export::{self, PIECE};
@@ -8,7 +9,6 @@ use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
 use crate::state::AppState;
 use crate::table::{Cell, Field, Format, Kind, Row, TableError};
-use axum::Json;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::cycle::{Channel, Downsampling, Samples, TimeBase};
@@ -53,7 +53,7 @@ pub(super) struct SamplesQuery {
         SamplesQuery),
     responses(
         (status = 200, description = "The samples", content(
-            (SamplesBody = "application/json"), (String = "text/csv"),
+            (SamplesBody<'static> = "application/json"), (String = "text/csv"),
             (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
         (status = 404, description = "There is no such cycle, or it came without samples", body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
@@ -76,7 +76,7 @@ pub(super) async fn get_samples(
             return Err(missing(&state, &machine, &id).await?);
         };
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
-        return Ok((vary, Json(SamplesBody::from(&samples))).into_response());
+        return Ok((vary, answer(&SamplesBody::from(&samples))?).into_response());
     }
     let turn = state.exports.turn().await?;
     let Some(samples) = state.store.cycle_samples(&machine, &id).await? else {
@@ -89,11 +89,15 @@ pub(super) async fn get_samples(
     let (samples, selected, wanted) = selected.map_err(|error| Problem::internal(error.to_string()))??;
     drop(turn);
     if format == Format::Json && !wanted.in_rows {
-        return Ok(Json(selected.body(&samples)).into_response());
+        return answer(&selected.body(&samples));
     }
     let name = format!("{machine}-{id}");
     let fields = selected.fields();
     export::table(&state, format, &name, fields, selected.pieces(samples, cycle.cycle.started_at)).await
+}
+
+fn answer(body: &SamplesBody<'_>) -> Result<Response, Problem> {
+    decimal::answer(body, body.values())
 }
 
 /// Why a cycle has no samples to show.
@@ -258,7 +262,7 @@ struct Selected {
 }
 
 impl Selected {
-    fn body(&self, samples: &Samples) -> SamplesBody {
+    fn body<'a>(&self, samples: &'a Samples) -> SamplesBody<'a> {
         let (period_ms, time_ms) = match samples.time() {
             TimeBase::Period { period_ms } if self.whole => (Some(*period_ms), None),
             _ => (None, Some(self.rows.iter().map(|&at| samples.time_ms(at)).collect())),

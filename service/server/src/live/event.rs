@@ -6,6 +6,7 @@ use crate::ingest::intake::Accepted;
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
 use feedwright_store::Alarm;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 /// What an event tells of; its word is the event's name.
@@ -68,6 +69,59 @@ impl MachineState {
     }
 }
 
+/// What an event tells, as JSON: a tree that is looked into here too, or the text that is shown.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Data {
+    /// A tree.
+    Tree(Value),
+    /// Its text: most events are stored cycles, of which a tree costs more than all the rest of them.
+    Text(Box<str>),
+}
+
+impl Data {
+    /// The text that is shown.
+    pub(super) fn into_text(self) -> Box<str> {
+        match self {
+            Self::Tree(tree) => tree.to_string().into(),
+            Self::Text(text) => text,
+        }
+    }
+
+    /// The tree that is sent to other servers.
+    pub(super) fn into_tree(self) -> Value {
+        match self {
+            Self::Tree(tree) => tree,
+            // This server wrote it.
+            Self::Text(text) => serde_json::from_str(&text).unwrap_or_default(),
+        }
+    }
+}
+
+impl From<Value> for Data {
+    fn from(tree: Value) -> Self {
+        Self::Tree(tree)
+    }
+}
+
+/// A stored cycle, as it is shown.
+#[derive(Serialize)]
+struct ShownCycle<'a> {
+    machine: &'a str,
+    cycle_id: &'a str,
+    tool: &'a str,
+    operation: &'a str,
+    process: Option<&'static str>,
+    started_at: String,
+    received_at: String,
+    duration_ms: Option<f64>,
+    energy_joules: Option<f64>,
+    energy_basis: Option<&'static str>,
+    flags: Vec<&'static str>,
+    tool_state: &'static str,
+    level_as_run: Option<f64>,
+    action: &'static str,
+}
+
 /// Something that happened.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Event {
@@ -76,13 +130,13 @@ pub struct Event {
     /// The machine that it concerns.
     pub machine: Option<String>,
     /// What is told.
-    pub data: Value,
+    pub data: Data,
 }
 
 impl Event {
     /// An event.
-    pub fn new(kind: Kind, machine: Option<&MachineId>, data: Value) -> Self {
-        Self { kind, machine: machine.map(ToString::to_string), data }
+    pub fn new(kind: Kind, machine: Option<&MachineId>, data: impl Into<Data>) -> Self {
+        Self { kind, machine: machine.map(ToString::to_string), data: data.into() }
     }
 
     /// A machine's stream changed; `cycle` has the id of the cycle, its tool and its operation.
@@ -107,22 +161,24 @@ impl Event {
         let recommendation = &answer.recommendation.recommendation;
         let energy = answer.summary.best_energy();
         let process = cycle.process.or(recommendation.process);
-        let data = json!({
-            "machine": cycle.machine.as_str(),
-            "cycle_id": cycle.id.as_str(),
-            "tool": cycle.tool.as_str(),
-            "operation": cycle.operation.as_str(),
-            "process": process.map(feedwright_core::units::Process::as_str),
-            "started_at": time::show(cycle.started_at),
-            "received_at": time::show(answer.received_at),
-            "duration_ms": answer.summary.duration_ms,
-            "energy_joules": energy.map(|energy| energy.total_joules),
-            "energy_basis": energy.map(|energy| energy.basis.as_str()),
-            "flags": answer.summary.flags.iter().map(feedwright_core::cycle::Flag::as_str).collect::<Vec<_>>(),
-            "tool_state": answer.verdict.state.as_str(),
-            "level_as_run": answer.verdict.level.map(|level| level.as_run),
-            "action": recommendation.action.as_str(),
-        });
+        let shown = ShownCycle {
+            machine: cycle.machine.as_str(),
+            cycle_id: cycle.id.as_str(),
+            tool: cycle.tool.as_str(),
+            operation: cycle.operation.as_str(),
+            process: process.map(feedwright_core::units::Process::as_str),
+            started_at: time::show(cycle.started_at),
+            received_at: time::show(answer.received_at),
+            duration_ms: answer.summary.duration_ms,
+            energy_joules: energy.map(|energy| energy.total_joules),
+            energy_basis: energy.map(|energy| energy.basis.as_str()),
+            flags: answer.summary.flags.iter().map(feedwright_core::cycle::Flag::as_str).collect(),
+            tool_state: answer.verdict.state.as_str(),
+            level_as_run: answer.verdict.level.map(|level| level.as_run),
+            action: recommendation.action.as_str(),
+        };
+        // Strings and numbers always have a text.
+        let data = Data::Text(serde_json::to_string(&shown).unwrap_or_default().into());
         Self::new(Kind::Cycle, Some(&cycle.machine), data)
     }
 

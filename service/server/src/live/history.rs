@@ -16,7 +16,7 @@ pub(super) struct Shown {
 
 impl Shown {
     pub(super) fn new(number: Option<u64>, event: Event) -> Self {
-        Self { number, kind: event.kind, machine: event.machine, data: event.data.to_string().into() }
+        Self { number, kind: event.kind, machine: event.machine, data: event.data.into_text() }
     }
 }
 

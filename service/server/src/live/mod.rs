@@ -12,7 +12,7 @@ mod history;
 mod reader;
 mod replicas;
 
-pub use event::{Event, Kind, MachineState};
+pub use event::{Data, Event, Kind, MachineState};
 pub use reader::{Position, Reader};
 
 use crate::config::LiveConfig;
@@ -111,12 +111,12 @@ impl Live {
     }
 
     fn remember(&self, event: &Event) {
-        let Some(machine) = &event.machine else { return };
+        let (Some(machine), Data::Tree(data)) = (&event.machine, &event.data) else { return };
         let mut machines = self.machines.lock().unwrap_or_else(PoisonError::into_inner);
-        if event.data["state"] == MachineState::Disconnected.as_str() {
+        if data["state"] == MachineState::Disconnected.as_str() {
             machines.remove(machine);
         } else if machines.contains_key(machine) || machines.len() < MOST_MACHINES {
-            machines.insert(machine.clone(), event.data.clone());
+            machines.insert(machine.clone(), data.clone());
         }
     }
 

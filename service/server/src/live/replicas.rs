@@ -74,8 +74,8 @@ fn packed(live: &Live, events: Vec<Event>) -> Vec<(String, u64)> {
     let mut told = Told { from: live.boot.clone(), lost: 0, events: Vec::new() };
     let mut bytes = 0;
     for event in events {
-        let event =
-            ToldEvent { kind: event.kind.as_str().to_owned(), machine: event.machine, data: event.data };
+        let Event { kind, machine, data } = event;
+        let event = ToldEvent { kind: kind.as_str().to_owned(), machine, data: data.into_tree() };
         let size = serde_json::to_string(&event).map_or(usize::MAX, |text| text.len() + 1);
         // The frame around the events: a name, a count and brackets.
         let frame = 100;
@@ -143,7 +143,7 @@ fn hear(live: &Live, text: &str) {
     }
     for ToldEvent { kind, machine, data } in told.events {
         match Kind::parse(&kind) {
-            Some(kind) => live.show(Event { kind, machine, data }),
+            Some(kind) => live.show(Event { kind, machine, data: data.into() }),
             // A newer server may tell of more than this one knows.
             None => tracing::debug!(kind, "an event of a kind that is not known"),
         }

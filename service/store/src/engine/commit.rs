@@ -10,6 +10,7 @@ use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
 use crate::registry::Registry;
 use crate::rows::{BlockRow, CutRow, CycleRow, FactsRow, IssuedRow, Place, Rest, SavedWear};
+use crate::work::Written;
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
@@ -34,7 +35,7 @@ pub(super) async fn group(
     now: Timestamp,
     settings: RecommendSettings,
     (registry, memory): (&Registry, &mut Memory),
-) -> StoreResult<Vec<Committed>> {
+) -> StoreResult<(Vec<Committed>, Written)> {
     let tools: BTreeSet<_> = group.iter().map(|new| &new.cycle.tool).collect();
     let machines = group.iter().map(|new| &new.cycle.machine);
     let operations = group.iter().map(|new| &new.cycle.operation);
@@ -67,8 +68,8 @@ pub(super) async fn group(
         issued.push(row);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
-    dialect::write_rest(conn, &Rest { blocks, wear, issued }, now).await?;
-    Ok(answers)
+    let written = dialect::write_rest(conn, &Rest { blocks, wear, issued }, now).await?;
+    Ok((answers, written))
 }
 
 /// What is known for an operation with a tool: for its process, and its active feed profiles.

@@ -75,11 +75,14 @@ impl Engine {
             let cycles = Arc::clone(group);
             let registry = Arc::clone(self.registry());
             let mut memory = self.memory().take();
-            let outcome = write!(self, |conn| {
-                let known = (&*registry, &mut memory);
-                let answers = commit::group(conn, &cycles, now, settings, known).await?;
-                Ok((answers, memory))
+            let group = self.write_group(move |conn| {
+                Box::pin(async move {
+                    let known = (&*registry, &mut memory);
+                    let (answers, written) = commit::group(conn, &cycles, now, settings, known).await?;
+                    Ok(((answers, memory), written))
+                })
             });
+            let outcome = group.await;
             match outcome {
                 Ok((answers, memory)) => {
                     self.memory().put(memory);

@@ -47,10 +47,10 @@ pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
 /// A tool's caches, inside a transaction that nobody else writes beside.
 pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
 
-/// The generation of the registry and whether any feed profile is active, under empty names of a tool, and the versions
-/// of the folds of a list of tools.
-pub(super) const HEADS: &str =
-    "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
+/// Begins a group's transaction. The generation of the registry and whether any feed profile is active, under empty names
+/// of a tool, and the versions of the folds of a list of tools.
+pub(super) const HEADS: &str = "BEGIN IMMEDIATE;
+     SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
      FROM registry_generation
      UNION ALL SELECT '', 'profiles', CAST(COUNT(*) AS BIGINT)
      FROM (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL LIMIT 1) AS active

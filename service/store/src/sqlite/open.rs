@@ -76,6 +76,7 @@ impl SqliteStore {
         Ok(Self {
             inner: Arc::new(Inner {
                 writer: Mutex::new(Some(writer)),
+                in_group: AtomicBool::new(false),
                 readers,
                 gate: Gate::default(),
                 refused: AtomicBool::new(false),

@@ -8,6 +8,7 @@ use feedwright_core::cycle::{Samples, TimeBase};
 use feedwright_core::summary::{CycleSummary, Energy, IdlePower, Peak};
 use feedwright_store::{SampleDrop, StoredCycle};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
@@ -399,27 +400,35 @@ impl CycleBody {
 
 /// A cycle's samples, in the form in which they are posted.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct SamplesBody {
+pub struct SamplesBody<'a> {
     /// Distance of two samples, ms, where they are evenly spaced.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub period_ms: Option<f64>,
     /// Times since the start of the cycle, ms, where they are not.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub time_ms: Option<Vec<f64>>,
+    #[schema(value_type = Option<Vec<f64>>)]
+    pub time_ms: Option<Cow<'a, [f64]>>,
     /// The channels by name.
     #[serde(flatten)]
-    pub columns: BTreeMap<&'static str, Vec<f64>>,
+    #[schema(value_type = BTreeMap<&'static str, Vec<f64>>)]
+    pub columns: BTreeMap<&'static str, Cow<'a, [f64]>>,
 }
 
-impl From<&Samples> for SamplesBody {
-    fn from(samples: &Samples) -> Self {
+impl<'a> From<&'a Samples> for SamplesBody<'a> {
+    fn from(samples: &'a Samples) -> Self {
         let (period_ms, time_ms) = match samples.time() {
             TimeBase::Period { period_ms } => (Some(*period_ms), None),
-            TimeBase::Stamps { time_ms } => (None, Some(time_ms.clone())),
+            TimeBase::Stamps { time_ms } => (None, Some(time_ms.into())),
         };
-        let columns =
-            samples.columns().map(|(channel, values)| (channel.as_str(), values.to_vec())).collect();
+        let columns = samples.columns().map(|(channel, values)| (channel.as_str(), values.into())).collect();
         Self { period_ms, time_ms, columns }
+    }
+}
+
+impl SamplesBody<'_> {
+    /// How many values it holds.
+    pub fn values(&self) -> usize {
+        self.time_ms.iter().chain(self.columns.values()).map(|column| column.len()).sum()
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::error::{StoreError, StoreResult};
 use crate::postgres::Conn;
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
+use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
 use std::collections::HashSet;
@@ -137,8 +138,9 @@ pub(in crate::postgres) async fn write_rest(
     conn: &mut Conn,
     rest: &Rest<'_>,
     now: Timestamp,
-) -> StoreResult<()> {
+) -> StoreResult<Written> {
     insert_blocks(conn, &rest.blocks).await?;
     save_wear(conn, &rest.wear, now).await?;
-    insert_recommendations(conn, &rest.issued).await
+    insert_recommendations(conn, &rest.issued).await?;
+    Ok(Written::whole())
 }

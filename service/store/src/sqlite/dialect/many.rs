@@ -7,6 +7,7 @@
 use crate::error::StoreResult;
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
+use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
 use std::sync::LazyLock;
@@ -203,26 +204,26 @@ pub(in crate::sqlite) async fn insert_recommendations(
     Ok(())
 }
 
-/// Blocks, folds and recommendations of as many rows each; parameters are numbered on from statement to statement.
+/// Blocks, folds and recommendations of as many rows each, and the end of the transaction; parameters are numbered on from statement to statement.
 static ALL: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     let text = |at: usize| -> &'static str {
-        format!("{}; {}; {}", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
+        format!("{}; {}; {}; COMMIT", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
     };
     (0..EACH).map(text).collect()
 });
 
-/// Writes the rest of a group.
+/// Writes the rest of a group and commits it.
 pub(in crate::sqlite) async fn write_rest(
     conn: &mut Conn,
     rest: &Rest<'_>,
     now: Timestamp,
-) -> StoreResult<()> {
+) -> StoreResult<Written> {
     let Rest { blocks, wear, issued } = rest;
     let rows = issued.len();
     if (1..=EACH).contains(&rows) && blocks.len() == rows && wear.len() == rows {
         let query = bind_wear(bind_blocks(sqlx::query(ALL[rows - 1]), blocks), wear, now);
         bind_recommendations(query, issued).execute(&mut *conn).await?;
-        return Ok(());
+        return Ok(Written::whole());
     }
     let mut left = blocks.as_slice();
     while let Some((text, rows, later)) = BLOCKS.first(left) {
@@ -230,5 +231,7 @@ pub(in crate::sqlite) async fn write_rest(
         bind_blocks(sqlx::query(text), rows).execute(&mut *conn).await?;
     }
     save_wear(conn, wear, now).await?;
-    insert_recommendations(conn, issued).await
+    insert_recommendations(conn, issued).await?;
+    sqlx::query("COMMIT").execute(&mut *conn).await?;
+    Ok(Written::whole())
 }
