@@ -11,16 +11,18 @@
 mod blocks;
 mod data;
 mod growth;
+mod lone;
 mod peers;
 mod process;
 mod stages;
 mod weekend;
 
 use data::Cycle;
+use lone::Lone;
 use process::Running;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Cycles of one round, as in a shop of 40 machines.
 const CYCLES: usize = 4_000;
@@ -110,7 +112,8 @@ fn main() {
                 System::Binary => runtime.block_on(feedwright(&cycles, &BINARY)),
                 System::VictoriaMetrics => runtime.block_on(peers::victoria_metrics(&cycles)),
                 System::InfluxDb => runtime.block_on(peers::influxdb(&cycles)),
-                System::PostgresRows => runtime.block_on(peers::postgres_rows(&cycles)),
+                // On one thread, as the client of the others while they are read.
+                System::PostgresRows => one_thread().block_on(peers::postgres_rows(&cycles)),
             };
             done.push(round);
         }
@@ -142,6 +145,10 @@ fn main() {
             }
         }
     }
+}
+
+fn one_thread() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime")
 }
 
 fn show(what: &str, rounds: &[Round], of: impl Fn(&Round) -> f64) {
@@ -189,22 +196,21 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
         poster.await.expect("every post is acknowledged");
     }
     let spent = server.cpu_seconds() - cpu;
+    let headers = format!("authorization: Bearer {}\r\ncontent-type: {}\r\n", server.token, form.media_type);
+    let mut lone = Lone::connect(&server.address, &headers);
     let mut alone = Vec::with_capacity(ALONE);
     for (cycle, body) in cycles.iter().zip(bodies.iter()).skip(CYCLES) {
-        let body = body.clone();
-        let begun = Instant::now();
-        post(&client, &server.address, &server.token, cycle, form.media_type, body).await;
-        alone.push(begun.elapsed());
+        let (time, status, _) = lone.post(&format!("/v1/machines/{}/cycles", cycle.machine), body);
+        assert_eq!(status, 201);
+        alone.push(time);
     }
     let mut reads = Vec::with_capacity(ALONE);
     for cycle in &cycles[..ALONE] {
-        let url = format!("{}/v1/machines/{}/cycles/{}/samples", server.address, cycle.machine, cycle.id);
-        let begun = Instant::now();
-        let answer = client.get(url).bearer_auth(&server.token).send().await.expect("an answer");
-        assert_eq!(answer.status().as_u16(), 200);
-        let text = answer.bytes().await.expect("a whole answer");
-        reads.push(begun.elapsed());
-        assert!(text.len() > cycle.values(), "a whole cycle");
+        let path = format!("/v1/machines/{}/cycles/{}/samples", cycle.machine, cycle.id);
+        let (time, status, bytes) = lone.get(&path);
+        assert_eq!(status, 200);
+        assert!(bytes > cycle.values(), "a whole cycle");
+        reads.push(time);
     }
     let resident = server.resident_bytes();
     server.stop().await;

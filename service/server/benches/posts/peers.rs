@@ -1,6 +1,7 @@
 //! The peers, each with the format that it reads fastest and 25 cycles a request, as their users do it.
 
 use super::data::{Cycle, size_of};
+use super::lone::Lone;
 use super::process::{Running, free_port};
 use super::{ALONE, CYCLES, Round, median, round};
 use sqlx::{Connection, Executor, PgConnection};
@@ -22,23 +23,22 @@ pub(crate) async fn victoria_metrics(cycles: &Arc<Vec<Cycle>>) -> Round {
     command.arg(format!("-httpListenAddr=127.0.0.1:{port}")).arg("-retentionPeriod=100y");
     let server = Running::program(command, port, "/health").await;
     let written = import(&server, "/api/v1/import", cycles, json_lines, dir.path()).await;
-    let client = reqwest::Client::new();
     // What came last is searchable only after a flush.
-    client.get(format!("{}/internal/force_flush", server.address)).send().await.expect("an answer");
+    let mut lone = Lone::connect(&server.address, "");
+    assert_eq!(lone.get("/internal/force_flush").1, 200);
     let mut reads = Vec::with_capacity(ALONE);
     for cycle in &cycles[..ALONE] {
         let end = cycle.started_ms + 10 * (cycle.samples() as u64 - 1);
-        let url = format!(
-            "{}/api/v1/export?match[]={{machine=\"{}\"}}&start={:.3}&end={:.3}",
-            server.address,
+        let path = format!(
+            "/api/v1/export?match[]={{machine=\"{}\"}}&start={:.3}&end={:.3}",
             cycle.machine,
             seconds(cycle.started_ms),
             seconds(end)
         );
-        let begun = Instant::now();
-        let answer = client.get(url).send().await.expect("an answer").bytes().await.expect("a whole answer");
-        reads.push(begun.elapsed());
-        assert!(answer.len() > cycle.values(), "a whole cycle");
+        let (time, status, bytes) = lone.get(&path.replace('"', "%22"));
+        assert_eq!(status, 200);
+        assert!(bytes > cycle.values(), "a whole cycle");
+        reads.push(time);
     }
     server.stop().await;
     let written = Round { read_p50: median(&mut reads), ..written };
@@ -166,11 +166,11 @@ async fn import(
     }
     let spent = server.cpu_seconds() - cpu;
     let mut alone: Vec<Duration> = Vec::with_capacity(ALONE);
+    let mut lone = Lone::connect(&server.address, "");
     for cycle in cycles[CYCLES..].chunks(1) {
-        let body = body_of(cycle);
-        let begun = Instant::now();
-        send(body).await;
-        alone.push(begun.elapsed());
+        let (time, status, _) = lone.post(path, body_of(cycle).as_bytes());
+        assert!((200..300).contains(&status), "{status}");
+        alone.push(time);
     }
     let stored: usize = cycles.iter().map(Cycle::values).sum();
     round(values, spent, (alone, Vec::new()), server.resident_bytes(), size_of(dir), stored)
