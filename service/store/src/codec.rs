@@ -65,6 +65,7 @@ mod overrides;
 mod predict;
 mod range;
 mod rice;
+pub(crate) mod zeros;
 
 pub(crate) use column::decimal;
 #[cfg(test)]

@@ -32,7 +32,7 @@ type Conn = sqlx::SqliteConnection;
 type Engine = SqliteStore;
 
 /// Free pages (8 MiB) that are left to be used again.
-const PAGES_KEPT_FREE: i64 = 2048;
+const PAGES_KEPT_FREE: i64 = 1024;
 
 /// The store in one SQLite file. Clones share it.
 #[derive(Debug, Clone)]

@@ -1,6 +1,6 @@
 //! Cycles come in once, are found again to the bit, and fail alone.
 
-use super::given::{Run, at, commit, engineer, machine, new_cycle, shop, stored, stories, tool};
+use super::given::{Given, Run, at, commit, engineer, machine, new_cycle, shop, stored, stories, tool};
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{Committed, CycleFilter, CycleKey, Page, Precondition, Store, StoreError};
@@ -17,6 +17,11 @@ stories!(
     a_number_that_is_none_is_refused,
     after_closing_nothing_is_taken,
 );
+
+mod tables {
+    use super::a_group_that_fails_at_its_end_leaves_nothing_open;
+    super::stories!(with tables: a_group_that_fails_at_its_end_leaves_nothing_open);
+}
 
 async fn a_cycle_is_found_again_to_the_bit(store: Arc<dyn Store>) {
     shop(&*store).await;
@@ -152,6 +157,39 @@ async fn a_row_that_fails_fails_alone(store: Arc<dyn Store>) {
     assert_eq!(ids, ["c00001", "c00002", "c00004"]);
     let check = store.check_wear(false).await.unwrap();
     assert_eq!((check.rows, check.different), (1, vec![]));
+}
+
+async fn a_group_that_fails_at_its_end_leaves_nothing_open(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let (refuse, allow) = if given.is_postgres() {
+        (
+            "ALTER TABLE recommendations ADD CONSTRAINT refuse CHECK (false) NOT VALID",
+            "ALTER TABLE recommendations DROP CONSTRAINT refuse",
+        )
+    } else {
+        (
+            "CREATE TRIGGER refuse BEFORE INSERT ON recommendations BEGIN SELECT RAISE(ABORT, 'refused'); END",
+            "DROP TRIGGER refuse",
+        )
+    };
+    given.raw(refuse).await.unwrap();
+    let group = [Run::nth(1), Run::nth(2), Run { tool: "T2".to_owned(), ..Run::nth(3) }];
+    for name in ["T3", "T4"] {
+        // What comes last of a group is refused: each of its cycles is, by itself too.
+        let outcomes = commit(&*store, &group).await;
+        assert!(outcomes.iter().all(Result::is_err), "{outcomes:?}");
+        // Another change begins and ends as ever.
+        store.put_tool(tool(name), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+        let list = store.cycles(&CycleFilter::default(), Page { after: None, limit: 10 }).await.unwrap();
+        assert_eq!(list, [], "nothing of the group is stored");
+    }
+    given.raw(allow).await.unwrap();
+    let outcomes = commit(&*store, &group).await;
+    assert!(outcomes.iter().all(|outcome| matches!(outcome, Ok(Committed::Stored(_)))), "{outcomes:?}");
+    let check = store.check_wear(false).await.unwrap();
+    assert_eq!(check.different, []);
+    assert_eq!(store.check_cycles(None, 10).await.unwrap().checked, 3);
 }
 
 async fn an_unknown_machine_stores_nothing(store: Arc<dyn Store>) {

@@ -14,11 +14,12 @@ use std::path::{Path, PathBuf};
 
 super::given::stories!(with tables: what_a_database_of_before_holds_is_all_there_and_goes_on);
 
-/// The version before recommendations stood by their machine and SQLite's folds in an ordinary table.
+/// The version before recommendations stood by their machine, and SQLite's folds in an ordinary table; advice was kept
+/// for each machine and tool by itself.
 const BEFORE: i64 = 14;
 
-/// Pages of the SQLite files of that version, bytes.
-const PAGE_BEFORE: i64 = 8192;
+/// Pages of SQLite files that some version made, bytes.
+const PAGE_BEFORE: i64 = 4096;
 
 async fn migrations(engine: &str) -> Migrator {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../migrations")).join(engine);
@@ -60,6 +61,27 @@ async fn set_back_sqlite(file: &Path) {
             conn.execute(AssertSqlSafe(sql)).await.unwrap();
         }
     }
+    // A hash of its own for each of the story's two machines and two tools.
+    let hash =
+        "unhex(substr(hex(r.advice_hash), 1, 30) || CASE r.machine_id WHEN 'M1' THEN '0' ELSE '1' END ||
+                    CASE r.tool_id WHEN 'T1' THEN '0' ELSE '1' END)";
+    for sql in [
+        format!(
+            "INSERT INTO main.advices
+             SELECT DISTINCT {hash}, json_set(a.body, '$.machine', r.machine_id, '$.operation', r.operation_id,
+                                              '$.tool', r.tool_id)
+             FROM newer.recommendations r JOIN newer.advices a ON a.advice_hash = r.advice_hash"
+        ),
+        format!(
+            "UPDATE main.recommendations SET advice_hash =
+                 (SELECT {hash} FROM newer.recommendations r
+                  WHERE r.recommendation_id = main.recommendations.recommendation_id)
+             WHERE recommendation_id <> 'alone'"
+        ),
+        "DELETE FROM main.advices WHERE body ->> '$.machine' IS NULL".to_owned(),
+    ] {
+        conn.execute(AssertSqlSafe(sql)).await.unwrap();
+    }
     conn.execute("DETACH DATABASE newer").await.unwrap();
     conn.close().await.unwrap();
     std::fs::remove_file(newer).unwrap();
@@ -90,6 +112,24 @@ async fn set_back_postgres(address: &str) {
             conn.execute(AssertSqlSafe(format!("DELETE FROM public.\"{table}\""))).await.unwrap();
         }
         conn.execute(AssertSqlSafe(copy)).await.unwrap();
+    }
+    let hash = "set_byte(r.advice_hash, 15, CASE r.machine_id WHEN 'M1' THEN 0 ELSE 2 END +
+                    CASE r.tool_id WHEN 'T1' THEN 0 ELSE 1 END)";
+    for sql in [
+        format!(
+            "INSERT INTO public.advices
+             SELECT DISTINCT {hash}, (a.body::JSONB || jsonb_build_object('machine', r.machine_id, 'operation',
+                                          r.operation_id, 'tool', r.tool_id))::TEXT
+             FROM newer.recommendations r JOIN newer.advices a ON a.advice_hash = r.advice_hash"
+        ),
+        format!(
+            "UPDATE public.recommendations o SET advice_hash = {hash}
+             FROM newer.recommendations r
+             WHERE r.recommendation_id = o.recommendation_id AND o.recommendation_id <> 'alone'"
+        ),
+        "DELETE FROM public.advices WHERE body::JSON ->> 'machine' IS NULL".to_owned(),
+    ] {
+        conn.execute(AssertSqlSafe(sql)).await.unwrap();
     }
     conn.execute("DROP SCHEMA newer CASCADE").await.unwrap();
     for (table, key) in [("audit", "audit_id"), ("alarms", "alarm_id"), ("tool_events", "event_id")] {
@@ -180,7 +220,17 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
 
     set_back(given).await;
     let store = open(given).await;
-    assert_eq!(sums(given).await, summed, "every row of every table");
+    let (upgraded, rows) = (sums(given).await, |sums: &[(String, TableSum)]| {
+        sums.iter().find(|(table, _)| table == "recommendations").map(|(_, sum)| sum.rows)
+    });
+    assert_eq!(rows(&upgraded), rows(&summed), "every recommendation");
+    // Whom a recommendation was for stands in its advice, where this version would have it beside it.
+    let others = |sums: Vec<(String, TableSum)>| -> Vec<_> {
+        sums.into_iter()
+            .filter(|(table, _)| !matches!(table.as_str(), "advices" | "recommendations"))
+            .collect()
+    };
+    assert_eq!(others(upgraded), others(summed), "every row of every other table");
     assert_eq!(shown(&*store, &advice).await, before);
     assert_eq!(given.wear_states().await, folds);
     assert_eq!(store.check_tables().await.unwrap(), []);
@@ -192,7 +242,7 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
             "a file keeps the pages that it was made with"
         );
         let fresh = Given::sqlite().await;
-        assert_eq!(page_bytes(fresh.file()).await, 4096);
+        assert_eq!(page_bytes(fresh.file()).await, 8192);
         fresh.done().await;
     }
 

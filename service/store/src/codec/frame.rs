@@ -1,7 +1,7 @@
 //! Block format: writing version 2, and reading both versions, which trusts nothing.
 
 use super::column::{Column, Columns, MAX_SCALE, Time};
-use super::predict::{Predictor, Restored, unzigzag, zigzag};
+use super::predict::{Predictor, restore, unzigzag, zigzag};
 use super::range::{RangeReader, RangeWriter};
 use super::rice::{self, BitReader, BitWriter};
 use crate::error::{StoreError, StoreResult};
@@ -290,7 +290,6 @@ fn restored(packed: &[u8], len: usize, scale: u8) -> Result<Column, &'static str
     // Blocks were written in which a column of nothing but zeros had lost the zero that it begins with.
     let all_zero = coding & 0xf0 == RANGE && input.0.is_empty();
     let first = if all_zero { 0 } else { unzigzag(input.varint()?) };
-    let mut restored = Restored::new(predictor, first);
     let mut values = Vec::with_capacity(len);
     values.push(first);
     let ended = match coding & 0xf0 {
@@ -298,18 +297,13 @@ fn restored(packed: &[u8], len: usize, scale: u8) -> Result<Column, &'static str
             let bits = input.byte()?;
             let mut parameter = rice::Parameter::of(bits).ok_or("unknown parameter")?;
             let mut reader = BitReader::new(input.0);
-            for _ in 1..len {
-                let residual = reader.rice(&mut parameter).ok_or("a column ends early")?;
-                values.push(restored.next(residual));
-            }
+            restore(predictor, &mut values, len, || reader.rice(&mut parameter))
+                .ok_or("a column ends early")?;
             reader.is_at_end()
         }
         RANGE => {
             let mut reader = RangeReader::new(input.0);
-            for _ in 1..len {
-                let residual = reader.next().ok_or("a column ends early")?;
-                values.push(restored.next(residual));
-            }
+            restore(predictor, &mut values, len, || reader.next()).ok_or("a column ends early")?;
             reader.is_at_end()
         }
         _ => return Err("unknown coding"),

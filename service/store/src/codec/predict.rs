@@ -81,26 +81,38 @@ impl Predictor {
     }
 }
 
-/// Puts values back together from their residuals.
-pub(super) struct Restored {
+/// Puts values back together behind the first, until there are `len`; `None` where a residual is missing.
+pub(super) fn restore(
     predictor: Predictor,
-    before: [i64; 4],
-    count: usize,
+    values: &mut Vec<i64>,
+    len: usize,
+    mut next: impl FnMut() -> Option<u64>,
+) -> Option<()> {
+    fill(values, predictor.reach().min(len), &mut next, |before| Predictor::Last.next(before))?;
+    // A loop for each, so that none asks at every value which it is.
+    match predictor {
+        Predictor::Last => fill(values, len, &mut next, |before| Predictor::Last.next(before)),
+        Predictor::Line => fill(values, len, &mut next, |before| Predictor::Line.next(before)),
+        Predictor::Mean => fill(values, len, &mut next, |before| Predictor::Mean.next(before)),
+        Predictor::MeanLine => fill(values, len, &mut next, |before| Predictor::MeanLine.next(before)),
+    }
 }
 
-impl Restored {
-    pub(super) const fn new(predictor: Predictor, first: i64) -> Self {
-        Self { predictor, before: [first, 0, 0, 0], count: 1 }
+fn fill(
+    values: &mut Vec<i64>,
+    len: usize,
+    next: &mut impl FnMut() -> Option<u64>,
+    predict: impl Fn([i64; 4]) -> i64,
+) -> Option<()> {
+    let mut newest = values.iter().rev().copied();
+    let mut before = [(); 4].map(|()| newest.next().unwrap_or(0));
+    while values.len() < len {
+        let value = predict(before).wrapping_add(unzigzag(next()?));
+        let [a, b, c, _] = before;
+        before = [value, a, b, c];
+        values.push(value);
     }
-
-    pub(super) fn next(&mut self, residual: u64) -> i64 {
-        let known = if self.count < self.predictor.reach() { Predictor::Last } else { self.predictor };
-        let value = known.next(self.before).wrapping_add(unzigzag(residual));
-        let [a, b, c, _] = self.before;
-        self.before = [value, a, b, c];
-        self.count += 1;
-        value
-    }
+    Some(())
 }
 
 pub(super) const fn zigzag(value: i64) -> u64 {

@@ -127,6 +127,17 @@ impl<'a> BitReader<'a> {
     }
 
     fn fill(&mut self) {
+        if self.count <= 56
+            && let Some(next) = self.rest.first_chunk()
+        {
+            // Bits beyond the whole bytes that are counted are those that come next: once they are counted, they stand
+            // there already.
+            self.bits |= u64::from_be_bytes(*next) >> self.count;
+            let whole = (63 - self.count) / 8;
+            self.count += whole * 8;
+            self.rest = &self.rest[whole as usize..];
+            return;
+        }
         while self.count <= 56
             && let Some((&byte, rest)) = self.rest.split_first()
         {
@@ -159,7 +170,13 @@ impl<'a> BitReader<'a> {
         self.fill();
         let k = parameter.get();
         let ones = self.bits.leading_ones();
-        let residual = if ones < ESCAPE {
+        let used = ones + 1 + k;
+        let residual = if ones < ESCAPE && k > 0 && used <= self.count.min(63) {
+            let residual = u64::from(ones) << k | (self.bits << (ones + 1)) >> (64 - k);
+            self.bits <<= used;
+            self.count -= used;
+            residual
+        } else if ones < ESCAPE {
             self.take(ones + 1)?;
             u64::from(ones) << k | self.take_long(k)?
         } else {

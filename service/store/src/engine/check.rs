@@ -9,6 +9,7 @@ use crate::rows::{count, id};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The next registered tool, or one that has a cache, after `after`.
@@ -32,7 +33,13 @@ struct StateRow {
     state: Vec<u8>,
 }
 
-type State = (i64, Vec<u8>);
+/// Version and bytes of a fold's state; none where what is stored cannot be unpacked.
+type State = (i64, Option<Vec<u8>>);
+
+/// Held against a fold as it is, however it is packed.
+fn state(row: StateRow) -> State {
+    (row.fold_version, wear::plain_state(&row.state).map(Cow::into_owned))
+}
 
 /// What is cached of a tool: the state of each machine and its checkpoints.
 async fn cached(
@@ -53,11 +60,11 @@ async fn cached(
     .await?;
     let mut by_machine = BTreeMap::new();
     for row in states {
-        by_machine.insert(id("machine_id", &row.machine_id)?, (row.folded, (row.fold_version, row.state)));
+        by_machine.insert(id("machine_id", &row.machine_id)?, (row.folded, state(row)));
     }
     let mut by_count = BTreeMap::new();
     for row in checkpoints {
-        by_count.insert((id("machine_id", &row.machine_id)?, row.folded), (row.fold_version, row.state));
+        by_count.insert((id("machine_id", &row.machine_id)?, row.folded), state(row));
     }
     Ok((by_machine, by_count))
 }
@@ -87,12 +94,12 @@ pub(super) async fn tool(conn: &mut Conn, tool: &ToolId, repair: bool) -> StoreR
                 walk.step(row)?;
                 if walk.at_checkpoint() {
                     let found = checkpoints.remove(&(machine.clone(), count("folded", walk.folded())?));
-                    same &= found == Some((version, walk.fold().to_bytes()));
+                    same &= found == Some((version, Some(walk.fold().to_bytes())));
                 }
             }
         }
         let folded = count("folded", walk.folded())?;
-        same &= states.get(machine) == Some(&(folded, (version, walk.fold().to_bytes())));
+        same &= states.get(machine) == Some(&(folded, (version, Some(walk.fold().to_bytes()))));
         // Checkpoints beyond the history are left over from nothing.
         same &= !checkpoints.keys().any(|(of, _)| of == machine);
         if !same {

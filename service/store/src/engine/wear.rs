@@ -2,6 +2,7 @@
 
 use super::alarms::OpenAlarm;
 use super::{Conn, Db, dialect, tools};
+use crate::codec::zeros;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
 use crate::locks::Locks;
@@ -9,6 +10,7 @@ use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Cycles read at once when refolding; bounds memory, not the work.
@@ -89,9 +91,22 @@ pub(super) async fn heads(conn: &mut Conn, tools: &BTreeSet<&ToolId>) -> StoreRe
     Ok(heads)
 }
 
-/// The state of those bytes, where this version of the fold wrote them.
-fn readable(version: i64, state: &[u8]) -> Option<ToolFold> {
-    (version == i64::from(FOLD_VERSION)).then(|| ToolFold::from_bytes(state)).flatten()
+/// Longest state that is read, bytes: a fold has bounds far below it.
+const MOST_STATE: usize = 16 << 20;
+
+/// A fold's state as it is stored.
+pub(super) fn state_of(fold: &ToolFold) -> Vec<u8> {
+    zeros::pack(&fold.to_bytes())
+}
+
+/// A stored state as the fold gave it; `None` where it is damaged.
+pub(super) fn plain_state(stored: &[u8]) -> Option<Cow<'_, [u8]>> {
+    zeros::unpack(stored, MOST_STATE)
+}
+
+/// The fold of a stored state, where this version of the fold wrote it.
+fn readable(version: i64, stored: &[u8]) -> Option<ToolFold> {
+    (version == i64::from(FOLD_VERSION)).then(|| ToolFold::from_bytes(&plain_state(stored)?)).flatten()
 }
 
 macro_rules! select_facts {
@@ -205,7 +220,7 @@ impl ToolWear {
                     machine_id: machine.as_str().to_owned(),
                     tool_id: self.tool.as_str().to_owned(),
                     folded: count("folded", cached.folded)?,
-                    state: fold.to_bytes(),
+                    state: state_of(fold),
                     version: cached.version,
                 });
                 cached.changed = false;
@@ -382,7 +397,7 @@ async fn save_checkpoint(
     .bind(last.started_at.micros())
     .bind(last.seq.map(|seq| count("last_seq", seq)).transpose()?)
     .bind(last.cycle.as_str())
-    .bind(walk.fold().to_bytes())
+    .bind(state_of(walk.fold()))
     .execute(&mut *conn)
     .await?;
     Ok(())

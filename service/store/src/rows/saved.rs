@@ -57,6 +57,8 @@ pub(crate) struct IssuedRow {
     pub(crate) level_value: Option<f64>,
     pub(crate) level_sd: Option<f64>,
     pub(crate) machine_id: String,
+    pub(crate) operation_id: String,
+    pub(crate) tool_id: String,
 }
 
 impl IssuedRow {
@@ -92,6 +94,8 @@ impl IssuedRow {
             level_value: level_float("level_value", |level| level.value)?,
             level_sd: optional_float("level_sd", level.and_then(|level| level.sd))?,
             machine_id: recommendation.machine.as_str().to_owned(),
+            operation_id: recommendation.operation.as_str().to_owned(),
+            tool_id: recommendation.tool.as_str().to_owned(),
         })
     }
 }

@@ -9,12 +9,16 @@ use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::{Level, LevelBasis, Remaining, ToolState};
 use serde::{Deserialize, Serialize};
 
-/// What repeats from one recommendation to the next; kept once, under the hash of its JSON.
+/// What repeats from one recommendation to the next, of whatever machine and tool; kept once, under the hash of its JSON.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct AdviceBody {
-    machine: String,
-    operation: String,
-    tool: String,
+    /// Whom it was for, in advice of before that stood with each row.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    machine: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    operation: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tool: Option<String>,
     process: Option<String>,
     action: String,
     feed_mm_min: Option<f64>,
@@ -39,9 +43,9 @@ impl AdviceBody {
     pub(crate) fn of(recommendation: &Recommendation) -> Self {
         let limits = recommendation.limits;
         Self {
-            machine: recommendation.machine.as_str().to_owned(),
-            operation: recommendation.operation.as_str().to_owned(),
-            tool: recommendation.tool.as_str().to_owned(),
+            machine: None,
+            operation: None,
+            tool: None,
             process: recommendation.process.map(|process| process.as_str().to_owned()),
             action: recommendation.action.as_str().to_owned(),
             feed_mm_min: recommendation.feed_mm_min,
@@ -83,6 +87,9 @@ pub(crate) struct RecommendationRow {
     level_decides: Option<String>,
     level_value: Option<f64>,
     level_sd: Option<f64>,
+    machine_id: String,
+    operation_id: Option<String>,
+    tool_id: Option<String>,
     body: String,
 }
 
@@ -116,14 +123,20 @@ impl RecommendationRow {
             }),
             _ => None,
         };
+        let whom = |name: &'static str, of_row: &Option<String>, of_body: &Option<String>| {
+            of_row.as_ref().or(of_body.as_ref()).cloned().ok_or_else(|| super::damaged(name))
+        };
+        let machine = body.machine.as_ref().unwrap_or(&self.machine_id);
+        let operation = whom("recommendations.operation_id", &self.operation_id, &body.operation)?;
+        let tool = whom("recommendations.tool_id", &self.tool_id, &body.tool)?;
         Ok(IssuedRecommendation {
             id: id("recommendation_id", &self.recommendation_id)?,
             recommendation: Recommendation {
                 issued_at: Timestamp::from_micros(self.issued_at_us),
                 valid_until: Timestamp::from_micros(self.valid_until_us),
-                machine: id("machine", &body.machine)?,
-                operation: id("operation", &body.operation)?,
-                tool: id("tool", &body.tool)?,
+                machine: id("machine", machine)?,
+                operation: id("operation", &operation)?,
+                tool: id("tool", &tool)?,
                 process: body
                     .process
                     .as_deref()

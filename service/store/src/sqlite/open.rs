@@ -21,9 +21,17 @@ pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../mi
 /// A checkpoint that restarts the log holds up the writer while it waits for readers: no longer than this.
 const CHECKPOINT_PATIENCE: Duration = Duration::from_millis(20);
 
+/// A page of new files, bytes. A commit writes whole pages, and most of those that a cycle changes are its machine's own;
+/// but blocks of a kilobyte and more, and folds of several, leave more of smaller pages empty.
+const PAGE_BYTES: u32 = 8192;
+
 /// What stays, in bytes, of a log that a long reader or a migration made longer: usually it is begun anew long before,
 /// and a small disk has its space back.
 const KEPT_WAL_BYTES: &str = "67108864";
+
+/// What the writer keeps of the file, in KiB below zero: the pages that some hundred machines' next cycles go to. Others come
+/// from the system's cache.
+const WRITER_CACHE: &str = "-4096";
 
 /// What a connection that reads keeps of the file, in KiB below zero. The system keeps the rest, once for all of them.
 const READER_CACHE: &str = "-2048";
@@ -110,14 +118,13 @@ fn settings(path: &Path, patience: Duration) -> SqliteConnectOptions {
         .synchronous(SqliteSynchronous::Full)
         .busy_timeout(patience)
         .foreign_keys(true)
-        // A commit writes whole pages, and most of those that a cycle changes are its machine's own.
-        .page_size(4096)
+        .page_size(PAGE_BYTES)
         .statement_cache_capacity(200)
         // The checkpoint has a connection of its own: inside the writer it is what the slowest commits wait for.
         .pragma("wal_autocheckpoint", "0")
         .pragma("journal_size_limit", KEPT_WAL_BYTES)
         .pragma("temp_store", "MEMORY")
-        .pragma("cache_size", "-16384")
+        .pragma("cache_size", WRITER_CACHE)
         .pragma("trusted_schema", "OFF")
         .pragma("cell_size_check", "ON")
 }

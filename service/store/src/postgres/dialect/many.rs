@@ -108,8 +108,8 @@ pub(in crate::postgres) async fn insert_recommendations(
     sqlx::query(
         "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-             data_age_ms, level_decides, level_value, level_sd, machine_id)
-         SELECT * FROM UNNEST($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17)",
+             data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
+         SELECT * FROM UNNEST($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19)",
     )
     .bind(rows.iter().map(|row| row.recommendation_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.advice_hash.as_slice()).collect::<Vec<_>>())
@@ -128,6 +128,8 @@ pub(in crate::postgres) async fn insert_recommendations(
     .bind(rows.iter().map(|row| row.level_value).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.level_sd).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.operation_id.as_str()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
     .execute(&mut *conn)
     .await?;
     Ok(())

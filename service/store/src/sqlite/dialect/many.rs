@@ -160,9 +160,9 @@ static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
     Statements::new(
         "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-             data_age_ms, level_decides, level_value, level_sd, machine_id)
+             data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
          VALUES ",
-        "(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
+        "(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
         "",
     )
 });
@@ -186,7 +186,9 @@ fn bind_recommendations(mut query: Query, rows: &[IssuedRow]) -> Query {
             .bind(row.level_decides)
             .bind(row.level_value)
             .bind(row.level_sd)
-            .bind(row.machine_id.clone());
+            .bind(row.machine_id.clone())
+            .bind(row.operation_id.clone())
+            .bind(row.tool_id.clone());
     }
     query
 }
