@@ -34,7 +34,7 @@ const KEPT_WAL_BYTES: &str = "67108864";
 const WRITER_CACHE: &str = "-4096";
 
 /// What a connection that reads keeps of the file, in KiB below zero. The system keeps the rest, once for all of them.
-const READER_CACHE: &str = "-2048";
+const READER_CACHE: &str = "-512";
 
 /// How a SQLite store is run.
 #[derive(Debug, Clone)]
