@@ -5,10 +5,11 @@
 //! prints ratios; behind `tests/postgres` it also reads cycles out of rows of PostgreSQL.
 //! `-- --weekend` replays 96,000 cycles of 200 machines while others post live; `-- --growth 10000000` tells what so
 //! many cycles do to the cost of the next one; `-- --stages` tells what each step of a post costs by itself;
-//! `-- --blocks` tells what samples of many cycles in one block would save. It never judges: absolute figures of a shared
-//! machine are noise, ratios of one run are the result.
+//! `-- --bytes` tells where the bytes of a file go, and `-- --blocks` what samples of many cycles in one block would save.
+//! It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
 
 mod blocks;
+mod bytes;
 mod data;
 mod growth;
 mod lone;
@@ -82,6 +83,9 @@ fn main() {
     }
     if given("--stages").is_some() {
         return stages::measure();
+    }
+    if given("--bytes").is_some() {
+        return runtime.block_on(bytes::tell());
     }
     if given("--weekend").is_some() {
         return runtime.block_on(weekend::replay());
