@@ -112,8 +112,7 @@ impl SqliteStore {
         let inner = Arc::clone(&self.inner);
         let task = tokio::spawn(async move {
             let mut writer = inner.writer.lock().await;
-            let conn =
-                writer.as_mut().ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
+            let conn = inner.settled(writer.as_mut()).await?;
             let free: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
             if free <= PAGES_KEPT_FREE {
                 return Ok(false);
@@ -158,7 +157,14 @@ impl SqliteStore {
             drop(pass);
             outcome
         });
-        task.await.map_err(panicked)?
+        match task.await {
+            Ok(outcome) => outcome,
+            Err(error) => {
+                let mut writer = self.inner.writer().await?;
+                self.inner.settled(writer.as_mut()).await?;
+                Err(panicked(error))
+            }
+        }
     }
 
     /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
@@ -213,7 +219,10 @@ impl Inner {
                 Ok(value)
             }
             Err(error) => {
-                transaction.rollback().await?;
+                // After an error of the disk SQLite has rolled it back by itself; that error is the one to tell.
+                if let Err(rollback) = transaction.rollback().await {
+                    tracing::debug!(error = %rollback, "nothing to roll back");
+                }
                 Err(error)
             }
         }

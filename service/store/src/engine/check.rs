@@ -37,7 +37,7 @@ struct StateRow {
 type State = (i64, Option<Vec<u8>>);
 
 /// Held against a fold as it is, however it is packed.
-fn state(row: StateRow) -> State {
+fn state(row: &StateRow) -> State {
     (row.fold_version, wear::plain_state(&row.state).map(Cow::into_owned))
 }
 
@@ -60,11 +60,11 @@ async fn cached(
     .await?;
     let mut by_machine = BTreeMap::new();
     for row in states {
-        by_machine.insert(id("machine_id", &row.machine_id)?, (row.folded, state(row)));
+        by_machine.insert(id("machine_id", &row.machine_id)?, (row.folded, state(&row)));
     }
     let mut by_count = BTreeMap::new();
     for row in checkpoints {
-        by_count.insert((id("machine_id", &row.machine_id)?, row.folded), state(row));
+        by_count.insert((id("machine_id", &row.machine_id)?, row.folded), state(&row));
     }
     Ok((by_machine, by_count))
 }

@@ -62,11 +62,15 @@ pub(super) async fn group(
         let tool = (verdicts.get(&new.cycle.tool), known);
         let answer = answer(&new.cycle, (summary, received_at), &registry, tool, (now, settings))?;
         let row = IssuedRow::of(&answer.recommendation)?;
-        if memory.is_new_advice(row.advice_hash) {
-            recommendations::keep_advice(conn, &row).await?;
-        }
         issued.push(row);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
+    }
+    let mut unknown: Vec<&IssuedRow> =
+        issued.iter().filter(|row| memory.is_new_advice(row.advice_hash)).collect();
+    // Others may be told the same at this moment: in ascending order no two wait for each other.
+    unknown.sort_unstable_by_key(|row| row.advice_hash);
+    for row in unknown {
+        recommendations::keep_advice(conn, row).await?;
     }
     let written = dialect::write_rest(conn, &Rest { blocks, wear, issued }, now).await?;
     Ok((answers, written))

@@ -4,7 +4,7 @@
 //! much as rows that are there. What is written last goes in one hop, statement behind statement, where all of it has
 //! as many rows.
 
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
 use crate::work::Written;
@@ -206,10 +206,25 @@ pub(in crate::sqlite) async fn insert_recommendations(
     Ok(())
 }
 
-/// Blocks, folds and recommendations of as many rows each, and the end of the transaction; parameters are numbered on from statement to statement.
+/// Ends a group's transaction, and says so by a row: where the connection's thread ends, so does what it answers, and no
+/// row is no error.
+const COMMIT: &str = "COMMIT; SELECT 1";
+
+/// No row came: what was sent may have been committed, or not.
+fn unconfirmed(error: sqlx::Error) -> StoreError {
+    match error {
+        sqlx::Error::RowNotFound => {
+            StoreError::OutcomeUnknown("the connection ended while it committed".into())
+        }
+        other => other.into(),
+    }
+}
+
+/// Blocks, folds and recommendations of as many rows each, and [`COMMIT`]; parameters are numbered on from statement to
+/// statement.
 static ALL: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     let text = |at: usize| -> &'static str {
-        format!("{}; {}; {}; COMMIT", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
+        format!("{}; {}; {}; {COMMIT}", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
     };
     (0..EACH).map(text).collect()
 });
@@ -224,7 +239,7 @@ pub(in crate::sqlite) async fn write_rest(
     let rows = issued.len();
     if (1..=EACH).contains(&rows) && blocks.len() == rows && wear.len() == rows {
         let query = bind_wear(bind_blocks(sqlx::query(ALL[rows - 1]), blocks), wear, now);
-        bind_recommendations(query, issued).execute(&mut *conn).await?;
+        bind_recommendations(query, issued).fetch_one(&mut *conn).await.map_err(unconfirmed)?;
         return Ok(Written::whole());
     }
     let mut left = blocks.as_slice();
@@ -234,6 +249,6 @@ pub(in crate::sqlite) async fn write_rest(
     }
     save_wear(conn, wear, now).await?;
     insert_recommendations(conn, issued).await?;
-    sqlx::query("COMMIT").execute(&mut *conn).await?;
+    sqlx::query(COMMIT).fetch_one(&mut *conn).await.map_err(unconfirmed)?;
     Ok(Written::whole())
 }
