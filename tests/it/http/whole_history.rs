@@ -11,8 +11,8 @@ crate::engines::on_both!(a_history_is_read_in_every_form_and_the_server_does_not
 /// Cycles of the history: as JSON some 25 megabytes.
 const CYCLES: u64 = 24_000;
 /// What the server may hold beyond what it held before the history was read, bytes: a few pieces of 500 rows on their
-/// way, and what the allocator keeps.
-const MOST_BYTES: u64 = 10 << 20;
+/// way, and a row group of Parquet that is being filled.
+const MOST_BYTES: u64 = 6 << 20;
 const FORMS: [&str; 4] =
     ["application/json", "text/csv", "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"];
 
