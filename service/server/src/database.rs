@@ -37,8 +37,12 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
     match config.engine() {
         Engine::Sqlite(path) => {
             let lock = DataDirLock::acquire(&config.data_dir)?;
-            let options =
-                SqliteOptions { max_samples: config.limits.samples_per_cycle, ..SqliteOptions::default() };
+            let options = SqliteOptions {
+                max_samples: config.limits.samples_per_cycle,
+                // The file lies in the directory that is locked.
+                alone: true,
+                ..SqliteOptions::default()
+            };
             let store = Arc::new(SqliteStore::open(path, options).await?);
             Ok(Database { store, lock: Some(lock) })
         }

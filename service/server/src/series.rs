@@ -6,12 +6,11 @@
 mod collect;
 mod levels;
 
-pub use collect::{Bucketed, Series, bucketed, last};
+pub use collect::{Bucketed, LastCycles, Series, bucketed};
 
 use feedwright_core::invalid::Violation;
-use feedwright_core::summary::{Energy, IdlePower};
-use feedwright_core::units::Timestamp;
-use feedwright_store::CyclePoint;
+use feedwright_core::summary::IdlePower;
+use feedwright_store::{CyclePoint, PointEnergy};
 
 /// Most buckets of one question: more than a screen has columns.
 pub const MAX_BUCKETS: usize = 10_000;
@@ -93,16 +92,17 @@ impl Measure {
     }
 
     /// What it says of a cycle; energies and wear are told otherwise.
-    const fn of(self, point: &CyclePoint) -> Option<f64> {
+    fn of(self, point: &CyclePoint) -> Option<f64> {
+        let peaks = point.peaks.as_deref()?;
         match self {
             Self::Energy | Self::WearLevel => None,
-            Self::Duration => point.duration_ms,
-            Self::MaxSpindleLoad => point.max_spindle_load_percent,
-            Self::MaxFeedDriveLoad => point.max_feed_drive_load_percent,
-            Self::MaxSpindlePower => point.max_spindle_power_watts,
-            Self::MaxThrust => point.max_thrust_newtons,
-            Self::MaxTorque => point.max_torque_newton_metres,
-            Self::MaxDepth => point.max_depth_mm,
+            Self::Duration => peaks.duration_ms,
+            Self::MaxSpindleLoad => peaks.max_spindle_load_percent,
+            Self::MaxFeedDriveLoad => peaks.max_feed_drive_load_percent,
+            Self::MaxSpindlePower => peaks.max_spindle_power_watts,
+            Self::MaxThrust => peaks.max_thrust_newtons,
+            Self::MaxTorque => peaks.max_torque_newton_metres,
+            Self::MaxDepth => peaks.max_depth_mm,
         }
     }
 }
@@ -161,19 +161,23 @@ pub struct SeriesKey {
 }
 
 impl SeriesKey {
-    fn energy(energy: &Energy, group: &str) -> Self {
-        let idle = match energy.idle {
-            IdlePower::NotApplicable => "not_applicable",
-            IdlePower::Included => "included",
-            IdlePower::Subtracted { .. } => "subtracted",
-        };
-        let basis = Some((energy.basis.as_str(), idle));
-        Self { measure: Measure::Energy, basis, group: group.to_owned() }
+    fn energy(energy: &PointEnergy, group: &str) -> Self {
+        Self { measure: Measure::Energy, basis: Some(basis(energy)), group: group.to_owned() }
     }
 
     fn plain(measure: Measure, group: &str) -> Self {
         Self { measure, basis: None, group: group.to_owned() }
     }
+}
+
+/// What an energy rests on, and what was done about idle power.
+const fn basis(energy: &PointEnergy) -> (&'static str, &'static str) {
+    let idle = match energy.idle {
+        IdlePower::NotApplicable => "not_applicable",
+        IdlePower::Included => "included",
+        IdlePower::Subtracted { .. } => "subtracted",
+    };
+    (energy.basis.as_str(), idle)
 }
 
 /// Width of a bucket in µs out of text as `500ms`, `30s`, `15m`, `1h`, `1d` or `2w`.
@@ -197,14 +201,10 @@ pub fn width_us(path: &str, text: &str) -> Result<i64, Violation> {
 }
 
 /// One cycle's value in a series.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Value {
-    /// When the cycle began.
-    pub at: Timestamp,
-    /// Its machine.
-    pub machine: String,
-    /// Its id.
-    pub cycle: String,
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Value<'a> {
+    /// Which cycle.
+    pub point: &'a CyclePoint,
     /// The value.
     pub value: f64,
 }

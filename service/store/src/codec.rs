@@ -28,10 +28,10 @@
 //! column: u8 form, then per value i64 m (forms 0..=9) or u64 bits (form 255)
 //! ```
 //!
-//! # Block format v2
+//! # Block format v3
 //!
 //! ```text
-//! "FB"  u8 version = 2
+//! "FB"  u8 version = 3
 //! varint samples per column       1 ..= the reader's limit
 //! u8 number of blocks             1 ..= 17
 //! u8 0, f64 bits of the period    or  u8 1: the first block holds the times
@@ -48,10 +48,16 @@
 //! coder `u8` bits of a usual residual, and then for each other `m` how far it is off its prediction, zig-zag:
 //!
 //! * predictors, over the values before, `a` the newest; until enough of them are there it is `a`: 0: `a` · 1: `2a − b` ·
-//!   2: `(a + b) >> 1` · 3: `(3(a + b) − (c + d)) >> 2`
+//!   2: `(a + b) >> 1` · 3: `(3(a + b) − (c + d)) >> 2` · the line of least squares through the last N values, rounded
+//!   down after adding half, with S their sum and J the sum of each times its place, 1 being the newest: 4 (N = 8):
+//!   `(17 S − 3 J) / 28` · 5 (N = 16): `(11 S − J) / 40`
 //! * coder 0x00, Rice: with parameter `k` the quotient by 2^k as ones and a zero, then `k` bits; 24 ones are followed by
 //!   64 bits. `k` is the bit length of 3/4 of the running mean, see `rice.rs`. Bits fill bytes from the top.
 //! * coder 0x10, an adaptive binary range coder, see `range.rs`, taken where a mean residual is no more than 1.5.
+//!
+//! # Block format v2
+//!
+//! It is still read. It differs in its version, and in that it has predictors 0 to 3 only.
 //!
 //! # Block format v1
 //!
@@ -59,8 +65,10 @@
 //! zig-zag varint of the first `m` and of each difference to the one before.
 
 mod column;
+pub(crate) mod digest;
 mod frame;
 mod hash;
+mod input;
 mod overrides;
 mod predict;
 mod range;

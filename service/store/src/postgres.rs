@@ -18,6 +18,7 @@ pub use open::PostgresOptions;
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
 use crate::locks::Locks;
+use crate::recent::Recent;
 use crate::record::DatabaseUsage;
 use crate::registry::Registry;
 use crate::rows::number;
@@ -93,6 +94,19 @@ impl PostgresStore {
 
     fn memory(&self) -> &Slot<engine::Memory> {
         &self.inner.memory
+    }
+
+    /// Nothing is kept of tools that were asked for: with Citus, what is counted on one worker and what is stored on
+    /// another need not be of one moment.
+    #[expect(clippy::unused_self, reason = "the other engine keeps some")]
+    fn recent(&self) -> Option<&Arc<Recent>> {
+        None
+    }
+
+    /// Other servers may write to the database.
+    #[expect(clippy::unused_self, reason = "the other engine's store knows")]
+    const fn is_alone(&self) -> bool {
+        false
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {

@@ -6,7 +6,7 @@ use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::plunge::Material;
 use feedwright_core::recommend::Recommendation;
-use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis};
+use feedwright_core::summary::{CycleSummary, EnergyBasis};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Strategy, Timestamp};
@@ -345,42 +345,6 @@ impl StoredCycle {
     pub const fn samples_are_gone(&self) -> bool {
         !self.has_samples && self.summary.sample_count > 0
     }
-}
-
-/// What a cycle amounted to, as a point of series.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CyclePoint {
-    /// When it began, on which machine, its id.
-    pub key: CycleKey,
-    /// Its tool.
-    pub tool: ToolId,
-    /// Its operation.
-    pub operation: OperationId,
-    /// Cycle time, ms.
-    pub duration_ms: Option<f64>,
-    /// Energy by basis, best basis first; the parts are left out.
-    pub energy: Vec<Energy>,
-    /// Largest depth, mm.
-    pub max_depth_mm: Option<f64>,
-    /// Largest spindle load, %.
-    pub max_spindle_load_percent: Option<f64>,
-    /// Largest feed-drive load, %.
-    pub max_feed_drive_load_percent: Option<f64>,
-    /// Largest spindle power, W.
-    pub max_spindle_power_watts: Option<f64>,
-    /// Largest thrust, N.
-    pub max_thrust_newtons: Option<f64>,
-    /// Largest torque, N·m.
-    pub max_torque_newton_metres: Option<f64>,
-}
-
-/// How much of its points a reader wants.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PointColumns {
-    /// Energies; the rest may be left out.
-    Energy,
-    /// Everything.
-    All,
 }
 
 /// How worn a tool was after a cycle.

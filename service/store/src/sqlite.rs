@@ -15,6 +15,7 @@ pub use open::SqliteOptions;
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
+use crate::recent::Recent;
 use crate::record::DatabaseUsage;
 use crate::registry::Registry;
 use crate::rows::number;
@@ -54,6 +55,8 @@ struct Inner {
     max_samples: usize,
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
+    recent: Arc<Recent>,
+    alone: bool,
 }
 
 impl SqliteStore {
@@ -68,6 +71,15 @@ impl SqliteStore {
 
     fn memory(&self) -> &Slot<engine::Memory> {
         &self.inner.memory
+    }
+
+    /// What is kept of tools that were asked for: one snapshot tells what is counted and what is stored.
+    fn recent(&self) -> Option<&Arc<Recent>> {
+        Some(&self.inner.recent)
+    }
+
+    fn is_alone(&self) -> bool {
+        self.inner.alone
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {

@@ -5,12 +5,13 @@ use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
 };
 use crate::notice::Notices;
+use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
-    CyclePoint, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
-    NewCycle, Page, PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round,
-    RowNumber, SampleDrop, SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
-    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings,
+    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::{ProfileVersion, Samples};
@@ -236,7 +237,7 @@ pub trait Store: Send + Sync + 'static {
         filter: &CycleFilter,
         told: PointColumns,
         limit: u32,
-    ) -> StoreResult<Vec<CyclePoint>>;
+    ) -> StoreResult<LastPoints>;
     /// How worn a tool was after each cycle that began within `from` to `to` (exclusive), at most `limit`.
     async fn levels(
         &self,

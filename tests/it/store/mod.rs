@@ -13,6 +13,7 @@ mod feed_profiles;
 mod log;
 mod models;
 pub(crate) mod operations;
+mod recent;
 mod registry;
 mod replicas;
 mod retention;

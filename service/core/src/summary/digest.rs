@@ -191,6 +191,28 @@ impl DepthDigest {
         feeds.len() >= 3 && highest <= CONSTANT_WITHIN * lowest
     }
 
+    /// Way (µm), time (10 µs) and energy (mJ) of each millimetre.
+    pub fn bins(&self) -> impl ExactSizeIterator<Item = [i64; 3]> + '_ {
+        self.bins.iter().map(|bin| [i64::from(bin.way), i64::from(bin.time), bin.energy])
+    }
+
+    /// Depth at which the sheet opened, µm.
+    pub const fn breakthrough_um(&self) -> Option<u32> {
+        self.breakthrough
+    }
+
+    /// The digest of [`DepthDigest::bins`] and [`DepthDigest::breakthrough_um`]; `None` where there can be none of them.
+    pub fn of_bins(bins: &[[i64; 3]], breakthrough_um: Option<u32>) -> Option<Self> {
+        if bins.is_empty() || bins.len() > MOST_DIGEST_BINS {
+            return None;
+        }
+        let bin = |&[way, time, energy]: &[i64; 3]| {
+            Some(DigestBin { way: u32::try_from(way).ok()?, time: u32::try_from(time).ok()?, energy })
+        };
+        let bins = bins.iter().map(bin).collect::<Option<Vec<_>>>()?;
+        Some(Self { bins, breakthrough: breakthrough_um })
+    }
+
     /// The stored form.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(2 + 8 * self.bins.len());
@@ -280,6 +302,8 @@ mod tests {
             let digest = DepthDigest { bins, breakthrough: None }.with_breakthrough(opened);
             let bytes = digest.to_bytes();
             prop_assert!(bytes.len() <= MOST_DIGEST_BYTES);
+            let columns: Vec<_> = digest.bins().collect();
+            prop_assert_eq!(DepthDigest::of_bins(&columns, digest.breakthrough_um()), Some(digest.clone()));
             prop_assert_eq!(DepthDigest::from_bytes(&bytes), Some(digest));
             prop_assert_eq!(DepthDigest::from_bytes(&bytes[..cut.index(bytes.len())]), None);
         }

@@ -1,15 +1,15 @@
 //! Series of what cycles amounted to: in buckets over time, or the last ones by themselves.
 
+use super::decimal;
 use super::dto::series::{BucketBody, BucketSeriesBody, SeriesBody, ValueSeriesBody};
 use super::dto::time;
 use super::export::{self, PIECE};
 use super::extract::Query;
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
-use crate::series::{self, Bucketed, GroupBy, MAX_LAST, Measure, Series, SeriesKey, Value};
+use crate::series::{self, Bucketed, GroupBy, LastCycles, MAX_LAST, Measure, Series, SeriesKey, Value};
 use crate::state::AppState;
 use crate::table::{Cell, Field, Format, Kind, Row};
-use axum::Json;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
@@ -20,6 +20,11 @@ use futures_util::stream;
 use http::{HeaderValue, header};
 use serde::Deserialize;
 use utoipa::IntoParams;
+
+/// What a bucket takes in JSON, in numbers.
+const VALUES_OF_BUCKET: usize = 16;
+/// What a cycle's value, time and ids take in JSON, in numbers.
+const VALUES_OF_CYCLE: usize = 8;
 
 /// Which series.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -59,7 +64,7 @@ pub(super) struct SeriesQuery {
     get, path = "/v1/series", tag = "series", params(SeriesQuery),
     responses(
         (status = 200, description = "The series", content(
-            (SeriesBody = "application/json"), (String = "text/csv"),
+            (SeriesBody<'static> = "application/json"), (String = "text/csv"),
             (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
         (status = 404, description = "Of that machine, tool or operation nothing is known",
             body = ProblemDocument<'static>),
@@ -81,6 +86,7 @@ pub(super) async fn get_series(
     }
     let turn = state.exports.turn().await?;
     let (store, filter) = (&*state.store, &asked.filter);
+    let cycles;
     let (answer, seen) = match asked.extent {
         Extent::Buckets(width_us) => {
             let (buckets, series, seen) =
@@ -88,8 +94,8 @@ pub(super) async fn get_series(
             (Answer::Buckets(buckets, series), seen)
         }
         Extent::Last(count) => {
-            let (series, seen) = series::last(store, filter, &asked.measures, asked.by, count).await?;
-            (Answer::Values(series), seen)
+            cycles = LastCycles::of(store, filter, &asked.measures, count).await?;
+            (Answer::Values(cycles.series(&asked.measures, asked.by)), cycles.count())
         }
     };
     drop(turn);
@@ -98,7 +104,7 @@ pub(super) async fn get_series(
     }
     if format == Format::Json && !asked.in_rows {
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
-        return Ok((vary, Json(answer.body(asked.by))).into_response());
+        return Ok((vary, decimal::answer(&answer.body(asked.by), answer.values())?).into_response());
     }
     let (fields, rows) = answer.table(asked.by);
     let pieces: Vec<_> = rows.chunks(PIECE).map(|rows| Ok(rows.to_vec())).collect();
@@ -200,13 +206,21 @@ impl Asked {
     }
 }
 
-enum Answer {
+enum Answer<'a> {
     Buckets(Buckets, Series<Bucketed>),
-    Values(Series<Vec<Value>>),
+    Values(Series<Vec<Value<'a>>>),
 }
 
-impl Answer {
-    fn body(&self, by: GroupBy) -> SeriesBody {
+impl Answer<'_> {
+    /// Numbers that an answer in JSON holds, each with its time and ids.
+    fn values(&self) -> usize {
+        match self {
+            Self::Buckets(buckets, series) => series.len() * buckets.count() * VALUES_OF_BUCKET,
+            Self::Values(series) => series.values().map(Vec::len).sum::<usize>() * VALUES_OF_CYCLE,
+        }
+    }
+
+    fn body(&self, by: GroupBy) -> SeriesBody<'_> {
         match self {
             Self::Buckets(buckets, series) => SeriesBody::Buckets {
                 by: by.as_str(),
@@ -229,10 +243,10 @@ impl Answer {
                     .map(|(key, values)| ValueSeriesBody {
                         key: key.into(),
                         group: group(key),
-                        time: values.iter().map(|value| time::show(value.at)).collect(),
-                        machine: values.iter().map(|value| value.machine.clone()).collect(),
-                        cycle_id: values.iter().map(|value| value.cycle.clone()).collect(),
-                        value: values.iter().map(|value| value.value).collect(),
+                        time: values,
+                        machine: values,
+                        cycle_id: values,
+                        value: values,
                     })
                     .collect(),
             },
@@ -283,9 +297,9 @@ impl Answer {
                 for (key, values) in series {
                     for value in values {
                         let mut row = vec![
-                            Cell::Time(value.at.micros()),
-                            Cell::from(value.machine.clone()),
-                            Cell::from(value.cycle.clone()),
+                            Cell::Time(value.point.key.0.micros()),
+                            Cell::from(value.point.key.1.as_str().to_owned()),
+                            Cell::from(value.point.key.2.as_str().to_owned()),
                         ];
                         row.extend(describe(key));
                         row.push(Cell::Float(value.value));
@@ -298,6 +312,6 @@ impl Answer {
     }
 }
 
-fn group(key: &SeriesKey) -> Option<String> {
-    (!key.group.is_empty()).then(|| key.group.clone())
+fn group(key: &SeriesKey) -> Option<&str> {
+    (!key.group.is_empty()).then_some(&key.group)
 }

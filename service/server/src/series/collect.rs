@@ -1,10 +1,10 @@
 //! Cycles into series, page by page: no more is kept than the bucket that is being filled.
 
-use super::{GroupBy, MAX_BUCKETS, MAX_CELLS, MAX_CYCLES, Measure, SeriesKey, Value, levels};
+use super::{GroupBy, MAX_BUCKETS, MAX_CELLS, MAX_CYCLES, Measure, SeriesKey, Value, basis, levels};
 use crate::http::problem::Problem;
 use feedwright_core::invalid::Violation;
 use feedwright_core::series::{Buckets, Spread};
-use feedwright_store::{CycleFilter, CyclePoint, Page, PointColumns, Store};
+use feedwright_store::{CycleFilter, CycleKey, CyclePoint, LastPoints, Page, PointColumns, Store};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Rows that are read at a time: a short read, so that no snapshot is held for long.
@@ -162,58 +162,78 @@ pub async fn bucketed(
     Ok((buckets, series, seen))
 }
 
-/// The newest cycles of what the filter names, one by one, oldest first.
-pub async fn last(
-    store: &dyn Store,
-    filter: &CycleFilter,
-    measures: &[Measure],
-    by: GroupBy,
-    limit: u32,
-) -> Result<(Series<Vec<Value>>, usize), Problem> {
-    let energy = measures.iter().all(|measure| matches!(measure, Measure::Energy | Measure::WearLevel));
-    let told = if energy { PointColumns::Energy } else { PointColumns::All };
-    let points = store.last_points(filter, told, limit).await?;
-    let levels = match (measures.contains(&Measure::WearLevel), points.first(), points.last()) {
-        (true, Some(first), Some(last)) => {
-            let range = CycleFilter {
-                from: Some(first.key.0),
-                to: Some(feedwright_core::units::Timestamp::from_micros(
-                    last.key.0.micros().saturating_add(1),
-                )),
-                ..filter.clone()
-            };
-            let tools: BTreeSet<_> = points.iter().map(|point| point.tool.clone()).collect();
-            levels::by_cycle(store, &range, &tools).await?
-        }
-        _ => BTreeMap::new(),
-    };
-    let mut series = Series::<Vec<Value>>::new();
-    for point in &points {
-        let (at, machine, cycle) = &point.key;
-        let group = by.of(machine.as_str(), point.tool.as_str(), point.operation.as_str());
-        let mut add = |key: SeriesKey, value: f64| {
-            let (machine, cycle) = (machine.as_str().to_owned(), cycle.as_str().to_owned());
-            series.entry(key).or_default().push(Value { at: *at, machine, cycle, value });
+/// The newest cycles of what was asked for, oldest first.
+#[derive(Debug)]
+pub struct LastCycles {
+    points: LastPoints,
+    levels: BTreeMap<CycleKey, f64>,
+}
+
+impl LastCycles {
+    /// The newest `limit` of what the filter names.
+    pub async fn of(
+        store: &dyn Store,
+        filter: &CycleFilter,
+        measures: &[Measure],
+        limit: u32,
+    ) -> Result<Self, Problem> {
+        let energy = measures.iter().all(|measure| matches!(measure, Measure::Energy | Measure::WearLevel));
+        let told = if energy { PointColumns::Energy } else { PointColumns::All };
+        let points = store.last_points(filter, told, limit).await?;
+        let levels = match (measures.contains(&Measure::WearLevel), points.first(), points.last()) {
+            (true, Some(first), Some(last)) => {
+                let range = CycleFilter {
+                    from: Some(first.key.0),
+                    to: Some(feedwright_core::units::Timestamp::from_micros(
+                        last.key.0.micros().saturating_add(1),
+                    )),
+                    ..filter.clone()
+                };
+                let tools: BTreeSet<_> = points.iter().map(|point| point.tool.clone()).collect();
+                levels::by_cycle(store, &range, &tools).await?
+            }
+            _ => BTreeMap::new(),
         };
-        for &measure in measures {
-            match measure {
-                Measure::Energy => {
-                    for energy in &point.energy {
-                        add(SeriesKey::energy(energy, group), energy.total_joules);
+        Ok(Self { points, levels })
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.points.len()
+    }
+
+    /// What they tell, cycle by cycle.
+    pub fn series(&self, measures: &[Measure], by: GroupBy) -> Series<Vec<Value<'_>>> {
+        let mut series = BTreeMap::<_, Vec<Value<'_>>>::new();
+        for point in self.points.iter() {
+            let group = by.of(point.key.1.as_str(), point.tool.as_str(), point.operation.as_str());
+            let mut add = |measure: Measure, basis, value: f64| {
+                let values = series.entry((measure, basis, group)).or_default();
+                values.push(Value { point, value });
+            };
+            for &measure in measures {
+                match measure {
+                    Measure::Energy => {
+                        for energy in &point.energy {
+                            add(measure, Some(basis(energy)), energy.total_joules);
+                        }
                     }
-                }
-                Measure::WearLevel => {
-                    if let Some(level) = levels.get(&point.key) {
-                        add(SeriesKey::plain(measure, group), *level);
+                    Measure::WearLevel => {
+                        if let Some(level) = self.levels.get(&point.key) {
+                            add(measure, None, *level);
+                        }
                     }
-                }
-                plain => {
-                    if let Some(value) = plain.of(point) {
-                        add(SeriesKey::plain(plain, group), value);
+                    plain => {
+                        if let Some(value) = plain.of(point) {
+                            add(measure, None, value);
+                        }
                     }
                 }
             }
         }
+        let named = |((measure, basis, group), values): ((_, _, &str), _)| {
+            (SeriesKey { measure, basis, group: group.to_owned() }, values)
+        };
+        series.into_iter().map(named).collect()
     }
-    Ok((series, points.len()))
 }

@@ -1,6 +1,7 @@
-//! Block format: writing version 2, and reading both versions, which trusts nothing.
+//! Block format: writing version 3, and reading all versions, which trusts nothing.
 
 use super::column::{Column, Columns, MAX_SCALE, Time};
+use super::input::{Input, MAX_VARINT, put_varint};
 use super::predict::{Predictor, restore, unzigzag, zigzag};
 use super::range::{RangeReader, RangeWriter};
 use super::rice::{self, BitReader, BitWriter};
@@ -10,15 +11,13 @@ use std::cell::RefCell;
 
 const MAGIC: [u8; 2] = *b"FB";
 const FIRST: u8 = 1;
-const SECOND: u8 = 2;
+const THIRD: u8 = 3;
 const EXACT: u8 = 15;
 const COMPRESSED: u8 = 0x80;
 const TIMES: u8 = 0;
 const CHECKSUM: usize = 8;
 /// Channels and times.
 const MAX_BLOCKS: usize = 17;
-/// Longest varint of a 64-bit integer.
-const MAX_VARINT: usize = 10;
 const LEVEL: i32 = 1;
 
 thread_local! {
@@ -33,7 +32,7 @@ const RANGE: u8 = 0x10;
 /// Residuals, zig-zag, below this mean go to the range coder: a Rice code spends a bit on each, however sure it is.
 const SURE: f64 = 1.5;
 
-/// Writes samples in block format v2.
+/// Writes samples in block format v3.
 pub fn encode_samples(samples: &Samples) -> Vec<u8> {
     encode_columns(&Columns::of(samples))
 }
@@ -41,7 +40,7 @@ pub fn encode_samples(samples: &Samples) -> Vec<u8> {
 pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
     let mut out = Vec::with_capacity(64 + columns.len * columns.channels.len());
     out.extend_from_slice(&MAGIC);
-    out.push(SECOND);
+    out.push(THIRD);
     put_varint(&mut out, columns.len as u64);
     let stamps = usize::from(matches!(columns.time, Time::Stamps(_)));
     out.push(u8::try_from(columns.channels.len() + stamps).unwrap_or(u8::MAX));
@@ -142,16 +141,7 @@ fn planes(bits: &[u64]) -> Vec<u8> {
     out
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "seven bits at a time")]
-fn put_varint(out: &mut Vec<u8>, mut value: u64) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
-/// Reads block formats v1 and v2. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
+/// Reads block formats v1 to v3. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
 /// than that many values per channel whatever the bytes claim.
 pub fn decode_samples(bytes: &[u8], max_samples: usize) -> StoreResult<Samples> {
     read(bytes, max_samples).map_err(|what| StoreError::Damaged { what: format!("sample block: {what}") })
@@ -172,8 +162,8 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
         return Err("not a sample block");
     }
     let version = input.byte()?;
-    if version != FIRST && version != SECOND {
-        return Err("not block format v1 or v2");
+    if !(FIRST..=THIRD).contains(&version) {
+        return Err("not block format v1, v2 or v3");
     }
     let len = input.length()?;
     if len == 0 || len > max_samples {
@@ -207,44 +197,12 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
     Samples::new(time, columns, max_samples).map_err(|_| "values out of range")
 }
 
-struct Input<'a>(&'a [u8]);
-
-impl<'a> Input<'a> {
-    fn take(&mut self, count: usize) -> Result<&'a [u8], &'static str> {
-        let (taken, rest) = self.0.split_at_checked(count).ok_or("too short")?;
-        self.0 = rest;
-        Ok(taken)
-    }
-
-    fn byte(&mut self) -> Result<u8, &'static str> {
-        Ok(self.take(1)?[0])
-    }
-
-    fn varint(&mut self) -> Result<u64, &'static str> {
-        let mut value = 0_u64;
-        for shift in (0..64).step_by(7) {
-            let byte = self.byte()?;
-            let bits = u64::from(byte & 0x7f);
-            if shift == 63 && bits > 1 {
-                return Err("varint overflows");
-            }
-            value |= bits << shift;
-            if byte & 0x80 == 0 {
-                return Ok(value);
-            }
-        }
-        Err("varint overflows")
-    }
-
-    fn length(&mut self) -> Result<usize, &'static str> {
-        usize::try_from(self.varint()?).map_err(|_| "length overflows")
-    }
-
+impl Input<'_> {
     fn column(&mut self, version: u8, len: usize) -> Result<Column, &'static str> {
         let form = self.byte()?;
-        if version == SECOND && form <= MAX_SCALE {
+        if version != FIRST && form <= MAX_SCALE {
             let stored = self.length()?;
-            return restored(self.take(stored)?, len, form);
+            return restored(self.take(stored)?, len, (version, form));
         }
         let (compressed, form) = (form & COMPRESSED != 0, form & !COMPRESSED);
         let plain_length = self.length()?;
@@ -282,11 +240,13 @@ fn decompress(packed: &[u8], plain_length: usize) -> Result<Vec<u8>, &'static st
     })
 }
 
-/// A decimal column of version 2. `len` is within the reader's limit.
-fn restored(packed: &[u8], len: usize, scale: u8) -> Result<Column, &'static str> {
+/// A decimal column since version 2. `len` is within the reader's limit.
+fn restored(packed: &[u8], len: usize, (version, scale): (u8, u8)) -> Result<Column, &'static str> {
     let mut input = Input(packed);
     let coding = input.byte()?;
-    let predictor = Predictor::from_code(coding & 0x0f).ok_or("unknown predictor")?;
+    let predictor = Predictor::from_code(coding & 0x0f)
+        .filter(|predictor| version >= THIRD || !predictor.is_fit())
+        .ok_or("unknown predictor")?;
     // Blocks were written in which a column of nothing but zeros had lost the zero that it begins with.
     let all_zero = coding & 0xf0 == RANGE && input.0.is_empty();
     let first = if all_zero { 0 } else { unzigzag(input.varint()?) };

@@ -11,12 +11,14 @@ use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
 };
 use crate::notice::Notices;
+use crate::point::{CyclePoint, LastPoints, PointColumns};
+use crate::recent::{Group, Kept, Recent};
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
-    CyclePoint, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
-    NewCycle, Page, PointColumns, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round,
-    RowNumber, SampleDrop, SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
-    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings,
+    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -75,8 +77,10 @@ impl Engine {
             let cycles = Arc::clone(group);
             let registry = Arc::clone(self.registry());
             let mut memory = self.memory().take();
+            let touched = self.recent().map(|recent| Group::of(Arc::clone(group), Arc::clone(recent)));
             let group = self.write_group(move |conn| {
                 Box::pin(async move {
+                    let _until_committed = touched;
                     let known = (&*registry, &mut memory);
                     let (answers, written) = commit::group(conn, &cycles, now, settings, known).await?;
                     Ok(((answers, memory), written))
@@ -96,6 +100,65 @@ impl Engine {
                 Err(error) => return Err(error),
             }
         }
+    }
+}
+
+/// Cycles that came since a tool was asked for, beyond which all that is wanted of it is read again.
+const MOST_NEW: i64 = 128;
+/// Cycles that may come between two statements, and the one before them, which has to be known.
+const SPARE: i64 = 8;
+
+impl Engine {
+    /// The energies of a tool's newest cycles, of what is kept where nothing else is stored by now.
+    async fn last_energies(&self, recent: &Recent, tool: &ToolId, limit: u32) -> StoreResult<LastPoints> {
+        let (kept, groups) = (recent.get(tool), recent.groups());
+        if let Some(kept) = &kept {
+            if let Some(points) =
+                (kept.fresh && self.is_alone()).then(|| kept.answer(limit as usize)).flatten()
+            {
+                return Ok(points);
+            }
+            let cycles = series::cycles_of_tool(&mut *self.reader().await?, tool).await?;
+            let new = cycles.map_or(i64::MAX, |cycles| cycles.saturating_sub(kept.cycles));
+            if let Some(points) = (new == 0).then(|| kept.answer(limit as usize)).flatten() {
+                recent.confirm(tool, kept.cycles, groups);
+                return Ok(points);
+            }
+            if (1..=MOST_NEW).contains(&new)
+                && let Some(kept) = self.with_newest(tool, kept, new + SPARE).await?
+                && let Some(points) = kept.answer(limit as usize)
+            {
+                recent.keep(tool, kept, groups);
+                return Ok(points);
+            }
+        }
+        let wanted = kept.map_or(limit, |kept| limit.max(u32::try_from(kept.asked).unwrap_or(limit)));
+        let (cycles, points) = self.counted_points(tool, wanted).await?;
+        let Some(cycles) = cycles else {
+            return Ok(LastPoints::newest(Arc::new(points), limit as usize));
+        };
+        let kept = Kept::new(cycles, points, wanted as usize);
+        let points = kept.newest(limit as usize);
+        recent.keep(tool, kept, groups);
+        Ok(points)
+    }
+
+    /// What is kept of a tool with the cycles that came since, where they are few and newer than it.
+    async fn with_newest(&self, tool: &ToolId, kept: &Kept, most: i64) -> StoreResult<Option<Kept>> {
+        let (cycles, mut points) = self.counted_points(tool, u32::try_from(most).unwrap_or(0)).await?;
+        let new = cycles.and_then(|cycles| usize::try_from(cycles.saturating_sub(kept.cycles)).ok());
+        points.reverse();
+        Ok(new.and_then(|new| kept.and(new, points)))
+    }
+
+    /// How many cycles of a tool are stored, where that is known, and the newest of them, of one moment.
+    async fn counted_points(&self, tool: &ToolId, limit: u32) -> StoreResult<(Option<i64>, Vec<CyclePoint>)> {
+        let of_tool = CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() };
+        let tool = tool.clone();
+        snapshot!(self, |conn| {
+            let cycles = series::cycles_of_tool(conn, &tool).await?;
+            Ok((cycles, series::last_points(conn, &of_tool, PointColumns::Energy, limit).await?))
+        })
     }
 }
 
@@ -414,8 +477,14 @@ impl Store for Engine {
         filter: &CycleFilter,
         told: PointColumns,
         limit: u32,
-    ) -> StoreResult<Vec<CyclePoint>> {
-        series::last_points(&mut *self.reader().await?, filter, told, limit).await
+    ) -> StoreResult<LastPoints> {
+        match (self.recent(), filter) {
+            (
+                Some(recent),
+                CycleFilter { tool: Some(tool), machine: None, operation: None, from: None, to: None },
+            ) if told == PointColumns::Energy => self.last_energies(recent, tool, limit).await,
+            _ => Ok(series::last_points(&mut *self.reader().await?, filter, told, limit).await?.into()),
+        }
     }
 
     async fn levels(

@@ -4,10 +4,12 @@ use super::wear::{self, ToolWear};
 use super::{Conn, Db};
 use crate::error::StoreResult;
 use crate::history::Walk;
-use crate::record::{CycleFilter, CycleKey, CyclePoint, LevelPoint, Page, PointColumns};
+use crate::point::{CyclePoint, PointColumns, PointEnergy, PointPeaks};
+use crate::record::{CycleFilter, CycleKey, LevelPoint, Page};
 use crate::rows::id;
-use feedwright_core::ids::{MachineId, OperationId, ToolId};
-use feedwright_core::summary::{Energy, EnergyBasis, IdlePower};
+use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
+use feedwright_core::invalid::Violation;
+use feedwright_core::summary::{EnergyBasis, IdlePower};
 use feedwright_core::units::Timestamp;
 use sqlx::Row;
 
@@ -74,46 +76,68 @@ macro_rules! of_subject {
 
 type DbRow = <Db as sqlx::Database>::Row;
 
-fn point(row: &DbRow) -> StoreResult<CyclePoint> {
+/// An id that is that of the row before, or one of its own: most rows of a series share them.
+fn shared<'r, T>(column: &str, text: &'r str, before: Option<&T>) -> StoreResult<T>
+where
+    T: TryFrom<&'r str, Error = Violation> + Clone + PartialEq<str>,
+{
+    match before {
+        Some(before) if *before == *text => Ok(before.clone()),
+        _ => id(column, text),
+    }
+}
+
+fn peaks(row: &DbRow) -> StoreResult<PointPeaks> {
+    let number = |at: usize| row.try_get::<Option<f64>, _>(ENERGY_COLUMNS + at);
+    Ok(PointPeaks {
+        duration_ms: number(0)?,
+        max_depth_mm: number(1)?,
+        max_spindle_load_percent: number(2)?,
+        max_feed_drive_load_percent: number(3)?,
+        max_spindle_power_watts: number(4)?,
+        max_thrust_newtons: number(5)?,
+        max_torque_newton_metres: number(6)?,
+    })
+}
+
+/// A row's point; `before` is that of the row before.
+fn point(row: &DbRow, before: Option<&CyclePoint>) -> StoreResult<CyclePoint> {
     let number = |at: usize| row.try_get::<Option<f64>, _>(at);
-    let rest = |at: usize| {
-        let place = ENERGY_COLUMNS + at;
-        if place < row.len() { number(place) } else { Ok(None) }
-    };
-    let idle = match number(8)? {
-        Some(watts) => IdlePower::Subtracted { watts },
-        None => IdlePower::Included,
-    };
     let mut energy = Vec::with_capacity(2);
-    for (basis, at, idle) in [
-        (EnergyBasis::Dynamometer, 5, IdlePower::NotApplicable),
-        (EnergyBasis::Calibrated, 6, IdlePower::NotApplicable),
-        (EnergyBasis::MeasuredPower, 7, idle),
-        (EnergyBasis::RatedPower, 9, IdlePower::Included),
-        (EnergyBasis::Reported, 10, IdlePower::Included),
+    for (basis, at) in [
+        (EnergyBasis::Dynamometer, 5),
+        (EnergyBasis::Calibrated, 6),
+        (EnergyBasis::MeasuredPower, 7),
+        (EnergyBasis::RatedPower, 9),
+        (EnergyBasis::Reported, 10),
     ] {
         if let Some(total_joules) = number(at)? {
-            energy.push(Energy { basis, total_joules, spindle_joules: None, feed_drive_joules: None, idle });
+            let idle = match (basis, number(8)?) {
+                (EnergyBasis::Dynamometer | EnergyBasis::Calibrated, _) => IdlePower::NotApplicable,
+                (EnergyBasis::MeasuredPower, Some(watts)) => IdlePower::Subtracted { watts },
+                _ => IdlePower::Included,
+            };
+            energy.push(PointEnergy { basis, total_joules, idle });
         }
     }
-    let key = (
-        Timestamp::from_micros(row.try_get(0)?),
-        id("machine_id", row.try_get(1)?)?,
-        id("cycle_id", row.try_get(2)?)?,
-    );
+    let machine: MachineId = shared("machine_id", row.try_get(1)?, before.map(|point| &point.key.1))?;
+    let cycle: CycleId = id("cycle_id", row.try_get(2)?)?;
     Ok(CyclePoint {
-        key,
-        tool: id("tool_id", row.try_get(3)?)?,
-        operation: id("operation_id", row.try_get(4)?)?,
-        duration_ms: rest(0)?,
+        key: (Timestamp::from_micros(row.try_get(0)?), machine, cycle),
+        tool: shared("tool_id", row.try_get(3)?, before.map(|point| &point.tool))?,
+        operation: shared("operation_id", row.try_get(4)?, before.map(|point| &point.operation))?,
         energy,
-        max_depth_mm: rest(1)?,
-        max_spindle_load_percent: rest(2)?,
-        max_feed_drive_load_percent: rest(3)?,
-        max_spindle_power_watts: rest(4)?,
-        max_thrust_newtons: rest(5)?,
-        max_torque_newton_metres: rest(6)?,
+        peaks: (row.len() > ENERGY_COLUMNS).then(|| peaks(row).map(Box::new)).transpose()?,
     })
+}
+
+fn points_of<'r>(rows: impl ExactSizeIterator<Item = &'r DbRow>) -> StoreResult<Vec<CyclePoint>> {
+    let mut points = Vec::with_capacity(rows.len());
+    for row in rows {
+        let next = point(row, points.last())?;
+        points.push(next);
+    }
+    Ok(points)
 }
 
 pub(super) async fn points(
@@ -137,7 +161,7 @@ pub(super) async fn points(
         .bind(i64::from(page.limit))
         .fetch_all(&mut *conn)
         .await?;
-    rows.iter().map(point).collect()
+    points_of(rows.iter())
 }
 
 // Every engine begins at the newest entry of the index and stops after the last one wanted.
@@ -184,7 +208,19 @@ pub(super) async fn last_points(
         .bind(i64::from(limit))
         .fetch_all(&mut *conn)
         .await?;
-    rows.iter().rev().map(point).collect()
+    points_of(rows.iter().rev())
+}
+
+/// How many cycles of a tool are stored, where it is registered: each of them is counted in a fold, in the transaction
+/// that stores it.
+pub(super) async fn cycles_of_tool(conn: &mut Conn, tool: &ToolId) -> StoreResult<Option<i64>> {
+    Ok(sqlx::query_scalar::<Db, _>(
+        "SELECT CAST(SUM(w.folded) AS BIGINT) FROM tool_wear w
+         WHERE w.tool_id = $1 AND EXISTS (SELECT 1 FROM tools t WHERE t.tool_id = $1)",
+    )
+    .bind(tool.as_str())
+    .fetch_one(&mut *conn)
+    .await?)
 }
 
 /// The level after each cycle of a tool that began within the range, as the fold over all its machines has it.

@@ -1,10 +1,11 @@
 //! The row of a cycle: its columns, and the way from a cycle to its row and back.
 
 use super::{ReportedCutRow, count, float, id, number, word};
+use crate::codec::digest;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
 use feedwright_core::cycle::{Cycle, CycleDraft, Flag, Flags, Outcome, ProfileVersion, Reported, Samples};
-use feedwright_core::summary::{CycleSummary, DepthDigest, Energy, EnergyBasis, IdlePower, Peak};
+use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis, IdlePower, Peak};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 
 /// Hands every column of `cycles`, with its type and placeholder, to a macro: the list stands once.
@@ -239,7 +240,7 @@ impl CycleRow {
             reported_mean_feed_drive_load_percent: reported.mean_feed_drive_load_percent,
             reported_operator_override_percent: reported.operator_override_percent,
             energy_scale: summary.energy_scale,
-            depth_digest: summary.digest.as_ref().map(DepthDigest::to_bytes),
+            depth_digest: summary.digest.as_ref().map(digest::pack),
         };
         row.settle_quantities()?;
         if row.energy() != summary.energy {

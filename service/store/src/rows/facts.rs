@@ -13,7 +13,7 @@ use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey};
 
 /// The stored digest.
 pub(super) fn digest(bytes: &[u8]) -> StoreResult<DepthDigest> {
-    DepthDigest::from_bytes(bytes).ok_or_else(|| damaged("depth_digest"))
+    crate::codec::digest::unpack(bytes).ok_or_else(|| damaged("depth_digest"))
 }
 
 /// What wear needs of one cycle.

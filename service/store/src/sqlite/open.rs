@@ -47,6 +47,9 @@ pub struct SqliteOptions {
     pub max_samples: usize,
     /// Time between two checkpoints.
     pub checkpoint_every: Duration,
+    /// Whether somebody answers for it that no other store of this file commits cycles as long as this one is open, as
+    /// who holds the lock on the data directory does.
+    pub alone: bool,
 }
 
 impl Default for SqliteOptions {
@@ -56,6 +59,7 @@ impl Default for SqliteOptions {
             patience: Duration::from_secs(5),
             max_samples: DEFAULT_MAX_SAMPLES,
             checkpoint_every: Duration::from_millis(250),
+            alone: false,
         }
     }
 }
@@ -92,6 +96,8 @@ impl SqliteStore {
                 max_samples: options.max_samples,
                 registry: Arc::default(),
                 memory: Slot::default(),
+                recent: Arc::default(),
+                alone: options.alone,
             }),
         })
     }

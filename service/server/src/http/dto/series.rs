@@ -1,29 +1,29 @@
 //! Series in JSON.
 
 use super::time;
-use crate::series::SeriesKey;
+use crate::series::{SeriesKey, Value};
 use feedwright_core::series::Spread;
 use feedwright_core::units::Timestamp;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use utoipa::ToSchema;
 
 /// Series of what cycles amounted to.
 #[derive(Debug, Serialize, ToSchema)]
 #[serde(untagged)]
-pub enum SeriesBody {
+pub enum SeriesBody<'a> {
     /// In buckets over time.
     Buckets {
         /// By what cycles are put together: `fleet`, `machine`, `tool` or `operation`.
         by: &'static str,
         /// A series per measure, basis and group.
-        series: Vec<BucketSeriesBody>,
+        series: Vec<BucketSeriesBody<'a>>,
     },
     /// The last cycles by themselves.
     Cycles {
         /// By what cycles are put together.
         by: &'static str,
         /// A series per measure, basis and group.
-        series: Vec<ValueSeriesBody>,
+        series: Vec<ValueSeriesBody<'a>>,
     },
 }
 
@@ -59,13 +59,13 @@ impl From<&SeriesKey> for SeriesName {
 
 /// A series in buckets.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct BucketSeriesBody {
+pub struct BucketSeriesBody<'a> {
     /// What it tells.
     #[serde(flatten)]
     pub key: SeriesName,
     /// The machine, tool or operation.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub group: Option<String>,
+    pub group: Option<&'a str>,
     /// Every bucket of the range.
     pub points: Vec<BucketBody>,
 }
@@ -106,19 +106,52 @@ impl BucketBody {
 
 /// A series of single cycles, in columns of equal length, oldest first.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct ValueSeriesBody {
+pub struct ValueSeriesBody<'a> {
     /// What it tells.
     #[serde(flatten)]
     pub key: SeriesName,
     /// The machine, tool or operation.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub group: Option<String>,
+    pub group: Option<&'a str>,
     /// When each cycle began, RFC 3339.
-    pub time: Vec<String>,
+    #[serde(serialize_with = "times")]
+    #[schema(value_type = Vec<String>)]
+    pub time: &'a [Value<'a>],
     /// The machine of each.
-    pub machine: Vec<String>,
+    #[serde(serialize_with = "machines")]
+    #[schema(value_type = Vec<String>)]
+    pub machine: &'a [Value<'a>],
     /// The id of each.
-    pub cycle_id: Vec<String>,
+    #[serde(serialize_with = "cycles")]
+    #[schema(value_type = Vec<String>)]
+    pub cycle_id: &'a [Value<'a>],
     /// The value of each.
-    pub value: Vec<f64>,
+    #[serde(serialize_with = "values")]
+    #[schema(value_type = Vec<f64>)]
+    pub value: &'a [Value<'a>],
+}
+
+/// A time as [`time::show`] shows it, without a text of its own.
+struct Shown(Timestamp);
+
+impl Serialize for Shown {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&time::shown(self.0))
+    }
+}
+
+fn times<S: Serializer>(of: &[Value<'_>], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(of.iter().map(|value| Shown(value.point.key.0)))
+}
+
+fn machines<S: Serializer>(of: &[Value<'_>], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(of.iter().map(|value| value.point.key.1.as_str()))
+}
+
+fn cycles<S: Serializer>(of: &[Value<'_>], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(of.iter().map(|value| value.point.key.2.as_str()))
+}
+
+fn values<S: Serializer>(of: &[Value<'_>], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(of.iter().map(|value| value.value))
 }

@@ -12,7 +12,12 @@ fn in_range(at: Timestamp) -> jiff::Timestamp {
 
 /// A time as JSON shows it, with as many digits as it needs.
 pub fn show(at: Timestamp) -> String {
-    in_range(at).to_string()
+    shown(at).to_string()
+}
+
+/// What shows a time as [`show`] does, without a text of its own.
+pub fn shown(at: Timestamp) -> impl std::fmt::Display {
+    in_range(at)
 }
 
 /// Writes a time as [`show`] shows it. Into memory this cannot fail.
