@@ -204,12 +204,11 @@ impl LastCycles {
 
     /// What they tell, cycle by cycle.
     pub fn series(&self, measures: &[Measure], by: GroupBy) -> Series<Vec<Value<'_>>> {
-        let mut series = BTreeMap::<_, Vec<Value<'_>>>::new();
+        let mut series = Found::default();
         for point in self.points.iter() {
             let group = by.of(point.key.1.as_str(), point.tool.as_str(), point.operation.as_str());
             let mut add = |measure: Measure, basis, value: f64| {
-                let values = series.entry((measure, basis, group)).or_default();
-                values.push(Value { point, value });
+                series.values_of((measure, basis, group), self.points.len()).push(Value { point, value });
             };
             for &measure in measures {
                 match measure {
@@ -231,9 +230,38 @@ impl LastCycles {
                 }
             }
         }
-        let named = |((measure, basis, group), values): ((_, _, &str), _)| {
+        let named = |((measure, basis, group), values): (Key<'_>, _)| {
             (SeriesKey { measure, basis, group: group.to_owned() }, values)
         };
-        series.into_iter().map(named).collect()
+        series.all.into_iter().map(named).collect()
+    }
+}
+
+/// What tells series apart, borrowed.
+type Key<'a> = (Measure, Option<(&'static str, &'static str)>, &'a str);
+
+/// Series in the order in which they were met.
+#[derive(Default)]
+struct Found<'a> {
+    all: Vec<(Key<'a>, Vec<Value<'a>>)>,
+    places: BTreeMap<Key<'a>, usize>,
+    last: usize,
+}
+
+impl<'a> Found<'a> {
+    /// The values of that series, which is made for so many where it is new.
+    fn values_of(&mut self, key: Key<'a>, most: usize) -> &mut Vec<Value<'a>> {
+        // Most cycles tell the same in the same order as the one before.
+        let next = if self.last + 1 < self.all.len() { self.last + 1 } else { 0 };
+        self.last = match self.all.get(next) {
+            Some((known, _)) if *known == key => next,
+            _ => *self.places.entry(key).or_insert(self.all.len()),
+        };
+        if self.last == self.all.len() {
+            // Of many groups none has all of them.
+            let room = if self.all.is_empty() { most } else { 0 };
+            self.all.push((key, Vec::with_capacity(room)));
+        }
+        &mut self.all[self.last].1
     }
 }
