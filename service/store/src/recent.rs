@@ -1,8 +1,8 @@
 //! Energies of the newest cycles of those tools that are asked for, kept so that they need not be read again.
 //!
-//! What is kept of a tool is held against how many of its cycles are stored: cycles are never changed and never removed,
-//! so that an equal count means the same cycles. Where nobody else writes to the database it need not be asked as long as
-//! no group with a cycle of the tool was committed.
+//! What is kept of a tool is held against how many of its cycles are stored: cycles are never changed and never
+//! removed, so that an equal count means the same cycles. Where nobody else writes to the database it need not be asked
+//! as long as no group with a cycle of the tool is being committed, or was.
 
 use crate::point::{CyclePoint, LastPoints};
 use crate::record::NewCycle;
@@ -10,7 +10,7 @@ use feedwright_core::ids::ToolId;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Points that are kept in all, some 200 bytes each.
+/// Points that are kept in all, 200 to 300 bytes each.
 const MOST_POINTS: usize = 24_576;
 /// Most points asked for of one tool that are kept.
 const MOST_OF_TOOL: usize = 2_048;
@@ -74,6 +74,8 @@ struct Shelf {
     points: usize,
     /// Groups that ended.
     groups: u64,
+    /// Cycles by tool in groups that are being committed: they may be visible already.
+    under_way: HashMap<ToolId, usize>,
     tools: HashMap<ToolId, Kept>,
 }
 
@@ -92,10 +94,10 @@ impl Recent {
     pub(crate) fn get(&self, tool: &ToolId) -> Option<Kept> {
         let mut shelf = self.shelf();
         shelf.questions += 1;
-        let now = shelf.questions;
+        let (now, quiet) = (shelf.questions, !shelf.under_way.contains_key(tool));
         let kept = shelf.tools.get_mut(tool)?;
         kept.used = now;
-        Some(kept.clone())
+        Some(Kept { fresh: kept.fresh && quiet, ..kept.clone() })
     }
 
     /// Groups that have ended by now: what is read from here on holds their cycles.
@@ -112,11 +114,25 @@ impl Recent {
         }
     }
 
-    /// A group with cycles of these tools has ended, whatever came of it.
+    /// A group with cycles of these tools is going to be committed.
+    fn begun<'a>(&self, tools: impl Iterator<Item = &'a ToolId>) {
+        let mut shelf = self.shelf();
+        for tool in tools {
+            *shelf.under_way.entry(tool.clone()).or_default() += 1;
+        }
+    }
+
+    /// The same group has ended, whatever came of it.
     fn ended<'a>(&self, tools: impl Iterator<Item = &'a ToolId>) {
         let mut shelf = self.shelf();
         shelf.groups += 1;
         for tool in tools {
+            if let Some(cycles) = shelf.under_way.get_mut(tool) {
+                *cycles -= 1;
+                if *cycles == 0 {
+                    shelf.under_way.remove(tool);
+                }
+            }
             if let Some(kept) = shelf.tools.get_mut(tool) {
                 kept.fresh = false;
             }
@@ -127,14 +143,12 @@ impl Recent {
     pub(crate) fn keep(&self, tool: &ToolId, mut kept: Kept, groups: u64) {
         let mut shelf = self.shelf();
         kept.fresh = groups == shelf.groups;
-        if shelf.tools.get(tool).is_some_and(|before| before.cycles > kept.cycles) {
+        let newer = shelf.tools.get(tool).is_some_and(|before| before.cycles > kept.cycles);
+        if newer || kept.asked > MOST_OF_TOOL {
             return;
         }
         kept.used = shelf.questions;
         shelf.forget(tool);
-        if kept.asked > MOST_OF_TOOL {
-            return;
-        }
         while shelf.points + kept.points.len() > MOST_POINTS {
             let longest_unused = shelf.tools.iter().min_by_key(|(_, kept)| kept.used);
             let Some((unused, _)) = longest_unused else { return };
@@ -146,7 +160,7 @@ impl Recent {
     }
 }
 
-/// A group that is being committed: when this is dropped, before anybody is told of it, its tools are touched.
+/// A group that is being committed. It is dropped before anybody is told what came of it.
 #[derive(Debug)]
 pub(crate) struct Group {
     recent: Arc<Recent>,
@@ -154,7 +168,8 @@ pub(crate) struct Group {
 }
 
 impl Group {
-    pub(crate) const fn of(cycles: Arc<[NewCycle]>, recent: Arc<Recent>) -> Self {
+    pub(crate) fn of(cycles: Arc<[NewCycle]>, recent: Arc<Recent>) -> Self {
+        recent.begun(cycles.iter().map(|new| &new.cycle.tool));
         Self { recent, cycles }
     }
 }
@@ -245,7 +260,11 @@ mod tests {
         assert!(recent.get(&tool(1)).is_none());
         assert!(recent.get(&tool(room)).is_some());
         recent.keep(&tool(0), Kept::new(long + 1, points(1..=long + 1), MOST_OF_TOOL + 1), 0);
-        assert!(recent.get(&tool(0)).is_none(), "too long to be kept");
+        assert_eq!(
+            recent.get(&tool(0)).unwrap().cycles,
+            long,
+            "too long to be kept, and no reason to forget"
+        );
         let all: usize = recent.shelf().tools.values().map(|kept| kept.points.len()).sum();
         assert_eq!(recent.shelf().points, all);
     }
@@ -263,6 +282,7 @@ mod tests {
         let recent = Recent::default();
         let is_fresh = || recent.get(&tool(1)).unwrap().fresh;
         let before = recent.groups();
+        recent.begun([tool(1)].iter());
         recent.ended([tool(1)].iter());
         recent.keep(&tool(1), Kept::new(3, points(1..=3), 10), before);
         assert!(!is_fresh(), "it may have been read before the group's commit");
@@ -272,9 +292,21 @@ mod tests {
         assert!(!is_fresh(), "somebody has kept other cycles meanwhile");
         recent.confirm(&tool(1), 3, recent.groups());
         assert!(is_fresh());
-        recent.ended([tool(2)].iter());
+        recent.begun([tool(2)].iter());
         assert!(is_fresh(), "another tool's");
-        recent.ended([tool(2), tool(1)].iter());
+        recent.ended([tool(2)].iter());
+        assert!(is_fresh());
+        let both = [tool(2), tool(1), tool(1)];
+        recent.begun(both.iter());
+        recent.begun([tool(1)].iter());
+        assert!(!is_fresh(), "others may see its cycles already");
+        recent.ended(both.iter());
+        recent.confirm(&tool(1), 3, recent.groups());
+        assert!(!is_fresh(), "one is still under way");
+        recent.ended([tool(1)].iter());
         assert!(!is_fresh());
+        recent.confirm(&tool(1), 3, recent.groups());
+        assert!(is_fresh());
+        assert!(recent.shelf().under_way.is_empty());
     }
 }

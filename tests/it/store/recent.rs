@@ -2,6 +2,7 @@
 
 use super::given::{Given, Run, at, commit, engineer, machine, shop, stored, stories, tool};
 use feedwright_core::ids::ToolId;
+use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::units::Timestamp;
 use feedwright_store::{
     Committed, CycleFilter, CyclePoint, PointColumns, PostgresOptions, PostgresStore, Precondition,
@@ -12,7 +13,7 @@ use std::sync::Arc;
 stories!(with tables:
     whatever_comes_between_the_answer_is_what_is_stored,
     whatever_comes_between_the_answer_of_one_who_is_alone_is_what_is_stored,
-    readers_beside_a_writer_miss_nothing_that_was_acknowledged,
+    a_group_of_which_one_fails_is_asked_about_again,
 );
 
 /// Another server on the same database.
@@ -128,9 +129,64 @@ async fn whatever_comes_between(given: &Given, store: &Arc<dyn Store>, other: &A
     }
 }
 
-async fn readers_beside_a_writer_miss_nothing_that_was_acknowledged(given: &Given) {
-    const CYCLES: u32 = 150;
+/// A group that is refused for one of its rows is committed row by row: the others are in the next answer.
+async fn a_group_of_which_one_fails_is_asked_about_again(given: &Given) {
     let store = beside(given, true).await;
+    shop(&*store).await;
+    let tool: ToolId = "T1".try_into().unwrap();
+    stored(&*store, &Run::nth(1)).await;
+    for _ in 0..2 {
+        assert_eq!(asked(&*store, &tool, 10).await.len(), 1);
+    }
+    let mut group: Vec<_> = (2..=5).map(|n| Run::nth(n).new_cycle()).collect();
+    group[1].summary.coverage = 1.5;
+    let outcomes = store.commit_cycles(group, at(1000), RecommendSettings::default()).await;
+    assert_eq!(outcomes.iter().filter(|outcome| outcome.is_ok()).count(), 3);
+    let points = asked(&*store, &tool, 10).await;
+    let ids: Vec<_> = points.iter().map(|point| point.key.2.as_str()).collect();
+    assert_eq!(ids, ["c00001", "c00002", "c00004", "c00005"]);
+    store.close().await;
+}
+
+/// Who was told to be alone with a file believes it: what others store there is not looked for.
+#[tokio::test]
+async fn who_is_alone_does_not_ask_the_file() {
+    let given = Given::sqlite().await;
+    let (alone, other) = (beside(&given, true).await, given.store());
+    shop(&*alone).await;
+    let tool: ToolId = "T1".try_into().unwrap();
+    stored(&*alone, &Run::nth(1)).await;
+    assert_eq!(asked(&*alone, &tool, 10).await.len(), 1);
+    stored(&*other, &Run::nth(2)).await;
+    assert_eq!(asked(&*alone, &tool, 10).await.len(), 1);
+    // Its own next cycle has it look.
+    stored(&*alone, &Run::nth(3)).await;
+    assert_eq!(asked(&*alone, &tool, 10).await.len(), 3);
+    alone.close().await;
+    given.done().await;
+}
+
+/// Where what is counted is fewer than what is stored, nothing is kept by it.
+#[tokio::test]
+async fn a_damaged_count_keeps_nothing() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    shop(&*store).await;
+    let tool: ToolId = "T1".try_into().unwrap();
+    for n in 1..=9 {
+        stored(&*store, &Run::nth(n)).await;
+    }
+    given.raw("UPDATE tool_wear SET folded = 4").await.unwrap();
+    assert_eq!(asked(&*store, &tool, 6).await.len(), 6);
+    assert_eq!(asked(&*store, &tool, 20).await.len(), 9);
+    given.done().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 3)]
+async fn readers_beside_a_writer_miss_nothing_that_was_acknowledged() {
+    const CYCLES: u32 = 150;
+    let given = Given::sqlite().await;
+    let store = beside(&given, true).await;
     shop(&*store).await;
     let tool: ToolId = "T1".try_into().unwrap();
     let acknowledged = Arc::new(std::sync::atomic::AtomicU32::new(0));
@@ -162,4 +218,5 @@ async fn readers_beside_a_writer_miss_nothing_that_was_acknowledged(given: &Give
         reader.await.unwrap();
     }
     store.close().await;
+    given.done().await;
 }

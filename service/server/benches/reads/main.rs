@@ -75,6 +75,7 @@ async fn run() {
     }
     let mut fresh = after_each_cycle(&ours);
     fresh.sort();
+    check_fresh(&client, &ours).await;
     for (name, rounds, server) in
         [("feedwright", &our_rounds, &ours), ("victoria-metrics", &their_rounds, &peer)]
     {
@@ -221,6 +222,19 @@ fn authorization(server: &Running) -> String {
         String::new()
     } else {
         format!("authorization: Bearer {}\r\n", server.token)
+    }
+}
+
+/// Every tool's newest cycle is the last that was stored of it.
+async fn check_fresh(client: &reqwest::Client, server: &Running) {
+    for tool in 0..TOOLS {
+        let newest = (0..FRESH).rev().find(|at| at * 7 % TOOLS == tool).expect("a cycle of each tool");
+        let request =
+            client.get(format!("{}{}", server.address, our_question(tool))).bearer_auth(&server.token);
+        let answer = request.send().await.expect("an answer").text().await.expect("a whole answer");
+        let answer: Value = serde_json::from_str(&answer).expect("JSON");
+        let ids = answer["series"][0]["cycle_id"].as_array().expect("ids");
+        assert_eq!(ids.last(), Some(&json!(format!("fresh{newest:06}"))));
     }
 }
 

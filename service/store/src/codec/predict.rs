@@ -106,8 +106,8 @@ impl Predictor {
         }
     }
 
-    /// From the values before, the newest first; fits look further back and begin as the last one. Values of a decimal column are below 2^53, so nothing overflows;
-    /// those of a damaged block may wrap.
+    /// From the values before, the newest first; fits look further back and begin as the last one. Values of a decimal
+    /// column are below 2^53, so nothing overflows; those of a damaged block may wrap.
     const fn next(self, [a, b, c, d]: [i64; 4]) -> i64 {
         match self {
             Self::Last | Self::Fit8 | Self::Fit16 => a,

@@ -137,9 +137,13 @@ impl Engine {
         let Some(cycles) = cycles else {
             return Ok(LastPoints::newest(Arc::new(points), limit as usize));
         };
+        // What is counted is a cache too: where it is damaged, nothing rests on it.
+        let agree = i64::try_from(points.len()) == Ok(cycles.min(i64::from(wanted)));
         let kept = Kept::new(cycles, points, wanted as usize);
         let points = kept.newest(limit as usize);
-        recent.keep(tool, kept, groups);
+        if agree {
+            recent.keep(tool, kept, groups);
+        }
         Ok(points)
     }
 
