@@ -133,7 +133,7 @@ await check("sign-in: a wrong token is told and stays, a good one goes on to whe
       await page.settled();
       await page.locator("#token").fill(shop.tokens.viewer);
       await page.keyboard.press("Enter");
-      await page.waitForFunction(() => document.body.dataset.page === "fleet");
+      await page.waitForFunction(() => document.body?.dataset.page === "fleet");
       assert.ok(page.url().startsWith(shop.address), page.url());
       // The fleet asks again and again: it is left before its session is taken away.
       await page.goto("about:blank");
@@ -242,7 +242,7 @@ await check("fleet: sorted by keyboard, filtered, found; and it shows a cycle th
     assert.deepEqual(await names(), ["new-1"]);
     await page.locator("#chips button[value=all]").click();
     const before = await names();
-    await page.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await page.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
     const row = page.locator("#rows tr", { has: page.locator("a", { hasText: /^sim-2$/ }) });
     await shop.report("sim-2", "sim-tool-2", 1234, "live-1");
     await row.locator(".c-energy", { hasText: /1.234/ }).waitFor();
@@ -340,10 +340,10 @@ await check("cycle: two cycles on one axis; a gap breaks the line and one sample
 await check("cycle: live while the machine drills, and the newer one is offered when it is stored", async () => {
   await withPage({ role: "viewer" }, async (page) => {
     await page.go("/cycle?machine=sim-3");
-    await page.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await page.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
     const fleet = await browser.page(shop, { role: "viewer" });
     await fleet.go("/");
-    await fleet.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await fleet.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
     const stream = await shop.stream("sim-3");
     const { override_percent } = await stream.send({ type: "start", cycle_id: "streamed", tool: "sim-tool-3", operation: OPERATION, started_at: new Date().toISOString(), sent_at: new Date().toISOString(), period_ms: 10, channels: ["depth_mm", "feed_drive_load_percent", "spindle_load_percent"], mode: "advise", program: { between: "linear", knots: [{ depth_mm: 0, feed_mm_min: 300 }, { depth_mm: 20, feed_mm_min: 300 }] } });
     assert.equal(override_percent, 100);
@@ -458,7 +458,7 @@ await check("profile: knots are dragged by mouse, touch and keyboard, the loads 
     await page.mouse.up();
     const dragged = await feeds();
     assert.ok(dragged[2] < given[2] && dragged.every((feed, i) => i === 2 || feed === given[i]), `${given} to ${dragged}`);
-    await page.waitForFunction((text) => document.querySelector("#figures > div:nth-child(2) dd").textContent !== text, first);
+    await page.waitForFunction((text) => (document.querySelector("#figures > div:nth-child(2) dd")?.textContent ?? text) !== text, first);
     await knob.focus();
     await page.keyboard.press("ArrowUp");
     assert.equal((await feeds())[2], dragged[2] + 5);
@@ -495,7 +495,7 @@ await check("profile: knots are dragged by mouse, touch and keyboard, the loads 
     assert.match(await page.locator("#about").textContent(), /Approved by you .* Activated by you/s);
     for (const dialect of ["sinumerik", "linuxcnc", "csv"]) {
       await page.locator("#dialect").selectOption(dialect);
-      await page.waitForFunction((name) => document.querySelector("#download").href.includes(`dialect=${name}`) && document.querySelector("#nc").textContent.length > 80, dialect);
+      await page.waitForFunction((name) => document.querySelector("#download")?.href.includes(`dialect=${name}`) && document.querySelector("#nc")?.textContent.length > 80, dialect);
     }
     const [file] = await Promise.all([page.waitForEvent("download"), page.locator("#download").click()]);
     assert.match(await readFile(await file.path(), "utf8"), /12/);
@@ -710,7 +710,7 @@ await check("a session that ends in the middle of the work: what was entered sta
   shop.tokens.tablet = watcher.token;
   await withPage({ role: "tablet", expects: ["401"] }, async (page) => {
     await page.go("/cycle?machine=sim-2");
-    await page.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await page.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
     await shop.ask("DELETE", `/v1/tokens/${watcher.id}`);
     await page.locator("dialog#again[open]").waitFor(); // nothing was asked for: the live connection ended with the session
   });
@@ -721,12 +721,12 @@ await check("the server is started again: open pages say so, wait, and go on", a
     await page.go("/");
     const cycle = await browser.page(shop, { role: "viewer", expects: ["ERR_", "Failed to load", "503"] });
     await cycle.go("/cycle?machine=sim-2");
-    for (const one of [page, cycle]) await one.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    for (const one of [page, cycle]) await one.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
     await shop.stop("SIGKILL");
     for (const one of [page, cycle]) await one.locator("#offline").waitFor();
     assert.ok(await page.locator("#rows tr").count() > 5, "what was known stays");
     await shop.start();
-    for (const one of [page, cycle]) { await one.locator("#offline").waitFor({ state: "detached" }); await one.waitForFunction(() => document.querySelector("#live").dataset.state === "live"); }
+    for (const one of [page, cycle]) { await one.locator("#offline").waitFor({ state: "detached" }); await one.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live"); }
     await shop.report("sim-2", "sim-tool-2", 2345, "after-restart");
     await page.locator("#rows tr", { has: page.locator("a", { hasText: /^sim-2$/ }) }).locator(".c-energy", { hasText: /2.345/ }).waitFor();
     await cycle.locator("#live-cycle a").waitFor();
@@ -742,7 +742,7 @@ await check("500 machines that are really there: one page, sorted and live", asy
     await page.go("/");
     await page.waitForFunction(() => document.querySelectorAll("#rows tr").length > 500);
     const row = page.locator("#rows tr", { has: page.locator("a", { hasText: /^hall-321$/ }) });
-    await page.waitForFunction(() => document.querySelector("#live").dataset.state === "live");
+    await page.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
     await shop.report("hall-321", "hall-tool-321", 7654, "c2");
     await row.locator(".c-energy", { hasText: /7.654/ }).waitFor();
     const spent = await processor(page, () => page.evaluate(async () => { for (const value of ["name", "left", "last", "attention"]) { const sort = document.querySelector("#sort"); sort.value = value; sort.dispatchEvent(new Event("change")); await new Promise((wake) => requestAnimationFrame(() => requestAnimationFrame(wake))); } }));
