@@ -68,7 +68,7 @@ mod column;
 pub(crate) mod digest;
 mod frame;
 mod hash;
-mod input;
+pub(crate) mod input;
 mod overrides;
 mod predict;
 mod range;
@@ -81,6 +81,7 @@ pub(crate) use frame::tests::cycle as cycle_of_every_field;
 pub use frame::{decode_samples, encode_samples};
 pub use hash::content_hash;
 pub use overrides::{decode_overrides, encode_overrides};
+pub(crate) use predict::unzigzag;
 
 use crate::record::EncodedCycle;
 use feedwright_core::cycle::Cycle;

@@ -161,7 +161,8 @@ fn put_column(out: &mut Vec<u8>, values: &[f64]) {
     }
 }
 
-/// LEB128: seven bits a byte, the lowest first, the highest bit set where more follow.
+/// LEB128: seven bits a byte, the lowest first, the highest bit set where more follow. As the codec's, but who copies the
+/// encoder finds it here.
 #[expect(clippy::cast_possible_truncation, reason = "seven bits at a time")]
 fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {

@@ -3,6 +3,7 @@
 /// Longest varint of a 64-bit integer.
 pub(super) const MAX_VARINT: usize = 10;
 
+/// LEB128: seven bits a byte, the lowest first, the highest bit set where more follow.
 #[expect(clippy::cast_possible_truncation, reason = "seven bits at a time")]
 pub(super) fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
@@ -10,6 +11,23 @@ pub(super) fn put_varint(out: &mut Vec<u8>, mut value: u64) {
         value >>= 7;
     }
     out.push(value as u8);
+}
+
+/// What [`put_varint`] wrote, byte by byte; `overflows` where it is more than 64 bits.
+pub(crate) fn varint<E>(mut next: impl FnMut() -> Result<u8, E>, overflows: E) -> Result<u64, E> {
+    let mut value = 0_u64;
+    for shift in (0..64).step_by(7) {
+        let byte = next()?;
+        let bits = u64::from(byte & 0x7f);
+        if shift == 63 && bits > 1 {
+            return Err(overflows);
+        }
+        value |= bits << shift;
+        if byte & 0x80 == 0 {
+            return Ok(value);
+        }
+    }
+    Err(overflows)
 }
 
 /// What is left to be read.
@@ -27,19 +45,7 @@ impl<'a> Input<'a> {
     }
 
     pub(super) fn varint(&mut self) -> Result<u64, &'static str> {
-        let mut value = 0_u64;
-        for shift in (0..64).step_by(7) {
-            let byte = self.byte()?;
-            let bits = u64::from(byte & 0x7f);
-            if shift == 63 && bits > 1 {
-                return Err("varint overflows");
-            }
-            value |= bits << shift;
-            if byte & 0x80 == 0 {
-                return Ok(value);
-            }
-        }
-        Err("varint overflows")
+        varint(|| self.byte(), "varint overflows")
     }
 
     pub(super) fn length(&mut self) -> Result<usize, &'static str> {

@@ -209,11 +209,13 @@ fn fill(
     Some(())
 }
 
+/// Small integers of either sign as small ones without.
 pub(super) const fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)).cast_unsigned()
 }
 
-pub(super) const fn unzigzag(value: u64) -> i64 {
+/// What [`zigzag`] was given.
+pub(crate) const fn unzigzag(value: u64) -> i64 {
     (value >> 1).cast_signed() ^ -(value & 1).cast_signed()
 }
 

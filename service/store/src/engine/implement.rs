@@ -12,7 +12,7 @@ use crate::feed_profile::{
 };
 use crate::notice::Notices;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
-use crate::recent::{Group, Kept, Recent};
+use crate::recent::Group;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
     DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
@@ -100,69 +100,6 @@ impl Engine {
                 Err(error) => return Err(error),
             }
         }
-    }
-}
-
-/// Cycles that came since a tool was asked for, beyond which all that is wanted of it is read again.
-const MOST_NEW: i64 = 128;
-/// Cycles that may come between two statements, and the one before them, which has to be known.
-const SPARE: i64 = 8;
-
-impl Engine {
-    /// The energies of a tool's newest cycles, of what is kept where nothing else is stored by now.
-    async fn last_energies(&self, recent: &Recent, tool: &ToolId, limit: u32) -> StoreResult<LastPoints> {
-        let (kept, groups) = (recent.get(tool), recent.groups());
-        if let Some(kept) = &kept {
-            if let Some(points) =
-                (kept.fresh && self.is_alone()).then(|| kept.answer(limit as usize)).flatten()
-            {
-                return Ok(points);
-            }
-            let cycles = series::cycles_of_tool(&mut *self.reader().await?, tool).await?;
-            let new = cycles.map_or(i64::MAX, |cycles| cycles.saturating_sub(kept.cycles));
-            if let Some(points) = (new == 0).then(|| kept.answer(limit as usize)).flatten() {
-                recent.confirm(tool, kept.cycles, groups);
-                return Ok(points);
-            }
-            if (1..=MOST_NEW).contains(&new)
-                && let Some(kept) = self.with_newest(tool, kept, new + SPARE).await?
-                && let Some(points) = kept.answer(limit as usize)
-            {
-                recent.keep(tool, kept, groups);
-                return Ok(points);
-            }
-        }
-        let wanted = kept.map_or(limit, |kept| limit.max(u32::try_from(kept.asked).unwrap_or(limit)));
-        let (cycles, points) = self.counted_points(tool, wanted).await?;
-        let Some(cycles) = cycles else {
-            return Ok(LastPoints::newest(Arc::new(points), limit as usize));
-        };
-        // What is counted is a cache too: where it is damaged, nothing rests on it.
-        let agree = i64::try_from(points.len()) == Ok(cycles.min(i64::from(wanted)));
-        let kept = Kept::new(cycles, points, wanted as usize);
-        let points = kept.newest(limit as usize);
-        if agree {
-            recent.keep(tool, kept, groups);
-        }
-        Ok(points)
-    }
-
-    /// What is kept of a tool with the cycles that came since, where they are few and newer than it.
-    async fn with_newest(&self, tool: &ToolId, kept: &Kept, most: i64) -> StoreResult<Option<Kept>> {
-        let (cycles, mut points) = self.counted_points(tool, u32::try_from(most).unwrap_or(0)).await?;
-        let new = cycles.and_then(|cycles| usize::try_from(cycles.saturating_sub(kept.cycles)).ok());
-        points.reverse();
-        Ok(new.and_then(|new| kept.and(new, points)))
-    }
-
-    /// How many cycles of a tool are stored, where that is known, and the newest of them, of one moment.
-    async fn counted_points(&self, tool: &ToolId, limit: u32) -> StoreResult<(Option<i64>, Vec<CyclePoint>)> {
-        let of_tool = CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() };
-        let tool = tool.clone();
-        snapshot!(self, |conn| {
-            let cycles = series::cycles_of_tool(conn, &tool).await?;
-            Ok((cycles, series::last_points(conn, &of_tool, PointColumns::Energy, limit).await?))
-        })
     }
 }
 

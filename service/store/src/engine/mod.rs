@@ -9,6 +9,7 @@ mod audit;
 mod check;
 mod commit;
 mod cycles;
+mod energies;
 mod feed_profiles;
 mod fleet;
 mod implement;

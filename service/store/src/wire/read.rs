@@ -1,7 +1,8 @@
 //! Reading frames: nothing that they say is believed before it is there, and nothing is allocated on their word.
 
 use super::{CHECKSUM, FLOATS, Field, HEAD, KNOWN_FIELDS, MAGIC, REPORTED};
-use crate::codec::decimal;
+use crate::codec::input::varint;
+use crate::codec::{decimal, unzigzag};
 use feedwright_core::cycle::Channel;
 use feedwright_core::units::Timestamp;
 
@@ -231,7 +232,7 @@ impl<'a> Input<'a> {
                 }
                 _ => self.varint()?,
             };
-            let difference = (zigzag >> 1).cast_signed() ^ -(zigzag & 1).cast_signed();
+            let difference = unzigzag(zigzag);
             integer = integer.wrapping_add(difference);
             if integer.unsigned_abs() >= 1 << 53 {
                 return malformed("an integer is not below 2^53");
@@ -242,19 +243,7 @@ impl<'a> Input<'a> {
     }
 
     fn varint(&mut self) -> Read<u64> {
-        let mut value = 0_u64;
-        for shift in (0..64).step_by(7) {
-            let byte = self.byte()?;
-            let bits = u64::from(byte & 0x7f);
-            if shift == 63 && bits > 1 {
-                return malformed("a varint overflows");
-            }
-            value |= bits << shift;
-            if byte & 0x80 == 0 {
-                return Ok(value);
-            }
-        }
-        malformed("a varint overflows")
+        varint(|| self.byte(), WireError::Malformed("a varint overflows"))
     }
 
     fn reported(&mut self) -> Read<[Option<f64>; REPORTED]> {
