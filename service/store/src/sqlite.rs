@@ -9,6 +9,7 @@ mod dialect;
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
 mod open;
+mod readers;
 
 pub(crate) use open::MIGRATIONS;
 pub use open::SqliteOptions;
@@ -22,8 +23,8 @@ use crate::rows::number;
 use crate::slot::Slot;
 use crate::work::{Work, Written};
 use checkpoint::Checkpoints;
-use sqlx::pool::PoolConnection;
-use sqlx::{Connection, SqlitePool};
+use readers::{Lent, Readers};
+use sqlx::Connection;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::sync::{Mutex, MutexGuard};
@@ -47,7 +48,7 @@ struct Inner {
     writer: Mutex<Option<Conn>>,
     /// A group's statements begin and end its transaction: set while one may be open.
     in_group: AtomicBool,
-    readers: SqlitePool,
+    readers: Arc<Readers>,
     gate: Gate,
     /// Set when the disk refused a write: an fsync is never retried, whatever comes later.
     refused: AtomicBool,
@@ -86,16 +87,15 @@ impl SqliteStore {
         let mut reader = self.reader().await?;
         let pages: i64 = sqlx::query_scalar("PRAGMA page_count").fetch_one(&mut *reader).await?;
         let page_bytes: i64 = sqlx::query_scalar("PRAGMA page_size").fetch_one(&mut *reader).await?;
-        drop(reader);
+        reader.settle();
         let page_bytes: u64 = number("page_size", page_bytes)?;
-        let readers = &self.inner.readers;
-        let idle = u32::try_from(readers.num_idle()).unwrap_or(u32::MAX);
+        let (open, idle, most) = self.inner.readers.counts();
         Ok(DatabaseUsage {
             bytes: number::<u64>("page_count", pages)?.saturating_mul(page_bytes),
             wal_bytes: Some(self.wal_pages().saturating_mul(page_bytes)),
-            connections_in_use: readers.size().saturating_sub(idle),
+            connections_in_use: open.saturating_sub(idle),
             connections_idle: idle,
-            connections_max: readers.options().get_max_connections(),
+            connections_max: most,
         })
     }
 
@@ -113,8 +113,8 @@ impl SqliteStore {
         self.inner.max_samples
     }
 
-    async fn reader(&self) -> StoreResult<PoolConnection<Db>> {
-        Ok(self.inner.readers.acquire().await?)
+    async fn reader(&self) -> StoreResult<Lent> {
+        Ok(self.inner.readers.lend().await?)
     }
 
     /// Gives pages that deletions freed back to the file system, a few at a time and between commits; some stay for
@@ -190,6 +190,7 @@ impl SqliteStore {
             let mut transaction = conn.begin().await?;
             let outcome = work(&mut transaction).await;
             transaction.rollback().await?;
+            conn.settle();
             outcome
         });
         task.await.map_err(panicked)?

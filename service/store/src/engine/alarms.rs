@@ -5,6 +5,7 @@
 //! A machine's quarantine alarm is open as long as an entry of it is unsettled. Silence, and a quarantine that fills up
 //! (an alarm of no machine), are raised and cleared by the round in `watch`.
 
+use super::transaction::GroupTransaction;
 use super::{Conn, Db, audit};
 use crate::error::StoreResult;
 use crate::record::{Actor, Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
@@ -44,7 +45,7 @@ pub(super) struct OpenAlarm {
 /// Raises what the verdict calls for and clears what it no longer does. `known` are the tool's open alarms where they
 /// were looked up before; nobody but who holds the tool's lock changes them.
 pub(super) async fn follow_verdict(
-    conn: &mut Conn,
+    transaction: &mut GroupTransaction<'_>,
     tool: &ToolId,
     verdict: &Verdict,
     known: &mut Option<Vec<OpenAlarm>>,
@@ -53,7 +54,7 @@ pub(super) async fn follow_verdict(
     let wanted = kind_of(verdict.state);
     let open = match known {
         Some(open) => open,
-        None => known.insert(open_of(conn, tool).await?),
+        None => known.insert(open_of(transaction.conn().await?, tool).await?),
     };
     if open.iter().map(|alarm| alarm.kind).eq(wanted) {
         return Ok(());
@@ -63,7 +64,7 @@ pub(super) async fn follow_verdict(
         if Some(alarm.kind) == wanted {
             stands = true;
         } else {
-            clear(conn, alarm.id, now).await?;
+            clear(transaction.conn().await?, alarm.id, now).await?;
         }
     }
     if let Some(kind) = wanted
@@ -74,7 +75,7 @@ pub(super) async fn follow_verdict(
             None => format!("tool {tool}: {}", kind.as_str()),
         };
         let machine = verdict.last.as_ref().map(|last| &last.machine);
-        raise(conn, kind, machine, Some(tool), &message, now).await?;
+        raise(transaction.conn().await?, kind, machine, Some(tool), &message, now).await?;
     }
     *known = None;
     Ok(())

@@ -2,6 +2,7 @@
 
 use super::memory::Memory;
 use super::registry::GroupRegistry;
+use super::transaction::GroupTransaction;
 use super::wear::{self, Heads, ToolWear, Versions};
 use super::{Conn, alarms, cycles, dialect, feed_profiles, models, recommendations};
 use crate::error::{StoreError, StoreResult};
@@ -20,10 +21,11 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::sync::Arc;
 
 /// What became of one cycle before it is answered.
 enum Placed {
-    New(Box<CycleRow>, Box<CycleSummary>),
+    New(Arc<CycleRow>, Box<CycleSummary>),
     Known(Box<StoredCycle>),
     Done(Committed),
 }
@@ -37,16 +39,40 @@ pub(super) async fn group(
     (registry, memory): (&Registry, &mut Memory),
 ) -> StoreResult<(Vec<Committed>, Written)> {
     let tools: BTreeSet<_> = group.iter().map(|new| &new.cycle.tool).collect();
+    if dialect::MAY_ASSUME
+        && let Some((heads, around)) = memory.assume(registry, group)
+        && let Some(assumption) = dialect::assume(&heads, &tools)
+    {
+        let mut transaction = GroupTransaction::assumed(conn, assumption);
+        let outcome = count(&mut transaction, group, (now, settings), (&heads, &around, memory)).await;
+        if !transaction.is_refuted() {
+            return outcome;
+        }
+        dialect::undo(conn).await;
+        memory.doubt(group);
+    }
     let machines = group.iter().map(|new| &new.cycle.machine);
     let operations = group.iter().map(|new| &new.cycle.operation);
     dialect::lock(conn, &Locks::group(machines, operations, tools.iter().copied())).await?;
     // Asked under the locks: who changes what this group rests on waits for its end, or has ended before.
-    let Heads { generation, any_profile, versions } = wear::heads(conn, &tools).await?;
-    memory.begin(generation);
-    let registry = GroupRegistry::load(conn, registry, generation, group).await?;
-    let (placed, blocks) = place_all(conn, group, &registry).await?;
-    let (verdicts, wear) = count_all(conn, group, &placed, (&registry, &versions, memory), now).await?;
-    let knowledge = know_all(conn, group, &registry, any_profile).await?;
+    let heads = wear::heads(conn, &tools).await?;
+    let around = GroupRegistry::load(conn, registry, heads.generation, group).await?;
+    let mut transaction = GroupTransaction::begun(conn);
+    count(&mut transaction, group, (now, settings), (&heads, &around, memory)).await
+}
+
+/// Places, folds, answers and writes a group under its heads.
+async fn count(
+    transaction: &mut GroupTransaction<'_>,
+    group: &[NewCycle],
+    (now, settings): (Timestamp, RecommendSettings),
+    (heads, registry, memory): (&Heads, &GroupRegistry, &mut Memory),
+) -> StoreResult<(Vec<Committed>, Written)> {
+    memory.begin(heads);
+    let (placed, blocks) = place_all(transaction, group, registry).await?;
+    let (verdicts, wear) =
+        count_all(transaction, group, &placed, (registry, &heads.versions, memory), now).await?;
+    let knowledge = know_all(transaction, group, registry, heads.any_profile).await?;
     let mut answers = Vec::with_capacity(group.len());
     let mut issued = Vec::with_capacity(group.len());
     for (new, placed) in group.iter().zip(placed) {
@@ -60,7 +86,7 @@ pub(super) async fn group(
         };
         let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&UNKNOWN);
         let tool = (verdicts.get(&new.cycle.tool), known);
-        let answer = answer(&new.cycle, (summary, received_at), &registry, tool, (now, settings))?;
+        let answer = answer(&new.cycle, (summary, received_at), registry, tool, (now, settings))?;
         let row = IssuedRow::of(&answer.recommendation)?;
         issued.push(row);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
@@ -70,9 +96,9 @@ pub(super) async fn group(
     // Others may be told the same at this moment: in ascending order no two wait for each other.
     unknown.sort_unstable_by_key(|row| row.advice_hash);
     for row in unknown {
-        recommendations::keep_advice(conn, row).await?;
+        recommendations::keep_advice(transaction.conn().await?, row).await?;
     }
-    let written = dialect::write_rest(conn, &Rest { blocks, wear, issued }, now).await?;
+    let written = transaction.write(&Rest { blocks, wear, issued }, now).await?;
     Ok((answers, written))
 }
 
@@ -86,7 +112,7 @@ static UNKNOWN: Known = Known { process: Knowledge::None, profiles: Vec::new() }
 
 /// What the processes of a group need to know, once per operation and tool: the whole group is placed by now.
 async fn know_all<'a>(
-    conn: &mut Conn,
+    transaction: &mut GroupTransaction<'_>,
     group: &'a [NewCycle],
     registry: &GroupRegistry,
     any_profile: bool,
@@ -95,10 +121,14 @@ async fn know_all<'a>(
     for cycle in group.iter().map(|new| &new.cycle) {
         let key = (&cycle.operation, &cycle.tool);
         if let Entry::Vacant(unknown) = known.entry(key) {
-            let operation = registry.operations.get(&cycle.operation);
-            let process = models::knowledge(conn, operation.map(AsRef::as_ref), &cycle.tool).await?;
+            let operation = registry.operations.get(&cycle.operation).map(AsRef::as_ref);
+            let process = if operation.is_some_and(models::are_needed) {
+                models::knowledge(transaction.conn().await?, operation, &cycle.tool).await?
+            } else {
+                Knowledge::None
+            };
             let profiles = if any_profile {
-                feed_profiles::active(conn, &cycle.operation, &cycle.tool).await?
+                feed_profiles::active(transaction.conn().await?, &cycle.operation, &cycle.tool).await?
             } else {
                 Vec::new()
             };
@@ -110,12 +140,12 @@ async fn know_all<'a>(
 
 /// Stores what is new of the group, and tells the rest from it; with the blocks of samples that are to be written.
 async fn place_all<'a>(
-    conn: &mut Conn,
+    transaction: &mut GroupTransaction<'_>,
     group: &'a [NewCycle],
     registry: &GroupRegistry,
 ) -> StoreResult<(Vec<Placed>, Vec<BlockRow<'a>>)> {
     // Ascending keys, so that two servers with the same cycles cannot wait for each other.
-    let mut rows: BTreeMap<(&MachineId, &CycleId), (usize, CycleRow, CycleSummary)> = BTreeMap::new();
+    let mut rows: BTreeMap<(&MachineId, &CycleId), (usize, Arc<CycleRow>, CycleSummary)> = BTreeMap::new();
     for (index, new) in group.iter().enumerate() {
         let cycle = &new.cycle;
         if !registry.machines.contains_key(&cycle.machine) {
@@ -124,12 +154,15 @@ async fn place_all<'a>(
         // Of two with one key in one group the first is the one that is stored.
         if let Entry::Vacant(first) = rows.entry((&cycle.machine, &cycle.id)) {
             let summary = summary_of(new, registry);
-            first.insert((index, CycleRow::of(new, &summary)?, summary));
+            first.insert((index, Arc::new(CycleRow::of(new, &summary)?), summary));
         }
     }
-    let keyed: Vec<&CycleRow> = rows.values().map(|(_, row, _)| row).collect();
-    let known_before: HashSet<(String, String)> =
-        dialect::insert_cycles(conn, &keyed).await?.into_iter().collect();
+    let keyed: Vec<Arc<CycleRow>> = rows.values().map(|(_, row, _)| Arc::clone(row)).collect();
+    let known_before: HashSet<(String, String)> = if transaction.takes_as_new(&keyed) {
+        HashSet::new()
+    } else {
+        dialect::insert_cycles(transaction.conn().await?, &keyed).await?.into_iter().collect()
+    };
     let is_new = |row: &CycleRow| {
         known_before.is_empty() || !known_before.contains(&(row.machine_id.clone(), row.cycle_id.clone()))
     };
@@ -145,12 +178,12 @@ async fn place_all<'a>(
     }
     for (index, _, _) in &fresh {
         if let Some(cut) = CutRow::of(&group[*index].cycle)? {
-            models::insert_cut(conn, &cut).await?;
+            models::insert_cut(transaction.conn().await?, &cut).await?;
         }
     }
     let mut placed: Vec<Option<Placed>> = group.iter().map(|_| None).collect();
     for (index, row, summary) in fresh {
-        placed[index] = Some(Placed::New(Box::new(row), Box::new(summary)));
+        placed[index] = Some(Placed::New(row, Box::new(summary)));
     }
     let mut all = Vec::with_capacity(group.len());
     for (new, placed) in group.iter().zip(placed) {
@@ -159,7 +192,7 @@ async fn place_all<'a>(
             None if !registry.machines.contains_key(&new.cycle.machine) => {
                 Placed::Done(Committed::UnknownMachine)
             }
-            None => known(conn, new).await?,
+            None => known(transaction.conn().await?, new).await?,
         });
     }
     Ok((all, blocks))
@@ -197,7 +230,7 @@ async fn known(conn: &mut Conn, new: &NewCycle) -> StoreResult<Placed> {
 
 /// Folds what is new into the tools of the group; returns the verdict on each registered tool, and the folds to write.
 async fn count_all(
-    conn: &mut Conn,
+    transaction: &mut GroupTransaction<'_>,
     group: &[NewCycle],
     placed: &[Placed],
     (registry, versions, memory): (&GroupRegistry, &BTreeMap<ToolId, Versions>, &mut Memory),
@@ -221,11 +254,11 @@ async fn count_all(
         let anything_new = !machines.is_empty();
         let mut wear = match memory.take(tool, versions.get(tool)) {
             Some(wear) => wear,
-            None => ToolWear::load_locked(conn, tool).await?,
+            None => ToolWear::load_locked(transaction.conn().await?, tool).await?,
         };
-        let verdict = count_tool(conn, &mut wear, machines).await?;
+        let verdict = count_tool(transaction, &mut wear, machines).await?;
         if anything_new {
-            alarms::follow_verdict(conn, tool, &verdict, &mut wear.alarms, now).await?;
+            alarms::follow_verdict(transaction, tool, &verdict, &mut wear.alarms, now).await?;
         }
         verdicts.insert(tool.clone(), verdict);
         changed.extend(wear.take_changed()?);
@@ -237,14 +270,14 @@ async fn count_all(
         {
             let message = format!("cycle {}: a load exceeded 400 %", new.cycle.id);
             let (machine, tool) = (&new.cycle.machine, &new.cycle.tool);
-            alarms::raise(conn, AlarmKind::Overload, Some(machine), Some(tool), &message, now).await?;
+            alarms::raise(transaction.conn().await?, AlarmKind::Overload, Some(machine), Some(tool), &message, now).await?;
         }
     }
     Ok((verdicts, changed))
 }
 
 async fn count_tool(
-    conn: &mut Conn,
+    transaction: &mut GroupTransaction<'_>,
     wear: &mut ToolWear,
     machines: BTreeMap<&MachineId, Vec<FactsRow>>,
 ) -> StoreResult<Verdict> {
@@ -271,7 +304,7 @@ async fn count_tool(
                     rows.drain(..).map(|row| Ok((row.order()?, row))).collect::<StoreResult<Vec<_>>>()?;
                 keyed.sort_by(|(a, _), (b, _)| a.cmp(b));
                 let rows: Vec<FactsRow> = keyed.into_iter().map(|(_, row)| row).collect();
-                wear.count_new(conn, machine, &rows).await?;
+                wear.count_new(transaction, machine, &rows).await?;
             }
             Some(moved) => {
                 let mut from = moved.clone();
@@ -280,16 +313,19 @@ async fn count_tool(
                 }
                 // The cached fold may end before `from`, and these rows lie beyond its end.
                 wear.forget(machine);
-                wear.refold(conn, machine, &from).await?;
+                wear.refold(transaction.conn().await?, machine, &from).await?;
             }
         }
     }
     if let Some(moved) = &moved {
         for machine in wear.machines() {
-            wear.refold(conn, &machine, moved).await?;
+            wear.refold(transaction.conn().await?, &machine, moved).await?;
         }
     }
-    wear.verdict(conn).await
+    match wear.known_verdict() {
+        Some(verdict) => Ok(verdict),
+        None => wear.verdict(transaction.conn().await?).await,
+    }
 }
 
 /// A UUIDv7 of the moment: recommendations sort by when they were made.

@@ -28,7 +28,9 @@ impl Engine {
             {
                 return Ok(points);
             }
-            let cycles = series::cycles_of_tool(&mut *self.reader().await?, tool).await?;
+            let mut lent = self.reader().await?;
+            let cycles = series::cycles_of_tool(&mut lent, tool).await?;
+            lent.settle();
             let new = cycles.map_or(i64::MAX, |cycles| cycles.saturating_sub(kept.cycles));
             if let Some(points) = (new == 0).then(|| kept.answer(limit as usize)).flatten() {
                 recent.confirm(tool, kept.cycles, groups);

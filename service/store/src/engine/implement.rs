@@ -56,6 +56,20 @@ macro_rules! register {
     }};
 }
 
+/// One statement that reads. Cancelled half-way it leaves a connection that may still be at work: only one that ended
+/// well is lent again without a question.
+macro_rules! read {
+    ($engine:ident, |$conn:ident| $body:expr) => {{
+        let mut lent = $engine.reader().await?;
+        let $conn = &mut *lent;
+        let outcome = $body;
+        if outcome.is_ok() {
+            lent.settle();
+        }
+        outcome
+    }};
+}
+
 /// Reads that belong together, in one snapshot.
 macro_rules! snapshot {
     ($engine:ident, |$conn:ident| $body:expr) => {
@@ -193,11 +207,11 @@ impl Store for Engine {
     }
 
     async fn machine(&self, id: &MachineId) -> StoreResult<Option<Versioned<Machine>>> {
-        machines::get(&mut *self.reader().await?, id).await
+        read!(self, |conn| machines::get(conn, id).await)
     }
 
     async fn machines(&self, page: Page<MachineId>) -> StoreResult<Vec<Versioned<Machine>>> {
-        machines::list(&mut *self.reader().await?, &page).await
+        read!(self, |conn| machines::list(conn, &page).await)
     }
 
     async fn put_tool(
@@ -212,11 +226,11 @@ impl Store for Engine {
     }
 
     async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
-        tools::get(&mut *self.reader().await?, id).await
+        read!(self, |conn| tools::get(conn, id).await)
     }
 
     async fn tools(&self, page: Page<ToolId>) -> StoreResult<Vec<Versioned<Tool>>> {
-        tools::list(&mut *self.reader().await?, &page).await
+        read!(self, |conn| tools::list(conn, &page).await)
     }
 
     async fn add_tool_event(
@@ -231,7 +245,7 @@ impl Store for Engine {
     }
 
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
-        tools::events(&mut *self.reader().await?, tool, &page).await
+        read!(self, |conn| tools::events(conn, tool, &page).await)
     }
 
     async fn put_operation(
@@ -246,11 +260,11 @@ impl Store for Engine {
     }
 
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {
-        operations::get(&mut *self.reader().await?, id).await
+        read!(self, |conn| operations::get(conn, id).await)
     }
 
     async fn operations(&self, page: Page<OperationId>) -> StoreResult<Vec<Versioned<Operation>>> {
-        operations::list(&mut *self.reader().await?, &page).await
+        read!(self, |conn| operations::list(conn, &page).await)
     }
 
     async fn put_model(
@@ -265,11 +279,11 @@ impl Store for Engine {
     }
 
     async fn model(&self, kind: ModelKind, id: &ModelId) -> StoreResult<Option<Versioned<Model>>> {
-        models::get(&mut *self.reader().await?, kind, id).await
+        read!(self, |conn| models::get(conn, kind, id).await)
     }
 
     async fn models(&self, kind: ModelKind, page: Page<ModelId>) -> StoreResult<Vec<Versioned<Model>>> {
-        models::list(&mut *self.reader().await?, kind, &page).await
+        read!(self, |conn| models::list(conn, kind, &page).await)
     }
 
     async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge> {
@@ -301,7 +315,7 @@ impl Store for Engine {
     }
 
     async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>> {
-        feed_profiles::get(&mut *self.reader().await?, id).await
+        read!(self, |conn| feed_profiles::get(conn, id).await)
     }
 
     async fn feed_profiles(
@@ -309,7 +323,7 @@ impl Store for Engine {
         filter: &FeedProfileFilter,
         page: Page<ProfileId>,
     ) -> StoreResult<Vec<FeedProfile>> {
-        feed_profiles::list(&mut *self.reader().await?, filter, &page).await
+        read!(self, |conn| feed_profiles::list(conn, filter, &page).await)
     }
 
     async fn profile_version(
@@ -317,7 +331,7 @@ impl Store for Engine {
         id: &ProfileId,
         version: u32,
     ) -> StoreResult<Option<StoredProfileVersion>> {
-        feed_profiles::version(&mut *self.reader().await?, id, version).await
+        read!(self, |conn| feed_profiles::version(conn, id, version).await)
     }
 
     async fn profile_versions(
@@ -325,7 +339,7 @@ impl Store for Engine {
         id: &ProfileId,
         page: Page<u32>,
     ) -> StoreResult<Vec<StoredProfileVersion>> {
-        feed_profiles::versions(&mut *self.reader().await?, id, &page).await
+        read!(self, |conn| feed_profiles::versions(conn, id, &page).await)
     }
 
     async fn active_profiles(
@@ -333,11 +347,11 @@ impl Store for Engine {
         operation: &OperationId,
         tool: &ToolId,
     ) -> StoreResult<Vec<ActiveProfile>> {
-        feed_profiles::active(&mut *self.reader().await?, operation, tool).await
+        read!(self, |conn| feed_profiles::active(conn, operation, tool).await)
     }
 
     async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>> {
-        feed_profiles::cycles(&mut *self.reader().await?, ran, most).await
+        read!(self, |conn| feed_profiles::cycles(conn, ran, most).await)
     }
 
     async fn recent_cycles(
@@ -346,7 +360,7 @@ impl Store for Engine {
         tool_type: &str,
         most: u32,
     ) -> StoreResult<Vec<StoredCycle>> {
-        feed_profiles::recent(&mut *self.reader().await?, operation, tool_type, most).await
+        read!(self, |conn| feed_profiles::recent(conn, operation, tool_type, most).await)
     }
 
     async fn add_calibration(
@@ -365,7 +379,7 @@ impl Store for Engine {
         machine: &MachineId,
         page: Page<u32>,
     ) -> StoreResult<Vec<(Calibration, Timestamp)>> {
-        machines::calibrations(&mut *self.reader().await?, machine, &page).await
+        read!(self, |conn| machines::calibrations(conn, machine, &page).await)
     }
 
     async fn surroundings(
@@ -393,24 +407,24 @@ impl Store for Engine {
     }
 
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
-        cycles::get(&mut *self.reader().await?, machine, id).await
+        read!(self, |conn| cycles::get(conn, machine, id).await)
     }
 
     async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>> {
-        let block = cycles::samples(&mut *self.reader().await?, machine, id).await?;
+        let block = read!(self, |conn| cycles::samples(conn, machine, id).await)?;
         block.map(|block| codec::decode_samples(&block, self.max_samples())).transpose()
     }
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {
-        cycles::list(&mut *self.reader().await?, filter, &page).await
+        read!(self, |conn| cycles::list(conn, filter, &page).await)
     }
 
     async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
-        cycles::last(&mut *self.reader().await?, filter, limit).await
+        read!(self, |conn| cycles::last(conn, filter, limit).await)
     }
 
     async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>> {
-        series::points(&mut *self.reader().await?, filter, &page).await
+        read!(self, |conn| series::points(conn, filter, &page).await)
     }
 
     async fn last_points(
@@ -424,7 +438,7 @@ impl Store for Engine {
                 Some(recent),
                 CycleFilter { tool: Some(tool), machine: None, operation: None, from: None, to: None },
             ) if told == PointColumns::Energy => self.last_energies(recent, tool, limit).await,
-            _ => Ok(series::last_points(&mut *self.reader().await?, filter, told, limit).await?.into()),
+            _ => Ok(read!(self, |conn| series::last_points(conn, filter, told, limit).await)?.into()),
         }
     }
 
@@ -440,7 +454,7 @@ impl Store for Engine {
     }
 
     async fn retention(&self, machine: &MachineId) -> StoreResult<Option<Versioned<SampleRetention>>> {
-        retention::get(&mut *self.reader().await?, machine).await
+        read!(self, |conn| retention::get(conn, machine).await)
     }
 
     async fn put_retention(
@@ -456,7 +470,7 @@ impl Store for Engine {
     }
 
     async fn sample_drops(&self, machine: &MachineId) -> StoreResult<Vec<SampleDrop>> {
-        retention::drops(&mut *self.reader().await?, machine).await
+        read!(self, |conn| retention::drops(conn, machine).await)
     }
 
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>> {
@@ -543,11 +557,11 @@ impl Store for Engine {
     }
 
     async fn recommendation(&self, id: &RecommendationId) -> StoreResult<Option<IssuedRecommendation>> {
-        recommendations::get(&mut *self.reader().await?, id).await
+        read!(self, |conn| recommendations::get(conn, id).await)
     }
 
     async fn alarms(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {
-        alarms::list(&mut *self.reader().await?, filter, &page).await
+        read!(self, |conn| alarms::list(conn, filter, &page).await)
     }
 
     async fn acknowledge_alarm(
@@ -576,11 +590,11 @@ impl Store for Engine {
         open: bool,
         page: Page<String>,
     ) -> StoreResult<Vec<QuarantineEntry>> {
-        quarantine::list(&mut *self.reader().await?, machine, open, &page).await
+        read!(self, |conn| quarantine::list(conn, machine, open, &page).await)
     }
 
     async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Vec<u8>)>> {
-        quarantine::get(&mut *self.reader().await?, id).await
+        read!(self, |conn| quarantine::get(conn, id).await)
     }
 
     async fn settle_quarantine(
@@ -595,11 +609,11 @@ impl Store for Engine {
     }
 
     async fn audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {
-        audit::list(&mut *self.reader().await?, &page).await
+        read!(self, |conn| audit::list(conn, &page).await)
     }
 
     async fn newest_audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {
-        audit::newest(&mut *self.reader().await?, &page).await
+        read!(self, |conn| audit::newest(conn, &page).await)
     }
 
     async fn create_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<()> {
@@ -608,11 +622,11 @@ impl Store for Engine {
     }
 
     async fn token_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
-        tokens::by_hash(&mut *self.reader().await?, hash).await
+        read!(self, |conn| tokens::by_hash(conn, hash).await)
     }
 
     async fn tokens(&self, page: Page<String>) -> StoreResult<Vec<TokenRecord>> {
-        tokens::list(&mut *self.reader().await?, &page).await
+        read!(self, |conn| tokens::list(conn, &page).await)
     }
 
     async fn revoke_token(
@@ -664,7 +678,7 @@ impl Store for Engine {
     }
 
     async fn overrides(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<CycleOverrides>> {
-        streams::overrides(&mut *self.reader().await?, machine, id).await
+        read!(self, |conn| streams::overrides(conn, machine, id).await)
     }
 
     async fn raise_overload(
@@ -684,7 +698,7 @@ impl Store for Engine {
     }
 
     async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>> {
-        sessions::by_hash(&mut *self.reader().await?, hash).await
+        read!(self, |conn| sessions::by_hash(conn, hash).await)
     }
 
     async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool> {

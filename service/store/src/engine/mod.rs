@@ -27,10 +27,12 @@ mod sessions;
 mod streams;
 mod tokens;
 mod tools;
+mod transaction;
 mod verify;
 mod watch;
 mod wear;
 
 pub(super) use memory::Memory;
+pub(super) use wear::Heads;
 
 use super::{Conn, Db, Engine, dialect};

@@ -99,6 +99,11 @@ pub(super) async fn insert_cut(conn: &mut Conn, row: &CutRow) -> StoreResult<()>
     Ok(())
 }
 
+/// Whether the process of an operation needs anything of the library.
+pub(super) fn are_needed(operation: &Operation) -> bool {
+    operation.turning.is_some() || operation.plunge.is_some()
+}
+
 /// What the process of an operation needs to know, with this tool.
 pub(super) async fn knowledge(
     conn: &mut Conn,

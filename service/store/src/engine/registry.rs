@@ -107,6 +107,30 @@ pub(super) struct GroupRegistry {
 }
 
 impl GroupRegistry {
+    /// What is around a group, where all of it is in memory.
+    pub(super) fn remembered(registry: &Registry, generation: i64, group: &[NewCycle]) -> Option<Self> {
+        let mut found = Self {
+            generation,
+            machines: BTreeMap::new(),
+            operations: BTreeMap::new(),
+            tools: BTreeSet::new(),
+        };
+        for cycle in group.iter().map(|new| &new.cycle) {
+            if !found.machines.contains_key(&cycle.machine) {
+                found.machines.insert(cycle.machine.clone(), registry.machine(generation, &cycle.machine)?);
+            }
+            if !found.operations.contains_key(&cycle.operation)
+                && let Some(known) = registry.operation(generation, &cycle.operation)?
+            {
+                found.operations.insert(cycle.operation.clone(), known);
+            }
+            if !found.tools.contains(&cycle.tool) && registry.tool(generation, &cycle.tool)?.is_some() {
+                found.tools.insert(cycle.tool.clone());
+            }
+        }
+        Some(found)
+    }
+
     pub(super) async fn load(
         conn: &mut Conn,
         registry: &Registry,

@@ -1,6 +1,7 @@
 //! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
 
 use super::alarms::OpenAlarm;
+use super::transaction::GroupTransaction;
 use super::{Conn, Db, dialect, tools};
 use crate::codec::zeros;
 use crate::error::StoreResult;
@@ -59,16 +60,16 @@ struct WearRow {
 }
 
 /// Versions of the stored folds of one tool, by machine: what a fold in memory is held against.
-pub(super) type Versions = BTreeMap<MachineId, i64>;
+pub(in super::super) type Versions = BTreeMap<MachineId, i64>;
 
 /// What a group asks first, in one statement.
-pub(super) struct Heads {
+pub(in super::super) struct Heads {
     /// The generation of the registry.
-    pub(super) generation: i64,
+    pub(in super::super) generation: i64,
     /// Whether any feed profile is active.
-    pub(super) any_profile: bool,
+    pub(in super::super) any_profile: bool,
     /// Versions of the folds of the group's tools.
-    pub(super) versions: BTreeMap<ToolId, Versions>,
+    pub(in super::super) versions: BTreeMap<ToolId, Versions>,
 }
 
 /// Asks for the heads of some tools.
@@ -206,6 +207,12 @@ impl ToolWear {
         }
     }
 
+    /// The versions of its rows; `None` where there is none.
+    pub(super) fn versions(&self) -> Option<Versions> {
+        let versions = self.machines.iter().map(|(machine, cached)| (machine.clone(), cached.version));
+        (!self.machines.is_empty()).then(|| versions.collect())
+    }
+
     /// Whether it may be kept in memory until the next group.
     pub(super) fn may_be_kept(&self) -> bool {
         !self.unplaced && self.machines.values().all(|cached| cached.fold.is_some())
@@ -250,7 +257,7 @@ impl ToolWear {
     /// newest, refolds otherwise.
     pub(super) async fn count_new(
         &mut self,
-        conn: &mut Conn,
+        transaction: &mut GroupTransaction<'_>,
         machine: &MachineId,
         new: &[FactsRow],
     ) -> StoreResult<()> {
@@ -266,13 +273,13 @@ impl ToolWear {
         });
         let newest = |fold: &ToolFold| fold.last().is_none_or(|last| Place::of(last) < first);
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
-            return self.refold(conn, machine, &first).await;
+            return self.refold(transaction.conn().await?, machine, &first).await;
         };
         let mut walk = Walk::resume(fold, cached.folded, &self.events);
         for row in new {
             walk.step(row)?;
             if walk.at_checkpoint() {
-                save_checkpoint(conn, &self.tool, machine, &walk).await?;
+                save_checkpoint(transaction.conn().await?, &self.tool, machine, &walk).await?;
             }
         }
         let (folded, fold) = (walk.folded(), walk.into_fold());
@@ -347,15 +354,20 @@ impl ToolWear {
         Ok(())
     }
 
-    /// The verdict over all machines. Of one machine it is that one's fold; a tool that moved between machines is
-    /// folded over all its cycles, which is exact by construction.
-    pub(super) async fn verdict(&mut self, conn: &mut Conn) -> StoreResult<Verdict> {
+    /// The verdict over all machines, where no cycle has to be read for it: of one machine it is that one's fold.
+    pub(super) fn known_verdict(&self) -> Option<Verdict> {
         let mut caches = self.machines.values();
         if let (Some(Cached { fold: Some(fold), .. }), None) = (caches.next(), caches.next()) {
-            return Ok(verdict_after(fold, &self.events));
+            return Some(verdict_after(fold, &self.events));
         }
-        if let Some((fold, _)) = &self.whole {
-            return Ok(verdict_after(fold, &self.events));
+        self.whole.as_ref().map(|(fold, _)| verdict_after(fold, &self.events))
+    }
+
+    /// The verdict over all machines; a tool that moved between machines is folded over all its cycles, which is exact by
+    /// construction.
+    pub(super) async fn verdict(&mut self, conn: &mut Conn) -> StoreResult<Verdict> {
+        if let Some(verdict) = self.known_verdict() {
+            return Ok(verdict);
         }
         let mut walk = Walk::new(&self.events);
         if !self.machines.is_empty() {

@@ -11,6 +11,13 @@ pub(super) enum Reader {
     Pooled(Transaction<'static, Db>),
 }
 
+impl Reader {
+    /// Gives it back: this engine's pool asks its server all the same, which may be gone.
+    pub(super) fn settle(self) {
+        drop(self);
+    }
+}
+
 impl Deref for Reader {
     type Target = Conn;
     fn deref(&self) -> &Conn {

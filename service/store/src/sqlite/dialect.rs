@@ -1,7 +1,9 @@
 //! What SQLite says differently.
 
+mod assumed;
 mod many;
 
+pub(super) use assumed::{Assumption, MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
 pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
 
 use super::Conn;

@@ -1,6 +1,7 @@
 //! Opening: permission, settings that durability rests on, migrations.
 
 use super::checkpoint::Checkpoints;
+use super::readers::Readers;
 use super::{Conn, Inner, SqliteStore};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
@@ -89,7 +90,7 @@ impl SqliteStore {
             inner: Arc::new(Inner {
                 writer: Mutex::new(Some(writer)),
                 in_group: AtomicBool::new(false),
-                readers,
+                readers: Readers::of(readers),
                 gate: Gate::default(),
                 refused: AtomicBool::new(false),
                 checkpoints,

@@ -7,6 +7,7 @@ use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
 use std::collections::HashSet;
+use std::sync::Arc;
 
 macro_rules! cycles {
     ($($column:ident: $type:ty = $placeholder:literal,)*) => {
@@ -24,7 +25,7 @@ const CYCLES: &str = cycle_columns!(cycles);
 /// Inserts cycles of different keys, in their order; returns the keys of those that were known before.
 pub(in crate::postgres) async fn insert_cycles(
     conn: &mut Conn,
-    rows: &[&CycleRow],
+    rows: &[Arc<CycleRow>],
 ) -> StoreResult<Vec<(String, String)>> {
     if rows.is_empty() {
         return Ok(Vec::new());

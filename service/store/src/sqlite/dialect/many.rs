@@ -4,13 +4,15 @@
 //! much as rows that are there. What is written last goes in one hop, statement behind statement, where all of it has
 //! as many rows.
 
+use super::assumed::{Assumption, BEGIN};
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
-use std::sync::LazyLock;
+use sqlx::FromRow;
+use std::sync::{Arc, LazyLock};
 
 type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
 
@@ -60,47 +62,73 @@ macro_rules! cycles_row {
     (@one $column:ident) => { ",?" };
 }
 
+/// Inserts cycles that are taken to be new.
+static CYCLES: LazyLock<Statements> =
+    LazyLock::new(|| Statements::new(cycle_columns!(cycles_head), cycle_columns!(cycles_row), ""));
+
 /// Asks which of the keys are there, and inserts the others behind it: nobody else writes in between. RETURNING would
 /// hand every new key back, each a message from the connection's thread.
-static CYCLES: LazyLock<Statements> = LazyLock::new(|| {
+static NEW_CYCLES: LazyLock<Statements> = LazyLock::new(|| {
     let keys = Statements::new(
         "SELECT c.machine_id, c.cycle_id FROM (VALUES ",
         "(?,?)",
         // In this order: it looks up each key instead of reading an index from end to end.
         ") AS k CROSS JOIN cycles c ON c.machine_id = k.column1 AND c.cycle_id = k.column2",
     );
-    let insert = Statements::new(
-        cycle_columns!(cycles_head),
-        cycle_columns!(cycles_row),
-        " ON CONFLICT (machine_id, cycle_id) DO NOTHING",
-    );
-    let both = keys.texts.iter().zip(insert.texts);
-    let texts = both.map(|(keys, insert)| -> &'static str { format!("{keys}; {insert}").leak() });
-    Statements { texts: texts.collect() }
+    let both = keys.texts.iter().zip(&CYCLES.texts).map(|(keys, insert)| -> &'static str {
+        format!("{keys}; {insert} ON CONFLICT (machine_id, cycle_id) DO NOTHING").leak()
+    });
+    Statements { texts: both.collect() }
 });
+
+fn bind_cycles(mut query: Query, rows: &[Arc<CycleRow>]) -> Query {
+    for row in rows {
+        macro_rules! bind {
+            ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(row.$column.clone()))* };
+        }
+        query = cycle_columns!(bind);
+    }
+    query
+}
 
 /// Inserts cycles of different keys; returns the keys of those that were known before.
 pub(in crate::sqlite) async fn insert_cycles(
     conn: &mut Conn,
-    rows: &[&CycleRow],
+    rows: &[Arc<CycleRow>],
 ) -> StoreResult<Vec<(String, String)>> {
     let mut known = Vec::new();
     let mut rest = rows;
-    while let Some((text, rows, later)) = CYCLES.first(rest) {
+    while let Some((text, rows, later)) = NEW_CYCLES.first(rest) {
         rest = later;
-        let mut query = sqlx::query_as(text);
+        let mut query = sqlx::query(text);
         for row in rows {
             query = query.bind(row.machine_id.clone()).bind(row.cycle_id.clone());
         }
-        for row in rows {
-            macro_rules! bind {
-                ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(row.$column.clone()))* };
-            }
-            query = cycle_columns!(bind);
+        for row in bind_cycles(query, rows).fetch_all(&mut *conn).await? {
+            known.push(FromRow::from_row(&row)?);
         }
-        known.extend(query.fetch_all(&mut *conn).await?);
     }
     Ok(known)
+}
+
+fn bind_assumption(query: Query, assumption: &Assumption) -> Query {
+    let Assumption { generation, any_profile, tools, versions } = assumption;
+    query.bind(*generation).bind(i64::from(*any_profile)).bind(tools.clone()).bind(versions.clone())
+}
+
+/// Begins a transaction where what was assumed holds, and inserts cycles that are taken to be new.
+pub(super) async fn begin_and_insert(
+    conn: &mut Conn,
+    assumption: &Assumption,
+    cycles: &[Arc<CycleRow>],
+) -> StoreResult<()> {
+    bind_assumption(sqlx::query(BEGIN), assumption).execute(&mut *conn).await?;
+    let mut rest = cycles;
+    while let Some((text, rows, later)) = CYCLES.first(rest) {
+        rest = later;
+        bind_cycles(sqlx::query(text), rows).execute(&mut *conn).await?;
+    }
+    Ok(())
 }
 
 static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
@@ -222,12 +250,43 @@ fn unconfirmed(error: sqlx::Error) -> StoreError {
 
 /// Blocks, folds and recommendations of as many rows each, and [`COMMIT`]; parameters are numbered on from statement to
 /// statement.
-static ALL: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+static REST: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     let text = |at: usize| -> &'static str {
         format!("{}; {}; {}; {COMMIT}", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
     };
     (0..EACH).map(text).collect()
 });
+
+/// [`BEGIN`], as many cycles, and [`REST`].
+static EVERYTHING: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+    let text = |at: usize| -> &'static str { format!("{BEGIN}; {}; {}", CYCLES.texts[at], REST[at]).leak() };
+    (0..EACH).map(text).collect()
+});
+
+/// How many rows there are of each kind, where one statement writes all of them.
+fn as_many_each(rest: &Rest<'_>) -> Option<usize> {
+    let rows = rest.issued.len();
+    ((1..=EACH).contains(&rows) && rest.blocks.len() == rows && rest.wear.len() == rows).then_some(rows)
+}
+
+fn bind_rest(query: Query, rest: &Rest<'_>, now: Timestamp) -> Query {
+    bind_recommendations(bind_wear(bind_blocks(query, &rest.blocks), &rest.wear, now), &rest.issued)
+}
+
+/// Writes a group from its beginning to its commit in one statement; `None`, with nothing done, where there is none for
+/// as many rows.
+pub(super) async fn write_everything(
+    conn: &mut Conn,
+    assumption: &Assumption,
+    cycles: &[Arc<CycleRow>],
+    rest: &Rest<'_>,
+    now: Timestamp,
+) -> Option<StoreResult<Written>> {
+    let rows = as_many_each(rest).filter(|rows| cycles.len() == *rows)?;
+    let query = bind_cycles(bind_assumption(sqlx::query(EVERYTHING[rows - 1]), assumption), cycles);
+    let outcome = bind_rest(query, rest, now).fetch_one(&mut *conn).await;
+    Some(outcome.map(|_| Written::whole()).map_err(unconfirmed))
+}
 
 /// Writes the rest of a group and commits it.
 pub(in crate::sqlite) async fn write_rest(
@@ -235,20 +294,18 @@ pub(in crate::sqlite) async fn write_rest(
     rest: &Rest<'_>,
     now: Timestamp,
 ) -> StoreResult<Written> {
-    let Rest { blocks, wear, issued } = rest;
-    let rows = issued.len();
-    if (1..=EACH).contains(&rows) && blocks.len() == rows && wear.len() == rows {
-        let query = bind_wear(bind_blocks(sqlx::query(ALL[rows - 1]), blocks), wear, now);
-        bind_recommendations(query, issued).fetch_one(&mut *conn).await.map_err(unconfirmed)?;
+    if let Some(rows) = as_many_each(rest) {
+        let query = bind_rest(sqlx::query(REST[rows - 1]), rest, now);
+        query.fetch_one(&mut *conn).await.map_err(unconfirmed)?;
         return Ok(Written::whole());
     }
-    let mut left = blocks.as_slice();
+    let mut left = rest.blocks.as_slice();
     while let Some((text, rows, later)) = BLOCKS.first(left) {
         left = later;
         bind_blocks(sqlx::query(text), rows).execute(&mut *conn).await?;
     }
-    save_wear(conn, wear, now).await?;
-    insert_recommendations(conn, issued).await?;
+    save_wear(conn, &rest.wear, now).await?;
+    insert_recommendations(conn, &rest.issued).await?;
     sqlx::query(COMMIT).fetch_one(&mut *conn).await.map_err(unconfirmed)?;
     Ok(Written::whole())
 }

@@ -1,0 +1,215 @@
+//! Connections that read, each lent to one reader at a time.
+//!
+//! The library's pool asks each connection that comes back whether it is still there and done, a hop to its thread and
+//! back, which costs as much as a short read. A read that ended well has answered that: its connection is kept here, and
+//! the pool has back only what a cancelled or failed read leaves, and what somebody waits for.
+
+use super::{Conn, Db};
+use sqlx::SqlitePool;
+use sqlx::pool::PoolConnection;
+use std::ops::{Deref, DerefMut};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The connections of one store.
+#[derive(Debug)]
+pub(super) struct Readers {
+    pool: SqlitePool,
+    /// Connections whose last read ended well.
+    ready: Mutex<Vec<PoolConnection<Db>>>,
+    /// Readers that wait for the pool.
+    waiting: AtomicUsize,
+}
+
+/// A connection that is lent. Dropped, it is asked whether it can be used again; [`Lent::settle`] vouches for it.
+pub(super) struct Lent {
+    conn: PoolConnection<Db>,
+    readers: Arc<Readers>,
+}
+
+/// Somebody waits, until this is dropped.
+struct Waits<'r>(&'r AtomicUsize);
+
+impl Drop for Waits<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+impl Readers {
+    pub(super) fn of(pool: SqlitePool) -> Arc<Self> {
+        Arc::new(Self { pool, ready: Mutex::default(), waiting: AtomicUsize::new(0) })
+    }
+
+    /// Lends a connection, or waits for one as long as the pool's patience lasts.
+    pub(super) async fn lend(self: &Arc<Self>) -> sqlx::Result<Lent> {
+        let conn = match self.take() {
+            Some(conn) => conn,
+            None => self.wait().await?,
+        };
+        Ok(Lent { conn, readers: Arc::clone(self) })
+    }
+
+    async fn wait(&self) -> sqlx::Result<PoolConnection<Db>> {
+        self.waiting.fetch_add(1, Ordering::SeqCst);
+        let _waits = Waits(&self.waiting);
+        // Whoever settled before this one was seen to wait has left its connection here.
+        match self.take() {
+            Some(conn) => Ok(conn),
+            None => self.pool.acquire().await,
+        }
+    }
+
+    /// Connections that are open, idle among them, and most that may be.
+    pub(super) fn counts(&self) -> (u32, u32, u32) {
+        let idle = self.pool.num_idle().saturating_add(self.ready().len());
+        let idle = u32::try_from(idle).unwrap_or(u32::MAX);
+        (self.pool.size(), idle, self.pool.options().get_max_connections())
+    }
+
+    /// Closes all of them when their readers are done.
+    pub(super) async fn close(&self) {
+        // Marked as closed from here on, so that nothing is left to be ready.
+        let closing = self.pool.close();
+        self.ready().clear();
+        closing.await;
+    }
+
+    fn take(&self) -> Option<PoolConnection<Db>> {
+        if self.pool.is_closed() { None } else { self.ready().pop() }
+    }
+
+    fn ready(&self) -> MutexGuard<'_, Vec<PoolConnection<Db>>> {
+        self.ready.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Lent {
+    /// Gives it back after a read that ended well.
+    pub(super) fn settle(self) {
+        let Self { conn, readers } = self;
+        readers.ready().push(conn);
+        // Looked at after it was put there: who waits has looked there after it was counted.
+        if readers.waiting.load(Ordering::SeqCst) > 0 {
+            let back = readers.ready().pop();
+            drop(back);
+        }
+        if readers.pool.is_closed() {
+            readers.ready().clear();
+        }
+    }
+}
+
+impl Deref for Lent {
+    type Target = Conn;
+    fn deref(&self) -> &Conn {
+        &self.conn
+    }
+}
+
+impl DerefMut for Lent {
+    fn deref_mut(&mut self) -> &mut Conn {
+        &mut self.conn
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sqlx::sqlite::SqlitePoolOptions;
+    use std::time::Duration;
+
+    async fn readers(most: u32) -> Arc<Readers> {
+        let options = SqlitePoolOptions::new().max_connections(most).acquire_timeout(Duration::from_secs(30));
+        Readers::of(options.connect("sqlite::memory:").await.unwrap())
+    }
+
+    async fn answers(lent: &mut Lent) {
+        let one: i64 = sqlx::query_scalar("SELECT 1").fetch_one(&mut **lent).await.unwrap();
+        assert_eq!(one, 1);
+    }
+
+    #[tokio::test]
+    async fn a_settled_connection_is_lent_again_and_counts_as_idle() {
+        let readers = readers(2).await;
+        let mut lent = readers.lend().await.unwrap();
+        answers(&mut lent).await;
+        assert_eq!(readers.counts(), (1, 0, 2));
+        lent.settle();
+        assert_eq!(readers.counts(), (1, 1, 2));
+        assert_eq!(readers.ready().len(), 1);
+        let mut again = readers.lend().await.unwrap();
+        answers(&mut again).await;
+        assert_eq!(readers.counts(), (1, 0, 2), "no other was opened");
+    }
+
+    #[tokio::test]
+    async fn who_waits_has_what_is_settled_or_dropped() {
+        let readers = readers(1).await;
+        for settled in [true, false] {
+            let lent = readers.lend().await.unwrap();
+            let waiting = tokio::spawn({
+                let readers = Arc::clone(&readers);
+                async move { readers.lend().await.map(Lent::settle) }
+            });
+            while readers.waiting.load(Ordering::SeqCst) == 0 {
+                tokio::task::yield_now().await;
+            }
+            if settled { lent.settle() } else { drop(lent) }
+            waiting.await.unwrap().unwrap();
+            assert_eq!(readers.waiting.load(Ordering::SeqCst), 0);
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+    async fn many_readers_share_few_connections() {
+        let readers = readers(2).await;
+        let all = (0..64).map(|task| {
+            let readers = Arc::clone(&readers);
+            tokio::spawn(async move {
+                for turn in 0..50 {
+                    let mut lent = readers.lend().await.unwrap();
+                    // Some are cancelled before they have begun, some go without a word, most end well.
+                    match (task + turn) % 7 {
+                        0 => drop(lent),
+                        1 => {
+                            let asking = sqlx::query("SELECT 1").execute(&mut *lent);
+                            tokio::select! {
+                                biased;
+                                () = std::future::ready(()) => {}
+                                _ = asking => {}
+                            }
+                        }
+                        _ => {
+                            answers(&mut lent).await;
+                            lent.settle();
+                        }
+                    }
+                }
+            })
+        });
+        for task in all.collect::<Vec<_>>() {
+            task.await.unwrap();
+        }
+        assert!(readers.counts().0 <= 2);
+    }
+
+    #[tokio::test]
+    async fn closing_waits_for_who_reads_and_lends_nothing_more() {
+        let readers = readers(2).await;
+        let (lent, other) = (readers.lend().await.unwrap(), readers.lend().await.unwrap());
+        other.settle();
+        let closing = tokio::spawn({
+            let readers = Arc::clone(&readers);
+            async move { readers.close().await }
+        });
+        while !readers.pool.is_closed() {
+            tokio::task::yield_now().await;
+        }
+        assert!(!closing.is_finished());
+        assert!(readers.lend().await.is_err());
+        lent.settle();
+        closing.await.unwrap();
+        assert_eq!(readers.counts().0, 0);
+    }
+}
