@@ -7,6 +7,7 @@ pub(crate) use given::{Given, shop};
 
 mod alarms;
 mod alike;
+mod assumed;
 mod citus;
 mod cycles;
 mod feed_profiles;

@@ -43,10 +43,10 @@ async fn read(store: &dyn Store, tool: &ToolId, limit: u32) -> Vec<CyclePoint> {
 }
 
 /// Numbers that look like chance and are the same in every run.
-struct Chance(u64);
+pub(super) struct Chance(pub(super) u64);
 
 impl Chance {
-    fn below(&mut self, bound: u64) -> u64 {
+    pub(super) fn below(&mut self, bound: u64) -> u64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) % bound
     }

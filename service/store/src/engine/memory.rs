@@ -48,7 +48,7 @@ impl Memory {
             return None;
         }
         let (generation, any_profile) = (self.generation, self.any_profile?);
-        if group.iter().any(|new| new.generation != Some(generation)) {
+        if group.iter().any(|new| new.generation.is_some_and(|told| told != generation)) {
             return None;
         }
         let registry = GroupRegistry::remembered(registry, generation, group)?;
