@@ -1,11 +1,14 @@
 //! A group that is written without a question before, because what it rests on is remembered: it leaves and is told what a
 //! server that remembers nothing would have left and told.
 
-use super::given::{Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, stored, tool};
+use super::given::{
+    Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, stored, tool,
+};
 use super::recent::Chance;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
-    AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, SqliteOptions, SqliteStore, Store, StoreResult,
+    AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, SqliteOptions, SqliteStore, Store,
+    StoreResult,
 };
 
 async fn opened(given: &Given) -> SqliteStore {

@@ -88,21 +88,24 @@ pub(super) fn fall_depth(samples: &Samples) -> Option<f64> {
 
 pub(super) fn flags(samples: &Samples) -> Flags {
     let mut flags = Flags::NONE;
-    let any = |channel, test: fn(f64) -> bool| {
-        samples.column(channel).is_some_and(|values| values.iter().any(|&value| test(value)))
-    };
     let is_zero = |value: f64| value == 0.0;
-    flags.insert_if(any(Channel::FeedActualMmMin, is_zero), Flag::FeedHold);
-    flags.insert_if(any(Channel::OverridePercent, is_zero), Flag::OverrideZero);
+    flags.insert_if(any(samples, Channel::FeedActualMmMin, is_zero), Flag::FeedHold);
+    flags.insert_if(any(samples, Channel::OverridePercent, is_zero), Flag::OverrideZero);
     for channel in [Channel::SpindleLoadPercent, Channel::FeedDriveLoadPercent] {
-        flags.insert_if(any(channel, |value| value < 0.0), Flag::NegativeLoad);
-        flags.insert_if(any(channel, |value| value > SANE_LOAD_PERCENT), Flag::LoadOver400);
+        flags.insert_if(any(samples, channel, |value| value < 0.0), Flag::NegativeLoad);
+        flags.insert_if(any(samples, channel, |value| value > SANE_LOAD_PERCENT), Flag::LoadOver400);
     }
     for channel in [Channel::SpindlePowerWatts, Channel::FeedDrivePowerWatts] {
-        flags.insert_if(any(channel, |value| value < 0.0), Flag::NegativePower);
+        flags.insert_if(any(samples, channel, |value| value < 0.0), Flag::NegativePower);
     }
     flags.insert_if(samples.column(Channel::DepthMm).is_some_and(reverses), Flag::DepthReversal);
     flags
+}
+
+/// Whether any value of a channel passes. It looks at all of them: most cycles have none that does, and a loop without an
+/// end in the middle looks at several at once.
+fn any(samples: &Samples, channel: Channel, test: impl Fn(f64) -> bool) -> bool {
+    samples.column(channel).is_some_and(|values| values.iter().fold(false, |any, value| any | test(*value)))
 }
 
 /// Whether the depth comes back and then goes deeper again, as in pecking; the final retract is none.

@@ -1,7 +1,7 @@
 //! The check of the cached folds against folds from scratch, one tool at a time.
 
-use super::wear::{self, ToolWear};
 use super::transaction::GroupTransaction;
+use super::wear::{self, ToolWear};
 use super::{Conn, Db, alarms, dialect};
 use crate::error::StoreResult;
 use crate::history::Walk;

@@ -270,7 +270,15 @@ async fn count_all(
         {
             let message = format!("cycle {}: a load exceeded 400 %", new.cycle.id);
             let (machine, tool) = (&new.cycle.machine, &new.cycle.tool);
-            alarms::raise(transaction.conn().await?, AlarmKind::Overload, Some(machine), Some(tool), &message, now).await?;
+            alarms::raise(
+                transaction.conn().await?,
+                AlarmKind::Overload,
+                Some(machine),
+                Some(tool),
+                &message,
+                now,
+            )
+            .await?;
         }
     }
     Ok((verdicts, changed))

@@ -42,7 +42,11 @@ impl Memory {
     }
 
     /// What a group rests on, where all of it is remembered: to be held against the database before it is written.
-    pub(super) fn assume(&mut self, registry: &Registry, group: &[NewCycle]) -> Option<(Heads, GroupRegistry)> {
+    pub(super) fn assume(
+        &mut self,
+        registry: &Registry,
+        group: &[NewCycle],
+    ) -> Option<(Heads, GroupRegistry)> {
         if self.doubtful > 0 {
             self.doubtful -= 1;
             return None;

@@ -121,7 +121,8 @@ pub(super) async fn put(
     audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
     if !judged_alike(existing.as_ref().map(|existing| &existing.value), operation) {
         for (tool, verdict) in wear::count_operation(conn, &operation.id, now).await? {
-            alarms::follow_verdict(&mut GroupTransaction::begun(conn), &tool, &verdict, &mut None, now).await?;
+            alarms::follow_verdict(&mut GroupTransaction::begun(conn), &tool, &verdict, &mut None, now)
+                .await?;
         }
     }
     Ok(outcome)

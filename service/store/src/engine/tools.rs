@@ -75,7 +75,8 @@ pub(super) async fn put(
     if outcome == PutOutcome::Created {
         // Cycles that came before count from now on.
         let verdict = wear::count_all(conn, &tool.id, now).await?;
-        alarms::follow_verdict(&mut GroupTransaction::begun(conn), &tool.id, &verdict, &mut None, now).await?;
+        alarms::follow_verdict(&mut GroupTransaction::begun(conn), &tool.id, &verdict, &mut None, now)
+            .await?;
     }
     Ok(outcome)
 }

@@ -155,7 +155,11 @@ mod tests {
             while readers.waiting.load(Ordering::SeqCst) == 0 {
                 tokio::task::yield_now().await;
             }
-            if settled { lent.settle() } else { drop(lent) }
+            if settled {
+                lent.settle()
+            } else {
+                drop(lent)
+            }
             waiting.await.unwrap().unwrap();
             assert_eq!(readers.waiting.load(Ordering::SeqCst), 0);
         }

@@ -4,6 +4,7 @@ use super::time;
 use crate::series::{SeriesKey, Value};
 use feedwright_core::series::Spread;
 use feedwright_core::units::Timestamp;
+use serde::ser::SerializeSeq;
 use serde::{Serialize, Serializer};
 use utoipa::ToSchema;
 
@@ -131,17 +132,13 @@ pub struct ValueSeriesBody<'a> {
     pub value: &'a [Value<'a>],
 }
 
-/// A time as [`time::show`] shows it, without a text of its own.
-struct Shown(Timestamp);
-
-impl Serialize for Shown {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(&time::shown(self.0))
-    }
-}
-
 fn times<S: Serializer>(of: &[Value<'_>], serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_seq(of.iter().map(|value| Shown(value.point.key.0)))
+    let mut shower = time::Shower::default();
+    let mut all = serializer.serialize_seq(Some(of.len()))?;
+    for value in of {
+        all.serialize_element(shower.show(value.point.key.0))?;
+    }
+    all.end()
 }
 
 fn machines<S: Serializer>(of: &[Value<'_>], serializer: S) -> Result<S::Ok, S::Error> {

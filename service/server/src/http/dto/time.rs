@@ -12,12 +12,69 @@ fn in_range(at: Timestamp) -> jiff::Timestamp {
 
 /// A time as JSON shows it, with as many digits as it needs.
 pub fn show(at: Timestamp) -> String {
-    shown(at).to_string()
+    in_range(at).to_string()
 }
 
-/// What shows a time as [`show`] does, without a text of its own.
-pub fn shown(at: Timestamp) -> impl std::fmt::Display {
-    in_range(at)
+/// Microseconds of a day.
+const DAY_US: i64 = 86_400_000_000;
+/// Times of these microseconds, until the year 9987, are shown with four digits for the year.
+const FOUR_DIGITS: std::ops::Range<i64> = 0..253_000_000_000_000_000;
+/// `2026-05-04T`, and the whole with six digits of a second.
+const DATE_BYTES: usize = 11;
+const LONGEST: usize = DATE_BYTES + 16;
+
+/// Shows times one after the other as [`show`] does each: those of one day share its date.
+#[derive(Debug, Default)]
+pub struct Shower {
+    day: Option<i64>,
+    text: String,
+}
+
+impl Shower {
+    /// The next time.
+    pub fn show(&mut self, at: Timestamp) -> &str {
+        let micros = at.micros();
+        if !FOUR_DIGITS.contains(&micros) {
+            self.day = None;
+            self.text = show(at);
+            return &self.text;
+        }
+        let (day, within) = (micros / DAY_US, micros % DAY_US);
+        if self.day == Some(day) {
+            self.text.truncate(DATE_BYTES);
+        } else {
+            self.text = show(Timestamp::from_micros(day * DAY_US));
+            self.text.truncate(DATE_BYTES);
+            self.text.reserve_exact(LONGEST - DATE_BYTES);
+            self.day = Some(day);
+        }
+        let seconds = within / 1_000_000;
+        self.push(seconds / 3600, 2);
+        self.text.push(':');
+        self.push(seconds / 60 % 60, 2);
+        self.text.push(':');
+        self.push(seconds % 60, 2);
+        let (mut fraction, mut digits) = (within % 1_000_000, 6);
+        if fraction > 0 {
+            while fraction % 10 == 0 {
+                fraction /= 10;
+                digits -= 1;
+            }
+            self.text.push('.');
+            self.push(fraction, digits);
+        }
+        self.text.push('Z');
+        &self.text
+    }
+
+    /// Appends a number of at most six digits with so many of them.
+    fn push(&mut self, number: i64, digits: u32) {
+        let mut place = 10_i64.pow(digits - 1);
+        for _ in 0..digits {
+            self.text.push(char::from(b'0' + u8::try_from(number / place % 10).unwrap_or(0)));
+            place /= 10;
+        }
+    }
 }
 
 /// Writes a time as [`show`] shows it. Into memory this cannot fail.
@@ -53,6 +110,32 @@ pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn times_shown_one_after_the_other_are_shown_as_each(
+            times in prop::collection::vec(
+                prop_oneof![
+                    any::<i64>(),
+                    FOUR_DIGITS,
+                    1_700_000_000_000_000_i64..1_700_200_000_000_000,
+                    (1_700_000_000_i64..1_700_200_000).prop_map(|second| second * 1_000_000),
+                    (1_700_000_000_000_i64..1_700_200_000_000).prop_map(|milli| milli * 1_000),
+                    (-2_i64..=2).prop_map(|off| FOUR_DIGITS.end + off),
+                    (-2_i64..=2).prop_map(|off| off),
+                    (19_000_i64..19_003, -1_i64..=1).prop_map(|(day, off)| day * DAY_US + off),
+                ],
+                1..20,
+            ),
+        ) {
+            let mut shower = Shower::default();
+            for micros in times {
+                let at = Timestamp::from_micros(micros);
+                prop_assert_eq!(shower.show(at), show(at));
+            }
+        }
+    }
 
     #[test]
     fn times_come_back_to_the_microsecond() {
