@@ -189,9 +189,15 @@ impl SqliteStore {
         let task = tokio::spawn(async move {
             let mut transaction = conn.begin().await?;
             let outcome = work(&mut transaction).await;
-            transaction.rollback().await?;
-            conn.settle();
-            outcome
+            let ended = transaction.rollback().await;
+            match &ended {
+                Ok(()) => conn.settle(),
+                Err(_) => conn.discard(),
+            }
+            // After an error of the disk SQLite has ended it by itself; that error is the one to tell.
+            let value = outcome?;
+            ended?;
+            Ok(value)
         });
         task.await.map_err(panicked)?
     }

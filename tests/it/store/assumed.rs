@@ -5,6 +5,7 @@ use super::given::{
     Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, stored, tool,
 };
 use super::recent::Chance;
+use feedwright_core::machine::FeedLimits;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
     AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, SqliteOptions, SqliteStore, Store,
@@ -81,32 +82,53 @@ async fn who_remembers_tells_and_leaves_what_one_who_remembers_nothing_does() {
     for store in [&store, &forgetful.store()] {
         shop(&**store).await;
         store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+        for place in 0..40 {
+            store
+                .put_tool(tool(&format!("W{place}")), Precondition::Absent, &engineer(), at(0))
+                .await
+                .unwrap();
+        }
     }
     let (mut chance, mut before, mut newest) = (Chance(11), Vec::<Run>::new(), 1_000);
     for step in 0..90 {
         let fresh = opened(&forgetful).await;
         change(&*store, step).await;
         change(&fresh, step).await;
-        let many = [1, 1, 1, 2, 3, 5, 20, 40][usize::try_from(chance.below(8)).unwrap()];
+        let many = [1, 1, 2, 3, 5, 16, 17, 40][usize::try_from(chance.below(8)).unwrap()];
+        // In some stretches everything is new and known by name, so that groups rest on what is remembered: of few tools,
+        // or of one each, as in a shop.
+        let calm = step / 15 % 2 == 0;
+        let wide = step % 3 == 0;
         let mut group: Vec<Run> = Vec::new();
-        for _ in 0..many {
+        for place in 0..many {
             let next = u32::try_from(before.len() + group.len()).unwrap() + 1;
             let again = before.get(usize::try_from(chance.below(64 * 8)).unwrap()).or(group.first());
-            // Most are new. Some were sent before, as they were or with another content.
-            match (chance.below(12), again) {
-                (0, Some(again)) => group.push(again.clone()),
-                (1, Some(again)) => group.push(Run { load: again.load + 1.0, ..again.clone() }),
-                (kind, _) => {
+            let kind = chance.below(12);
+            match again.filter(|_| !calm && kind < 2) {
+                // As it was sent before, or with another content.
+                Some(again) if kind == 0 => group.push(again.clone()),
+                Some(again) => group.push(Run { load: again.load + 1.0, ..again.clone() }),
+                None => {
                     let late = i64::try_from(chance.below(300)).unwrap();
                     newest += 7;
+                    let machines = if calm { ["M1", "M2", "M1", "M1"] } else { ["M1", "M1", "M2", "M3"] };
+                    let tools = ["T1", "T1", "T2", "T3"];
                     group.push(Run {
-                        machine: ["M1", "M1", "M2", "M3"][usize::try_from(chance.below(4)).unwrap()],
-                        tool: ["T1", "T1", "T2", "T3"][usize::try_from(chance.below(4)).unwrap()].to_owned(),
+                        machine: machines[usize::try_from(chance.below(4)).unwrap()],
+                        tool: if wide {
+                            format!("W{place}")
+                        } else {
+                            tools[usize::try_from(chance.below(4)).unwrap()].to_owned()
+                        },
                         operation: if chance.below(5) == 0 { "O2" } else { "O1" },
-                        seconds: if kind == 2 { newest - late } else { newest },
-                        sampled: chance.below(4) != 0,
+                        seconds: if kind >= 10 && step % 4 == 1 { newest - late } else { newest },
+                        sampled: wide || chance.below(4) != 0,
                         // Worn in time, and now and then far beyond what a load may be.
-                        load: if chance.below(40) == 0 { 430.0 } else { 30.0 + f64::from(step) * 0.1 },
+                        load: if !calm && chance.below(40) == 0 {
+                            430.0
+                        } else {
+                            30.0 + f64::from(step) * 0.1
+                        },
                         ..Run::nth(next)
                     });
                 }
@@ -146,8 +168,23 @@ async fn what_another_store_changed_is_noticed() {
         assert!(matches!(&else_[..], [Ok(Committed::Conflict { .. })]), "{else_:?}");
         stored(stores[1], &Run { id: format!("d{n}"), seconds: i64::from(n) * 60 + 20, ..Run::nth(n) }).await;
     }
+    // What is registered is held against the database too: of new limits only their generation tells.
+    let mut n = 100;
+    for most in [1500.0, 700.0] {
+        for _ in 0..12 {
+            n += 1;
+            stored(&*store, &Run::nth(n)).await;
+        }
+        let mut limited = machine("M1");
+        limited.limits = FeedLimits::new(1.0, most, 5.0, 200.0).unwrap();
+        let version = other.machine(&limited.id).await.unwrap().unwrap().version;
+        other.put_machine(limited, Precondition::Version(version), &engineer(), at(0)).await.unwrap();
+        n += 1;
+        let told = stored(&*store, &Run::nth(n)).await.recommendation.recommendation;
+        assert_eq!(told.limits.max_mm_min(), most);
+    }
     let folded: Vec<i64> = given.wear_states().await.iter().map(|(_, _, folded, _)| *folded).collect();
-    assert_eq!(folded, [120]);
+    assert_eq!(folded, [146]);
     assert_eq!(store.check_wear(false).await.unwrap().different, []);
     other.close().await;
     given.done().await;

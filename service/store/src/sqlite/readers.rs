@@ -1,8 +1,8 @@
 //! Connections that read, each lent to one reader at a time.
 //!
 //! The library's pool asks each connection that comes back whether it is still there and done, a hop to its thread and
-//! back, which costs as much as a short read. A read that ended well has answered that: its connection is kept here, and
-//! the pool has back only what a cancelled or failed read leaves, and what somebody waits for.
+//! back, which costs as much as a short read. After a read that ended well nothing is at work any more: its connection is
+//! kept here, and the pool has back only what a cancelled or failed read leaves, and what somebody waits for.
 
 use super::{Conn, Db};
 use sqlx::SqlitePool;
@@ -84,7 +84,21 @@ impl Readers {
     }
 }
 
+impl Drop for Readers {
+    fn drop(&mut self) {
+        // Where there is no runtime any more nobody could ask them: they just end.
+        for conn in self.ready().drain(..) {
+            drop(conn.detach());
+        }
+    }
+}
+
 impl Lent {
+    /// Ends a connection whose transaction could not be ended: it would show the same old moment for ever.
+    pub(super) fn discard(self) {
+        drop(self.conn.detach());
+    }
+
     /// Gives it back after a read that ended well.
     pub(super) fn settle(self) {
         let Self { conn, readers } = self;
@@ -156,13 +170,39 @@ mod tests {
                 tokio::task::yield_now().await;
             }
             if settled {
-                lent.settle()
+                lent.settle();
             } else {
-                drop(lent)
+                drop(lent);
             }
             waiting.await.unwrap().unwrap();
             assert_eq!(readers.waiting.load(Ordering::SeqCst), 0);
         }
+    }
+
+    const COUNT: &str = "WITH RECURSIVE k(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM k WHERE n < 20000) SELECT max(n) FROM k";
+
+    #[tokio::test]
+    async fn one_that_is_discarded_makes_room_for_another() {
+        let readers = readers(1).await;
+        let mut lent = readers.lend().await.unwrap();
+        sqlx::query("BEGIN").execute(&mut *lent).await.unwrap();
+        lent.discard();
+        assert_eq!(readers.counts(), (0, 0, 1));
+        let mut other = readers.lend().await.unwrap();
+        sqlx::query("BEGIN").execute(&mut *other).await.expect("it is in no transaction");
+    }
+
+    #[test]
+    fn they_may_end_after_their_runtime() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let readers = runtime.block_on(async {
+            let readers = readers(1).await;
+            readers.lend().await.unwrap().settle();
+            readers
+        });
+        assert_eq!(readers.ready().len(), 1);
+        drop(runtime);
+        drop(readers);
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -173,15 +213,16 @@ mod tests {
             tokio::spawn(async move {
                 for turn in 0..50 {
                     let mut lent = readers.lend().await.unwrap();
-                    // Some are cancelled before they have begun, some go without a word, most end well.
+                    // Some are cancelled at work, some go without a word, most end well.
                     match (task + turn) % 7 {
                         0 => drop(lent),
                         1 => {
-                            let asking = sqlx::query("SELECT 1").execute(&mut *lent);
+                            // Long at work when it is cancelled.
+                            let asking = sqlx::query_scalar::<_, i64>(COUNT).fetch_one(&mut *lent);
                             tokio::select! {
                                 biased;
+                                found = asking => assert!(found.is_ok()),
                                 () = std::future::ready(()) => {}
-                                _ = asking => {}
                             }
                         }
                         _ => {
