@@ -5,7 +5,7 @@ use super::given::{
     Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, stored, tool,
 };
 use super::recent::Chance;
-use feedwright_core::machine::FeedLimits;
+use feedwright_core::machine::{FeedLimits, Machine};
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
     AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, SqliteOptions, SqliteStore, Store,
@@ -175,13 +175,13 @@ async fn what_another_store_changed_is_noticed() {
             n += 1;
             stored(&*store, &Run::nth(n)).await;
         }
-        let mut limited = machine("M1");
-        limited.limits = FeedLimits::new(1.0, most, 5.0, 200.0).unwrap();
+        let limits = FeedLimits::new(1.0, most, 5.0, 200.0).unwrap();
+        let limited = Machine { limits, ..machine("M1") };
         let version = other.machine(&limited.id).await.unwrap().unwrap().version;
         other.put_machine(limited, Precondition::Version(version), &engineer(), at(0)).await.unwrap();
         n += 1;
         let told = stored(&*store, &Run::nth(n)).await.recommendation.recommendation;
-        assert_eq!(told.limits.max_mm_min(), most);
+        assert_eq!(told.limits, limits);
     }
     // And the folds: of another's cycle of the same tool only their versions tell.
     for _ in 0..2 {

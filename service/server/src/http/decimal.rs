@@ -56,6 +56,11 @@ impl Decimals {
     }
 }
 
+/// The last digit of a number.
+fn digit(number: u64) -> u8 {
+    b'0' + u8::try_from(number % 10).unwrap_or(0)
+}
+
 impl Formatter for Decimals {
     fn begin_array<W: ?Sized + Write>(&mut self, writer: &mut W) -> Result<()> {
         self.places = 0;
@@ -71,22 +76,30 @@ impl Formatter for Decimals {
             rest /= 10;
             places -= 1;
         }
-        if places == 0 {
-            // One place is always shown: 140.0.
-            rest *= 10;
-            places = 1;
-        }
+        // Divided by constants: dividing by a number that is looked up takes several times as long.
+        let (mut whole, mut part) = match places {
+            0 => (rest, 0),
+            1 => (rest / 10, rest % 10),
+            2 => (rest / 100, rest % 100),
+            3 => (rest / 1_000, rest % 1_000),
+            _ => (rest / 10_000, rest % 10_000),
+        };
         let mut text = [b'0'; WIDEST];
         let mut at = WIDEST;
-        // The digits behind the point, the point, and at least one before it.
-        let point = WIDEST - places - 1;
-        while rest > 0 || at > point - 1 {
+        // One place is always shown: 140.0.
+        for _ in 0..places.max(1) {
             at -= 1;
-            if at == point {
-                text[at] = b'.';
-            } else {
-                text[at] = b'0' + u8::try_from(rest % 10).unwrap_or(0);
-                rest /= 10;
+            text[at] = digit(part);
+            part /= 10;
+        }
+        at -= 1;
+        text[at] = b'.';
+        loop {
+            at -= 1;
+            text[at] = digit(whole);
+            whole /= 10;
+            if whole == 0 {
+                break;
             }
         }
         if value.is_sign_negative() {
