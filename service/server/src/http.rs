@@ -5,6 +5,7 @@
 //! Handlers are thin: decide by one pure call, save, reply. SQL and science do not belong here.
 
 pub mod body;
+mod columns;
 pub mod compute;
 pub mod cursor;
 pub mod cycles;

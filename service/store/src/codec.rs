@@ -76,9 +76,10 @@ mod rice;
 pub(crate) mod zeros;
 
 pub(crate) use column::decimal;
+pub use column::{Column, Columns, Time};
 #[cfg(test)]
 pub(crate) use frame::tests::cycle as cycle_of_every_field;
-pub use frame::{decode_samples, encode_samples};
+pub use frame::{decode_columns, decode_samples, encode_samples};
 pub use hash::content_hash;
 pub use overrides::{decode_overrides, encode_overrides};
 pub(crate) use predict::unzigzag;

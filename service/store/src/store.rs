@@ -1,5 +1,6 @@
 //! The trait that both engines implement.
 
+use crate::codec::Columns;
 use crate::error::StoreResult;
 use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
@@ -222,8 +223,12 @@ pub trait Store: Send + Sync + 'static {
 
     /// One cycle without its samples.
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>>;
+    /// One cycle's samples as the columns that are stored; `None` where there are none (any more).
+    async fn cycle_columns(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Columns>>;
     /// One cycle's samples; `None` where there are none (any more).
-    async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>>;
+    async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>> {
+        self.cycle_columns(machine, id).await?.map(Columns::into_samples).transpose()
+    }
     /// Cycles in the order of `(started_at, machine, cycle)`.
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>>;
 

@@ -30,9 +30,12 @@ pub(super) fn json(body: &impl Serialize, values: usize) -> Result<Vec<u8>> {
 
 /// The answer with that body.
 pub(super) fn answer(body: &impl Serialize, values: usize) -> std::result::Result<Response, Problem> {
-    let json = json(body, values).map_err(|error| Problem::internal(error.to_string()))?;
-    let media_type = HeaderValue::from_static("application/json");
-    Ok(([(header::CONTENT_TYPE, media_type)], json).into_response())
+    json(body, values).map(self::body).map_err(|error| Problem::internal(error.to_string()))
+}
+
+/// The answer with that JSON.
+pub(super) fn body(json: Vec<u8>) -> Response {
+    ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], json).into_response()
 }
 
 /// Writes decimals; everything else as `serde_json` does.

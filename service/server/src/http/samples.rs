@@ -1,5 +1,6 @@
 //! The samples of one cycle: chosen channels, a range, few enough rows for a screen, in the form that is accepted.
 
+use super::columns;
 use super::decimal;
 use super::dto::cycle::SamplesBody;
 use super::dto::time;
@@ -72,11 +73,12 @@ pub(super) async fn get_samples(
     let wanted = Wanted::of(query)?;
     if wanted.is_all() && format == Format::Json && !wanted.in_rows {
         let _turn = state.exports.turn().await?;
-        let Some(samples) = state.store.cycle_samples(&machine, &id).await? else {
+        let Some(columns) = state.store.cycle_columns(&machine, &id).await? else {
             return Err(missing(&state, &machine, &id).await?);
         };
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
-        return Ok((vary, answer(&SamplesBody::from(&samples))?).into_response());
+        let json = columns::json(&columns).map_err(|error| Problem::internal(error.to_string()))?;
+        return Ok((vary, decimal::body(json)).into_response());
     }
     let turn = state.exports.turn().await?;
     let Some(samples) = state.store.cycle_samples(&machine, &id).await? else {

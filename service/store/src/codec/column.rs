@@ -1,5 +1,7 @@
 //! The canonical form of a column.
 
+use super::frame::damaged;
+use crate::error::StoreResult;
 use feedwright_core::cycle::{Channel, Samples, TimeBase};
 
 /// Largest scale: 10^9 and every integer below 2^53 are exact as `f64`.
@@ -10,7 +12,7 @@ const EXACT_LIMIT: f64 = 9_007_199_254_740_992.0;
 
 /// A column in its canonical form.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Column {
+pub enum Column {
     /// Integers `m` of `m / 10^scale`.
     Decimal {
         /// The scale, 0..=9.
@@ -22,7 +24,16 @@ pub(super) enum Column {
     Exact(Vec<u64>),
 }
 
+#[expect(clippy::len_without_is_empty, reason = "no column is empty")]
 impl Column {
+    /// How many values there are, at least 1.
+    pub const fn len(&self) -> usize {
+        match self {
+            Self::Decimal { values, .. } => values.len(),
+            Self::Exact(bits) => bits.len(),
+        }
+    }
+
     pub(super) fn of(values: &[f64]) -> Self {
         let mut scale = 0;
         // Each scale passed over was refused by a value, so the one found is the smallest.
@@ -47,7 +58,8 @@ impl Column {
         Self::Exact(values.iter().map(|value| value.to_bits()).collect())
     }
 
-    pub(super) fn into_values(self) -> Vec<f64> {
+    /// The values.
+    pub fn into_values(self) -> Vec<f64> {
         match self {
             Self::Decimal { scale, values } => {
                 values.into_iter().map(|integer| decimal(integer, scale)).collect()
@@ -102,15 +114,20 @@ fn integer(value: f64, scale: u8) -> Option<i64> {
     (decimal(integer, scale).to_bits() == value.to_bits()).then_some(integer)
 }
 
-/// All columns of a cycle, made once for hash and blocks.
-pub(super) struct Columns {
-    pub(super) len: usize,
-    pub(super) time: Time,
-    pub(super) channels: Vec<(Channel, Column)>,
+/// All columns of a cycle: made once for hash and blocks, and what a block is read to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Columns {
+    /// Samples in each column, at least 1.
+    pub len: usize,
+    /// The time base.
+    pub time: Time,
+    /// The channels in ascending code.
+    pub channels: Vec<(Channel, Column)>,
 }
 
 /// The time base in canonical form.
-pub(super) enum Time {
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Time {
     /// Bits of the period in ms.
     Period(u64),
     /// Times in ms.
@@ -118,7 +135,23 @@ pub(super) enum Time {
 }
 
 impl Columns {
-    pub(super) fn of(samples: &Samples) -> Self {
+    /// The same as samples.
+    ///
+    /// # Errors
+    ///
+    /// Where a value is none that its channel can have.
+    pub fn into_samples(self) -> StoreResult<Samples> {
+        let time = match self.time {
+            Time::Period(bits) => TimeBase::Period { period_ms: f64::from_bits(bits) },
+            Time::Stamps(times) => TimeBase::Stamps { time_ms: times.into_values() },
+        };
+        let columns =
+            self.channels.into_iter().map(|(channel, column)| (channel, column.into_values())).collect();
+        Samples::new(time, columns, self.len).map_err(|_| damaged("values out of range"))
+    }
+
+    /// The canonical form of samples.
+    pub fn of(samples: &Samples) -> Self {
         let time = match samples.time() {
             TimeBase::Period { period_ms } => Time::Period(period_ms.to_bits()),
             TimeBase::Stamps { time_ms } => Time::Stamps(Column::of(time_ms)),

@@ -6,7 +6,7 @@ use super::predict::{Predictor, restore, unzigzag, zigzag};
 use super::range::{RangeReader, RangeWriter};
 use super::rice::{self, BitReader, BitWriter};
 use crate::error::{StoreError, StoreResult};
-use feedwright_core::cycle::{Channel, Samples, TimeBase};
+use feedwright_core::cycle::{Channel, Samples};
 use std::cell::RefCell;
 
 const MAGIC: [u8; 2] = *b"FB";
@@ -144,10 +144,20 @@ fn planes(bits: &[u64]) -> Vec<u8> {
 /// Reads block formats v1 to v3. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
 /// than that many values per channel whatever the bytes claim.
 pub fn decode_samples(bytes: &[u8], max_samples: usize) -> StoreResult<Samples> {
-    read(bytes, max_samples).map_err(|what| StoreError::Damaged { what: format!("sample block: {what}") })
+    decode_columns(bytes, max_samples)?.into_samples()
 }
 
-fn read(bytes: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
+/// As [`decode_samples`], to the columns as they are stored. Their values are not held against what their channels can
+/// measure: they were before they were stored, and the checksum holds.
+pub fn decode_columns(bytes: &[u8], max_samples: usize) -> StoreResult<Columns> {
+    read(bytes, max_samples).map_err(damaged)
+}
+
+pub(super) fn damaged(what: &str) -> StoreError {
+    StoreError::Damaged { what: format!("sample block: {what}") }
+}
+
+fn read(bytes: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
     let end = bytes.len().checked_sub(CHECKSUM).ok_or("too short")?;
     let (body, sum) = bytes.split_at(end);
     if checksum(body) != sum {
@@ -156,7 +166,7 @@ fn read(bytes: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
     read_body(body, max_samples)
 }
 
-fn read_body(body: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
+fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
     let mut input = Input(body);
     if input.take(MAGIC.len())? != MAGIC {
         return Err("not a sample block");
@@ -173,28 +183,31 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Samples, &'static str> {
     if blocks == 0 || blocks > MAX_BLOCKS {
         return Err("number of blocks out of bounds");
     }
-    let (time, channels) = match input.byte()? {
+    let (time, count) = match input.byte()? {
         0 => {
             let bits = input.take(8)?.try_into().map_err(|_| "too short")?;
-            (TimeBase::Period { period_ms: f64::from_le_bytes(bits) }, blocks)
+            (Time::Period(u64::from_le_bytes(bits)), blocks)
         }
         1 => {
             if input.byte()? != TIMES {
                 return Err("times are missing");
             }
-            (TimeBase::Stamps { time_ms: input.column(version, len)?.into_values() }, blocks - 1)
+            (Time::Stamps(input.column(version, len)?), blocks - 1)
         }
         _ => return Err("unknown time base"),
     };
-    let mut columns = Vec::with_capacity(channels);
-    for _ in 0..channels {
+    let mut channels = Vec::with_capacity(count);
+    for _ in 0..count {
         let channel = Channel::from_code(input.byte()?).ok_or("unknown channel")?;
-        columns.push((channel, input.column(version, len)?.into_values()));
+        if channels.last().is_some_and(|(before, _)| *before >= channel) {
+            return Err("channels out of order");
+        }
+        channels.push((channel, input.column(version, len)?));
     }
     if !input.0.is_empty() {
         return Err("trailing bytes");
     }
-    Samples::new(time, columns, max_samples).map_err(|_| "values out of range")
+    Ok(Columns { len, time, channels })
 }
 
 impl Input<'_> {

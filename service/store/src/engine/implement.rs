@@ -5,7 +5,7 @@ use super::{
     operations, quarantine, recommendations, registry, retention, series, sessions, streams, tokens, tools,
     verify, watch, wear,
 };
-use crate::codec;
+use crate::codec::{self, Columns};
 use crate::error::{StoreError, StoreResult};
 use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
@@ -22,7 +22,7 @@ use crate::record::{
 };
 use crate::store::Store;
 use async_trait::async_trait;
-use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::cycle::ProfileVersion;
 use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
@@ -410,9 +410,9 @@ impl Store for Engine {
         read!(self, |conn| cycles::get(conn, machine, id).await)
     }
 
-    async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>> {
+    async fn cycle_columns(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Columns>> {
         let block = read!(self, |conn| cycles::samples(conn, machine, id).await)?;
-        block.map(|block| codec::decode_samples(&block, self.max_samples())).transpose()
+        block.map(|block| codec::decode_columns(&block, self.max_samples())).transpose()
     }
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {

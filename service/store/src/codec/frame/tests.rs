@@ -1,5 +1,5 @@
 use super::*;
-use feedwright_core::cycle::{Cycle, CycleDraft, Outcome, ProfileVersion, Reported};
+use feedwright_core::cycle::{Cycle, CycleDraft, Outcome, ProfileVersion, Reported, TimeBase};
 use feedwright_core::units::{Process, Strategy as FeedStrategy, Timestamp};
 use proptest::prelude::*;
 

@@ -3,6 +3,9 @@
 //! There is a statement for each number of rows up to 16, and for 32 and 64: rows to fill one up would cost SQLite as
 //! much as rows that are there. What is written last goes in one hop, statement behind statement, where all of it has
 //! as many rows.
+//!
+//! Where a row is refused its whole transaction is rolled back, by whoever began it. `OR FAIL` leaves that to them: else
+//! SQLite keeps a copy of each page that a statement changes, so as to take back that statement alone.
 
 use super::assumed::{Assumption, BEGIN};
 use crate::error::{StoreError, StoreResult};
@@ -48,7 +51,7 @@ impl Statements {
 macro_rules! cycles_head {
     ($($column:ident: $type:ty = $placeholder:literal,)*) => {
         concat!(
-            "INSERT INTO cycles (", cycles_head!(@list $(stringify!($column),)*), ") VALUES "
+            "INSERT OR FAIL INTO cycles (", cycles_head!(@list $(stringify!($column),)*), ") VALUES "
         )
     };
     (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
@@ -132,7 +135,7 @@ pub(super) async fn begin_and_insert(
 }
 
 static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
-    let head = "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ";
+    let head = "INSERT OR FAIL INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ";
     Statements::new(head, "(?,?,?,?)", "")
 });
 
@@ -186,7 +189,7 @@ pub(in crate::sqlite) async fn save_wear(
 
 static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
     Statements::new(
-        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
+        "INSERT OR FAIL INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
              data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
          VALUES ",
