@@ -3,8 +3,8 @@
 use super::column::{Column, Columns, MAX_SCALE, Time};
 use super::input::{Input, MAX_VARINT, put_varint};
 use super::predict::{Predictor, restore, unzigzag, zigzag};
-use super::range::{RangeReader, RangeWriter};
-use super::rice::{self, BitReader, BitWriter};
+use super::range::{self, RangeReader};
+use super::rice::{self, BitReader};
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::cycle::{Channel, Samples};
 use std::cell::RefCell;
@@ -112,15 +112,13 @@ fn residuals(values: &[i64]) -> Vec<u8> {
     out.push(predictor as u8 | if sure { RANGE } else { RICE });
     put_varint(&mut out, zigzag(first));
     if sure {
-        let mut writer = RangeWriter::after(out);
-        residuals.iter().for_each(|&residual| writer.put(residual));
-        return writer.finish();
+        // Zeros alone leave the coder with nothing but zeros, all of them left out.
+        let any = residuals.iter().fold(0, |any, residual| any | residual) != 0;
+        return if any { range::write(out, &residuals) } else { out };
     }
     let bits = rice::usual_bits(&residuals);
     out.push(bits);
-    let (mut writer, mut parameter) = (BitWriter::after(out), rice::Parameter::new(bits));
-    residuals.iter().for_each(|&residual| writer.rice(residual, &mut parameter));
-    writer.finish()
+    rice::write(out, &residuals, rice::Parameter::new(bits))
 }
 
 /// `None` where zstd fails, which it does for want of memory only: the block is then stored as it is.
@@ -274,6 +272,7 @@ fn restored(packed: &[u8], len: usize, (version, scale): (u8, u8)) -> Result<Col
                 .ok_or("a column ends early")?;
             reader.is_at_end()
         }
+        RANGE if input.0.is_empty() => restore(predictor, &mut values, len, || Some(0)).is_some(),
         RANGE => {
             let mut reader = RangeReader::new(input.0);
             restore(predictor, &mut values, len, || reader.next()).ok_or("a column ends early")?;

@@ -100,14 +100,6 @@ impl Model {
     }
 }
 
-/// Writes residuals.
-pub(super) struct RangeWriter {
-    coder: Writing,
-    model: Box<Model>,
-    /// What stood there before: not this coder's to shorten.
-    begins: usize,
-}
-
 struct Writing {
     out: Vec<u8>,
     low: u64,
@@ -171,38 +163,35 @@ impl Coder for Writing {
     }
 }
 
-impl RangeWriter {
-    pub(super) fn after(out: Vec<u8>) -> Self {
-        let begins = out.len();
-        let coder = Writing { out, low: 0, range: u32::MAX, held: 0, full: 0, begun: false };
-        Self { coder, model: Box::new(Model::new()), begins }
-    }
-
-    pub(super) fn put(&mut self, residual: u64) {
+/// Appends residuals to `out`.
+pub(super) fn write(out: Vec<u8>, residuals: &[u64]) -> Vec<u8> {
+    // What stands there is not this coder's to shorten.
+    let begins = out.len();
+    // Both live here and nowhere else, so that the loop keeps them in registers.
+    let mut coder = Writing { out, low: 0, range: u32::MAX, held: 0, full: 0, begun: false };
+    let mut model = Model::new();
+    for &residual in residuals {
         // Only what a reader finds may be no residual.
-        let _ = self.model.residual(&mut self.coder, residual);
+        let _ = model.residual(&mut coder, residual);
     }
-
-    pub(super) fn finish(mut self) -> Vec<u8> {
-        // Any value within the range will do: the one with the fewest bytes that are not 0.
-        let end = self.coder.low + u64::from(self.coder.range) - 1;
-        for bits in (8..=32).rev().step_by(8) {
-            let rounded = end >> bits << bits;
-            if rounded >= self.coder.low {
-                self.coder.low = rounded;
-                break;
-            }
+    // Any value within the range will do: the one with the fewest bytes that are not 0.
+    let end = coder.low + u64::from(coder.range) - 1;
+    for bits in (8..=32).rev().step_by(8) {
+        let rounded = end >> bits << bits;
+        if rounded >= coder.low {
+            coder.low = rounded;
+            break;
         }
-        for _ in 0..5 {
-            self.coder.shift();
-        }
-        let mut out = self.coder.out;
-        // A reader takes zeros beyond the end.
-        while out.len() > self.begins && out.last() == Some(&0) {
-            out.pop();
-        }
-        out
     }
+    for _ in 0..5 {
+        coder.shift();
+    }
+    let mut out = coder.out;
+    // A reader takes zeros beyond the end.
+    while out.len() > begins && out.last() == Some(&0) {
+        out.pop();
+    }
+    out
 }
 
 /// Reads residuals.

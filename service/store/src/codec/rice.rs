@@ -192,3 +192,10 @@ impl<'a> BitReader<'a> {
         self.rest.is_empty() && self.count < 8 && self.bits == 0
     }
 }
+
+/// Appends residuals to `out`, `parameter` being that of the first.
+pub(super) fn write(out: Vec<u8>, residuals: &[u64], mut parameter: Parameter) -> Vec<u8> {
+    let mut writer = BitWriter::after(out);
+    residuals.iter().for_each(|&residual| writer.rice(residual, &mut parameter));
+    writer.finish()
+}
