@@ -73,29 +73,29 @@ fn decimals(out: &mut Vec<u8>, values: &[i64], (places, factor): (u32, u64)) {
         let leading = (digits.trailing_zeros() & !7).min(8 * (before - 1));
         let trailing = ((digits.leading_zeros() - 24) & !7).min(8 * (places - 1));
         let shown = digits | 0x30_3030_3030;
-        let text = (shown & whole | point | (shown & !whole) << 8) >> leading;
+        let text = ((shown & whole) | point | ((shown & !whole) << 8)) >> leading;
         let bits = 48 - leading - trailing;
         let end = 1_u64 << bits;
-        let text = text & (end - 1) | end * u64::from(b',');
+        let text = (text & (end - 1)) | (end * u64::from(b','));
         let negative = u64::from(*value < 0);
-        let text = text << (8 * negative) | u64::from(b'-') * negative;
+        let text = (text << (8 * negative)) | (u64::from(b'-') * negative);
         out[at..at + WORD].copy_from_slice(&text.to_le_bytes());
         at += (bits / 8 + 1) as usize + usize::from(*value < 0);
     }
-    // The last comma.
-    out.truncate(at.saturating_sub(1));
+    // The last comma; a column holds one value at the least.
+    out.truncate(at - 1);
     out.push(b']');
 }
 
 /// The digits of a number below [`FIVE_DIGITS`], the highest in the lowest byte.
 const fn digits(number: u64) -> u64 {
     // Products with the inverses, rounded up, are exact for numbers so small; pairs are divided side by side.
-    let first = number * 429_497 >> 32;
+    let first = (number * 429_497) >> 32;
     let rest = number - first * 10_000;
-    let hundreds = rest * 5_243 >> 19;
-    let pairs = hundreds | (rest - hundreds * 100) << 16;
-    let tens = (pairs * 103 >> 10) & 0x000f_000f;
-    first | (tens | (pairs - tens * 10) << 8) << 8
+    let hundreds = (rest * 5_243) >> 19;
+    let pairs = hundreds | ((rest - hundreds * 100) << 16);
+    let tens = ((pairs * 103) >> 10) & 0x000f_000f;
+    first | ((tens | ((pairs - tens * 10) << 8)) << 8)
 }
 
 #[cfg(test)]
