@@ -4,6 +4,7 @@ use super::data::{self, MORNING_MS};
 use super::median;
 use super::process::Running;
 use std::fmt::Write;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// Cycles at which growth is first looked at.
@@ -51,6 +52,8 @@ fn tell(at: usize, (cpu, asked): (f64, f64)) {
 
 /// Server CPU per cycle, s, and the median of a recommendation, s.
 async fn measure(server: &Running, client: &reqwest::Client, stored: &mut usize) -> (f64, f64) {
+    // A recommendation is on disk before it is answered, and would wait behind gigabytes that the system still writes.
+    assert!(Command::new("sync").status().expect("sync").success(), "what was filled is on disk");
     let (cpu, wanted) = (server.cpu_seconds(), *stored + MEASURED);
     fill(server, client, stored, wanted).await;
     #[expect(clippy::cast_precision_loss, reason = "a figure for a table")]

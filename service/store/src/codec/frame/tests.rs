@@ -160,6 +160,32 @@ fn damage_and_foreign_versions_are_refused() {
 }
 
 #[test]
+fn channels_out_of_order_or_twice_are_refused() {
+    let whole = Columns::of(cycle().samples.as_ref().unwrap());
+    let refused = |columns: &Columns| match decode_columns(&encode_columns(columns), 5) {
+        Err(StoreError::Damaged { what }) => what,
+        other => panic!("{other:?}"),
+    };
+    let mut columns = whole.clone();
+    columns.channels.reverse();
+    assert_eq!(refused(&columns), "sample block: channels out of order");
+    columns = whole.clone();
+    columns.channels[1] = columns.channels[0].clone();
+    assert_eq!(refused(&columns), "sample block: channels out of order");
+    assert_eq!(decode_columns(&encode_columns(&whole), 5).unwrap(), whole);
+    assert_eq!(whole.into_samples().unwrap(), *cycle().samples.as_ref().unwrap());
+}
+
+#[test]
+fn values_that_no_channel_has_are_no_samples() {
+    let mut columns = Columns::of(cycle().samples.as_ref().unwrap());
+    columns.channels[0].1 = Column::Exact(vec![f64::NAN.to_bits(); 5]);
+    let block = encode_columns(&columns);
+    let Err(StoreError::Damaged { what }) = decode_samples(&block, 5) else { panic!("no samples") };
+    assert_eq!(what, "sample block: values out of range");
+}
+
+#[test]
 fn a_bomb_is_not_unpacked() {
     // Claims 5 samples; its one block unpacks to 64 MiB of zeros.
     let packed = zstd::bulk::compress(&vec![0; 64 << 20], 1).unwrap();
@@ -271,6 +297,10 @@ fn constant(value: f64, len: usize) -> Samples {
 #[test]
 fn columns_that_never_surprise_come_back_whatever_their_length() {
     for len in [1, 2, 8, 500, 3000, 5000, 60_000] {
+        // Why they pass the coder by.
+        assert!(range::write(Vec::new(), &vec![0; len]).is_empty());
+        let mut reader = RangeReader::new(&[]);
+        assert!((0..len).all(|_| reader.next() == Some(0)));
         for value in [0.0, 100.0, 7.3, 0.001] {
             let samples = constant(value, len);
             assert_eq!(
