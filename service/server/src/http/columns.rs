@@ -15,13 +15,13 @@ const FIVE_DIGITS: u64 = 100_000;
 const WORD: usize = 8;
 
 /// The columns as `SamplesBody` would write them.
-pub(super) fn json(columns: &Columns) -> Result<Vec<u8>> {
+pub(super) fn json(columns: Columns) -> Result<Vec<u8>> {
     let values = columns.len * (columns.channels.len() + 1);
     let mut out = Vec::with_capacity(512 + values * 7);
-    match &columns.time {
+    match columns.time {
         Time::Period(bits) => {
             out.extend_from_slice(b"{\"period_ms\":");
-            serde_json::to_writer(&mut out, &f64::from_bits(*bits))?;
+            serde_json::to_writer(&mut out, &f64::from_bits(bits))?;
         }
         Time::Stamps(times) => {
             out.extend_from_slice(b"{\"time_ms\":");
@@ -29,7 +29,7 @@ pub(super) fn json(columns: &Columns) -> Result<Vec<u8>> {
         }
     }
     let mut named: Vec<_> =
-        columns.channels.iter().map(|(channel, values)| (channel.as_str(), values)).collect();
+        columns.channels.into_iter().map(|(channel, values)| (channel.as_str(), values)).collect();
     named.sort_unstable_by_key(|(name, _)| *name);
     for (name, values) in named {
         out.extend_from_slice(b",\"");
@@ -41,8 +41,8 @@ pub(super) fn json(columns: &Columns) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-fn column(out: &mut Vec<u8>, column: &Column) -> Result<()> {
-    if let Column::Decimal { scale, values } = column
+fn column(out: &mut Vec<u8>, column: Column) -> Result<()> {
+    if let Column::Decimal { scale, values } = &column
         && *scale <= MOST_PLACES
     {
         // One place is always shown: 140.0.
@@ -54,7 +54,8 @@ fn column(out: &mut Vec<u8>, column: &Column) -> Result<()> {
             return Ok(());
         }
     }
-    out.extend_from_slice(&decimal::json(&column.clone().into_values(), column.len())?);
+    let values = column.into_values();
+    out.extend_from_slice(&decimal::json(&values, values.len())?);
     Ok(())
 }
 
@@ -115,6 +116,16 @@ mod tests {
         }
     }
 
+    /// The body that the API describes.
+    fn described(samples: &Samples) -> SamplesBody<'_> {
+        let (period_ms, time_ms) = match samples.time() {
+            TimeBase::Period { period_ms } => (Some(*period_ms), None),
+            TimeBase::Stamps { time_ms } => (None, Some(time_ms.into())),
+        };
+        let columns = samples.columns().map(|(channel, values)| (channel.as_str(), values.into())).collect();
+        SamplesBody { period_ms, time_ms, columns }
+    }
+
     fn values() -> impl Strategy<Value = Vec<f64>> {
         let decimals = |most: i64, places: i32| {
             (-most..most).prop_map(move |m| m as f64 / 10_f64.powi(places) + 0.0).boxed()
@@ -151,8 +162,8 @@ mod tests {
                 (Channel::TorqueNewtonMetres, within(torque, 1e6)),
             ];
             let samples = Samples::new(time, columns, 10).unwrap();
-            let text = json(&Columns::of(&samples)).unwrap();
-            prop_assert_eq!(text, serde_json::to_vec(&SamplesBody::from(&samples)).unwrap());
+            let text = json(Columns::of(&samples)).unwrap();
+            prop_assert_eq!(text, serde_json::to_vec(&described(&samples)).unwrap());
         }
     }
 }

@@ -77,7 +77,7 @@ pub(super) async fn get_samples(
             return Err(missing(&state, &machine, &id).await?);
         };
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
-        let json = columns::json(&columns).map_err(|error| Problem::internal(error.to_string()))?;
+        let json = columns::json(columns).map_err(|error| Problem::internal(error.to_string()))?;
         return Ok((vary, decimal::body(json)).into_response());
     }
     let turn = state.exports.turn().await?;
@@ -91,15 +91,12 @@ pub(super) async fn get_samples(
     let (samples, selected, wanted) = selected.map_err(|error| Problem::internal(error.to_string()))??;
     drop(turn);
     if format == Format::Json && !wanted.in_rows {
-        return answer(&selected.body(&samples));
+        let body = selected.body(&samples);
+        return decimal::answer(&body, body.values());
     }
     let name = format!("{machine}-{id}");
     let fields = selected.fields();
     export::table(&state, format, &name, fields, selected.pieces(samples, cycle.cycle.started_at)).await
-}
-
-fn answer(body: &SamplesBody<'_>) -> Result<Response, Problem> {
-    decimal::answer(body, body.values())
 }
 
 /// Why a cycle has no samples to show.

@@ -24,16 +24,7 @@ pub enum Column {
     Exact(Vec<u64>),
 }
 
-#[expect(clippy::len_without_is_empty, reason = "no column is empty")]
 impl Column {
-    /// How many values there are, at least 1.
-    pub const fn len(&self) -> usize {
-        match self {
-            Self::Decimal { values, .. } => values.len(),
-            Self::Exact(bits) => bits.len(),
-        }
-    }
-
     pub(super) fn of(values: &[f64]) -> Self {
         let mut scale = 0;
         // Each scale passed over was refused by a value, so the one found is the smallest.

@@ -112,9 +112,7 @@ fn residuals(values: &[i64]) -> Vec<u8> {
     out.push(predictor as u8 | if sure { RANGE } else { RICE });
     put_varint(&mut out, zigzag(first));
     if sure {
-        // Zeros alone leave the coder with nothing but zeros, all of them left out.
-        let any = residuals.iter().fold(0, |any, residual| any | residual) != 0;
-        return if any { range::write(out, &residuals) } else { out };
+        return range::write(out, &residuals);
     }
     let bits = rice::usual_bits(&residuals);
     out.push(bits);

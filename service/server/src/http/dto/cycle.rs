@@ -4,7 +4,6 @@ use super::recommendation::RecommendationBody;
 use super::wear::WearBody;
 use crate::http::dto::time;
 use crate::ingest::intake::Accepted;
-use feedwright_core::cycle::{Samples, TimeBase};
 use feedwright_core::summary::{CycleSummary, Energy, IdlePower, Peak};
 use feedwright_store::{SampleDrop, StoredCycle};
 use serde::Serialize;
@@ -412,17 +411,6 @@ pub struct SamplesBody<'a> {
     #[serde(flatten)]
     #[schema(value_type = BTreeMap<&'static str, Vec<f64>>)]
     pub columns: BTreeMap<&'static str, Cow<'a, [f64]>>,
-}
-
-impl<'a> From<&'a Samples> for SamplesBody<'a> {
-    fn from(samples: &'a Samples) -> Self {
-        let (period_ms, time_ms) = match samples.time() {
-            TimeBase::Period { period_ms } => (Some(*period_ms), None),
-            TimeBase::Stamps { time_ms } => (None, Some(time_ms.into())),
-        };
-        let columns = samples.columns().map(|(channel, values)| (channel.as_str(), values.into())).collect();
-        Self { period_ms, time_ms, columns }
-    }
 }
 
 impl SamplesBody<'_> {
