@@ -210,7 +210,8 @@ impl StageDetector {
             return self.stage;
         }
         self.deepest_mm = Some(sample.depth_mm);
-        if let Some(mean) = self.average.push(config.params().smoothing_samples, row) {
+        self.average.push(config.params().smoothing_samples, row);
+        if let Some(mean) = self.average.mean(config.params().smoothing_samples) {
             self.advance(config.params(), &mean);
         }
         self.stage
@@ -243,6 +244,8 @@ impl StageDetector {
         self.idle_deviation += weight * (rise.abs() - self.idle_deviation);
     }
 
+    // Called from one place, where the mean is in registers: written to memory singly and read in pairs it is waited for.
+    #[inline(always)]
     fn advance(&mut self, params: &StageParams, mean: &Row) {
         // The tool leaves no torque behind it: the lowest load since contact is the idling spindle's.
         let spindle_idle = self.spindle_idle.map_or(mean.spindle, |idle| idle.min(mean.spindle));
