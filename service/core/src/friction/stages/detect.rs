@@ -108,9 +108,15 @@ impl Loads {
     }
 }
 
-/// `base` to that power; the usual power of 1 needs no computing.
+/// `base` to that power; the usual powers of 1 and ½ need little computing.
 fn power(base: f64, exponent: f64) -> f64 {
-    if exponent.to_bits() == 1.0_f64.to_bits() { base } else { base.powf(exponent) }
+    if exponent.to_bits() == 1.0_f64.to_bits() {
+        base
+    } else if exponent.to_bits() == 0.5_f64.to_bits() {
+        base.sqrt()
+    } else {
+        base.powf(exponent)
+    }
 }
 
 /// Memory of the detector within one hole.
@@ -332,5 +338,21 @@ impl StageDetector {
         }
         let start = *self.pending.get_or_insert(here);
         here.depth_mm - start.depth_mm >= params.confirm_mm
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_power_is_that_of_the_general_function_to_its_last_bit_but_one(base in 1e-6..100.0_f64) {
+            for exponent in [0.5, 1.0] {
+                let (own, general) = (power(base, exponent), base.powf(exponent));
+                prop_assert!((own - general).abs() <= f64::EPSILON * general, "{own} and {general}");
+            }
+        }
     }
 }
