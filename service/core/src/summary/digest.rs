@@ -82,9 +82,9 @@ pub(super) fn of(
         // The recording begins in the work: its first sample stands for the period before it.
         profile.add(&config, depth[0], depth[0], clock.width_s(0), joules[0]);
     }
-    for index in contact + 1..=end {
-        profile.add(&config, depth[index - 1], depth[index], clock.width_s(index), joules[index]);
-    }
+    profile.add_way(&config, &depth[contact..=end], |step| {
+        (clock.width_s(contact + step), joules[contact + step])
+    });
     Some(DepthDigest::of(&profile)?.with_breakthrough(breakthrough_mm(samples, end)))
 }
 

@@ -104,6 +104,13 @@ impl RelationConfig {
         bin.min(self.bins - 1)
     }
 
+    /// A depth above which everything from the beginning of a bin on lies in that bin, however it is rounded.
+    pub(super) fn surely_above(&self, bin: usize) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "at most 512 bins")]
+        let edge = (bin + 1) as f64 * self.params.bin_mm;
+        edge.min(self.params.depth_mm) * (1.0 - 1e-12)
+    }
+
     pub(super) fn bin_of(&self, depth_mm: f64) -> Option<usize> {
         let inside = depth_mm >= 0.0 && depth_mm <= self.params.depth_mm;
         inside.then(|| self.nearest_bin(depth_mm))

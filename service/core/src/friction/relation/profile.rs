@@ -79,6 +79,52 @@ impl DepthProfile {
         }
     }
 
+    /// Adds every step of a way through `depth_mm`, as [`Self::add`] would; `made` tells the time (s) and the quantity of
+    /// the step to a depth.
+    pub(crate) fn add_way(
+        &mut self,
+        config: &RelationConfig,
+        depth_mm: &[f64],
+        made: impl Fn(usize) -> (f64, f64),
+    ) {
+        let mut step = 1;
+        while step < depth_mm.len() {
+            let (time_s, total) = made(step);
+            self.add(config, depth_mm[step - 1], depth_mm[step], time_s, total);
+            step = self.add_in_one_bin(config, depth_mm, step + 1, &made);
+        }
+    }
+
+    /// Adds the steps from `first` on that do not leave the bin where it begins, and returns the one after them.
+    ///
+    /// Most steps are such; they need neither a bin to be found nor a share, which is the whole.
+    fn add_in_one_bin(
+        &mut self,
+        config: &RelationConfig,
+        depth_mm: &[f64],
+        first: usize,
+        made: impl Fn(usize) -> (f64, f64),
+    ) -> usize {
+        let Some(bin) = config.bin_of(depth_mm[first - 1]) else { return first };
+        let end_mm = config.surely_above(bin);
+        let mut cell = self.bins[bin];
+        let mut from_mm = depth_mm[first - 1];
+        let mut step = first;
+        for &to_mm in &depth_mm[first..] {
+            let (time_s, total) = made(step);
+            if !(from_mm <= to_mm && to_mm < end_mm && time_s.is_finite() && total.is_finite()) {
+                break;
+            }
+            cell.way_mm += to_mm - from_mm;
+            cell.time_s += time_s;
+            cell.total += total;
+            from_mm = to_mm;
+            step += 1;
+        }
+        self.bins[bin] = cell;
+        step
+    }
+
     /// A profile from columns: depth in mm, the quantity's sum per sample, and the sample period in s.
     ///
     /// # Errors
@@ -92,9 +138,7 @@ impl DepthProfile {
         same_length(&[("depth_mm", depth_mm), ("total_per_sample", total_per_sample)])?;
         positive("period_s", period_s, 60.0)?;
         let mut profile = Self::new(config);
-        for (pair, total) in depth_mm.windows(2).zip(total_per_sample.iter().skip(1)) {
-            profile.add(config, pair[0], pair[1], period_s, *total);
-        }
+        profile.add_way(config, depth_mm, |step| (period_s, total_per_sample[step]));
         Ok(profile)
     }
 

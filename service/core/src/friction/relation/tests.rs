@@ -82,4 +82,27 @@ proptest! {
         let way: f64 = profile.bins().iter().map(|bin| bin.way_mm).sum();
         prop_assert!((way - deeper).abs() < 1e-9);
     }
+    #[test]
+    fn a_way_in_one_go_is_that_of_its_steps(
+        steps in proptest::collection::vec((-0.2..0.9_f64, 0.0..50.0_f64), 1..80),
+        // Tenths meet the edges of bins, and land beside them by rounding.
+        tenths in any::<bool>(),
+        bin_mm in prop_oneof![Just(1.0), Just(0.3), Just(0.7)],
+        lost in 0_usize..200,
+    ) {
+        let config = RelationConfig::new(RelationParams { bin_mm, ..RelationParams::energy(10.0) }).unwrap();
+        let mut depth = vec![-0.5];
+        for (way, _) in &steps {
+            let to = depth[depth.len() - 1] + way;
+            depth.push(if tenths { (to * 10.0).round() / 10.0 } else { to });
+        }
+        let made = |step: usize| (if step == lost { f64::NAN } else { 0.01 }, steps[step - 1].1);
+        let (mut together, mut singly) = (DepthProfile::new(&config), DepthProfile::new(&config));
+        together.add_way(&config, &depth, made);
+        for step in 1..depth.len() {
+            let (time_s, total) = made(step);
+            singly.add(&config, depth[step - 1], depth[step], time_s, total);
+        }
+        prop_assert_eq!(together, singly);
+    }
 }
