@@ -6,6 +6,7 @@ mod course;
 mod digest;
 mod energy;
 mod loads;
+mod scan;
 
 pub use course::energy_course;
 pub(crate) use digest::relation_config;
@@ -160,7 +161,13 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
     let column = |channel| samples.column(channel);
     let depth = column(Channel::DepthMm);
     let peak = |channel| column(channel).map(|values| loads::peak(values, depth, samples));
-    let mean = |channel| column(channel).and_then(|values| clock.mean(values));
+    let [mean_spindle_load_percent, mean_feed_drive_load_percent, mean_override_percent, operator_override] =
+        clock.means([
+            column(Channel::SpindleLoadPercent),
+            column(Channel::FeedDriveLoadPercent),
+            column(Channel::OverridePercent),
+            column(Channel::OperatorOverridePercent),
+        ]);
     let commanded = cycle
         .spindle_speed_rpm
         .or_else(|| context.operation.and_then(|operation| operation.spindle_speed_rpm));
@@ -175,17 +182,16 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
         duration_ms: Some(clock.duration_ms),
         energy,
         energy_scale: 0,
-        max_depth_mm: depth.map(|depth| depth.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
+        max_depth_mm: depth.map(scan::largest),
         max_spindle_load_percent: peak(Channel::SpindleLoadPercent),
         max_feed_drive_load_percent: peak(Channel::FeedDriveLoadPercent),
         max_spindle_power_watts: peak(Channel::SpindlePowerWatts),
         max_thrust_newtons: peak(Channel::ThrustNewtons),
         max_torque_newton_metres: peak(Channel::TorqueNewtonMetres),
-        mean_spindle_load_percent: mean(Channel::SpindleLoadPercent),
-        mean_feed_drive_load_percent: mean(Channel::FeedDriveLoadPercent),
-        mean_override_percent: mean(Channel::OverridePercent),
-        operator_override_percent: mean(Channel::OperatorOverridePercent)
-            .or(cycle.reported.operator_override_percent),
+        mean_spindle_load_percent,
+        mean_feed_drive_load_percent,
+        mean_override_percent,
+        operator_override_percent: operator_override.or(cycle.reported.operator_override_percent),
         median_spindle_speed_rpm: column(Channel::SpindleSpeedRpm).map(loads::median),
         spindle_load_fall_depth_mm: loads::fall_depth(samples),
         coverage: clock.coverage,
@@ -282,18 +288,23 @@ impl SampleClock {
         }
     }
 
-    /// Mean of `values` weighted by time; `None` where no time passes.
+    /// Means of columns weighted by time; `None` for one that was not sampled, and where no time passes.
     #[expect(clippy::cast_precision_loss, reason = "sample counts are far below 2^53")]
-    pub(crate) fn mean(&self, values: &[f64]) -> Option<f64> {
-        match &self.widths_ms {
-            Widths::Even(_) => Some(values.iter().sum::<f64>() / values.len() as f64),
+    fn means<const N: usize>(&self, columns: [Option<&[f64]>; N]) -> [Option<f64>; N] {
+        let Some(&sampled) = columns.iter().flatten().next() else { return [None; N] };
+        // A missing column is summed as another, which costs nothing beside the others, and not told.
+        let values = columns.map(|column| column.unwrap_or(sampled));
+        let (sums, total) = match &self.widths_ms {
+            Widths::Even(_) => (scan::sums(values), sampled.len() as f64),
             Widths::Each(widths) => {
-                let total: f64 = widths.iter().sum();
-                (total > 0.0).then(|| {
-                    values.iter().zip(widths).map(|(value, width)| value * width).sum::<f64>() / total
-                })
+                let weighed = values.map(|values| {
+                    values.iter().zip(widths).map(|(value, width)| value * width).collect::<Vec<f64>>()
+                });
+                (scan::sums(weighed.each_ref().map(Vec::as_slice)), widths.iter().sum())
             }
-        }
+        };
+        let mean = |which: usize| (total > 0.0).then(|| sums[which] / total);
+        std::array::from_fn(|which| columns[which].and_then(|_| mean(which)))
     }
 }
 

@@ -4,7 +4,7 @@
 //! stored form and the one in memory are the same.
 
 use super::energy::Energy;
-use super::{Context, SampleClock, energy};
+use super::{Context, SampleClock, energy, scan};
 use crate::cycle::{Channel, Cycle, Flag, Flags, Samples};
 use crate::friction::relation::{DepthBin, DepthProfile, RelationConfig, RelationParams};
 use crate::friction::stages::{Stage, StageConfig, StageDetector, StageSample};
@@ -117,12 +117,12 @@ fn breakthrough_mm(samples: &Samples, end: usize) -> Option<f64> {
 /// What comes before is the approach, where the spindle spins up, and what comes after is dwelling and retracting: how
 /// much of either is recorded says nothing of the tool.
 pub fn way_in_contact(depth: &[f64]) -> Option<(usize, usize)> {
-    let deepest = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let deepest = scan::largest(depth);
     if deepest <= 0.0 {
         return None;
     }
-    let end = depth.iter().position(|z| *z >= deepest - STANDING_MM)?;
-    let contact = depth[..end].iter().rposition(|z| *z <= STANDING_MM).unwrap_or(0);
+    let end = scan::first(depth, |z| z >= deepest - STANDING_MM)?;
+    let contact = scan::last(&depth[..end], |z| z <= STANDING_MM).unwrap_or(0);
     Some((contact, end))
 }
 

@@ -1,5 +1,6 @@
 //! Maxima with their place, medians, the falling edge of the spindle load, and flags seen in the samples.
 
+use super::scan;
 use crate::cycle::{Channel, Flag, Flags, Samples};
 
 /// A largest value with where and when it was reached first.
@@ -39,13 +40,15 @@ const REVERSAL_MM: f64 = 0.05;
 const FALLEN: f64 = 0.5;
 
 pub(super) fn peak(values: &[f64], depth: Option<&[f64]>, samples: &Samples) -> Peak {
-    let mut at = 0;
-    for (index, value) in values.iter().enumerate() {
-        if *value > values[at] {
-            at = index;
-        }
-    }
+    let at = first_largest(values).unwrap_or(0);
     Peak { value: values[at], depth_mm: depth.map(|depth| depth[at]), time_ms: Some(samples.time_ms(at)) }
+}
+
+/// Place of the largest value, of the first where several are.
+#[expect(clippy::float_cmp, reason = "it is one of them")]
+fn first_largest(values: &[f64]) -> Option<usize> {
+    let largest = scan::largest(values);
+    scan::first(values, |value| value == largest)
 }
 
 /// Median; the mean of the two middle values where their number is even. `values` must not be empty.
@@ -68,19 +71,16 @@ pub(crate) fn median(values: &[f64]) -> f64 {
 pub(super) fn fall_depth(samples: &Samples) -> Option<f64> {
     let depth = samples.column(Channel::DepthMm)?;
     let load = samples.column(Channel::SpindleLoadPercent)?;
-    let mut top: Option<usize> = None;
-    for index in 0..load.len() {
-        if depth[index] >= 0.0 && top.is_none_or(|top| load[index] > load[top]) {
-            top = Some(index);
-        }
-    }
-    let top = top?;
-    if load[top] <= 0.0 {
+    let in_the_cut = |(&load, &depth): (&f64, &f64)| if depth >= 0.0 { load } else { f64::NEG_INFINITY };
+    let cut: Vec<f64> = load.iter().zip(depth).map(in_the_cut).collect();
+    let top = first_largest(&cut)?;
+    // Also where nothing is in the cut.
+    if cut[top] <= 0.0 {
         return None;
     }
     let level = FALLEN * load[top];
-    let after = (top + 1..load.len()).find(|&index| load[index] <= level)?;
-    let before = after - 1;
+    let before = top + scan::first(&load[top + 1..], |load| load <= level)?;
+    let after = before + 1;
     // Between two samples the depth of the crossing is interpolated, else the feed would quantise it.
     let share = (load[before] - level) / (load[before] - load[after]);
     Some(depth[before] + share * (depth[after] - depth[before]))
@@ -102,10 +102,9 @@ pub(super) fn flags(samples: &Samples) -> Flags {
     flags
 }
 
-/// Whether any value of a channel passes. It looks at all of them: most cycles have none that does, and a loop without an
-/// end in the middle looks at several at once.
+/// Whether any value of a channel passes; most cycles have none that does.
 fn any(samples: &Samples, channel: Channel, test: impl Fn(f64) -> bool) -> bool {
-    samples.column(channel).is_some_and(|values| values.iter().fold(false, |any, value| any | test(*value)))
+    samples.column(channel).is_some_and(|values| scan::any(values, test))
 }
 
 /// Whether the depth comes back and then goes deeper again, as in pecking; the final retract is none.
@@ -119,8 +118,9 @@ fn reverses(depth: &[f64]) -> bool {
         if z > deepest {
             deepest = z;
             lowest_since = z;
+        } else if z < lowest_since {
+            lowest_since = z;
         }
-        lowest_since = lowest_since.min(z);
     }
     false
 }
