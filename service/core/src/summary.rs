@@ -171,16 +171,17 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
     let commanded = cycle
         .spindle_speed_rpm
         .or_else(|| context.operation.and_then(|operation| operation.spindle_speed_rpm));
-    let (energy, beyond_calibration) = energy::by_basis(samples, &clock, commanded, context);
+    let told = energy::by_basis(samples, &clock, commanded, context);
     let mut flags = loads::flags(samples);
-    flags.insert_if(beyond_calibration, Flag::BeyondCalibration);
+    flags.insert_if(told.is_beyond_calibration, Flag::BeyondCalibration);
     flags.insert_if(clock.has_gaps(), Flag::Gaps);
-    let digest = energy.first().and_then(|best| digest::of(samples, &clock, cycle, context, (best, flags)));
+    let digest =
+        told.best_by_sample.and_then(|joules| digest::of(samples, &clock, cycle, context, (&joules, flags)));
     CycleSummary {
         version: SUMMARY_VERSION,
         sample_count: u32::try_from(samples.len()).unwrap_or(u32::MAX),
         duration_ms: Some(clock.duration_ms),
-        energy,
+        energy: told.energies,
         energy_scale: 0,
         max_depth_mm: depth.map(scan::largest),
         max_spindle_load_percent: peak(Channel::SpindleLoadPercent),
@@ -285,6 +286,16 @@ impl SampleClock {
         match &self.widths_ms {
             Widths::Even(width) => width * 1e-3,
             Widths::Each(widths) => widths[index] * 1e-3,
+        }
+    }
+
+    /// Multiplies what is told of each sample by the time that it stands for, s.
+    pub(crate) fn weigh(&self, values: &mut [f64]) {
+        match &self.widths_ms {
+            Widths::Even(width) => values.iter_mut().for_each(|value| *value *= width * 1e-3),
+            Widths::Each(widths) => {
+                values.iter_mut().zip(widths).for_each(|(value, width)| *value *= width * 1e-3);
+            }
         }
     }
 

@@ -1,6 +1,6 @@
 //! The course of a cycle's energy: what the summary sums up, sample by sample.
 
-use super::energy::{EnergyBasis, Motion};
+use super::energy::{Calibrated, EnergyBasis, Motion, Terms};
 use super::{Context, SampleClock};
 use crate::cycle::{Channel, Samples};
 
@@ -17,40 +17,27 @@ pub fn energy_course(
 ) -> Option<Vec<f64>> {
     let clock = SampleClock::of(samples);
     let motion = Motion { samples, clock: &clock, commanded_rpm };
-    let column = |channel| samples.column(channel);
-    let steps = match basis {
+    let terms = match basis {
         EnergyBasis::Reported => return None,
-        EnergyBasis::Dynamometer => {
-            let torque = column(Channel::TorqueNewtonMetres)?;
-            let feed = column(Channel::ThrustNewtons).and_then(|thrust| motion.feed_steps(thrust));
-            plus(motion.spindle_steps(torque)?, feed)
-        }
-        EnergyBasis::Calibrated => {
-            let calibration = context.calibration?;
-            let line = calibration.torque.as_ref()?;
-            let torque = motion.along(line, column(Channel::SpindleLoadPercent)?);
-            let thrust = calibration.thrust.as_ref().zip(column(Channel::FeedDriveLoadPercent));
-            let feed = match thrust {
-                None => None,
-                Some((line, loads)) => motion.feed_steps(&motion.along(line, loads)?),
-            };
-            plus(motion.spindle_steps(&torque?)?, feed)
-        }
+        EnergyBasis::Dynamometer => motion.dynamometer()?,
+        EnergyBasis::Calibrated => match motion.calibrated(context.calibration?) {
+            Calibrated::Told(terms) => terms,
+            Calibrated::Beyond | Calibrated::NotPossible => return None,
+        },
         EnergyBasis::MeasuredPower => {
-            let watts = column(Channel::SpindlePowerWatts)?;
+            let watts = samples.column(Channel::SpindlePowerWatts)?;
             let idle = motion.idle_watts(watts).unwrap_or(0.0);
             let above: Vec<f64> = watts.iter().map(|watts| watts - idle).collect();
-            let feed = column(Channel::FeedDrivePowerWatts).map(|watts| motion.power_steps(watts));
-            plus(motion.power_steps(&above), feed)
+            let feed = samples.column(Channel::FeedDrivePowerWatts);
+            let feed_drive = feed.map(|watts| motion.power_steps(watts));
+            Terms { spindle: motion.power_steps(&above), feed_drive }
         }
-        EnergyBasis::RatedPower => {
-            let feed = motion.rated_thrust(context).and_then(|thrust| motion.feed_steps(&thrust));
-            plus(motion.rated_steps(context)?, feed)
-        }
+        EnergyBasis::RatedPower => motion.rated_power(context)?,
     };
     let mut sum = 0.0;
     Some(
-        steps
+        terms
+            .together()
             .into_iter()
             .map(|step| {
                 sum += step;
@@ -58,11 +45,4 @@ pub fn energy_course(
             })
             .collect(),
     )
-}
-
-fn plus(mut steps: Vec<f64>, more: Option<Vec<f64>>) -> Vec<f64> {
-    if let Some(more) = more {
-        steps.iter_mut().zip(more).for_each(|(step, more)| *step += more);
-    }
-    steps
 }

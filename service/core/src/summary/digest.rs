@@ -3,8 +3,7 @@
 //! It is what feed-compensated wear needs of a cycle whose samples may be gone. Quantised when it is made, so that the
 //! stored form and the one in memory are the same.
 
-use super::energy::Energy;
-use super::{Context, SampleClock, energy, scan};
+use super::{Context, SampleClock, scan};
 use crate::cycle::{Channel, Cycle, Flag, Flags, Samples};
 use crate::friction::relation::{DepthBin, DepthProfile, RelationConfig, RelationParams};
 use crate::friction::stages::{Stage, StageConfig, StageDetector, StageSample};
@@ -56,14 +55,14 @@ pub(crate) fn relation_config() -> Option<RelationConfig> {
     RelationConfig::new(RelationParams::energy(DIGEST_DEPTH_MM)).ok()
 }
 
-/// The digest of a friction cycle; `None` where depth or energy was not sampled, where the tool went back and forth
-/// or deeper than [`DIGEST_DEPTH_MM`], and for every other process.
+/// The digest of a friction cycle with `joules` at each sample; `None` where depth was not sampled, where the tool went
+/// back and forth or deeper than [`DIGEST_DEPTH_MM`], and for every other process.
 pub(super) fn of(
     samples: &Samples,
     clock: &SampleClock,
     cycle: &Cycle,
     context: Context<'_>,
-    (best, flags): (&Energy, Flags),
+    (joules, flags): (&[f64], Flags),
 ) -> Option<DepthDigest> {
     let process = cycle.process.or_else(|| context.operation.map(|operation| operation.process));
     // Not registered yet: its operation may turn out to be friction drilling.
@@ -72,10 +71,6 @@ pub(super) fn of(
     }
     let depth = samples.column(Channel::DepthMm)?;
     let (contact, end) = way_in_contact(depth).filter(|(_, end)| depth[*end] <= DIGEST_DEPTH_MM)?;
-    let commanded = cycle
-        .spindle_speed_rpm
-        .or_else(|| context.operation.and_then(|operation| operation.spindle_speed_rpm));
-    let joules = energy::by_sample(samples, clock, commanded, context, best)?;
     let config = relation_config()?;
     let mut profile = DepthProfile::new(&config);
     if contact == 0 && depth[0] >= 0.0 {

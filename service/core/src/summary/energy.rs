@@ -3,7 +3,7 @@
 //! Five bases, named with every figure and never mixed. No joules where neither power nor a rating is known.
 
 use super::digest::way_in_contact;
-use super::{Context, SampleClock, loads};
+use super::{Context, SampleClock, loads, scan};
 use crate::cycle::{Channel, Samples};
 use crate::machine::{Calibration, FittedLine, LoadReference};
 use std::f64::consts::TAU;
@@ -99,72 +99,84 @@ impl Energy {
 /// Samples before contact that idle power needs: fewer are still spinning up.
 const IDLE_SAMPLES: usize = 5;
 
-/// All energies that can be told, best basis first, and whether fitted lines were asked beyond their range.
+/// What a cycle's samples tell of its energy.
+#[derive(Debug, Default)]
+pub(super) struct Told {
+    /// All energies that can be told, best basis first.
+    pub(super) energies: Vec<Energy>,
+    /// Joules of every sample on the best basis.
+    pub(super) best_by_sample: Option<Vec<f64>>,
+    /// Whether fitted lines were asked beyond their range.
+    pub(super) is_beyond_calibration: bool,
+}
+
+impl Told {
+    fn add(&mut self, energy: Energy, by_sample: impl FnOnce() -> Option<Vec<f64>>) {
+        if self.energies.is_empty() {
+            self.best_by_sample = by_sample();
+        }
+        self.energies.push(energy);
+    }
+
+    fn add_terms(&mut self, basis: EnergyBasis, terms: Terms, idle: IdlePower) {
+        self.add(terms.energy(basis, idle), || Some(terms.together()));
+    }
+}
+
+/// What an energy sums up: joules of every sample.
+pub(super) struct Terms {
+    pub(super) spindle: Vec<f64>,
+    pub(super) feed_drive: Option<Vec<f64>>,
+}
+
+impl Terms {
+    fn energy(&self, basis: EnergyBasis, idle: IdlePower) -> Energy {
+        // Without a feed drive's part the spindle's stands in for it: it costs nothing and is not told.
+        let feed_drive = self.feed_drive.as_ref();
+        let [spindle, other] = scan::sums([&self.spindle, feed_drive.unwrap_or(&self.spindle)]);
+        let feed_drive = feed_drive.map(|_| other);
+        // Adding zero: no negative zero where nothing was done.
+        Energy::of_parts(basis, spindle + 0.0, feed_drive, idle)
+    }
+
+    /// Both parts of every sample.
+    pub(super) fn together(self) -> Vec<f64> {
+        let mut joules = self.spindle;
+        if let Some(feed_drive) = self.feed_drive {
+            joules.iter_mut().zip(feed_drive).for_each(|(joules, more)| *joules += more);
+        }
+        joules
+    }
+}
+
+/// All energies that the samples tell.
 pub(super) fn by_basis(
     samples: &Samples,
     clock: &SampleClock,
     commanded_rpm: Option<f64>,
     context: Context<'_>,
-) -> (Vec<Energy>, bool) {
+) -> Told {
     let motion = Motion { samples, clock, commanded_rpm };
-    let mut energies = Vec::new();
-    if let Some(torque) = samples.column(Channel::TorqueNewtonMetres)
-        && let Some(spindle) = motion.spindle_work(torque)
-    {
-        let feed = samples.column(Channel::ThrustNewtons).and_then(|thrust| motion.feed_work(thrust));
-        energies.push(Energy::of_parts(EnergyBasis::Dynamometer, spindle, feed, IdlePower::NotApplicable));
+    let mut told = Told::default();
+    if let Some(terms) = motion.dynamometer() {
+        told.add_terms(EnergyBasis::Dynamometer, terms, IdlePower::NotApplicable);
     }
-    let mut beyond = false;
     if let Some(calibration) = context.calibration {
         match motion.calibrated(calibration) {
-            Calibrated::Energy(energy) => energies.push(energy),
-            Calibrated::Beyond => beyond = true,
+            Calibrated::Told(terms) => {
+                told.add_terms(EnergyBasis::Calibrated, terms, IdlePower::NotApplicable);
+            }
+            Calibrated::Beyond => told.is_beyond_calibration = true,
             Calibrated::NotPossible => {}
         }
     }
-    energies.extend(motion.measured_power());
-    energies.extend(motion.rated_power(context));
-    (energies, beyond)
-}
-
-/// Joules of every sample on the basis of `best`; their sum is its total. `None` where joules were only reported.
-pub(super) fn by_sample(
-    samples: &Samples,
-    clock: &SampleClock,
-    commanded_rpm: Option<f64>,
-    context: Context<'_>,
-    best: &Energy,
-) -> Option<Vec<f64>> {
-    let motion = Motion { samples, clock, commanded_rpm };
-    let column = |channel| samples.column(channel);
-    let calibration = context.calibration;
-    let (torque, thrust): (Option<Vec<f64>>, Option<Vec<f64>>) = match best.basis {
-        EnergyBasis::Dynamometer => (
-            column(Channel::TorqueNewtonMetres).map(<[f64]>::to_vec),
-            column(Channel::ThrustNewtons).map(<[f64]>::to_vec),
-        ),
-        EnergyBasis::Calibrated => {
-            let along = |line: Option<FittedLine>, load: Option<&[f64]>| {
-                line.zip(load).and_then(|(line, load)| motion.along(&line, load))
-            };
-            (
-                along(calibration.and_then(|lines| lines.torque), column(Channel::SpindleLoadPercent)),
-                along(calibration.and_then(|lines| lines.thrust), column(Channel::FeedDriveLoadPercent)),
-            )
-        }
-        EnergyBasis::MeasuredPower => return motion.measured_by_sample(best.idle),
-        EnergyBasis::RatedPower => return motion.rated_by_sample(context),
-        EnergyBasis::Reported => return None,
-    };
-    let torque = torque?;
-    let mut joules = Vec::with_capacity(torque.len());
-    for (index, torque) in torque.iter().enumerate() {
-        joules.push(torque * TAU * motion.speed_rpm(index)? / 60.0 * clock.width_s(index));
+    if let Some(energy) = motion.measured_power() {
+        told.add(energy, || motion.measured_by_sample(energy.idle));
     }
-    if best.feed_drive_joules.is_some() {
-        motion.add_feed_work(&thrust?, &mut joules)?;
+    if let Some(terms) = motion.rated_power(context) {
+        told.add_terms(EnergyBasis::RatedPower, terms, IdlePower::Included);
     }
-    Some(joules)
+    told
 }
 
 /// Fingerprint of what an energy rests on besides the samples (FNV-1a, 63 bits).
@@ -198,96 +210,65 @@ pub(super) struct Motion<'a> {
     pub(super) commanded_rpm: Option<f64>,
 }
 
-enum Calibrated {
-    Energy(Energy),
+pub(super) enum Calibrated {
+    Told(Terms),
     Beyond,
     NotPossible,
 }
 
+/// Nothing: a term that leaves every sum as it is, to the sign of a zero.
+const NO_WORK: f64 = -0.0;
+
 impl Motion<'_> {
-    fn speed_rpm(&self, index: usize) -> Option<f64> {
-        match self.samples.column(Channel::SpindleSpeedRpm) {
-            Some(speed) => Some(speed[index].abs()),
-            None => self.commanded_rpm,
-        }
+    /// Thrust and torque as measured.
+    pub(super) fn dynamometer(&self) -> Option<Terms> {
+        let spindle = self.spindle_steps(self.samples.column(Channel::TorqueNewtonMetres)?)?;
+        let thrust = self.samples.column(Channel::ThrustNewtons);
+        Some(Terms { spindle, feed_drive: thrust.and_then(|thrust| self.feed_steps(thrust)) })
     }
 
-    /// E_C = Σ T·2π·S/60·Δt (Eq. 6), N·m and rpm to J.
-    fn spindle_work(&self, torque: &[f64]) -> Option<f64> {
-        let mut joules = 0.0;
-        for (index, torque) in torque.iter().enumerate() {
-            joules += torque * TAU * self.speed_rpm(index)? / 60.0 * self.clock.width_s(index);
-        }
+    /// The terms of E_C = Σ T·2π·S/60·Δt (Eq. 6), N·m and rpm to J.
+    fn spindle_steps(&self, torque: &[f64]) -> Option<Vec<f64>> {
+        let mut joules = torque.to_vec();
+        self.by_speed(&mut joules, |torque, rpm| torque * TAU * rpm / 60.0)?;
+        self.clock.weigh(&mut joules);
         Some(joules)
     }
 
-    /// The terms of [`Self::spindle_work`].
-    pub(super) fn spindle_steps(&self, torque: &[f64]) -> Option<Vec<f64>> {
-        let step = |(index, torque): (usize, &f64)| {
-            Some(torque * TAU * self.speed_rpm(index)? / 60.0 * self.clock.width_s(index))
-        };
-        torque.iter().enumerate().map(step).collect()
+    /// Makes something else of each value with the spindle's speed at its sample; `None` where no speed is known.
+    fn by_speed(&self, values: &mut [f64], made: impl Fn(f64, f64) -> f64) -> Option<()> {
+        if let Some(speed) = self.samples.column(Channel::SpindleSpeedRpm) {
+            values.iter_mut().zip(speed).for_each(|(value, speed)| *value = made(*value, speed.abs()));
+        } else {
+            let commanded_rpm = self.commanded_rpm?;
+            values.iter_mut().for_each(|value| *value = made(*value, commanded_rpm));
+        }
+        Some(())
     }
 
-    /// The terms of [`Self::feed_work`].
-    pub(super) fn feed_steps(&self, thrust: &[f64]) -> Option<Vec<f64>> {
+    /// The terms of E_Z = Σ F·ΔZ (Eq. 5), N and mm to J; from the actual feed where depth was not sampled.
+    fn feed_steps(&self, thrust: &[f64]) -> Option<Vec<f64>> {
         if let Some(depth) = self.samples.column(Channel::DepthMm) {
-            let way = |k: usize| if k == 0 { 0.0 } else { depth[k] - depth[k - 1] };
-            return Some((0..thrust.len()).map(|k| thrust[k] * way(k) * 1e-3).collect());
+            let work = |(thrust, way): (&f64, &[f64])| thrust * (way[1] - way[0]) * 1e-3;
+            let mut joules = Vec::with_capacity(thrust.len());
+            joules.push(NO_WORK);
+            joules.extend(thrust[1..].iter().zip(depth.windows(2)).map(work));
+            return Some(joules);
         }
         let feed = self.samples.column(Channel::FeedActualMmMin)?;
-        let metres = |k: usize| feed[k] / 60.0 * 1e-3 * self.clock.width_s(k);
-        Some((0..thrust.len()).map(|k| thrust[k] * metres(k)).collect())
+        let mut joules: Vec<f64> = feed.iter().map(|feed| feed / 60.0 * 1e-3).collect();
+        self.clock.weigh(&mut joules);
+        joules.iter_mut().zip(thrust).for_each(|(metres, thrust)| *metres *= thrust);
+        Some(joules)
     }
 
     /// The terms of [`Self::integrate`].
     pub(super) fn power_steps(&self, watts: &[f64]) -> Vec<f64> {
-        if watts.len() == 1 {
-            return vec![watts[0] * self.clock.width_s(0)];
-        }
-        let before = |k: usize| if k == 0 { 0.0 } else { f64::midpoint(watts[k - 1], watts[k]) };
-        (0..watts.len()).map(|k| before(k) * self.clock.width_s(k)).collect()
-    }
-
-    /// The terms of the spindle's part of [`Self::rated_power`].
-    pub(super) fn rated_steps(&self, context: Context<'_>) -> Option<Vec<f64>> {
-        let load = self.samples.column(Channel::SpindleLoadPercent)?;
-        let rating = &context.machine.spindle;
-        let rated = rating.rated_power_watts.filter(|_| rating.reference != LoadReference::Unknown)?;
-        let step = |(index, load): (usize, &f64)| {
-            let share = if rating.reference.follows_torque() {
-                (self.speed_rpm(index)? / rating.base_speed_rpm?).min(1.0)
-            } else {
-                1.0
-            };
-            Some(load / 100.0 * rated * share * self.clock.width_s(index))
-        };
-        load.iter().enumerate().map(step).collect()
-    }
-
-    /// E_Z = Σ F·ΔZ (Eq. 5), N and mm to J; from the actual feed where depth was not sampled.
-    fn feed_work(&self, thrust: &[f64]) -> Option<f64> {
-        if let Some(depth) = self.samples.column(Channel::DepthMm) {
-            return Some((1..thrust.len()).map(|k| thrust[k] * (depth[k] - depth[k - 1]) * 1e-3).sum());
-        }
-        let feed = self.samples.column(Channel::FeedActualMmMin)?;
-        let metres = |k: usize| feed[k] / 60.0 * 1e-3 * self.clock.width_s(k);
-        Some((0..thrust.len()).map(|k| thrust[k] * metres(k)).sum())
-    }
-
-    /// Adds [`Motion::feed_work`] sample by sample.
-    fn add_feed_work(&self, thrust: &[f64], joules: &mut [f64]) -> Option<()> {
-        if let Some(depth) = self.samples.column(Channel::DepthMm) {
-            for k in 1..thrust.len() {
-                joules[k] += thrust[k] * (depth[k] - depth[k - 1]) * 1e-3;
-            }
-            return Some(());
-        }
-        let feed = self.samples.column(Channel::FeedActualMmMin)?;
-        for k in 0..thrust.len() {
-            joules[k] += thrust[k] * feed[k] / 60.0 * 1e-3 * self.clock.width_s(k);
-        }
-        Some(())
+        let mut joules = Vec::with_capacity(watts.len());
+        joules.push(if watts.len() == 1 { watts[0] } else { NO_WORK });
+        joules.extend(watts.windows(2).map(|pair| f64::midpoint(pair[0], pair[1])));
+        self.clock.weigh(&mut joules);
+        joules
     }
 
     /// The trapezoids of [`Motion::integrate`] over idle, each with the sample that ends it.
@@ -296,25 +277,9 @@ impl Motion<'_> {
         let idle = if let IdlePower::Subtracted { watts } = idle { watts } else { 0.0 };
         let feed = self.samples.column(Channel::FeedDrivePowerWatts);
         let power = |k: usize| watts[k] - idle + feed.map_or(0.0, |feed| feed[k]);
-        let each = |k: usize| {
-            let mean = if k == 0 { 0.0 } else { f64::midpoint(power(k - 1), power(k)) };
-            mean * self.clock.width_s(k)
-        };
-        Some((0..watts.len()).map(each).collect())
-    }
-
-    fn rated_by_sample(&self, context: Context<'_>) -> Option<Vec<f64>> {
-        let load = self.samples.column(Channel::SpindleLoadPercent)?;
-        let rating = &context.machine.spindle;
-        let rated = rating.rated_power_watts?;
-        let mut joules = Vec::with_capacity(load.len());
-        for (index, load) in load.iter().enumerate() {
-            let share = self.rated_share(index, context)?;
-            joules.push(load / 100.0 * rated * share * self.clock.width_s(index));
-        }
-        if let Some(thrust) = self.rated_thrust(context) {
-            self.add_feed_work(&thrust, &mut joules);
-        }
+        let mean = |k: usize| if k == 0 { 0.0 } else { f64::midpoint(power(k - 1), power(k)) };
+        let mut joules: Vec<f64> = (0..watts.len()).map(mean).collect();
+        self.clock.weigh(&mut joules);
         Some(joules)
     }
 
@@ -322,7 +287,7 @@ impl Motion<'_> {
     ///
     /// Nothing before contact, where depth was sampled: what the drives need to spin up and to move is not the tool's,
     /// and the peak of spinning up lies beyond what any hole was fitted to.
-    pub(super) fn along(&self, line: &FittedLine, load: &[f64]) -> Option<Vec<f64>> {
+    fn along(&self, line: &FittedLine, load: &[f64]) -> Option<Vec<f64>> {
         let depth = self.samples.column(Channel::DepthMm);
         let surface = depth.and_then(way_in_contact).map_or(0, |(surface, _)| surface);
         let felt = |(index, &load): (usize, &f64)| {
@@ -331,7 +296,7 @@ impl Motion<'_> {
         load.iter().enumerate().map(felt).collect()
     }
 
-    fn calibrated(&self, calibration: &Calibration) -> Calibrated {
+    pub(super) fn calibrated(&self, calibration: &Calibration) -> Calibrated {
         let (Some(line), Some(load)) = (calibration.torque, self.samples.column(Channel::SpindleLoadPercent))
         else {
             return Calibrated::NotPossible;
@@ -339,27 +304,24 @@ impl Motion<'_> {
         let Some(torque) = self.along(&line, load) else {
             return Calibrated::Beyond;
         };
-        let Some(spindle) = self.spindle_work(&torque) else {
+        let Some(spindle) = self.spindle_steps(&torque) else {
             return Calibrated::NotPossible;
         };
-        let mut feed = None;
+        let mut feed_drive = None;
         if let (Some(line), Some(load)) =
             (calibration.thrust, self.samples.column(Channel::FeedDriveLoadPercent))
         {
             let Some(thrust) = self.along(&line, load) else {
                 return Calibrated::Beyond;
             };
-            feed = self.feed_work(&thrust);
+            feed_drive = self.feed_steps(&thrust);
         }
-        Calibrated::Energy(Energy::of_parts(EnergyBasis::Calibrated, spindle, feed, IdlePower::NotApplicable))
+        Calibrated::Told(Terms { spindle, feed_drive })
     }
 
     /// Trapezoid over a channel in watts; intervals that are gaps carry nothing.
     fn integrate(&self, watts: &[f64]) -> f64 {
-        if watts.len() == 1 {
-            return watts[0] * self.clock.width_s(0);
-        }
-        (1..watts.len()).map(|k| f64::midpoint(watts[k - 1], watts[k]) * self.clock.width_s(k)).sum()
+        self.power_steps(watts).iter().sum()
     }
 
     fn measured_power(&self) -> Option<Energy> {
@@ -387,40 +349,24 @@ impl Motion<'_> {
         (steady.len() >= IDLE_SAMPLES).then(|| loads::median(steady))
     }
 
-    /// Load × rated power, times min(1, S/S_base) where the percent follows torque.
-    fn rated_power(&self, context: Context<'_>) -> Option<Energy> {
+    /// Load × rated power, times min(1, S/S_base) where the percent follows torque. The feed drive's percent is a force:
+    /// load × rated thrust × way, where the thrust is declared.
+    pub(super) fn rated_power(&self, context: Context<'_>) -> Option<Terms> {
         let load = self.samples.column(Channel::SpindleLoadPercent)?;
         let rating = &context.machine.spindle;
-        let rated = rating.rated_power_watts?;
-        if rating.reference == LoadReference::Unknown {
-            return None;
-        }
-        let mut spindle = 0.0;
-        for (index, load) in load.iter().enumerate() {
-            let share = self.rated_share(index, context)?;
-            spindle += load / 100.0 * rated * share * self.clock.width_s(index);
-        }
-        let feed = self.rated_feed(context);
-        Some(Energy::of_parts(EnergyBasis::RatedPower, spindle, feed, IdlePower::Included))
-    }
-
-    /// min(1, S/S_base) where the spindle's percent follows torque, else 1.
-    fn rated_share(&self, index: usize, context: Context<'_>) -> Option<f64> {
-        let rating = &context.machine.spindle;
+        let rated = rating.rated_power_watts.filter(|_| rating.reference != LoadReference::Unknown)?;
+        let mut spindle: Vec<f64> = load.iter().map(|load| load / 100.0 * rated).collect();
         if rating.reference.follows_torque() {
-            Some((self.speed_rpm(index)? / rating.base_speed_rpm?).min(1.0))
-        } else {
-            Some(1.0)
+            let base_speed_rpm = rating.base_speed_rpm?;
+            self.by_speed(&mut spindle, |watts, rpm| watts * (rpm / base_speed_rpm).min(1.0))?;
         }
-    }
-
-    /// The feed drive's percent is a force: load × rated thrust × way, where the thrust is declared.
-    fn rated_feed(&self, context: Context<'_>) -> Option<f64> {
-        self.feed_work(&self.rated_thrust(context)?)
+        self.clock.weigh(&mut spindle);
+        let thrust = self.rated_thrust(context);
+        Some(Terms { spindle, feed_drive: thrust.and_then(|thrust| self.feed_steps(&thrust)) })
     }
 
     /// The thrust that the feed drive's load stands for, N.
-    pub(super) fn rated_thrust(&self, context: Context<'_>) -> Option<Vec<f64>> {
+    fn rated_thrust(&self, context: Context<'_>) -> Option<Vec<f64>> {
         let rated = context.machine.feed_drive.rated_thrust_newtons?;
         if context.machine.feed_drive.reference == LoadReference::Unknown {
             return None;

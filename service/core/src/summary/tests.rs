@@ -4,6 +4,7 @@ use super::*;
 use crate::cycle::CycleDraft;
 use crate::ids::{CycleId, MachineId, OperationId, ToolId};
 use crate::machine::{FeedDriveRating, FeedLimits, FittedLine, LoadReference, SpindleRating};
+use proptest::prelude::{prop_assert_eq, proptest};
 
 const N: usize = 400;
 
@@ -287,4 +288,61 @@ fn the_course_of_an_energy_ends_at_the_whole() {
     }
     assert_eq!(energy_course(samples, None, context, EnergyBasis::Calibrated), None);
     assert_eq!(energy_course(samples, None, context, EnergyBasis::Reported), None);
+}
+
+proptest! {
+    /// Energies are compared over years: how they are summed up must not move a digit of them.
+    #[test]
+    fn energies_are_those_of_plain_loops_to_the_last_bit(
+        rows in proptest::collection::vec(proptest::array::uniform6(-50.0..50.0_f64), 1..80),
+        stamped in proptest::bool::ANY,
+        standing in proptest::bool::ANY,
+    ) {
+        let column = |which: usize| rows.iter().map(|row| row[which]).collect::<Vec<f64>>();
+        let depth = if standing { vec![0.0; rows.len()] } else { column(0) };
+        let [speed, load, push, torque, thrust] = [1, 2, 3, 4, 5].map(column);
+        let mut time_ms = 0.0;
+        let mut stamp = |row: &[f64; 6]| {
+            time_ms += row[0].abs();
+            time_ms
+        };
+        let time = if stamped {
+            TimeBase::Stamps { time_ms: rows.iter().map(&mut stamp).collect() }
+        } else {
+            TimeBase::Period { period_ms: 7.0 }
+        };
+        let mut rated = machine(LoadReference::RatedTorque);
+        rated.feed_drive =
+            FeedDriveRating { reference: LoadReference::RatedTorque, rated_thrust_newtons: Some(5000.0) };
+        let cycle = cycle(time, vec![
+            (Channel::DepthMm, depth.clone()),
+            (Channel::SpindleSpeedRpm, speed.clone()),
+            (Channel::SpindleLoadPercent, load.clone()),
+            (Channel::FeedDriveLoadPercent, push.clone()),
+            (Channel::TorqueNewtonMetres, torque.clone()),
+            (Channel::ThrustNewtons, thrust.clone()),
+        ]);
+        let clock = SampleClock::of(cycle.samples.as_ref().unwrap());
+        let (mut measured, mut by_rating) = (0.0, 0.0);
+        for k in 0..rows.len() {
+            let rpm = speed[k].abs();
+            measured += torque[k] * std::f64::consts::TAU * rpm / 60.0 * clock.width_s(k);
+            by_rating += load[k] / 100.0 * 7000.0 * (rpm / 3000.0).min(1.0) * clock.width_s(k);
+        }
+        let work = |thrust: &dyn Fn(usize) -> f64| -> f64 {
+            (1..rows.len()).map(|k| thrust(k) * (depth[k] - depth[k - 1]) * 1e-3).sum()
+        };
+        let expected = [
+            (measured, work(&|k| thrust[k])),
+            (by_rating, work(&|k| push[k] / 100.0 * 5000.0)),
+        ];
+        let summary = told(&cycle, &rated, None);
+        let bits = |(spindle, feed_drive): (f64, f64)| (spindle.to_bits(), feed_drive.to_bits());
+        let found: Vec<_> = summary
+            .energy
+            .iter()
+            .map(|energy| bits((energy.spindle_joules.unwrap(), energy.feed_drive_joules.unwrap())))
+            .collect();
+        prop_assert_eq!(found, expected.map(bits));
+    }
 }
