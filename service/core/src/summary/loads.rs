@@ -124,3 +124,41 @@ fn reverses(depth: &[f64]) -> bool {
     }
     false
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cycle::TimeBase;
+    use proptest::prelude::{prop_assert_eq, proptest};
+
+    proptest! {
+        #[test]
+        fn peaks_and_the_fall_are_where_a_plain_loop_finds_them(
+            // Few different values, so that the largest comes again.
+            rows in proptest::collection::vec((-3..4_i8, -2..6_i8), 1..90),
+        ) {
+            let depth: Vec<f64> = rows.iter().map(|row| f64::from(row.0)).collect();
+            let load: Vec<f64> = rows.iter().map(|row| f64::from(row.1)).collect();
+            let columns = vec![(Channel::DepthMm, depth.clone()), (Channel::SpindleLoadPercent, load.clone())];
+            let samples = Samples::new(TimeBase::Period { period_ms: 10.0 }, columns, 100).unwrap();
+            let highest = |from_mm: f64| {
+                let mut top: Option<usize> = None;
+                for index in 0..load.len() {
+                    if depth[index] >= from_mm && top.is_none_or(|top| load[index] > load[top]) {
+                        top = Some(index);
+                    }
+                }
+                top
+            };
+            let at = highest(f64::NEG_INFINITY).unwrap();
+            let expected = Peak { value: load[at], depth_mm: Some(depth[at]), time_ms: Some(samples.time_ms(at)) };
+            prop_assert_eq!(peak(&load, Some(&depth), &samples), expected);
+            let fall = highest(0.0).filter(|top| load[*top] > 0.0).and_then(|top| {
+                let after = (top + 1..load.len()).find(|index| load[*index] <= FALLEN * load[top])?;
+                let share = (load[after - 1] - FALLEN * load[top]) / (load[after - 1] - load[after]);
+                Some(depth[after - 1] + share * (depth[after] - depth[after - 1]))
+            });
+            prop_assert_eq!(fall_depth(&samples), fall);
+        }
+    }
+}
