@@ -1,4 +1,4 @@
-//! From the errors of sqlx to those of the store: what a caller may conclude, not what was said.
+//! From the errors of sqlx and rusqlite to those of the store: what a caller may conclude, not what was said.
 
 use crate::error::StoreError;
 use sqlx::error::{DatabaseError, ErrorKind};
@@ -21,6 +21,22 @@ impl From<sqlx::Error> for StoreError {
                 Self::Damaged { what: format!("column {index} does not decode") }
             }
             _ => Self::Database(Box::new(error)),
+        }
+    }
+}
+
+impl From<rusqlite::Error> for StoreError {
+    fn from(error: rusqlite::Error) -> Self {
+        let rusqlite::Error::SqliteFailure(failure, message) = &error else {
+            return Self::Database(Box::new(error));
+        };
+        match Fault::of_sqlite(failure.extended_code.cast_unsigned()) {
+            Fault::Refused => {
+                Self::Refused { constraint: named_last(message.as_deref().unwrap_or_default()).to_owned() }
+            }
+            Fault::NotWritable => Self::NotWritable(Box::new(error)),
+            Fault::Unavailable => Self::Unavailable(Box::new(error)),
+            Fault::Other => Self::Database(Box::new(error)),
         }
     }
 }
@@ -83,12 +99,12 @@ impl Fault {
 }
 
 fn constraint(error: &dyn DatabaseError) -> String {
-    // SQLite names it in the message only: "CHECK constraint failed: cycles_coverage_range".
-    error
-        .constraint()
-        .or_else(|| error.message().rsplit(": ").next())
-        .unwrap_or_else(|| error.message())
-        .to_owned()
+    error.constraint().unwrap_or_else(|| named_last(error.message())).to_owned()
+}
+
+/// SQLite names a constraint in its message only: "CHECK constraint failed: `cycles_coverage_range`".
+fn named_last(message: &str) -> &str {
+    message.rsplit(": ").next().unwrap_or(message)
 }
 
 impl StoreError {

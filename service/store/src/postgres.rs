@@ -24,6 +24,7 @@ use crate::registry::Registry;
 use crate::rows::number;
 use crate::slot::Slot;
 use crate::work::{Work, Written};
+use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
 use reader::Reader;
 use sqlx::PgPool;
@@ -32,6 +33,8 @@ use std::sync::Arc;
 
 type Db = sqlx::Postgres;
 type Conn = sqlx::PgConnection;
+/// What writes a group.
+type Writer = Conn;
 type Engine = PostgresStore;
 
 /// One statement of a change takes no longer; a change that forgets its transaction is ended. The last setting is for
@@ -144,6 +147,16 @@ impl PostgresStore {
     #[expect(clippy::unused_async, reason = "the other engine asks its file")]
     async fn give_back(&self) -> StoreResult<bool> {
         Ok(false)
+    }
+
+    /// Every question goes to the server.
+    const fn block_at_once(
+        &self,
+        _statement: &str,
+        _machine: &MachineId,
+        _id: &CycleId,
+    ) -> Option<StoreResult<Option<Vec<u8>>>> {
+        None
     }
 
     /// Runs one change in one transaction, in a task that nobody can cancel.

@@ -3,11 +3,14 @@
 //! WAL with `synchronous=FULL`: an acknowledged cycle survives a power cut. Every change goes through one connection
 //! with `BEGIN IMMEDIATE`, so that no change fails for want of a lock that it could have waited for.
 
+mod block_reader;
 mod checkpoint;
 mod dialect;
 #[path = "engine/mod.rs"]
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
+mod group_thread;
+mod group_writer;
 mod open;
 mod readers;
 
@@ -22,7 +25,11 @@ use crate::registry::Registry;
 use crate::rows::number;
 use crate::slot::Slot;
 use crate::work::{Work, Written};
+use block_reader::BlockReader;
 use checkpoint::Checkpoints;
+use feedwright_core::ids::{CycleId, MachineId};
+use group_thread::GroupThread;
+use group_writer::GroupWriter;
 use readers::{Lent, Readers};
 use sqlx::Connection;
 use std::sync::Arc;
@@ -32,6 +39,15 @@ use tokio::sync::{Mutex, MutexGuard};
 type Db = sqlx::Sqlite;
 type Conn = sqlx::SqliteConnection;
 type Engine = SqliteStore;
+
+/// What writes: one at a time, so that neither of the two connections waits for the other's lock.
+#[derive(Debug)]
+struct Writer {
+    /// Writes whole groups, which is most of what is written.
+    groups: GroupWriter,
+    /// Asks what groups rest on, and writes everything else.
+    asked: Conn,
+}
 
 /// Free pages (8 MiB) that are left to be used again.
 const PAGES_KEPT_FREE: i64 = 1024;
@@ -45,10 +61,12 @@ pub struct SqliteStore {
 #[derive(Debug)]
 struct Inner {
     /// `None` once closed.
-    writer: Mutex<Option<Conn>>,
+    writer: Mutex<Option<Writer>>,
+    group_thread: GroupThread,
     /// A group's statements begin and end its transaction: set while one may be open.
     in_group: AtomicBool,
     readers: Arc<Readers>,
+    block_reader: BlockReader,
     gate: Gate,
     /// Set when the disk refused a write: an fsync is never retried, whatever comes later.
     refused: AtomicBool,
@@ -113,6 +131,16 @@ impl SqliteStore {
         self.inner.max_samples
     }
 
+    /// What a statement finds, a block, for a cycle's machine and id, where this thread may read it.
+    fn block_at_once(
+        &self,
+        statement: &str,
+        machine: &MachineId,
+        id: &CycleId,
+    ) -> Option<StoreResult<Option<Vec<u8>>>> {
+        self.inner.block_reader.read(statement, machine, id)
+    }
+
     async fn reader(&self) -> StoreResult<Lent> {
         Ok(self.inner.readers.lend().await?)
     }
@@ -124,7 +152,7 @@ impl SqliteStore {
         let inner = Arc::clone(&self.inner);
         let task = tokio::spawn(async move {
             let mut writer = inner.writer.lock().await;
-            let conn = inner.settled(writer.as_mut()).await?;
+            let conn = &mut inner.settled(writer.as_mut()).await?.asked;
             let free: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
             if free <= PAGES_KEPT_FREE {
                 return Ok(false);
@@ -155,16 +183,16 @@ impl SqliteStore {
         task.await.map_err(panicked)?
     }
 
-    /// Runs a group of cycles, which begins and ends its transaction by its own statements, in a task that nobody can
-    /// cancel.
+    /// Runs a group of cycles, which begins and ends its transaction by its own statements, on the thread of the groups in
+    /// a task that nobody can cancel.
     async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
-        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
+        F: for<'c> FnOnce(&'c mut Writer) -> Work<'c, (T, Written)> + Send + 'static,
     {
         let pass = self.inner.gate.enter().await?;
         let inner = Arc::clone(&self.inner);
-        let task = tokio::spawn(async move {
+        let task = self.inner.group_thread.spawn(async move {
             let outcome = inner.group(work).await;
             drop(pass);
             outcome
@@ -205,6 +233,7 @@ impl SqliteStore {
     async fn shut(&self) {
         self.inner.gate.shut().await;
         self.inner.checkpoints.stop().await;
+        self.inner.block_reader.close();
         self.inner.readers.close().await;
         // Closing the last connection folds the log into the file.
         if let Some(writer) = self.inner.writer.lock().await.take()
@@ -215,13 +244,20 @@ impl SqliteStore {
     }
 }
 
+impl Writer {
+    async fn close(self) -> StoreResult<()> {
+        self.groups.close()?;
+        Ok(self.asked.close().await?)
+    }
+}
+
 impl Inner {
     async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
         let mut writer = self.writer().await?;
-        let conn = self.settled(writer.as_mut()).await?;
+        let conn = &mut self.settled(writer.as_mut()).await?.asked;
         let outcome = Self::attempt(conn, work).await;
         self.heed(&outcome);
         outcome
@@ -247,22 +283,22 @@ impl Inner {
         }
     }
 
-    /// Each statement is a hop to the connection's thread: a group saves two by beginning its transaction with its first
-    /// statement and ending it with its last.
+    /// A group that is not written as a whole begins its transaction with its first statement and ends it with its last:
+    /// each statement is a hop to the connection's thread.
     async fn group<T, F>(&self, work: F) -> StoreResult<T>
     where
-        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
+        F: for<'c> FnOnce(&'c mut Writer) -> Work<'c, (T, Written)> + Send + 'static,
     {
-        let mut writer = self.writer().await?;
-        let conn = self.settled(writer.as_mut()).await?;
+        let mut guard = self.writer().await?;
+        let writer = self.settled(guard.as_mut()).await?;
         self.in_group.store(true, Ordering::Relaxed);
-        let outcome = match work(conn).await {
+        let outcome = match work(writer).await {
             Ok((value, Written { .. })) => {
                 self.in_group.store(false, Ordering::Relaxed);
                 Ok(value)
             }
             Err(error) => {
-                self.settled(Some(conn)).await?;
+                self.settled(Some(writer)).await?;
                 Err(error)
             }
         };
@@ -270,7 +306,7 @@ impl Inner {
         outcome
     }
 
-    async fn writer(&self) -> StoreResult<MutexGuard<'_, Option<Conn>>> {
+    async fn writer(&self) -> StoreResult<MutexGuard<'_, Option<Writer>>> {
         let writer = self.writer.lock().await;
         if self.refused.load(Ordering::Acquire) {
             return Err(StoreError::NotWritable("the disk refused a write before".into()));
@@ -278,17 +314,17 @@ impl Inner {
         Ok(writer)
     }
 
-    /// The connection with no transaction open: what a group that failed, or panicked, has left is rolled back.
-    async fn settled<'c>(&self, conn: Option<&'c mut Conn>) -> StoreResult<&'c mut Conn> {
-        let conn = conn.ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
+    /// The writer with no transaction open: what a group that failed, or panicked, has left is rolled back.
+    async fn settled<'c>(&self, writer: Option<&'c mut Writer>) -> StoreResult<&'c mut Writer> {
+        let writer = writer.ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
         if self.in_group.load(Ordering::Relaxed) {
             // Where it never began, or SQLite has rolled it back by itself, there is nothing to roll back.
-            if let Err(error) = sqlx::query("ROLLBACK").execute(&mut *conn).await {
+            if let Err(error) = sqlx::query("ROLLBACK").execute(&mut writer.asked).await {
                 tracing::debug!(%error, "nothing to roll back");
             }
             self.in_group.store(false, Ordering::Relaxed);
         }
-        Ok(conn)
+        Ok(writer)
     }
 
     fn heed<T>(&self, outcome: &StoreResult<T>) {

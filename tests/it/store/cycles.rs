@@ -298,3 +298,33 @@ async fn after_closing_nothing_is_taken(store: Arc<dyn Store>) {
     let outcomes = commit(&*store, &[Run::nth(2)]).await;
     assert!(matches!(&outcomes[..], [Err(StoreError::Unavailable(_))]), "{outcomes:?}");
 }
+
+/// One is read on the thread that asks, the others by threads of their own: all are told the same, and none after the end.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn samples_are_read_by_more_than_read_at_once() {
+    const CYCLES: u32 = 40;
+    let given = Given::sqlite().await;
+    let store = given.store();
+    shop(&*store).await;
+    for number in 1..=CYCLES {
+        stored(&*store, &Run::nth(number)).await;
+    }
+    let mut reads = tokio::task::JoinSet::new();
+    for read in 0..10 * CYCLES {
+        let store = given.store();
+        reads.spawn(async move {
+            let new = Run::nth(1 + read % CYCLES).new_cycle();
+            let samples = store.cycle_samples(&new.cycle.machine, &new.cycle.id).await.unwrap();
+            assert_eq!(samples, new.cycle.samples);
+            let none = store.cycle_samples(&new.cycle.machine, &"none".try_into().unwrap()).await.unwrap();
+            assert_eq!(none, None);
+        });
+    }
+    while let Some(read) = reads.join_next().await {
+        read.unwrap();
+    }
+    store.close().await;
+    let first = Run::nth(1).new_cycle();
+    let closed = store.cycle_samples(&first.cycle.machine, &first.cycle.id).await;
+    assert!(matches!(closed, Err(StoreError::Unavailable(_))), "{closed:?}");
+}

@@ -47,6 +47,21 @@ struct Ready {
     json: Bytes,
 }
 
+/// A cycle in the queue: what of it is wanted when it is answered.
+struct Queued {
+    cycle: Arc<Cycle>,
+    json: Bytes,
+    answered: Answered,
+}
+
+impl Ready {
+    /// What is handed to the writer, and what makes it a queued one with the writer's answer.
+    fn part(self) -> (NewCycle, impl FnOnce(Answered) -> Queued) {
+        let (cycle, json) = (Arc::clone(&self.cycle.cycle), self.json);
+        (self.cycle, move |answered| Queued { cycle, json, answered })
+    }
+}
+
 /// What becomes of a body that is refused for its content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refused {
@@ -168,9 +183,9 @@ impl CycleIntake {
     }
 
     /// Everything after the queue: what the commit came to.
-    async fn settle(&self, ready: Ready, answered: Answered, refused: Refused) -> Result<Accepted, Problem> {
+    async fn settle(&self, queued: Queued, refused: Refused) -> Result<Accepted, Problem> {
+        let Queued { cycle, json, answered } = queued;
         let outcome = answered.await.map_err(|_| closing())?;
-        let cycle = ready.cycle.cycle;
         match outcome? {
             Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
             Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),
@@ -185,7 +200,7 @@ impl CycleIntake {
                         cycle.id
                     ),
                 );
-                Err(self.refuse(&cycle.machine, ready.json, problem, refused).await)
+                Err(self.refuse(&cycle.machine, json, problem, refused).await)
             }
         }
     }
@@ -288,9 +303,9 @@ impl CycleIntake {
     ) -> Result<Accepted, Problem> {
         let result = match self.prepare(machine, json, refused).await {
             Ok(ready) => {
-                match self.writer().and_then(|writer| writer.enqueue(ready.cycle.clone()).map_err(problem_of))
-                {
-                    Ok(answered) => self.settle(ready, answered, refused).await,
+                let (cycle, queued) = ready.part();
+                match self.writer().and_then(|writer| writer.enqueue(cycle).map_err(problem_of)) {
+                    Ok(answered) => self.settle(queued(answered), refused).await,
                     Err(problem) => Err(problem),
                 }
             }
@@ -311,7 +326,7 @@ impl CycleIntake {
             Ok(mut ready) => {
                 ready.cycle.summary.flags.insert(Flag::Incomplete);
                 match self.enqueue_patiently(ready).await {
-                    Ok((ready, answered)) => self.settle(ready, answered, refused).await,
+                    Ok(queued) => self.settle(queued, refused).await,
                     Err(problem) => Err(problem),
                 }
             }
@@ -340,18 +355,15 @@ impl CycleIntake {
                 Err(problem) => Err(problem),
             });
         }
-        let settled = waiting.into_iter().map(|waiting| async move {
-            let (ready, answered) = waiting?;
-            self.settle(ready, answered, refused).await
-        });
+        let settled = waiting.into_iter().map(|queued| async move { self.settle(queued?, refused).await });
         let results = join_all(settled).await;
         results.iter().for_each(|result| self.observe(machine, refused, result));
         results
     }
 
-    async fn enqueue_patiently(&self, ready: Ready) -> Result<(Ready, Answered), Problem> {
-        let answered = self.writer()?.enqueue_patiently(ready.cycle.clone()).await.map_err(problem_of)?;
-        Ok((ready, answered))
+    async fn enqueue_patiently(&self, ready: Ready) -> Result<Queued, Problem> {
+        let (cycle, queued) = ready.part();
+        self.writer()?.enqueue_patiently(cycle).await.map(queued).map_err(problem_of)
     }
 
     /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have

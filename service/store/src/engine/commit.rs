@@ -4,7 +4,7 @@ use super::memory::Memory;
 use super::registry::GroupRegistry;
 use super::transaction::GroupTransaction;
 use super::wear::{self, Heads, ToolWear, Versions};
-use super::{Conn, alarms, cycles, dialect, feed_profiles, models, recommendations};
+use super::{Conn, Writer, alarms, cycles, dialect, feed_profiles, models};
 use crate::error::{StoreError, StoreResult};
 use crate::history::beginning;
 use crate::locks::Locks;
@@ -32,7 +32,7 @@ enum Placed {
 
 /// Commits a group: answers stand in the order of the group. What `memory` holds is true after the commit only.
 pub(super) async fn group(
-    conn: &mut Conn,
+    writer: &mut Writer,
     group: &[NewCycle],
     now: Timestamp,
     settings: RecommendSettings,
@@ -43,14 +43,15 @@ pub(super) async fn group(
         && let Some((heads, around)) = memory.assume(registry, group)
         && let Some(assumption) = dialect::assume(&heads, &tools)
     {
-        let mut transaction = GroupTransaction::assumed(conn, assumption);
+        let mut transaction = GroupTransaction::assumed(writer, assumption);
         let outcome = count(&mut transaction, group, (now, settings), (&heads, &around, memory)).await;
         if !transaction.is_refuted() {
             return outcome;
         }
-        dialect::undo(conn).await;
+        dialect::undo(writer).await;
         memory.doubt(group);
     }
+    let conn = dialect::asked(writer);
     let machines = group.iter().map(|new| &new.cycle.machine);
     let operations = group.iter().map(|new| &new.cycle.operation);
     dialect::lock(conn, &Locks::group(machines, operations, tools.iter().copied())).await?;
@@ -91,14 +92,8 @@ async fn count(
         issued.push(row);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
-    let mut unknown: Vec<&IssuedRow> =
-        issued.iter().filter(|row| memory.is_new_advice(row.advice_hash)).collect();
-    // Others may be told the same at this moment: in ascending order no two wait for each other.
-    unknown.sort_unstable_by_key(|row| row.advice_hash);
-    for row in unknown {
-        recommendations::keep_advice(transaction.conn().await?, row).await?;
-    }
-    let written = transaction.write(&Rest { blocks, wear, issued }, now).await?;
+    let rest = Rest::of(blocks, wear, issued, |row| memory.is_new_advice(row.advice_hash));
+    let written = transaction.write(&rest, now).await?;
     Ok((answers, written))
 }
 

@@ -42,21 +42,18 @@ pub(super) async fn get(
     row.map(|row| row.stored()).transpose()
 }
 
-pub(super) async fn samples(
+/// The block of a cycle's samples. Each row by its whole key: PostgreSQL has the time of receipt before it looks into any
+/// partition, and so looks into one; of a join it would have to try all of them.
+pub(super) const BLOCK: &str = "SELECT block FROM cycle_samples WHERE machine_id = $1 AND cycle_id = $2
+     AND received_at_us = (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)";
+
+pub(super) async fn block(
     conn: &mut Conn,
     machine: &MachineId,
     id: &CycleId,
 ) -> StoreResult<Option<Vec<u8>>> {
-    // Each by its whole key. PostgreSQL has the time of receipt before it looks into any partition, and so looks into one;
-    // of a join it would have to try all of them.
-    Ok(sqlx::query_scalar::<Db, _>(
-        "SELECT block FROM cycle_samples WHERE machine_id = $1 AND cycle_id = $2 AND received_at_us =
-             (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)",
-    )
-    .bind(machine.as_str())
-    .bind(id.as_str())
-    .fetch_optional(&mut *conn)
-    .await?)
+    let query = sqlx::query_scalar::<Db, _>(BLOCK).bind(machine.as_str()).bind(id.as_str());
+    Ok(query.fetch_optional(&mut *conn).await?)
 }
 
 // The first condition drives an index; the others are checked on the way. `started_at_us` stands twice so that an

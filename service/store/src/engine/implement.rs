@@ -411,7 +411,10 @@ impl Store for Engine {
     }
 
     async fn cycle_columns(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Columns>> {
-        let block = read!(self, |conn| cycles::samples(conn, machine, id).await)?;
+        let block = match self.block_at_once(cycles::BLOCK, machine, id) {
+            Some(block) => block?,
+            None => read!(self, |conn| cycles::block(conn, machine, id).await)?,
+        };
         block.map(|block| codec::decode_columns(&block, self.max_samples())).transpose()
     }
 

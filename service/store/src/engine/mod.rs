@@ -35,4 +35,4 @@ mod wear;
 pub(super) use memory::Memory;
 pub(super) use wear::Heads;
 
-use super::{Conn, Db, Engine, dialect};
+use super::{Conn, Db, Engine, Writer, dialect};

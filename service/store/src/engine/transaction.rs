@@ -4,24 +4,23 @@
 //! group is written: what was assumed is checked in the statement that writes it. Where it does not hold, nothing was
 //! written, and the group is counted again from what the database says.
 
-use super::{Conn, dialect};
+use super::{Conn, Writer, dialect, recommendations};
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{CycleRow, Rest};
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use std::sync::Arc;
 
-/// A group's connection and how far its transaction is.
+/// How far the transaction of a group is, with what writes it.
 pub(super) struct GroupTransaction<'c> {
-    conn: &'c mut Conn,
-    state: State,
+    state: State<'c>,
 }
 
-enum State {
+enum State<'c> {
     /// Begun, with the cycles of the group inserted where that was assumed.
-    Begun,
+    Begun(&'c mut Conn),
     /// Not begun: what it rests on, and the cycles that are taken to be new.
-    Assumed(dialect::Assumption, Vec<Arc<CycleRow>>),
+    Assumed(&'c mut Writer, dialect::Assumption<'c>, Vec<Arc<CycleRow>>),
     /// What was assumed does not hold.
     Refuted,
 }
@@ -29,12 +28,12 @@ enum State {
 impl<'c> GroupTransaction<'c> {
     /// One that has begun.
     pub(super) const fn begun(conn: &'c mut Conn) -> Self {
-        Self { conn, state: State::Begun }
+        Self { state: State::Begun(conn) }
     }
 
     /// One that rests on the heads of the group's tools until it begins.
-    pub(super) fn assumed(conn: &'c mut Conn, assumption: dialect::Assumption) -> Self {
-        Self { conn, state: State::Assumed(assumption, Vec::new()) }
+    pub(super) const fn assumed(writer: &'c mut Writer, assumption: dialect::Assumption<'c>) -> Self {
+        Self { state: State::Assumed(writer, assumption, Vec::new()) }
     }
 
     /// The connection, with the transaction begun.
@@ -43,16 +42,16 @@ impl<'c> GroupTransaction<'c> {
     ///
     /// As the database; also where what was assumed does not hold, see [`GroupTransaction::is_refuted`].
     pub(super) async fn conn(&mut self) -> StoreResult<&mut Conn> {
-        match std::mem::replace(&mut self.state, State::Begun) {
-            State::Begun => Ok(self.conn),
-            State::Assumed(assumption, cycles) => {
-                if dialect::begin_assumed(self.conn, &assumption, &cycles).await? {
-                    Ok(self.conn)
-                } else {
-                    self.refute()
-                }
-            }
-            State::Refuted => self.refute(),
+        if let State::Assumed(writer, assumption, cycles) = &mut self.state {
+            let holds = dialect::begin_assumed(dialect::asked(writer), *assumption, cycles).await?;
+            self.state = match std::mem::replace(&mut self.state, State::Refuted) {
+                State::Assumed(writer, ..) if holds => State::Begun(dialect::asked(writer)),
+                _ => State::Refuted,
+            };
+        }
+        match &mut self.state {
+            State::Begun(conn) => Ok(conn),
+            State::Assumed(..) | State::Refuted => Err(refuted()),
         }
     }
 
@@ -60,11 +59,11 @@ impl<'c> GroupTransaction<'c> {
     /// begins. `false` where it has begun, and whoever asks has to insert them.
     pub(super) fn takes_as_new(&mut self, rows: &[Arc<CycleRow>]) -> bool {
         match &mut self.state {
-            State::Assumed(_, cycles) => {
+            State::Assumed(_, _, cycles) => {
                 cycles.extend(rows.iter().cloned());
                 true
             }
-            State::Begun | State::Refuted => false,
+            State::Begun(_) | State::Refuted => false,
         }
     }
 
@@ -74,15 +73,23 @@ impl<'c> GroupTransaction<'c> {
     ///
     /// As [`GroupTransaction::conn`].
     pub(super) async fn write(&mut self, rest: &Rest<'_>, now: Timestamp) -> StoreResult<Written> {
-        match std::mem::replace(&mut self.state, State::Begun) {
-            State::Begun => dialect::write_rest(self.conn, rest, now).await,
-            State::Assumed(assumption, cycles) => {
-                match dialect::write_assumed(self.conn, &assumption, &cycles, rest, now).await? {
+        match &mut self.state {
+            State::Begun(conn) => {
+                for row in rest.with_new_advice() {
+                    recommendations::keep_advice(conn, row).await?;
+                }
+                dialect::write_rest(conn, rest, now).await
+            }
+            State::Assumed(writer, assumption, cycles) => {
+                match dialect::write_assumed(writer, *assumption, cycles, rest, now)? {
                     Some(written) => Ok(written),
-                    None => self.refute(),
+                    None => {
+                        self.state = State::Refuted;
+                        Err(refuted())
+                    }
                 }
             }
-            State::Refuted => self.refute(),
+            State::Refuted => Err(refuted()),
         }
     }
 
@@ -90,9 +97,8 @@ impl<'c> GroupTransaction<'c> {
     pub(super) const fn is_refuted(&self) -> bool {
         matches!(self.state, State::Refuted)
     }
+}
 
-    fn refute<T>(&mut self) -> StoreResult<T> {
-        self.state = State::Refuted;
-        Err(StoreError::Unavailable("what a group was taken to rest on does not hold".into()))
-    }
+fn refuted() -> StoreError {
+    StoreError::Unavailable("what a group was taken to rest on does not hold".into())
 }

@@ -44,7 +44,7 @@ pub(super) async fn page(
             fault("cycle", "its key is no identifier".to_owned());
             continue;
         };
-        let block = cycles::samples(conn, &machine, &cycle).await?;
+        let block = cycles::block(conn, &machine, &cycle).await?;
         let dropped = block.is_none() && row.sample_count > 0;
         if dropped {
             let drops = retention::drops(conn, &machine).await?;

@@ -6,7 +6,7 @@ mod many;
 pub(super) use assumed::{Assumption, MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
 pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
 
-use super::Conn;
+use super::{Conn, Writer};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::record::StoreFault;
@@ -14,6 +14,11 @@ use feedwright_core::units::Timestamp;
 
 /// Months for which partitions of samples are kept ready, the present one included.
 const MONTHS_AHEAD: i32 = 13;
+
+/// A group asks and writes with one connection.
+pub(super) const fn asked(writer: &mut Writer) -> &mut Conn {
+    writer
+}
 
 /// The beginning of the month (UTC) of a time: by age, samples go with the partition of their month.
 pub(super) async fn age_horizon(conn: &mut Conn, at_us: i64) -> StoreResult<i64> {

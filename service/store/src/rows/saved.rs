@@ -34,6 +34,28 @@ pub(crate) struct Rest<'a> {
     pub(crate) blocks: Vec<BlockRow<'a>>,
     pub(crate) wear: Vec<SavedWear>,
     pub(crate) issued: Vec<IssuedRow>,
+    /// Which of those refer to an advice that is not known to be stored, in ascending order of their hashes: others may
+    /// be told the same at this moment, and no two may wait for each other.
+    new_advices: Vec<usize>,
+}
+
+impl<'a> Rest<'a> {
+    /// With what is new of the advices, each once.
+    pub(crate) fn of(
+        blocks: Vec<BlockRow<'a>>,
+        wear: Vec<SavedWear>,
+        issued: Vec<IssuedRow>,
+        mut is_new: impl FnMut(&IssuedRow) -> bool,
+    ) -> Self {
+        let mut new_advices: Vec<usize> = (0..issued.len()).filter(|at| is_new(&issued[*at])).collect();
+        new_advices.sort_unstable_by_key(|at| issued[*at].advice_hash);
+        Self { blocks, wear, issued, new_advices }
+    }
+
+    /// Recommendations whose advice is not known to be stored, in ascending order of its hash.
+    pub(crate) fn with_new_advice(&self) -> impl Iterator<Item = &IssuedRow> {
+        self.new_advices.iter().filter_map(|at| self.issued.get(*at))
+    }
 }
 
 /// A row of `recommendations`, with the advice that it refers to.

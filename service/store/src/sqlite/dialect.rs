@@ -3,14 +3,20 @@
 mod assumed;
 mod many;
 
-pub(super) use assumed::{Assumption, MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
+pub(super) use super::group_writer::Assumption;
+pub(super) use assumed::{MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
 pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
 
-use super::Conn;
+use super::{Conn, Writer};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::record::StoreFault;
 use feedwright_core::units::Timestamp;
+
+/// The connection that a group asks with, and that writes what is not written as a whole.
+pub(super) const fn asked(writer: &mut Writer) -> &mut Conn {
+    &mut writer.asked
+}
 
 /// Rows go one by one, so by age they go to the microsecond.
 #[expect(clippy::unused_async, reason = "the other engine asks its server")]

@@ -1,8 +1,11 @@
 //! Opening: permission, settings that durability rests on, migrations.
 
+use super::block_reader::BlockReader;
 use super::checkpoint::Checkpoints;
+use super::group_thread::GroupThread;
+use super::group_writer::GroupWriter;
 use super::readers::Readers;
-use super::{Conn, Inner, SqliteStore};
+use super::{Conn, Inner, SqliteStore, Writer};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
 use crate::slot::Slot;
@@ -30,9 +33,19 @@ const PAGE_BYTES: u32 = 8192;
 /// and a small disk has its space back.
 const KEPT_WAL_BYTES: &str = "67108864";
 
-/// What the writer keeps of the file, in KiB below zero: the pages that some hundred machines' next cycles go to. Others come
-/// from the system's cache.
-const WRITER_CACHE: &str = "-4096";
+/// What every connection is opened with. The checkpoint has a connection of its own: inside the writer it is what the
+/// slowest commits wait for.
+pub(super) const SETTINGS: [(&str, &str); 6] = [
+    ("wal_autocheckpoint", "0"),
+    ("journal_size_limit", KEPT_WAL_BYTES),
+    ("temp_store", "MEMORY"),
+    ("foreign_keys", "ON"),
+    ("trusted_schema", "OFF"),
+    ("cell_size_check", "ON"),
+];
+
+/// What the connection keeps of the file, in KiB below zero, that writes all but whole groups.
+const WRITER_CACHE: &str = "-1024";
 
 /// What a connection that reads keeps of the file, in KiB below zero. The system keeps the rest, once for all of them.
 const READER_CACHE: &str = "-512";
@@ -75,6 +88,7 @@ impl SqliteStore {
         let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
+        let groups = GroupWriter::open(path, options.patience)?;
         let readers = SqlitePoolOptions::new()
             .max_connections(options.readers.max(1))
             .acquire_timeout(options.patience)
@@ -88,9 +102,11 @@ impl SqliteStore {
         let checkpoints = Checkpoints::start(checkpointer, options.checkpoint_every);
         Ok(Self {
             inner: Arc::new(Inner {
-                writer: Mutex::new(Some(writer)),
+                writer: Mutex::new(Some(Writer { groups, asked: writer })),
+                group_thread: GroupThread::start()?,
                 in_group: AtomicBool::new(false),
                 readers: Readers::of(readers),
+                block_reader: BlockReader::open(path, options.patience)?,
                 gate: Gate::default(),
                 refused: AtomicBool::new(false),
                 checkpoints,
@@ -118,33 +134,31 @@ fn create_private(path: &Path) -> std::io::Result<()> {
 }
 
 fn settings(path: &Path, patience: Duration) -> SqliteConnectOptions {
-    SqliteConnectOptions::new()
+    let options = SqliteConnectOptions::new()
         .filename(path)
         .create_if_missing(true)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
         .busy_timeout(patience)
-        .foreign_keys(true)
         .page_size(PAGE_BYTES)
         .statement_cache_capacity(200)
-        // The checkpoint has a connection of its own: inside the writer it is what the slowest commits wait for.
-        .pragma("wal_autocheckpoint", "0")
-        .pragma("journal_size_limit", KEPT_WAL_BYTES)
-        .pragma("temp_store", "MEMORY")
-        .pragma("cache_size", WRITER_CACHE)
-        .pragma("trusted_schema", "OFF")
-        .pragma("cell_size_check", "ON")
+        .pragma("cache_size", WRITER_CACHE);
+    SETTINGS.into_iter().fold(options, |options, (name, value)| options.pragma(name, value))
 }
 
 /// Acknowledging rests on these two: WAL with `synchronous=NORMAL` loses acknowledged rows in a power cut.
-async fn assert_durable(conn: &mut Conn) -> StoreResult<()> {
-    let journal: String = sqlx::query_scalar("PRAGMA journal_mode").fetch_one(&mut *conn).await?;
-    let synchronous: i64 = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut *conn).await?;
-    conn.ping().await?;
+pub(super) fn is_durable(journal: &str, synchronous: i64) -> StoreResult<()> {
     if journal == "wal" && synchronous == 2 {
         return Ok(());
     }
     Err(StoreError::NotWritable(
         format!("needs journal_mode wal and synchronous 2 (full), has {journal} and {synchronous}").into(),
     ))
+}
+
+async fn assert_durable(conn: &mut Conn) -> StoreResult<()> {
+    let journal: String = sqlx::query_scalar("PRAGMA journal_mode").fetch_one(&mut *conn).await?;
+    let synchronous: i64 = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut *conn).await?;
+    conn.ping().await?;
+    is_durable(&journal, synchronous)
 }

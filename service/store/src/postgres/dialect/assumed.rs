@@ -9,34 +9,38 @@ use crate::work::Written;
 use feedwright_core::ids::ToolId;
 use feedwright_core::units::Timestamp;
 use std::collections::BTreeSet;
+use std::convert::Infallible;
 use std::sync::Arc;
 
 pub(in crate::postgres) const MAY_ASSUME: bool = false;
 
 /// There is none.
-#[derive(Debug)]
-pub(in crate::postgres) enum Assumption {}
+pub(in crate::postgres) type Assumption<'h> = (Infallible, &'h Heads);
 
-pub(in crate::postgres) const fn assume(_heads: &Heads, _tools: &BTreeSet<&ToolId>) -> Option<Assumption> {
+pub(in crate::postgres) const fn assume<'h>(
+    _heads: &'h Heads,
+    _tools: &'h BTreeSet<&'h ToolId>,
+) -> Option<Assumption<'h>> {
     None
 }
 
+#[expect(clippy::unused_async, reason = "the other engine asks its database")]
 pub(in crate::postgres) async fn begin_assumed(
     _conn: &mut Conn,
-    assumption: &Assumption,
+    (never, _): Assumption<'_>,
     _cycles: &[Arc<CycleRow>],
 ) -> StoreResult<bool> {
-    match *assumption {}
+    match never {}
 }
 
-pub(in crate::postgres) async fn write_assumed(
+pub(in crate::postgres) fn write_assumed(
     _conn: &mut Conn,
-    assumption: &Assumption,
+    (never, _): Assumption<'_>,
     _cycles: &[Arc<CycleRow>],
     _rest: &Rest<'_>,
     _now: Timestamp,
 ) -> StoreResult<Option<Written>> {
-    match *assumption {}
+    match never {}
 }
 
 /// Whoever began the transaction ends it.

@@ -1,12 +1,12 @@
 //! A group whose heads are remembered is written without a question before: its first statement fails where they are not
 //! those in force, and so does the insertion of a cycle that is stored already.
 
-use super::list;
-use super::many::{begin_and_insert, write_everything, write_rest};
+use super::many::begin_and_insert;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{CycleRow, Rest};
-use crate::sqlite::Conn;
 use crate::sqlite::engine::Heads;
+use crate::sqlite::group_writer::Assumption;
+use crate::sqlite::{Conn, Writer};
 use crate::work::Written;
 use feedwright_core::ids::ToolId;
 use feedwright_core::units::Timestamp;
@@ -26,57 +26,44 @@ pub(super) const BEGIN: &str = "BEGIN IMMEDIATE;
             FROM (SELECT tool_id, machine_id, version FROM tool_wear
                   WHERE tool_id IN (SELECT value FROM json_each(?)) ORDER BY tool_id, machine_id)) IS NOT ?";
 
-/// Heads as [`BEGIN`] asks for them.
-#[derive(Debug)]
-pub(in crate::sqlite) struct Assumption {
-    pub(super) generation: i64,
-    pub(super) any_profile: bool,
-    /// Tools of the group, as a list in JSON.
-    pub(super) tools: String,
-    /// The versions of their folds, where there are any.
-    pub(super) versions: Option<String>,
+/// What a group rests on that takes these heads for granted.
+pub(in crate::sqlite) const fn assume<'h>(
+    heads: &'h Heads,
+    tools: &'h BTreeSet<&'h ToolId>,
+) -> Option<Assumption<'h>> {
+    Some(Assumption { heads, tools })
 }
 
-/// What a group rests on that takes these heads for granted.
-pub(in crate::sqlite) fn assume(heads: &Heads, tools: &BTreeSet<&ToolId>) -> Option<Assumption> {
+/// The heads' versions as [`BEGIN`] makes them of what is stored; `None` where there are none.
+pub(super) fn versions_text(heads: &Heads) -> Option<String> {
     let mut versions = String::new();
     for (tool, of_tool) in &heads.versions {
         for (machine, version) in of_tool {
             write!(versions, "{tool} {machine} {version};").ok()?;
         }
     }
-    Some(Assumption {
-        generation: heads.generation,
-        any_profile: heads.any_profile,
-        tools: list(tools.iter().map(|tool| tool.as_str())),
-        versions: (!versions.is_empty()).then_some(versions),
-    })
+    (!versions.is_empty()).then_some(versions)
 }
 
-/// Begins the transaction of a group and inserts its cycles; `false` where what was assumed does not hold.
+/// Begins the transaction of a group that is not written as a whole, and inserts its cycles; `false` where what was
+/// assumed does not hold.
 pub(in crate::sqlite) async fn begin_assumed(
     conn: &mut Conn,
-    assumption: &Assumption,
+    assumption: Assumption<'_>,
     cycles: &[Arc<CycleRow>],
 ) -> StoreResult<bool> {
     Ok(held(begin_and_insert(conn, assumption, cycles).await)?.is_some())
 }
 
 /// Writes a whole group and commits it; `None` where what was assumed does not hold.
-pub(in crate::sqlite) async fn write_assumed(
-    conn: &mut Conn,
-    assumption: &Assumption,
+pub(in crate::sqlite) fn write_assumed(
+    writer: &mut Writer,
+    assumption: Assumption<'_>,
     cycles: &[Arc<CycleRow>],
     rest: &Rest<'_>,
     now: Timestamp,
 ) -> StoreResult<Option<Written>> {
-    if let Some(outcome) = write_everything(conn, assumption, cycles, rest, now).await {
-        return held(outcome);
-    }
-    if !begin_assumed(conn, assumption, cycles).await? {
-        return Ok(None);
-    }
-    write_rest(conn, rest, now).await.map(Some)
+    held(writer.groups.write(assumption, cycles, rest, now)).map(Option::flatten)
 }
 
 /// A constraint says that an assumption does not hold, or that the row itself is bad: who asks first finds out which.
@@ -89,9 +76,9 @@ fn held<T>(outcome: StoreResult<T>) -> StoreResult<Option<T>> {
 }
 
 /// Rolls back what a group has begun whose assumptions did not hold.
-pub(in crate::sqlite) async fn undo(conn: &mut Conn) {
+pub(in crate::sqlite) async fn undo(writer: &mut Writer) {
     // Where it never began there is nothing to roll back; an error of the disk is met again by whoever begins next.
-    if let Err(error) = sqlx::query("ROLLBACK").execute(&mut *conn).await {
+    if let Err(error) = sqlx::query("ROLLBACK").execute(&mut writer.asked).await {
         tracing::debug!(%error, "nothing to roll back");
     }
 }

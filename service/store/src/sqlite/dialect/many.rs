@@ -7,10 +7,12 @@
 //! Where a row is refused its whole transaction is rolled back, by whoever began it. `OR FAIL` leaves that to them: else
 //! SQLite keeps a copy of each page that a statement changes, so as to take back that statement alone.
 
-use super::assumed::{Assumption, BEGIN};
+use super::assumed::{BEGIN, versions_text};
+use super::list;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
+use crate::sqlite::group_writer::Assumption;
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
@@ -114,15 +116,15 @@ pub(in crate::sqlite) async fn insert_cycles(
     Ok(known)
 }
 
-fn bind_assumption(query: Query, assumption: &Assumption) -> Query {
-    let Assumption { generation, any_profile, tools, versions } = assumption;
-    query.bind(*generation).bind(i64::from(*any_profile)).bind(tools.clone()).bind(versions.clone())
+fn bind_assumption(query: Query, Assumption { heads, tools }: Assumption<'_>) -> Query {
+    let tools = list(tools.iter().map(|tool| tool.as_str()));
+    query.bind(heads.generation).bind(i64::from(heads.any_profile)).bind(tools).bind(versions_text(heads))
 }
 
 /// Begins a transaction where what was assumed holds, and inserts cycles that are taken to be new.
 pub(super) async fn begin_and_insert(
     conn: &mut Conn,
-    assumption: &Assumption,
+    assumption: Assumption<'_>,
     cycles: &[Arc<CycleRow>],
 ) -> StoreResult<()> {
     bind_assumption(sqlx::query(BEGIN), assumption).execute(&mut *conn).await?;
@@ -260,12 +262,6 @@ static REST: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     (0..EACH).map(text).collect()
 });
 
-/// [`BEGIN`], as many cycles, and [`REST`].
-static EVERYTHING: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
-    let text = |at: usize| -> &'static str { format!("{BEGIN}; {}; {}", CYCLES.texts[at], REST[at]).leak() };
-    (0..EACH).map(text).collect()
-});
-
 /// How many rows there are of each kind, where one statement writes all of them.
 fn as_many_each(rest: &Rest<'_>) -> Option<usize> {
     let rows = rest.issued.len();
@@ -274,21 +270,6 @@ fn as_many_each(rest: &Rest<'_>) -> Option<usize> {
 
 fn bind_rest(query: Query, rest: &Rest<'_>, now: Timestamp) -> Query {
     bind_recommendations(bind_wear(bind_blocks(query, &rest.blocks), &rest.wear, now), &rest.issued)
-}
-
-/// Writes a group from its beginning to its commit in one statement; `None`, with nothing done, where there is none for
-/// as many rows.
-pub(super) async fn write_everything(
-    conn: &mut Conn,
-    assumption: &Assumption,
-    cycles: &[Arc<CycleRow>],
-    rest: &Rest<'_>,
-    now: Timestamp,
-) -> Option<StoreResult<Written>> {
-    let rows = as_many_each(rest).filter(|rows| cycles.len() == *rows)?;
-    let query = bind_cycles(bind_assumption(sqlx::query(EVERYTHING[rows - 1]), assumption), cycles);
-    let outcome = bind_rest(query, rest, now).fetch_one(&mut *conn).await;
-    Some(outcome.map(|_| Written::whole()).map_err(unconfirmed))
 }
 
 /// Writes the rest of a group and commits it.
