@@ -26,10 +26,11 @@ pub enum Column {
 
 impl Column {
     pub(super) fn of(values: &[f64]) -> Self {
-        let mut scale = 0;
+        let mut integers = Vec::with_capacity(values.len());
+        let mut scale = values.first().map_or(0, |&first| next_scale(first, 0));
         // Each scale passed over was refused by a value, so the one found is the smallest.
         'scale: while scale <= MAX_SCALE {
-            let mut integers = Vec::with_capacity(values.len());
+            integers.clear();
             for values in values.chunks(AT_ONCE) {
                 if extend_at_once(&mut integers, values, scale) {
                     continue;
@@ -64,21 +65,41 @@ impl Column {
 const AT_ONCE: usize = 64;
 /// 1.5 × 2^52: what is added to it is rounded to an integer, which then stands in its low bits.
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
-/// 2^49. Below, the product of a decimal with its power of ten is within 1/8 of its integer, so that ties, which
-/// [`ROUNDER`] rounds otherwise than [`integer`], belong to no decimal.
-const ROUNDED_LIMIT: f64 = 562_949_953_421_312.0;
+/// 2^49. Of so much or less, the product of a decimal with its power of ten is within 1/8 of its integer, so that ties,
+/// which [`ROUNDER`] rounds otherwise than [`integer`], belong to no decimal.
+const ROUNDED_LIMIT: u64 = 1 << 49;
 
 /// Appends the integers of `values`, where all of them are decimals of that scale and below [`ROUNDED_LIMIT`]; else
 /// nothing. The same integers as those of [`integer`], without a branch per value.
 fn extend_at_once(integers: &mut Vec<i64>, values: &[f64], scale: u8) -> bool {
-    let (begin, power) = (integers.len(), POWERS[usize::from(scale)]);
-    let mut all = true;
+    // Integers need no division, which takes the most time of it.
+    if scale == 0 {
+        extend_where_same(integers, values, |value| value, |integer| integer)
+    } else {
+        let power = POWERS[usize::from(scale)];
+        extend_where_same(integers, values, |value| value * power, |integer| integer / power)
+    }
+}
+
+/// As [`extend_at_once`], with what makes integers of values, but for their fraction, and values of integers.
+fn extend_where_same(
+    integers: &mut Vec<i64>,
+    values: &[f64],
+    scaled: impl Fn(f64) -> f64,
+    value_of: impl Fn(f64) -> f64,
+) -> bool {
+    let begin = integers.len();
+    // Bits in which any value is another one, or beyond the limit: two ors, where a comparison each would not be made for
+    // two values at once.
+    let (mut different, mut beyond) = (0, 0);
     integers.extend(values.iter().map(|&value| {
-        let scaled = value * power;
-        let shifted = scaled + ROUNDER;
-        all &= scaled.abs() < ROUNDED_LIMIT && ((shifted - ROUNDER) / power).to_bits() == value.to_bits();
-        shifted.to_bits().wrapping_sub(ROUNDER.to_bits()).cast_signed()
+        let shifted = scaled(value) + ROUNDER;
+        let integer = shifted.to_bits().wrapping_sub(ROUNDER.to_bits());
+        different |= value_of(shifted - ROUNDER).to_bits() ^ value.to_bits();
+        beyond |= integer.wrapping_add(ROUNDED_LIMIT) & !(2 * ROUNDED_LIMIT - 1);
+        integer.cast_signed()
     }));
+    let all = different | beyond == 0;
     if !all {
         integers.truncate(begin);
     }
@@ -197,7 +218,7 @@ mod tests {
             } else {
                 prop_assert!(integers.is_empty());
                 let fits = |value: &f64| integer(*value, scale).is_some_and(|_| {
-                    (value * POWERS[usize::from(scale)]).abs() < ROUNDED_LIMIT
+                    (value * POWERS[usize::from(scale)]).abs() < ROUNDED_LIMIT as f64
                 });
                 prop_assert!(!values.iter().all(fits));
             }
