@@ -48,8 +48,7 @@ fn packed(digest: &DepthDigest) -> Vec<u8> {
     out.extend(bits);
     let mut writer = BitWriter::after(out);
     for (column, bits) in residuals.iter().zip(bits) {
-        let mut parameter = Parameter::new(bits);
-        column.iter().for_each(|&residual| writer.rice(residual, &mut parameter));
+        writer.residuals(column, Parameter::new(bits));
     }
     writer.finish()
 }

@@ -2,12 +2,13 @@
 
 use super::column::{Column, Columns, MAX_SCALE, Time};
 use super::input::{Input, MAX_VARINT, put_varint};
-use super::predict::{Predictor, restore, unzigzag, zigzag};
-use super::range::{self, RangeReader};
-use super::rice::{self, BitReader};
+use super::predict::{Predictor, unzigzag, zigzag};
+use super::range::{self, RangeReader, Zeros};
+use super::rice::{self, RiceReader};
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::cycle::{Channel, Samples};
 use std::cell::RefCell;
+use std::mem;
 
 const MAGIC: [u8; 2] = *b"FB";
 const FIRST: u8 = 1;
@@ -29,8 +30,6 @@ thread_local! {
 /// How residuals are written: the high half of a column's first byte, its predictor being the low one.
 const RICE: u8 = 0;
 const RANGE: u8 = 0x10;
-/// Residuals, zig-zag, below this mean go to the range coder: a Rice code spends a bit on each, however sure it is.
-const SURE: f64 = 1.5;
 
 /// Writes samples in block format v3.
 pub fn encode_samples(samples: &Samples) -> Vec<u8> {
@@ -73,13 +72,22 @@ fn put_block(out: &mut Vec<u8>, code: u8, column: &Column) {
     out.push(code);
     match column {
         Column::Decimal { scale, values } => {
-            let packed = residuals(values);
             out.push(*scale);
-            put_varint(out, packed.len() as u64);
-            out.extend_from_slice(&packed);
+            put_behind_length(out, |out| put_residuals(out, values));
         }
         Column::Exact(bits) => put_exact(out, &planes(bits)),
     }
+}
+
+/// What `put` appends, behind its length.
+fn put_behind_length(out: &mut Vec<u8>, put: impl FnOnce(&mut Vec<u8>)) {
+    let begins = out.len();
+    put(out);
+    let ends = out.len();
+    put_varint(out, (ends - begins) as u64);
+    // To where it belongs: that is less than to write the rest elsewhere and copy it.
+    let length = out.len() - ends;
+    out[begins..].rotate_right(length);
 }
 
 fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
@@ -99,24 +107,32 @@ fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
 }
 
 /// The payload of a decimal column: how it is coded, its first value, and how far each other one is off.
-fn residuals(values: &[i64]) -> Vec<u8> {
-    let (Some(&first), predictor) = (values.first(), Predictor::best(values)) else {
-        return Vec::new();
-    };
+fn put_residuals(out: &mut Vec<u8>, values: &[i64]) {
+    let (Some(&first), predictor) = (values.first(), Predictor::best(values)) else { return };
     let mut residuals = Vec::new();
     predictor.residuals(values, &mut residuals);
-    #[expect(clippy::cast_precision_loss, reason = "a mean to choose by")]
-    let sure = residuals.iter().fold(0_u64, |sum, &residual| sum.saturating_add(residual)) as f64
-        <= SURE * residuals.len() as f64;
-    let mut out = Vec::with_capacity(16 + values.len());
+    let sure = are_sure(&residuals);
     out.push(predictor as u8 | if sure { RANGE } else { RICE });
-    put_varint(&mut out, zigzag(first));
-    if sure {
-        return range::write(out, &residuals);
-    }
-    let bits = rice::usual_bits(&residuals);
-    out.push(bits);
-    rice::write(out, &residuals, rice::Parameter::new(bits))
+    put_varint(out, zigzag(first));
+    *out = if sure {
+        range::write(mem::take(out), &residuals)
+    } else {
+        let bits = rice::usual_bits(&residuals);
+        out.push(bits);
+        rice::write(mem::take(out), &residuals, rice::Parameter::new(bits))
+    };
+}
+
+/// Whether the mean of residuals, zig-zag, is no more than 3/2: these go to the range coder, as a Rice code spends a bit on
+/// each, however sure it is.
+fn are_sure(residuals: &[u64]) -> bool {
+    let most = (residuals.len() + residuals.len() / 2) as u64;
+    let mut sum = 0_u64;
+    // Noise is told from its first values. Eight residuals of decimals do not overflow.
+    residuals.chunks(8).all(|residuals| {
+        sum = sum.saturating_add(residuals.iter().sum());
+        sum <= most
+    })
 }
 
 /// `None` where zstd fails, which it does for want of memory only: the block is then stored as it is.
@@ -259,22 +275,17 @@ fn restored(packed: &[u8], len: usize, (version, scale): (u8, u8)) -> Result<Col
     // Blocks were written in which a column of nothing but zeros had lost the zero that it begins with.
     let all_zero = coding & 0xf0 == RANGE && input.0.is_empty();
     let first = if all_zero { 0 } else { unzigzag(input.varint()?) };
-    let mut values = Vec::with_capacity(len);
-    values.push(first);
+    let mut values = vec![0; len];
+    *values.first_mut().ok_or("no values")? = first;
     let ended = match coding & 0xf0 {
         RICE => {
-            let bits = input.byte()?;
-            let mut parameter = rice::Parameter::of(bits).ok_or("unknown parameter")?;
-            let mut reader = BitReader::new(input.0);
-            restore(predictor, &mut values, len, || reader.rice(&mut parameter))
-                .ok_or("a column ends early")?;
-            reader.is_at_end()
+            let reader = RiceReader::of(input.byte()?, input.0).ok_or("unknown parameter")?;
+            predictor.restore(&mut values, reader).ok_or("a column ends early")?.is_at_end()
         }
-        RANGE if input.0.is_empty() => restore(predictor, &mut values, len, || Some(0)).is_some(),
+        RANGE if input.0.is_empty() => predictor.restore(&mut values, Zeros).is_some(),
         RANGE => {
-            let mut reader = RangeReader::new(input.0);
-            restore(predictor, &mut values, len, || reader.next()).ok_or("a column ends early")?;
-            reader.is_at_end()
+            let reader = RangeReader::new(input.0);
+            predictor.restore(&mut values, reader).ok_or("a column ends early")?.is_at_end()
         }
         _ => return Err("unknown coding"),
     };

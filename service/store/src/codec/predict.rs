@@ -25,42 +25,60 @@ pub(super) enum Predictor {
 #[derive(Debug, Clone, Copy)]
 struct Fit<const N: usize, const SUM: i64, const WEIGHTED: i64, const OVER: i64> {
     sum: i64,
-    /// Each value times its place, the newest being the first.
-    weighted: i64,
+    /// 2n + 1 for the n that [`Fit::next`] divides by `OVER`. Followed itself, so that a value waits for as little as can
+    /// be of what the one before makes.
+    doubled: i64,
 }
 
 type Fit8 = Fit<8, 17, 3, 28>;
 type Fit16 = Fit<16, 11, 1, 40>;
 
+/// Sum of values and sum of each times its place, the newest, which is the last, being the first.
+fn sums(values: &[i64]) -> (i64, i64) {
+    // Each value is in as many of the sums so far as its place says.
+    values.iter().fold((0, 0), |(sum, weighted): (i64, i64), value| {
+        let sum = sum.wrapping_add(*value);
+        (sum, weighted.wrapping_add(sum))
+    })
+}
+
 // Sums of so few values below 2^53 do not overflow; those of a damaged block may wrap.
 impl<const N: usize, const SUM: i64, const WEIGHTED: i64, const OVER: i64> Fit<N, SUM, WEIGHTED, OVER> {
-    /// Through the last values of these, of which there are `N` at least.
-    fn through(values: &[i64]) -> Self {
-        let newest_first = (1..).zip(values.iter().rev().take(N));
-        let none = Self { sum: 0, weighted: 0 };
-        newest_first.fold(none, |fit, (place, value): (i64, _)| Self {
-            sum: fit.sum.wrapping_add(*value),
-            weighted: fit.weighted.wrapping_add(value.wrapping_mul(place)),
-        })
+    /// Bits of the fraction that [`Self::INVERSE`] is.
+    const FRACTION: u32 = 68;
+    /// 1 / (2 OVER), rounded.
+    #[expect(clippy::cast_possible_truncation, reason = "below 2^63, OVER being more than 16")]
+    const INVERSE: i64 = (((1 << Self::FRACTION) + OVER as i128) / (2 * OVER as i128)) as i64;
+    #[expect(clippy::cast_possible_wrap, reason = "N is 8 or 16")]
+    const BEYOND: i64 = N as i64 + 1;
+
+    /// Through values of which these are the [`sums`].
+    const fn of((sum, weighted): (i64, i64)) -> Self {
+        let over = sum.wrapping_mul(SUM).wrapping_sub(weighted.wrapping_mul(WEIGHTED));
+        Self { sum, doubled: over.wrapping_mul(2).wrapping_add(OVER + 1) }
     }
 
-    /// What comes next, to the nearest integer.
+    /// What comes next, to the nearest integer: n / OVER rounded down, with n = sum · SUM − weighted · WEIGHTED + OVER / 2.
+    ///
+    /// (2n + 1) / (2 OVER) lies between the same integers, and at least 1 / (2 OVER) off either, which is more than the
+    /// inverse is off: at most 2^62 / 2^69. So this needs no division, and no case for what is below 0.
     const fn next(self) -> i64 {
-        let over = self.sum.wrapping_mul(SUM).wrapping_sub(self.weighted.wrapping_mul(WEIGHTED));
-        over.wrapping_add(OVER / 2).div_euclid(OVER)
+        ((self.doubled as i128 * Self::INVERSE as i128) >> Self::FRACTION) as i64
     }
 
     /// With one more value, without the oldest.
-    #[expect(clippy::cast_possible_wrap, reason = "N is 8 or 16")]
     const fn follow(&mut self, newest: i64, oldest: i64) {
-        let left = oldest.wrapping_mul(N as i64 + 1);
-        self.weighted = self.weighted.wrapping_add(self.sum).wrapping_add(newest).wrapping_sub(left);
-        self.sum = self.sum.wrapping_add(newest).wrapping_sub(oldest);
+        // weighted becomes weighted + sum + newest − (N + 1) · oldest, and sum becomes sum + newest − oldest.
+        let known =
+            oldest.wrapping_mul(WEIGHTED * Self::BEYOND - SUM).wrapping_sub(self.sum.wrapping_mul(WEIGHTED));
+        let more = newest.wrapping_mul(2 * (SUM - WEIGHTED));
+        self.doubled = self.doubled.wrapping_add(known.wrapping_mul(2)).wrapping_add(more);
+        self.sum = self.sum.wrapping_sub(oldest).wrapping_add(newest);
     }
 
     fn residuals(values: &[i64], out: &mut Vec<u64>) {
         let Some(first) = values.get(..N) else { return };
-        let mut fit = Self::through(first);
+        let mut fit = Self::of(sums(first));
         out.extend(values[N..].iter().zip(values).map(|(&value, &oldest)| {
             let residual = zigzag(value - fit.next());
             fit.follow(value, oldest);
@@ -68,18 +86,22 @@ impl<const N: usize, const SUM: i64, const WEIGHTED: i64, const OVER: i64> Fit<N
         }));
     }
 
-    fn restore(values: &mut Vec<i64>, len: usize, next: &mut impl FnMut() -> Option<u64>) -> Option<()> {
-        if values.len() < N {
-            return Some(());
+    fn restore<R: Reader>(values: &mut [i64], mut reader: R) -> Option<R> {
+        let Some(first) = values.get(..N) else { return Some(reader) };
+        let mut fit = Self::of(sums(first));
+        for at in N..values.len() {
+            let value = fit.next().wrapping_add(unzigzag(reader.next()?));
+            fit.follow(value, values[at - N]);
+            values[at] = value;
         }
-        let mut fit = Self::through(values);
-        while values.len() < len {
-            let value = fit.next().wrapping_add(unzigzag(next()?));
-            fit.follow(value, values[values.len() - N]);
-            values.push(value);
-        }
-        Some(())
+        Some(reader)
     }
+}
+
+/// Reads residuals. Handed on and back by value, so that it can stay in registers while a column is read.
+pub(super) trait Reader {
+    /// The next residual, zig-zag; `None` where there is none.
+    fn next(&mut self) -> Option<u64>;
 }
 
 impl Predictor {
@@ -140,6 +162,21 @@ impl Predictor {
         }
     }
 
+    /// Puts values back together behind the first; `None` where a residual is missing.
+    pub(super) fn restore<R: Reader>(self, values: &mut [i64], reader: R) -> Option<R> {
+        let reach = self.reach().min(values.len());
+        let reader = fill(&mut values[..reach], 1, reader, |before| Self::Last.next(before))?;
+        // A loop for each, so that none asks at every value which it is.
+        match self {
+            Self::Last => fill(values, reach, reader, |before| Self::Last.next(before)),
+            Self::Line => fill(values, reach, reader, |before| Self::Line.next(before)),
+            Self::Mean => fill(values, reach, reader, |before| Self::Mean.next(before)),
+            Self::MeanLine => fill(values, reach, reader, |before| Self::MeanLine.next(before)),
+            Self::Fit8 => Fit8::restore(values, reader),
+            Self::Fit16 => Fit16::restore(values, reader),
+        }
+    }
+
     /// The predictor whose residuals are the smallest in all; of several the first.
     pub(super) fn best(values: &[i64]) -> Self {
         // All over the same values, so that the costs compare; a choice needs no more of them than this.
@@ -153,11 +190,12 @@ impl Predictor {
             costs[Self::SHORT..].fill(u64::MAX);
         } else {
             for w in values.windows(LONGEST + 1).step_by(step) {
-                let (&value, before) = w.split_last().unwrap_or((&0, w));
-                Self::judge([before[15], before[14], before[13], before[12]], value, &mut costs);
-                costs[Self::Fit8 as usize] += value.wrapping_sub(Fit8::through(before).next()).unsigned_abs();
-                costs[Self::Fit16 as usize] +=
-                    value.wrapping_sub(Fit16::through(before).next()).unsigned_abs();
+                let value = w[16];
+                Self::judge([w[15], w[14], w[13], w[12]], value, &mut costs);
+                let (older, newer) = (sums(&w[..8]), sums(&w[8..16]));
+                let all = (older.0 + newer.0, older.1 + 8 * older.0 + newer.1);
+                costs[Self::Fit8 as usize] += value.wrapping_sub(Fit8::of(newer).next()).unsigned_abs();
+                costs[Self::Fit16 as usize] += value.wrapping_sub(Fit16::of(all).next()).unsigned_abs();
             }
         }
         let cheapest = (0..costs.len()).min_by_key(|&at| costs[at]).unwrap_or(0);
@@ -173,40 +211,22 @@ impl Predictor {
     }
 }
 
-/// Puts values back together behind the first, until there are `len`; `None` where a residual is missing.
-pub(super) fn restore(
-    predictor: Predictor,
-    values: &mut Vec<i64>,
-    len: usize,
-    mut next: impl FnMut() -> Option<u64>,
-) -> Option<()> {
-    fill(values, predictor.reach().min(len), &mut next, |before| Predictor::Last.next(before))?;
-    // A loop for each, so that none asks at every value which it is.
-    match predictor {
-        Predictor::Last => fill(values, len, &mut next, |before| Predictor::Last.next(before)),
-        Predictor::Line => fill(values, len, &mut next, |before| Predictor::Line.next(before)),
-        Predictor::Mean => fill(values, len, &mut next, |before| Predictor::Mean.next(before)),
-        Predictor::MeanLine => fill(values, len, &mut next, |before| Predictor::MeanLine.next(before)),
-        Predictor::Fit8 => Fit8::restore(values, len, &mut next),
-        Predictor::Fit16 => Fit16::restore(values, len, &mut next),
-    }
-}
-
-fn fill(
-    values: &mut Vec<i64>,
-    len: usize,
-    next: &mut impl FnMut() -> Option<u64>,
+/// Puts values back together, those before `from` being there.
+fn fill<R: Reader>(
+    values: &mut [i64],
+    from: usize,
+    mut reader: R,
     predict: impl Fn([i64; 4]) -> i64,
-) -> Option<()> {
-    let mut newest = values.iter().rev().copied();
+) -> Option<R> {
+    let Some((there, rest)) = values.split_at_mut_checked(from) else { return Some(reader) };
+    let mut newest = there.iter().rev().copied();
     let mut before = [(); 4].map(|()| newest.next().unwrap_or(0));
-    while values.len() < len {
-        let value = predict(before).wrapping_add(unzigzag(next()?));
+    for value in rest {
+        *value = predict(before).wrapping_add(unzigzag(reader.next()?));
         let [a, b, c, _] = before;
-        before = [value, a, b, c];
-        values.push(value);
+        before = [*value, a, b, c];
     }
-    Some(())
+    Some(reader)
 }
 
 /// Small integers of either sign as small ones without.
@@ -245,10 +265,21 @@ mod tests {
         prop_oneof![-50_i64..50, -1_000_000_i64..1_000_000, -MOST..=MOST, Just(MOST), Just(-MOST)]
     }
 
+    /// Residuals that are there already.
+    struct Listed<'a>(&'a [u64]);
+
+    impl Reader for Listed<'_> {
+        fn next(&mut self) -> Option<u64> {
+            let (residual, rest) = self.0.split_first()?;
+            self.0 = rest;
+            Some(*residual)
+        }
+    }
+
     proptest! {
         #[test]
         fn fits_are_lines_of_least_squares(values in prop::collection::vec(decimals(), 17..60)) {
-            let (mut fit8, mut fit16) = (Fit8::through(&values[..16]), Fit16::through(&values[..16]));
+            let (mut fit8, mut fit16) = (Fit8::of(sums(&values[8..16])), Fit16::of(sums(&values[..16])));
             for at in 16..values.len() {
                 prop_assert_eq!(fit8.next(), line_through(&values[at - 8..at]));
                 prop_assert_eq!(fit16.next(), line_through(&values[at - 16..at]));
@@ -265,13 +296,12 @@ mod tests {
             let mut residuals = Vec::new();
             predictor.residuals(&values, &mut residuals);
             prop_assert_eq!(residuals.len(), values.len() - 1);
-            let mut back = vec![values[0]];
-            let mut rest = residuals.iter().copied();
-            prop_assert_eq!(restore(predictor, &mut back, values.len(), || rest.next()), Some(()));
+            let mut back = vec![0; values.len()];
+            back[0] = values[0];
+            prop_assert!(predictor.restore(&mut back, Listed(&residuals)).is_some_and(|rest| rest.0.is_empty()));
             prop_assert_eq!(&back, &values);
-            let mut short = residuals.iter().copied().take(residuals.len().saturating_sub(1));
-            let ended = restore(predictor, &mut vec![values[0]], values.len(), || short.next());
-            prop_assert_eq!(ended.is_none(), values.len() > 1);
+            let short = &residuals[..residuals.len().saturating_sub(1)];
+            prop_assert_eq!(predictor.restore(&mut back, Listed(short)).is_none(), values.len() > 1);
         }
     }
 

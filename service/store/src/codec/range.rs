@@ -2,6 +2,9 @@
 //! values hardly surprise (an override, a programmed feed, an integrated depth) it needs a fraction of a bit a value,
 //! where a Rice code needs one at the least.
 
+use super::predict::Reader;
+use std::hint::select_unpredictable;
+
 /// Probabilities are in 1/2^12.
 const SCALE: u32 = 12;
 /// A probability moves by 1/2^4 of what it was off.
@@ -16,13 +19,10 @@ struct Bit(u16);
 impl Bit {
     const EVEN: Self = Self(1 << (SCALE - 1));
 
-    const fn follow(&mut self, one: bool) {
-        // Stays within 31 ..= 4065 by its arithmetic.
-        if one {
-            self.0 -= self.0 >> RATE;
-        } else {
-            self.0 += ((1 << SCALE) - self.0) >> RATE;
-        }
+    fn follow(&mut self, one: bool) {
+        // Stays within 15 ..= 4081 by its arithmetic.
+        let (less, more) = (self.0 - (self.0 >> RATE), self.0 + (((1 << SCALE) - self.0) >> RATE));
+        self.0 = select_unpredictable(one, less, more);
     }
 }
 
@@ -31,135 +31,140 @@ const SIZES: usize = 8;
 /// Longest residual, bits.
 const LONGEST: usize = 64;
 
-/// What is known of the bits of the next residual.
-struct Model {
+/// What is known of the bits of residuals.
+struct Bits {
     zero: [[Bit; 2]; SIZES],
     length: [[Bit; LONGEST]; SIZES],
     /// Zig-zag: the lowest bit is the sign, told by the sign before.
     sign: [Bit; 3],
     high: [[Bit; 4]; LONGEST],
+}
+
+/// What is known of the next residual. The bits stand elsewhere, so that the rest can stay in registers.
+struct Model {
+    bits: Box<Bits>,
     size: u64,
     /// 0 for none, 1 for up, 2 for down.
     last: usize,
 }
 
-/// Codes one bit, either way.
+/// Codes one bit, either way. All of it is inlined for each predictor, or its state would go through memory at every value.
 trait Coder {
     /// The bit as it was, which a writer is told and a reader finds.
-    fn code(&mut self, bit: &mut Bit, one: bool) -> Option<bool>;
+    fn code(&mut self, bit: &mut Bit, one: bool) -> bool;
     /// The lowest `count` bits of `value`, each as likely 0 as 1.
-    fn plain(&mut self, value: u64, count: u32) -> Option<u64>;
+    fn plain(&mut self, value: u64, count: u32) -> u64;
 }
 
 impl Model {
-    const fn new() -> Self {
-        Self {
+    fn new() -> Self {
+        let bits = Bits {
             zero: [[Bit::EVEN; 2]; SIZES],
             length: [[Bit::EVEN; LONGEST]; SIZES],
             sign: [Bit::EVEN; 3],
             high: [[Bit::EVEN; 4]; LONGEST],
-            size: 8,
-            last: 0,
-        }
+        };
+        Self { bits: Box::new(bits), size: 8, last: 0 }
     }
 
-    /// Codes a residual, zig-zag: whether it is 0; its sign; the length of its size in unary; the two bits below the
-    /// highest; the rest plain.
+    /// Codes a residual, zig-zag: whether it is 0, and if not the rest of it. Only what a reader finds may be none.
+    #[inline(always)]
     fn residual(&mut self, coder: &mut impl Coder, residual: u64) -> Option<u64> {
         let context = ((u64::BITS - (self.size >> 2).leading_zeros()) as usize).min(SIZES - 1);
-        let (magnitude, down) = (residual.div_ceil(2), residual & 1 == 1);
-        let some = coder.code(&mut self.zero[context][self.last.min(1)], magnitude != 0)?;
-        let mut value = 0;
-        let mut sign = 0;
-        if some {
-            let down = coder.code(&mut self.sign[self.last], down)?;
-            sign = 1 + usize::from(down);
-            let wanted = u64::BITS - magnitude.max(1).leading_zeros() - 1;
-            let mut length = 0;
-            while coder.code(self.length[context].get_mut(length as usize)?, length < wanted)? {
-                length += 1;
-            }
-            value = 1;
-            let mut rest = length;
-            let mut place = 1;
-            while rest > 0 && length - rest < 2 {
-                rest -= 1;
-                let bit = coder.code(&mut self.high[length as usize][place], magnitude >> rest & 1 == 1)?;
-                place = place * 2 + usize::from(bit);
-                value = value << 1 | u64::from(bit);
-                place &= 3;
-            }
-            if rest > 0 {
-                value = value << rest | coder.plain(magnitude & ((1 << rest) - 1), rest)?;
-            }
+        self.size -= self.size >> 3;
+        if !coder.code(&mut self.bits.zero[context][self.last.min(1)], residual != 0) {
+            self.last = 0;
+            return Some(0);
         }
-        self.size = (self.size - (self.size >> 3)).saturating_add(value.min(1 << 56));
-        self.last = sign;
+        let down = coder.code(&mut self.bits.sign[self.last], residual & 1 == 1);
+        self.last = 1 + usize::from(down);
+        let magnitude = self.magnitude(coder, context, residual.div_ceil(2))?;
+        self.size = self.size.saturating_add(magnitude.min(1 << 56));
         // Zig-zag again: 2m for up, 2m − 1 for down.
-        Some(if sign == 2 { value.wrapping_mul(2).wrapping_sub(1) } else { value.wrapping_mul(2) })
+        Some(magnitude.wrapping_mul(2).wrapping_sub(u64::from(down)))
+    }
+
+    /// Codes a size other than 0: its length in unary; the two bits below the highest; the rest plain.
+    #[inline(always)]
+    fn magnitude(&mut self, coder: &mut impl Coder, context: usize, magnitude: u64) -> Option<u64> {
+        let wanted = magnitude.max(1).ilog2();
+        let mut length = 0;
+        while coder.code(self.bits.length[context].get_mut(length as usize)?, length < wanted) {
+            length += 1;
+        }
+        let high = self.bits.high.get_mut(length as usize)?;
+        let (mut value, mut rest, mut place) = (1, length, 1);
+        while rest > 0 && length - rest < 2 {
+            rest -= 1;
+            let bit = coder.code(&mut high[place & 3], magnitude >> rest & 1 == 1);
+            place = place * 2 + usize::from(bit);
+            value = value << 1 | u64::from(bit);
+        }
+        if rest > 0 {
+            value = value << rest | coder.plain(magnitude & ((1 << rest) - 1), rest);
+        }
+        Some(value)
     }
 }
 
-struct Writing {
-    out: Vec<u8>,
+struct Writing<'a> {
+    out: &'a mut Vec<u8>,
+    /// Where the coder's bytes begin in `out`: no carry goes further back.
+    begins: usize,
+    /// 32 bits, and above them a carry into what is written already.
     low: u64,
     range: u32,
-    /// The byte that a carry may still change, and how many 0xff follow it.
-    held: u8,
-    full: u64,
-    begun: bool,
 }
 
-impl Writing {
-    #[expect(clippy::cast_possible_truncation, reason = "byte by byte")]
+impl Writing<'_> {
+    #[expect(clippy::cast_possible_truncation, reason = "the highest byte of 32 bits")]
     fn shift(&mut self) {
-        if self.low < 0xff00_0000 || self.low > 0xffff_ffff {
-            let carry = (self.low >> 32) as u8;
-            if self.begun {
-                self.out.push(self.held.wrapping_add(carry));
-            }
-            self.begun = true;
-            for _ in 0..self.full {
-                self.out.push(0xff_u8.wrapping_add(carry));
-            }
-            self.full = 0;
-            self.held = (self.low >> 24) as u8;
-        } else {
-            self.full += 1;
+        if self.low >> 32 != 0 {
+            carry(&mut self.out[self.begins..]);
         }
+        self.out.push((self.low >> 24) as u8);
         self.low = (self.low & 0x00ff_ffff) << 8;
     }
-}
 
-impl Coder for Writing {
-    fn code(&mut self, bit: &mut Bit, one: bool) -> Option<bool> {
-        let bound = (self.range >> SCALE) * u32::from(bit.0);
-        if one {
-            self.low += u64::from(bound);
-            self.range -= bound;
-        } else {
-            self.range = bound;
-        }
-        bit.follow(one);
+    /// After each bit.
+    fn widen(&mut self) {
         while self.range < TOP {
             self.range <<= 8;
             self.shift();
         }
-        Some(one)
+    }
+}
+
+/// Adds one to a number of so many bytes.
+fn carry(bytes: &mut [u8]) {
+    for byte in bytes.iter_mut().rev() {
+        *byte = byte.wrapping_add(1);
+        if *byte != 0 {
+            break;
+        }
+    }
+}
+
+impl Coder for Writing<'_> {
+    #[inline(always)]
+    fn code(&mut self, bit: &mut Bit, one: bool) -> bool {
+        let bound = (self.range >> SCALE) * u32::from(bit.0);
+        self.low += select_unpredictable(one, u64::from(bound), 0);
+        self.range = select_unpredictable(one, self.range - bound, bound);
+        bit.follow(one);
+        self.widen();
+        one
     }
 
-    fn plain(&mut self, value: u64, count: u32) -> Option<u64> {
+    fn plain(&mut self, value: u64, count: u32) -> u64 {
         for place in (0..count).rev() {
             self.range >>= 1;
             if value >> place & 1 == 1 {
                 self.low += u64::from(self.range);
             }
-            while self.range < TOP {
-                self.range <<= 8;
-                self.shift();
-            }
+            self.widen();
         }
-        Some(value)
+        value
     }
 }
 
@@ -169,11 +174,11 @@ pub(super) fn write(out: Vec<u8>, residuals: &[u64]) -> Vec<u8> {
     if residuals.iter().fold(0, |any, residual| any | residual) == 0 { out } else { code(out, residuals) }
 }
 
-fn code(out: Vec<u8>, residuals: &[u64]) -> Vec<u8> {
+fn code(mut out: Vec<u8>, residuals: &[u64]) -> Vec<u8> {
     // What stands there is not this coder's to shorten.
     let begins = out.len();
     // Both live here and nowhere else, so that the loop keeps them in registers.
-    let mut coder = Writing { out, low: 0, range: u32::MAX, held: 0, full: 0, begun: false };
+    let mut coder = Writing { out: &mut out, begins, low: 0, range: u32::MAX };
     let mut model = Model::new();
     for &residual in residuals {
         // Only what a reader finds may be no residual.
@@ -188,21 +193,14 @@ fn code(out: Vec<u8>, residuals: &[u64]) -> Vec<u8> {
             break;
         }
     }
-    for _ in 0..5 {
+    for _ in 0..4 {
         coder.shift();
     }
-    let mut out = coder.out;
     // A reader takes zeros beyond the end.
     while out.len() > begins && out.last() == Some(&0) {
         out.pop();
     }
     out
-}
-
-/// Reads residuals.
-pub(super) struct RangeReader<'a> {
-    coder: Reading<'a>,
-    model: Box<Model>,
 }
 
 struct Reading<'a> {
@@ -212,6 +210,14 @@ struct Reading<'a> {
 }
 
 impl<'a> Reading<'a> {
+    fn new(bytes: &'a [u8]) -> Self {
+        let mut coder = Reading { rest: bytes, code: 0, range: u32::MAX };
+        for _ in 0..4 {
+            coder.code = coder.code << 8 | u32::from(coder.byte());
+        }
+        coder
+    }
+
     /// The next byte: zeros beyond the end, as many as are asked for. A column that never surprises is nothing but zeros,
     /// all of them left out; how many values it has is told elsewhere.
     fn byte(&mut self) -> u8 {
@@ -229,21 +235,17 @@ impl<'a> Reading<'a> {
 }
 
 impl Coder for Reading<'_> {
-    fn code(&mut self, bit: &mut Bit, _: bool) -> Option<bool> {
+    fn code(&mut self, bit: &mut Bit, _: bool) -> bool {
         let bound = (self.range >> SCALE) * u32::from(bit.0);
         let one = self.code >= bound;
-        if one {
-            self.code -= bound;
-            self.range -= bound;
-        } else {
-            self.range = bound;
-        }
+        self.code -= select_unpredictable(one, bound, 0);
+        self.range = select_unpredictable(one, self.range - bound, bound);
         bit.follow(one);
         self.widen();
-        Some(one)
+        one
     }
 
-    fn plain(&mut self, _: u64, count: u32) -> Option<u64> {
+    fn plain(&mut self, _: u64, count: u32) -> u64 {
         let mut value = 0;
         for _ in 0..count {
             self.range >>= 1;
@@ -254,21 +256,19 @@ impl Coder for Reading<'_> {
             value = value << 1 | u64::from(one);
             self.widen();
         }
-        Some(value)
+        value
     }
+}
+
+/// Reads residuals.
+pub(super) struct RangeReader<'a> {
+    coder: Reading<'a>,
+    model: Model,
 }
 
 impl<'a> RangeReader<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Self {
-        let mut coder = Reading { rest: bytes, code: 0, range: u32::MAX };
-        for _ in 0..4 {
-            coder.code = coder.code << 8 | u32::from(coder.byte());
-        }
-        Self { coder, model: Box::new(Model::new()) }
-    }
-
-    pub(super) fn next(&mut self) -> Option<u64> {
-        self.model.residual(&mut self.coder, 0)
+        Self { coder: Reading::new(bytes), model: Model::new() }
     }
 
     /// Whether every byte was used.
@@ -277,9 +277,115 @@ impl<'a> RangeReader<'a> {
     }
 }
 
+/// What a [`RangeReader`] reads where there are no bytes.
+pub(super) struct Zeros;
+
+impl Reader for Zeros {
+    fn next(&mut self) -> Option<u64> {
+        Some(0)
+    }
+}
+
+impl Reader for RangeReader<'_> {
+    #[inline(always)]
+    fn next(&mut self) -> Option<u64> {
+        self.model.residual(&mut self.coder, 0)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    /// Writes with the last byte and all the 0xff behind it held back until no carry can reach them.
+    struct Plain {
+        out: Vec<u8>,
+        low: u64,
+        range: u32,
+        held: Option<u8>,
+        full: usize,
+    }
+
+    impl Plain {
+        fn shift(&mut self) {
+            let [.., carry, byte, _, _, _] = self.low.to_be_bytes();
+            if carry == 0 && byte == 0xff {
+                self.full += 1;
+            } else {
+                self.out.extend(self.held.map(|held| held + carry));
+                self.out.extend(vec![0xff_u8.wrapping_add(carry); self.full]);
+                (self.held, self.full) = (Some(byte), 0);
+            }
+            self.low = (self.low & 0x00ff_ffff) << 8;
+        }
+
+        fn cut(&mut self, below: u32, one: bool) {
+            if one {
+                self.low += u64::from(below);
+                self.range -= below;
+            } else {
+                self.range = below;
+            }
+            while self.range < TOP {
+                self.range <<= 8;
+                self.shift();
+            }
+        }
+
+        /// To the value within the range that has the fewest bytes other than 0.
+        fn finish(mut self) -> Vec<u8> {
+            let end = self.low + u64::from(self.range) - 1;
+            let rounded = (8..=32).rev().step_by(8).map(|bits| end >> bits << bits);
+            self.low = rounded.into_iter().find(|&rounded| rounded >= self.low).unwrap_or(self.low);
+            (0..5).for_each(|_| self.shift());
+            let used = self.out.iter().rposition(|&byte| byte != 0).map_or(0, |at| at + 1);
+            self.out.truncate(used);
+            self.out
+        }
+    }
+
+    impl Coder for Plain {
+        fn code(&mut self, bit: &mut Bit, one: bool) -> bool {
+            self.cut((self.range >> SCALE) * u32::from(bit.0), one);
+            bit.follow(one);
+            one
+        }
+
+        fn plain(&mut self, value: u64, count: u32) -> u64 {
+            for place in (0..count).rev() {
+                let half = self.range >> 1;
+                // Of an odd range one is lost.
+                self.range = 2 * half;
+                self.cut(half, value >> place & 1 == 1);
+            }
+            value
+        }
+    }
+
+    fn residuals() -> impl Strategy<Value = Vec<u64>> {
+        // Long runs of what is sure take probabilities to their ends, and what comes then the range.
+        let run = (prop_oneof![0_u64..4, 0_u64..300, any::<u64>()], prop_oneof![1_usize..4, 1_usize..200]);
+        prop::collection::vec(run, 0..30)
+            .prop_map(|runs| runs.into_iter().flat_map(|(residual, count)| vec![residual; count]).collect())
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_as_by_the_plain_coder_and_comes_back(residuals in residuals()) {
+            let mut plain = Plain { out: Vec::new(), low: 0, range: u32::MAX, held: None, full: 0 };
+            let mut model = Model::new();
+            for &residual in &residuals {
+                prop_assert_eq!(model.residual(&mut plain, residual), Some(residual));
+            }
+            let written = code(vec![7, 0xff], &residuals);
+            prop_assert_eq!(&written[..2], &[7, 0xff], "no carry goes so far back");
+            prop_assert_eq!(&written[2..], plain.finish());
+            let mut reader = RangeReader::new(&written[2..]);
+            prop_assert!(residuals.iter().all(|&residual| reader.next() == Some(residual)));
+            prop_assert!(reader.is_at_end());
+        }
+    }
 
     /// Why [`write`] and who reads may pass the coder by.
     #[test]

@@ -1,6 +1,8 @@
 //! Rice codes whose parameter follows the residuals (Rice and Plaunt, 1971; adapted backwards as in LOCO-I, Weinberger
 //! et al., 2000): no table, some nanoseconds a value, within a tenth of a bit of noise's entropy.
 
+use super::predict::Reader;
+
 /// A quotient of so many ones is no quotient: 64 plain bits follow.
 const ESCAPE: u32 = 24;
 /// The mean is kept in 1/2^4.
@@ -8,6 +10,9 @@ const MEMORY: u32 = 4;
 
 /// Most bits that a block may call usual.
 const MOST_BITS: u8 = 58;
+
+/// What a residual counts at the most, an escape's 64 bits for one, so that the sum stays below 2^63.
+const MOST_COUNTED: u64 = 1 << 58;
 
 /// The parameter for the next residual, from those before.
 #[derive(Debug, Clone, Copy)]
@@ -32,10 +37,13 @@ impl Parameter {
         u64::BITS - wanted.leading_zeros()
     }
 
+    /// `residual` is no more than [`MOST_COUNTED`].
     const fn follow(&mut self, residual: u64) {
-        // Below 2^60 whatever comes: an escape's 64 bits are counted as no more.
-        let capped = if residual < 1 << 58 { residual } else { 1 << 58 };
-        self.sum = self.sum - (self.sum >> MEMORY) + capped;
+        self.sum = self.sum - (self.sum >> MEMORY) + residual;
+    }
+
+    fn follow_any(&mut self, residual: u64) {
+        self.follow(residual.min(MOST_COUNTED));
     }
 }
 
@@ -46,105 +54,149 @@ pub(super) fn usual_bits(residuals: &[u64]) -> u8 {
     u8::try_from(u64::BITS - mean.leading_zeros()).unwrap_or(MOST_BITS).clamp(1, MOST_BITS)
 }
 
+/// Residuals that are written before room is made for more.
+const AT_ONCE: usize = 32;
+/// Bytes that so many take at the most, [`ESCAPE`] and 64 bits each, and those that [`BitWriter::put`] writes besides.
+const ROOM: usize = AT_ONCE * 11 + 8;
+
 /// Bits, the first one highest in its byte.
-#[derive(Debug, Default)]
 pub(super) struct BitWriter {
     out: Vec<u8>,
+    end: End,
+}
+
+/// The end of what is written. By value wherever a function is called, so that it can stay in registers.
+#[derive(Clone, Copy)]
+struct End {
+    /// Where the next byte goes.
+    at: usize,
+    /// The bits of that byte so far, the first one highest, and nothing below them.
     waiting: u64,
+    /// How many they are, fewer than 8.
     count: u32,
 }
 
 impl BitWriter {
     pub(super) const fn after(out: Vec<u8>) -> Self {
-        Self { out, waiting: 0, count: 0 }
+        Self { end: End { at: out.len(), waiting: 0, count: 0 }, out }
     }
 
-    /// At most 32 bits, which `value` does not exceed. Fewer than 32 wait before and after.
-    #[expect(clippy::cast_possible_truncation, reason = "the highest 32 bits of those that wait")]
-    fn put(&mut self, value: u64, bits: u32) {
-        self.waiting = self.waiting << bits | value;
-        self.count += bits;
-        if self.count >= 32 {
-            self.count -= 32;
-            self.out.extend_from_slice(&((self.waiting >> self.count) as u32).to_be_bytes());
+    /// Appends residuals, `parameter` being that of the first.
+    pub(super) fn residuals(&mut self, residuals: &[u64], mut parameter: Parameter) {
+        let mut end = self.end;
+        for residuals in residuals.chunks(AT_ONCE) {
+            self.out.resize(end.at + ROOM, 0);
+            let room = self.out.as_mut_slice();
+            residuals.iter().for_each(|&residual| end.rice(room, residual, &mut parameter));
         }
+        self.end = end;
     }
 
-    fn put_long(&mut self, value: u64, bits: u32) {
-        if bits > 32 {
-            self.put(value >> 32 & ((1 << (bits - 32)) - 1), bits - 32);
-            self.put(value & 0xffff_ffff, 32);
-        } else {
-            self.put(value & ((1 << bits) - 1), bits);
-        }
-    }
-
-    pub(super) fn rice(&mut self, residual: u64, parameter: &mut Parameter) {
-        let k = parameter.get();
-        let quotient = residual >> k;
-        if quotient < u64::from(ESCAPE) {
-            // Ones and a zero.
-            let ones = (1_u64 << (quotient + 1)) - 2;
-            let bits = u32::try_from(quotient).unwrap_or(ESCAPE) + 1;
-            if bits + k <= 32 {
-                self.put(ones << k | residual & ((1 << k) - 1), bits + k);
-            } else {
-                self.put(ones, bits);
-                self.put_long(residual, k);
-            }
-        } else {
-            self.put((1 << ESCAPE) - 1, ESCAPE);
-            self.put_long(residual, 64);
-        }
-        parameter.follow(residual);
-    }
-
-    #[expect(clippy::cast_possible_truncation, reason = "the highest byte of those that wait")]
+    /// The last byte is filled up with zeros.
     pub(super) fn finish(mut self) -> Vec<u8> {
-        // The last byte is filled up with zeros; what waits is below 40 bits then.
-        let padding = self.count.next_multiple_of(8) - self.count;
-        self.waiting <<= padding;
-        self.count += padding;
-        while self.count > 0 {
-            self.count -= 8;
-            self.out.push((self.waiting >> self.count) as u8);
-        }
+        self.out.truncate(self.end.at + usize::from(self.end.count > 0));
         self.out
     }
 }
 
-/// Reads what [`BitWriter`] wrote; `None` beyond the end.
+impl End {
+    /// 1 to 56 bits, which `value` does not exceed. All that waits is written each time, and once more with what comes
+    /// next where it ends within a byte: that needs no branch, and how long codes are could not be foretold.
+    #[inline]
+    fn put(&mut self, room: &mut [u8], value: u64, bits: u32) {
+        self.waiting |= value << (u64::BITS - self.count - bits);
+        if let Some(room) = room.get_mut(self.at..).and_then(|rest| rest.first_chunk_mut()) {
+            *room = self.waiting.to_be_bytes();
+        }
+        self.count += bits;
+        self.at += (self.count / 8) as usize;
+        self.waiting <<= self.count & !7;
+        self.count %= 8;
+    }
+
+    /// The lowest `bits` of `value`, 33 to 64.
+    fn put_long(&mut self, room: &mut [u8], value: u64, bits: u32) {
+        self.put(room, value >> 32 & ((1 << (bits - 32)) - 1), bits - 32);
+        self.put(room, value & 0xffff_ffff, 32);
+    }
+
+    #[inline]
+    fn rice(&mut self, room: &mut [u8], residual: u64, parameter: &mut Parameter) {
+        let k = parameter.get();
+        let quotient = residual >> k;
+        if quotient < u64::from(ESCAPE) && k <= 32 {
+            // Ones and a zero, and below them what the quotient leaves: `residual` has the quotient above its `k` bits,
+            // which is taken from the ones.
+            let ones = (2 << quotient) - 2;
+            let bits = u32::try_from(quotient).unwrap_or(ESCAPE) + 1;
+            self.put(room, ((ones - quotient) << k) + residual, bits + k);
+            parameter.follow(residual);
+        } else {
+            *self = self.after_long(room, residual, k);
+            parameter.follow_any(residual);
+        }
+    }
+
+    /// What is more than 56 bits, or nearly.
+    #[cold]
+    #[inline(never)]
+    fn after_long(mut self, room: &mut [u8], residual: u64, k: u32) -> Self {
+        let quotient = residual >> k;
+        if quotient < u64::from(ESCAPE) {
+            self.put(room, (2 << quotient) - 2, u32::try_from(quotient).unwrap_or(ESCAPE) + 1);
+            self.put_long(room, residual, k);
+        } else {
+            self.put(room, (1 << ESCAPE) - 1, ESCAPE);
+            self.put_long(room, residual, 64);
+        }
+        self
+    }
+}
+
+/// Reads what [`BitWriter`] wrote; `None` beyond the end. By value where what is unusual is called, so that it can stay in
+/// registers.
+#[derive(Clone, Copy)]
 pub(super) struct BitReader<'a> {
-    rest: &'a [u8],
+    bytes: &'a [u8],
+    /// Of the next byte that is not among the bits.
+    at: usize,
     /// Bits not used yet, the next one highest.
     bits: u64,
     count: u32,
 }
 
 impl<'a> BitReader<'a> {
-    pub(super) const fn new(rest: &'a [u8]) -> Self {
-        Self { rest, bits: 0, count: 0 }
+    pub(super) const fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes, at: 0, bits: 0, count: 0 }
     }
 
+    /// To 56 bits at least, as long as there are as many.
+    #[inline(always)]
     fn fill(&mut self) {
-        if self.count <= 56
-            && let Some(next) = self.rest.first_chunk()
+        if let Some(next) = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk())
+            && self.count < u64::BITS
         {
             // Bits beyond the whole bytes that are counted are those that come next: once they are counted, they stand
             // there already.
             self.bits |= u64::from_be_bytes(*next) >> self.count;
-            let whole = (63 - self.count) / 8;
-            self.count += whole * 8;
-            self.rest = &self.rest[whole as usize..];
-            return;
+            self.at += ((63 - self.count) / 8) as usize;
+            self.count |= 56;
+        } else {
+            *self = self.filled_from_few();
         }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn filled_from_few(mut self) -> Self {
         while self.count <= 56
-            && let Some((&byte, rest)) = self.rest.split_first()
+            && let Some(&byte) = self.bytes.get(self.at)
         {
             self.bits |= u64::from(byte) << (56 - self.count);
             self.count += 8;
-            self.rest = rest;
+            self.at += 1;
         }
+        self
     }
 
     /// At most 32 bits.
@@ -166,36 +218,132 @@ impl<'a> BitReader<'a> {
         if bits > 32 { Some(self.take(bits - 32)? << 32 | self.take(32)?) } else { self.take(bits) }
     }
 
+    /// The next residual, zig-zag. Inlined, as is what it calls: through memory its state would take longer than all else.
+    #[inline(always)]
     pub(super) fn rice(&mut self, parameter: &mut Parameter) -> Option<u64> {
         self.fill();
         let k = parameter.get();
         let ones = self.bits.leading_ones();
         let used = ones + 1 + k;
-        let residual = if ones < ESCAPE && k > 0 && used <= self.count.min(63) {
-            let residual = u64::from(ones) << k | (self.bits << (ones + 1)) >> (64 - k);
+        if ones < ESCAPE && used <= self.count.min(56) {
+            // In two steps: there may be no bits to take.
+            let low = (self.bits << (ones + 1)) >> 1 >> (63 - k);
+            let residual = u64::from(ones) << k | low;
             self.bits <<= used;
             self.count -= used;
-            residual
-        } else if ones < ESCAPE {
+            parameter.follow(residual);
+            Some(residual)
+        } else {
+            let residual;
+            (*self, residual) = self.after_long(ones, k)?;
+            parameter.follow_any(residual);
+            Some(residual)
+        }
+    }
+
+    /// What is more than 56 bits, or the last ones.
+    #[cold]
+    #[inline(never)]
+    fn after_long(mut self, ones: u32, k: u32) -> Option<(Self, u64)> {
+        let residual = if ones < ESCAPE {
             self.take(ones + 1)?;
             u64::from(ones) << k | self.take_long(k)?
         } else {
             self.take(ESCAPE)?;
             self.take_long(64)?
         };
-        parameter.follow(residual);
-        Some(residual)
+        Some((self, residual))
     }
 
     /// Whether nothing but the last byte's padding is left.
     pub(super) const fn is_at_end(&self) -> bool {
-        self.rest.is_empty() && self.count < 8 && self.bits == 0
+        self.at >= self.bytes.len() && self.count < 8 && self.bits == 0
     }
 }
 
 /// Appends residuals to `out`, `parameter` being that of the first.
-pub(super) fn write(out: Vec<u8>, residuals: &[u64], mut parameter: Parameter) -> Vec<u8> {
+pub(super) fn write(out: Vec<u8>, residuals: &[u64], parameter: Parameter) -> Vec<u8> {
     let mut writer = BitWriter::after(out);
-    residuals.iter().for_each(|&residual| writer.rice(residual, &mut parameter));
+    writer.residuals(residuals, parameter);
     writer.finish()
+}
+
+/// Reads the residuals of one column.
+pub(super) struct RiceReader<'a> {
+    bits: BitReader<'a>,
+    parameter: Parameter,
+}
+
+impl<'a> RiceReader<'a> {
+    /// `None` where no block calls so many bits usual.
+    pub(super) fn of(usual_bits: u8, bytes: &'a [u8]) -> Option<Self> {
+        Some(Self { bits: BitReader::new(bytes), parameter: Parameter::of(usual_bits)? })
+    }
+
+    pub(super) const fn is_at_end(&self) -> bool {
+        self.bits.is_at_end()
+    }
+}
+
+impl Reader for RiceReader<'_> {
+    #[inline(always)]
+    fn next(&mut self) -> Option<u64> {
+        self.bits.rice(&mut self.parameter)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn bits(value: u64, count: u32) -> impl Iterator<Item = bool> {
+        (0..count).rev().map(move |place| value >> place & 1 == 1)
+    }
+
+    /// The code of each residual bit by bit, filled up to whole bytes.
+    fn plain(residuals: &[u64], mut parameter: Parameter) -> Vec<u8> {
+        let mut code = Vec::new();
+        for &residual in residuals {
+            let k = parameter.get();
+            let quotient = residual >> k;
+            if quotient < u64::from(ESCAPE) {
+                code.extend((0..quotient).map(|_| true).chain([false]).chain(bits(residual, k)));
+            } else {
+                code.extend((0..ESCAPE).map(|_| true).chain(bits(residual, 64)));
+            }
+            parameter.follow_any(residual);
+        }
+        let byte =
+            |bits: &[bool]| (0..).zip(bits).fold(0, |byte, (at, &bit)| byte | u8::from(bit) << (7 - at));
+        code.chunks(8).map(byte).collect()
+    }
+
+    fn residuals() -> impl Strategy<Value = Vec<u64>> {
+        let run = (0_u32..=64, prop::collection::vec(any::<u64>(), 1..40));
+        let of_some_bits = |(bits, run): (u32, Vec<u64>)| {
+            run.into_iter().map(move |residual| residual.checked_shr(64 - bits).unwrap_or(0))
+        };
+        prop::collection::vec(run, 0..6)
+            .prop_map(move |runs| runs.into_iter().flat_map(of_some_bits).collect())
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_as_bit_by_bit_and_comes_back(
+            residuals in residuals(),
+            usual in 1..=MOST_BITS,
+            cut in any::<prop::sample::Index>(),
+        ) {
+            let written = write(vec![7], &residuals, Parameter::new(usual));
+            prop_assert_eq!(written[0], 7);
+            prop_assert_eq!(&written[1..], plain(&residuals, Parameter::new(usual)));
+            let mut reader = RiceReader::of(usual, &written[1..]).unwrap();
+            prop_assert!(residuals.iter().all(|&residual| reader.next() == Some(residual)));
+            prop_assert!(reader.is_at_end());
+            let mut reader = RiceReader::of(usual, &written[1..][..cut.index(written.len())]).unwrap();
+            let whole = residuals.iter().all(|_| reader.next().is_some());
+            prop_assert_eq!(whole, cut.index(written.len()) + 1 == written.len());
+        }
+    }
 }

@@ -117,6 +117,12 @@ fn ways() -> Vec<Vec<f64>> {
     ]
 }
 
+fn residuals(values: &[i64]) -> Vec<u8> {
+    let mut out = Vec::new();
+    put_residuals(&mut out, values);
+    out
+}
+
 #[test]
 fn columns_of_every_kind_come_back() {
     for values in ways() {
