@@ -19,10 +19,18 @@ struct Bit(u16);
 impl Bit {
     const EVEN: Self = Self(1 << (SCALE - 1));
 
+    /// After a 1. Both stay within 15 ..= 4081 by their arithmetic.
+    const fn less(self) -> u16 {
+        self.0 - (self.0 >> RATE)
+    }
+
+    /// After a 0.
+    const fn more(self) -> u16 {
+        self.0 + (((1 << SCALE) - self.0) >> RATE)
+    }
+
     fn follow(&mut self, one: bool) {
-        // Stays within 15 ..= 4081 by its arithmetic.
-        let (less, more) = (self.0 - (self.0 >> RATE), self.0 + (((1 << SCALE) - self.0) >> RATE));
-        self.0 = select_unpredictable(one, less, more);
+        self.0 = select_unpredictable(one, self.less(), self.more());
     }
 }
 
@@ -50,8 +58,11 @@ struct Model {
 
 /// Codes one bit, either way. All of it is inlined for each predictor, or its state would go through memory at every value.
 trait Coder {
-    /// The bit as it was, which a writer is told and a reader finds.
+    /// The bit as it was, which a writer is told and a reader finds. With a branch, for what decides what comes next: the
+    /// branch is taken anyhow, and what is foretold does not wait.
     fn code(&mut self, bit: &mut Bit, one: bool) -> bool;
+    /// The same without a branch, for what nothing depends on.
+    fn code_unpredictable(&mut self, bit: &mut Bit, one: bool) -> bool;
     /// The lowest `count` bits of `value`, each as likely 0 as 1.
     fn plain(&mut self, value: u64, count: u32) -> u64;
 }
@@ -76,7 +87,7 @@ impl Model {
             self.last = 0;
             return Some(0);
         }
-        let down = coder.code(&mut self.bits.sign[self.last], residual & 1 == 1);
+        let down = coder.code_unpredictable(&mut self.bits.sign[self.last], residual & 1 == 1);
         self.last = 1 + usize::from(down);
         let magnitude = self.magnitude(coder, context, residual.div_ceil(2))?;
         self.size = self.size.saturating_add(magnitude.min(1 << 56));
@@ -96,7 +107,7 @@ impl Model {
         let (mut value, mut rest, mut place) = (1, length, 1);
         while rest > 0 && length - rest < 2 {
             rest -= 1;
-            let bit = coder.code(&mut high[place & 3], magnitude >> rest & 1 == 1);
+            let bit = coder.code_unpredictable(&mut high[place & 3], magnitude >> rest & 1 == 1);
             place = place * 2 + usize::from(bit);
             value = value << 1 | u64::from(bit);
         }
@@ -148,6 +159,21 @@ fn carry(bytes: &mut [u8]) {
 impl Coder for Writing<'_> {
     #[inline(always)]
     fn code(&mut self, bit: &mut Bit, one: bool) -> bool {
+        let bound = (self.range >> SCALE) * u32::from(bit.0);
+        if one {
+            self.low += u64::from(bound);
+            self.range -= bound;
+            bit.0 = bit.less();
+        } else {
+            self.range = bound;
+            bit.0 = bit.more();
+        }
+        self.widen();
+        one
+    }
+
+    #[inline(always)]
+    fn code_unpredictable(&mut self, bit: &mut Bit, one: bool) -> bool {
         let bound = (self.range >> SCALE) * u32::from(bit.0);
         self.low += select_unpredictable(one, u64::from(bound), 0);
         self.range = select_unpredictable(one, self.range - bound, bound);
@@ -236,6 +262,23 @@ impl<'a> Reading<'a> {
 
 impl Coder for Reading<'_> {
     fn code(&mut self, bit: &mut Bit, _: bool) -> bool {
+        let bound = (self.range >> SCALE) * u32::from(bit.0);
+        if self.code >= bound {
+            self.code -= bound;
+            self.range -= bound;
+            bit.0 = bit.less();
+            self.widen();
+            true
+        } else {
+            self.range = bound;
+            bit.0 = bit.more();
+            self.widen();
+            false
+        }
+    }
+
+    #[inline(always)]
+    fn code_unpredictable(&mut self, bit: &mut Bit, _: bool) -> bool {
         let bound = (self.range >> SCALE) * u32::from(bit.0);
         let one = self.code >= bound;
         self.code -= select_unpredictable(one, bound, 0);
@@ -350,6 +393,10 @@ mod tests {
             self.cut((self.range >> SCALE) * u32::from(bit.0), one);
             bit.follow(one);
             one
+        }
+
+        fn code_unpredictable(&mut self, bit: &mut Bit, one: bool) -> bool {
+            self.code(bit, one)
         }
 
         fn plain(&mut self, value: u64, count: u32) -> u64 {
