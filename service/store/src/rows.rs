@@ -22,7 +22,7 @@ pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
     tool_json,
 };
-pub(crate) use saved::{ADVICE_HASH_BYTES, BlockRow, IssuedRow, Rest, SavedWear};
+pub(crate) use saved::{ADVICE_HASH_BYTES, AlarmChange, BlockRow, IssuedRow, Rest, SavedWear};
 pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
 
 use crate::error::{StoreError, StoreResult};

@@ -5,11 +5,10 @@
 //! A machine's quarantine alarm is open as long as an entry of it is unsettled. Silence, and a quarantine that fills up
 //! (an alarm of no machine), are raised and cleared by the round in `watch`.
 
-use super::transaction::GroupTransaction;
 use super::{Conn, Db, audit};
 use crate::error::StoreResult;
 use crate::record::{Actor, Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
-use crate::rows::AlarmRow;
+use crate::rows::{AlarmChange, AlarmRow, word};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{ToolState, Verdict};
@@ -35,63 +34,75 @@ const fn kind_of(state: ToolState) -> Option<AlarmKind> {
     }
 }
 
-/// An open alarm that follows the verdict on a tool.
-#[derive(Debug)]
-pub(super) struct OpenAlarm {
-    id: RowNumber,
-    kind: AlarmKind,
-}
-
-/// Raises what the verdict calls for and clears what it no longer does. `known` are the tool's open alarms where they
-/// were looked up before; nobody but who holds the tool's lock changes them.
-pub(super) async fn follow_verdict(
-    transaction: &mut GroupTransaction<'_>,
-    tool: &ToolId,
-    verdict: &Verdict,
-    known: &mut Option<Vec<OpenAlarm>>,
-    now: Timestamp,
-) -> StoreResult<()> {
+/// What a verdict changes of its tool's open alarms: what it calls for is raised, what it no longer does is cleared. `open`
+/// are the kinds that are open, and are to be when that is written.
+pub(super) fn changes(tool: &ToolId, verdict: &Verdict, open: &mut Vec<AlarmKind>) -> Vec<AlarmChange> {
     let wanted = kind_of(verdict.state);
-    let open = match known {
-        Some(open) => open,
-        None => known.insert(open_of(transaction.conn().await?, tool).await?),
-    };
-    if open.iter().map(|alarm| alarm.kind).eq(wanted) {
-        return Ok(());
+    if open.iter().copied().eq(wanted) {
+        return Vec::new();
     }
-    let mut stands = false;
-    for alarm in open.iter() {
-        if Some(alarm.kind) == wanted {
-            stands = true;
-        } else {
-            clear(transaction.conn().await?, alarm.id, now).await?;
-        }
+    let mut changes = Vec::new();
+    if open.iter().any(|kind| Some(*kind) != wanted) {
+        let but = wanted.map(AlarmKind::as_str);
+        changes.push(AlarmChange::ClearVerdicts { tool_id: tool.as_str().to_owned(), but });
     }
     if let Some(kind) = wanted
-        && !stands
+        && !open.contains(&kind)
     {
-        let message = match verdict.reasons.first() {
+        // What decides is said last.
+        let message = match verdict.reasons.last() {
             Some((_, why)) => format!("tool {tool}: {why}"),
             None => format!("tool {tool}: {}", kind.as_str()),
         };
         let machine = verdict.last.as_ref().map(|last| &last.machine);
-        raise(transaction.conn().await?, kind, machine, Some(tool), &message, now).await?;
+        changes.push(AlarmChange::raise(kind, machine, Some(tool), message));
     }
-    *known = None;
+    *open = Vec::from_iter(wanted);
+    changes
+}
+
+/// Raises what the verdict on a tool calls for and clears what it no longer does.
+pub(super) async fn follow_verdict(
+    conn: &mut Conn,
+    tool: &ToolId,
+    verdict: &Verdict,
+    now: Timestamp,
+) -> StoreResult<()> {
+    let mut open = open_of(conn, tool).await?;
+    for change in changes(tool, verdict, &mut open) {
+        apply(conn, &change, now).await?;
+    }
     Ok(())
 }
 
-async fn open_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<OpenAlarm>> {
-    let open: Vec<AlarmRow> = sqlx::query_as::<Db, _>(select!(
-        "WHERE tool_id = $1 AND cleared_at_us IS NULL
-           AND kind IN ('worn', 'broken_suspected', 'conditions_changed')
-         ORDER BY alarm_id"
-    ))
+/// The kinds of a tool's open alarms that follow its verdict, on whichever machine.
+pub(super) async fn open_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<AlarmKind>> {
+    let kinds: Vec<String> = sqlx::query_scalar::<Db, _>(
+        "SELECT DISTINCT kind FROM alarms
+         WHERE tool_id = $1 AND cleared_at_us IS NULL
+           AND kind IN ('worn', 'broken_suspected', 'conditions_changed')",
+    )
     .bind(tool.as_str())
     .fetch_all(&mut *conn)
     .await?;
-    let alarms = open.iter().map(|row| Ok(OpenAlarm { id: row.alarm_id, kind: row.alarm()?.kind }));
-    alarms.collect()
+    kinds.iter().map(|kind| word("kind", kind, AlarmKind::parse)).collect()
+}
+
+/// Makes a change.
+pub(super) async fn apply(conn: &mut Conn, change: &AlarmChange, now: Timestamp) -> StoreResult<()> {
+    let query = match change {
+        AlarmChange::ClearVerdicts { tool_id, but } => {
+            sqlx::query::<Db>(AlarmChange::CLEAR_VERDICTS).bind(now.micros()).bind(tool_id).bind(*but)
+        }
+        AlarmChange::Raise { kind, machine_id, tool_id, message } => sqlx::query::<Db>(AlarmChange::RAISE)
+            .bind(*kind)
+            .bind(machine_id)
+            .bind(tool_id)
+            .bind(message)
+            .bind(now.micros()),
+    };
+    query.execute(&mut *conn).await?;
+    Ok(())
 }
 
 /// Raises an alarm unless one of its kind is open for the same subject.
@@ -103,27 +114,7 @@ pub(super) async fn raise(
     message: &str,
     now: Timestamp,
 ) -> StoreResult<()> {
-    sqlx::query::<Db>(
-        "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us) VALUES ($1, $2, $3, $4, $5)
-         ON CONFLICT (kind, COALESCE(tool_id, ''), COALESCE(machine_id, '')) WHERE cleared_at_us IS NULL DO NOTHING",
-    )
-    .bind(kind.as_str())
-    .bind(machine.map(MachineId::as_str))
-    .bind(tool.map(ToolId::as_str))
-    .bind(message)
-    .bind(now.micros())
-    .execute(&mut *conn)
-    .await?;
-    Ok(())
-}
-
-async fn clear(conn: &mut Conn, id: RowNumber, now: Timestamp) -> StoreResult<()> {
-    sqlx::query::<Db>("UPDATE alarms SET cleared_at_us = $2 WHERE alarm_id = $1")
-        .bind(id)
-        .bind(now.micros())
-        .execute(&mut *conn)
-        .await?;
-    Ok(())
+    apply(conn, &AlarmChange::raise(kind, machine, tool, message.to_owned()), now).await
 }
 
 /// Clears a machine's open alarm of a kind that concerns no tool.

@@ -1,6 +1,5 @@
 //! The check of the cached folds against folds from scratch, one tool at a time.
 
-use super::transaction::GroupTransaction;
 use super::wear::{self, ToolWear};
 use super::{Conn, Db, alarms, dialect};
 use crate::error::StoreResult;
@@ -136,7 +135,7 @@ async fn mend(conn: &mut Conn, tool: &ToolId, machines: &[MachineId]) -> StoreRe
     }
     if wear::is_registered(conn, tool).await? {
         let verdict = wear::count_all(conn, tool, now).await?;
-        alarms::follow_verdict(&mut GroupTransaction::begun(conn), tool, &verdict, &mut None, now).await?;
+        alarms::follow_verdict(conn, tool, &verdict, now).await?;
     }
     Ok(())
 }

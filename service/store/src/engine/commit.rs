@@ -10,7 +10,7 @@ use crate::history::beginning;
 use crate::locks::Locks;
 use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
 use crate::registry::Registry;
-use crate::rows::{BlockRow, CutRow, CycleRow, FactsRow, IssuedRow, Place, Rest, SavedWear};
+use crate::rows::{AlarmChange, BlockRow, CutRow, CycleRow, FactsRow, IssuedRow, Place, Rest, SavedWear};
 use crate::work::Written;
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::feed::choose::ActiveProfile;
@@ -71,8 +71,8 @@ async fn count(
 ) -> StoreResult<(Vec<Committed>, Written)> {
     memory.begin(heads);
     let (placed, blocks) = place_all(transaction, group, registry).await?;
-    let (verdicts, wear) =
-        count_all(transaction, group, &placed, (registry, &heads.versions, memory), now).await?;
+    let (verdicts, wear, alarms) =
+        count_all(transaction, group, &placed, (registry, &heads.versions, memory)).await?;
     let knowledge = know_all(transaction, group, registry, heads.any_profile).await?;
     let mut answers = Vec::with_capacity(group.len());
     let mut issued = Vec::with_capacity(group.len());
@@ -92,7 +92,7 @@ async fn count(
         issued.push(row);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
-    let rest = Rest::of(blocks, wear, issued, |row| memory.is_new_advice(row.advice_hash));
+    let rest = Rest::of(blocks, (wear, alarms), issued, |row| memory.is_new_advice(row.advice_hash));
     let written = transaction.write(&rest, now).await?;
     Ok((answers, written))
 }
@@ -223,14 +223,14 @@ async fn known(conn: &mut Conn, new: &NewCycle) -> StoreResult<Placed> {
     }
 }
 
-/// Folds what is new into the tools of the group; returns the verdict on each registered tool, and the folds to write.
+/// Folds what is new into the tools of the group; returns the verdict on each registered tool, and the folds and alarms to
+/// write.
 async fn count_all(
     transaction: &mut GroupTransaction<'_>,
     group: &[NewCycle],
     placed: &[Placed],
     (registry, versions, memory): (&GroupRegistry, &BTreeMap<ToolId, Versions>, &mut Memory),
-    now: Timestamp,
-) -> StoreResult<(BTreeMap<ToolId, Verdict>, Vec<SavedWear>)> {
+) -> StoreResult<(BTreeMap<ToolId, Verdict>, Vec<SavedWear>, Vec<AlarmChange>)> {
     let mut fresh: BTreeMap<&ToolId, BTreeMap<&MachineId, Vec<FactsRow>>> = BTreeMap::new();
     for (new, placed) in group.iter().zip(placed) {
         let cycle = &new.cycle;
@@ -244,7 +244,7 @@ async fn count_all(
         }
     }
     let mut verdicts = BTreeMap::new();
-    let mut changed = Vec::new();
+    let (mut changed, mut alarms) = (Vec::new(), Vec::new());
     for (tool, machines) in fresh {
         let anything_new = !machines.is_empty();
         let mut wear = match memory.take(tool, versions.get(tool)) {
@@ -253,7 +253,11 @@ async fn count_all(
         };
         let verdict = count_tool(transaction, &mut wear, machines).await?;
         if anything_new {
-            alarms::follow_verdict(transaction, tool, &verdict, &mut wear.alarms, now).await?;
+            let open = match &mut wear.alarms {
+                Some(open) => open,
+                unknown => unknown.insert(alarms::open_of(transaction.conn().await?, tool).await?),
+            };
+            alarms.extend(alarms::changes(tool, &verdict, open));
         }
         verdicts.insert(tool.clone(), verdict);
         changed.extend(wear.take_changed()?);
@@ -265,18 +269,10 @@ async fn count_all(
         {
             let message = format!("cycle {}: a load exceeded 400 %", new.cycle.id);
             let (machine, tool) = (&new.cycle.machine, &new.cycle.tool);
-            alarms::raise(
-                transaction.conn().await?,
-                AlarmKind::Overload,
-                Some(machine),
-                Some(tool),
-                &message,
-                now,
-            )
-            .await?;
+            alarms.push(AlarmChange::raise(AlarmKind::Overload, Some(machine), Some(tool), message));
         }
     }
-    Ok((verdicts, changed))
+    Ok((verdicts, changed, alarms))
 }
 
 async fn count_tool(

@@ -1,6 +1,5 @@
 //! Operations.
 
-use super::transaction::GroupTransaction;
 use super::{Conn, Db, alarms, audit, dialect, wear};
 use crate::error::StoreResult;
 use crate::locks::Locks;
@@ -121,8 +120,7 @@ pub(super) async fn put(
     audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
     if !judged_alike(existing.as_ref().map(|existing| &existing.value), operation) {
         for (tool, verdict) in wear::count_operation(conn, &operation.id, now).await? {
-            alarms::follow_verdict(&mut GroupTransaction::begun(conn), &tool, &verdict, &mut None, now)
-                .await?;
+            alarms::follow_verdict(conn, &tool, &verdict, now).await?;
         }
     }
     Ok(outcome)

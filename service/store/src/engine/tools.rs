@@ -1,6 +1,5 @@
 //! Tools and their events.
 
-use super::transaction::GroupTransaction;
 use super::{Conn, Db, alarms, audit, dialect, wear};
 use crate::error::StoreResult;
 use crate::locks::Locks;
@@ -75,8 +74,7 @@ pub(super) async fn put(
     if outcome == PutOutcome::Created {
         // Cycles that came before count from now on.
         let verdict = wear::count_all(conn, &tool.id, now).await?;
-        alarms::follow_verdict(&mut GroupTransaction::begun(conn), &tool.id, &verdict, &mut None, now)
-            .await?;
+        alarms::follow_verdict(conn, &tool.id, &verdict, now).await?;
     }
     Ok(outcome)
 }
@@ -173,6 +171,6 @@ pub(super) async fn add_event(
     });
     audit::add(conn, actor, now, "tool.event", format!("tool/{tool}"), &detail).await?;
     let verdict = wear::count_event(conn, tool, id, now).await?;
-    alarms::follow_verdict(&mut GroupTransaction::begun(conn), tool, &verdict, &mut None, now).await?;
+    alarms::follow_verdict(conn, tool, &verdict, now).await?;
     Ok(Some(StoredToolEvent { id, event, actor: actor.token.clone(), recorded_at: now }))
 }

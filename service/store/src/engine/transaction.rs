@@ -4,7 +4,7 @@
 //! group is written: what was assumed is checked in the statement that writes it. Where it does not hold, nothing was
 //! written, and the group is counted again from what the database says.
 
-use super::{Conn, Writer, dialect, recommendations};
+use super::{Conn, Writer, alarms, dialect, recommendations};
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{CycleRow, Rest};
 use crate::work::Written;
@@ -77,6 +77,9 @@ impl<'c> GroupTransaction<'c> {
             State::Begun(conn) => {
                 for row in rest.with_new_advice() {
                     recommendations::keep_advice(conn, row).await?;
+                }
+                for change in &rest.alarms {
+                    alarms::apply(conn, change, now).await?;
                 }
                 dialect::write_rest(conn, rest, now).await
             }

@@ -1,12 +1,12 @@
 //! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
 
-use super::alarms::OpenAlarm;
 use super::transaction::GroupTransaction;
 use super::{Conn, Db, dialect, tools};
 use crate::codec::zeros;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
 use crate::locks::Locks;
+use crate::record::AlarmKind;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::units::Timestamp;
@@ -47,7 +47,7 @@ pub(super) struct ToolWear {
     /// The fold over all machines, where there are several and it is known.
     whole: Option<(ToolFold, u64)>,
     /// Open alarms that follow the verdict, where they are known.
-    pub(super) alarms: Option<Vec<OpenAlarm>>,
+    pub(super) alarms: Option<Vec<AlarmKind>>,
 }
 
 #[derive(sqlx::FromRow)]

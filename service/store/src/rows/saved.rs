@@ -2,7 +2,8 @@
 
 use super::{AdviceBody, count, float, optional_float};
 use crate::error::{StoreError, StoreResult};
-use crate::record::IssuedRecommendation;
+use crate::record::{AlarmKind, IssuedRecommendation};
+use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::wear::{Level, LevelBasis, Remaining};
 
 /// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
@@ -28,11 +29,47 @@ pub(crate) struct BlockRow<'a> {
     pub(crate) block: &'a [u8],
 }
 
+/// A change of the table `alarms`.
+#[derive(Debug)]
+pub(crate) enum AlarmChange {
+    /// A tool's open alarms that follow its verdict are cleared, but those of one kind.
+    ClearVerdicts { tool_id: String, but: Option<&'static str> },
+    /// An alarm is raised, unless one of its kind is open for the same subject.
+    Raise { kind: &'static str, machine_id: Option<String>, tool_id: Option<String>, message: String },
+}
+
+impl AlarmChange {
+    /// Takes the time, the tool, and the kind that stays.
+    pub(crate) const CLEAR_VERDICTS: &str = "UPDATE alarms SET cleared_at_us = $1
+         WHERE tool_id = $2 AND cleared_at_us IS NULL AND kind <> COALESCE(CAST($3 AS TEXT), '')
+           AND kind IN ('worn', 'broken_suspected', 'conditions_changed')";
+    /// Takes kind, machine, tool, message and time. Parameters of both are numbered as they stand, as one of the two ways to
+    /// bind them counts them.
+    pub(crate) const RAISE: &str =
+        "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us) VALUES ($1, $2, $3, $4, $5)
+         ON CONFLICT (kind, COALESCE(tool_id, ''), COALESCE(machine_id, '')) WHERE cleared_at_us IS NULL DO NOTHING";
+
+    pub(crate) fn raise(
+        kind: AlarmKind,
+        machine: Option<&MachineId>,
+        tool: Option<&ToolId>,
+        message: String,
+    ) -> Self {
+        Self::Raise {
+            kind: kind.as_str(),
+            machine_id: machine.map(|machine| machine.as_str().to_owned()),
+            tool_id: tool.map(|tool| tool.as_str().to_owned()),
+            message,
+        }
+    }
+}
+
 /// What a group writes after its cycles, of which nothing is read back in its transaction.
 #[derive(Debug)]
 pub(crate) struct Rest<'a> {
     pub(crate) blocks: Vec<BlockRow<'a>>,
     pub(crate) wear: Vec<SavedWear>,
+    pub(crate) alarms: Vec<AlarmChange>,
     pub(crate) issued: Vec<IssuedRow>,
     /// Which of those refer to an advice that is not known to be stored, in ascending order of their hashes: others may
     /// be told the same at this moment, and no two may wait for each other.
@@ -43,13 +80,13 @@ impl<'a> Rest<'a> {
     /// With what is new of the advices, each once.
     pub(crate) fn of(
         blocks: Vec<BlockRow<'a>>,
-        wear: Vec<SavedWear>,
+        (wear, alarms): (Vec<SavedWear>, Vec<AlarmChange>),
         issued: Vec<IssuedRow>,
         mut is_new: impl FnMut(&IssuedRow) -> bool,
     ) -> Self {
         let mut new_advices: Vec<usize> = (0..issued.len()).filter(|at| is_new(&issued[*at])).collect();
         new_advices.sort_unstable_by_key(|at| issued[*at].advice_hash);
-        Self { blocks, wear, issued, new_advices }
+        Self { blocks, wear, alarms, issued, new_advices }
     }
 
     /// Recommendations whose advice is not known to be stored, in ascending order of its hash.

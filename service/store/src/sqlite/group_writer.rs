@@ -7,7 +7,7 @@
 use super::engine::Heads;
 use super::open::{SETTINGS, is_durable};
 use crate::error::{StoreError, StoreResult};
-use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
+use crate::rows::{AlarmChange, BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::work::Written;
 use feedwright_core::ids::ToolId;
 use feedwright_core::units::Timestamp;
@@ -77,6 +77,7 @@ impl GroupWriter {
         insert_cycles(&transaction, cycles)?;
         insert_blocks(&transaction, &rest.blocks)?;
         save_wear(&transaction, &rest.wear, now)?;
+        change_alarms(&transaction, &rest.alarms, now)?;
         insert_advices(&transaction, rest.with_new_advice())?;
         insert_recommendations(&transaction, &rest.issued)?;
         transaction.commit()?;
@@ -118,7 +119,7 @@ fn holds(transaction: &Transaction<'_>, Assumption { heads, tools }: Assumption<
 }
 
 /// Runs a statement with a row's values, in the order of its parameters.
-macro_rules! insert {
+macro_rules! run {
     ($statement:ident, $($value:expr),* $(,)?) => {{
         let mut place = 0;
         $(
@@ -144,7 +145,7 @@ fn insert_cycles(transaction: &Transaction<'_>, rows: &[Arc<CycleRow>]) -> rusql
     let mut statement = transaction.prepare_cached(cycle_columns!(cycles_text))?;
     for row in rows {
         macro_rules! insert_row {
-            ($($column:ident: $type:ty = $placeholder:literal,)*) => { insert!(statement, $(&row.$column,)*) };
+            ($($column:ident: $type:ty = $placeholder:literal,)*) => { run!(statement, $(&row.$column,)*) };
         }
         cycle_columns!(insert_row)?;
     }
@@ -156,7 +157,7 @@ fn insert_blocks(transaction: &Transaction<'_>, rows: &[BlockRow<'_>]) -> rusqli
         "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES (?, ?, ?, ?)",
     )?;
     for row in rows {
-        insert!(statement, &row.machine_id, row.received_at_us, &row.cycle_id, row.block)?;
+        run!(statement, &row.machine_id, row.received_at_us, &row.cycle_id, row.block)?;
     }
     Ok(())
 }
@@ -164,7 +165,7 @@ fn insert_blocks(transaction: &Transaction<'_>, rows: &[BlockRow<'_>]) -> rusqli
 /// Writes folds whose versions are known to be in force.
 fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) -> rusqlite::Result<()> {
     let update = |statement: &mut CachedStatement<'_>, row: &SavedWear| {
-        insert!(
+        run!(
             statement,
             row.folded,
             FOLD_VERSION,
@@ -189,6 +190,26 @@ fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) 
     Ok(())
 }
 
+fn change_alarms(
+    transaction: &Transaction<'_>,
+    changes: &[AlarmChange],
+    now: Timestamp,
+) -> rusqlite::Result<()> {
+    for change in changes {
+        match change {
+            AlarmChange::ClearVerdicts { tool_id, but } => {
+                let mut statement = transaction.prepare_cached(AlarmChange::CLEAR_VERDICTS)?;
+                run!(statement, now.micros(), tool_id, but)?;
+            }
+            AlarmChange::Raise { kind, machine_id, tool_id, message } => {
+                let mut statement = transaction.prepare_cached(AlarmChange::RAISE)?;
+                run!(statement, kind, machine_id, tool_id, message, now.micros())?;
+            }
+        }
+    }
+    Ok(())
+}
+
 fn insert_advices<'r>(
     transaction: &Transaction<'_>,
     rows: impl Iterator<Item = &'r IssuedRow>,
@@ -197,7 +218,7 @@ fn insert_advices<'r>(
         "INSERT INTO advices (advice_hash, body) VALUES (?, ?) ON CONFLICT (advice_hash) DO NOTHING",
     )?;
     for row in rows {
-        insert!(statement, row.advice_hash.as_slice(), &row.advice)?;
+        run!(statement, row.advice_hash.as_slice(), &row.advice)?;
     }
     Ok(())
 }
@@ -210,7 +231,7 @@ fn insert_recommendations(transaction: &Transaction<'_>, rows: &[IssuedRow]) -> 
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )?;
     for row in rows {
-        insert!(
+        run!(
             statement,
             &row.recommendation_id,
             row.advice_hash.as_slice(),
