@@ -72,15 +72,18 @@ impl TrendPoints {
         for (index, late) in points.iter().enumerate() {
             slopes.extend(points[..index].iter().map(|early| (late.1 - early.1) / (late.0 - early.0)));
         }
-        slopes.sort_by(f64::total_cmp);
         #[expect(clippy::cast_precision_loss, reason = "at most 276 slopes")]
         let (n, pairs) = (points.len() as f64, slopes.len() as f64);
         let spread = Z_90 * (n * (n - 1.0) * (2.0 * n + 5.0) / 18.0).sqrt();
-        let at = |place: f64| slopes[clamp_index(place, slopes.len())];
+        let at = |place: f64| clamp_index(place, slopes.len());
+        let (low, high) = (at((pairs - spread) / 2.0 - 1.0), at((pairs + spread) / 2.0));
+        let middle = slopes.len() / 2;
+        let below = middle - usize::from(slopes.len().is_multiple_of(2));
+        let [slope_low, below, middle, slope_high] = of_ranks(&mut slopes, [low, below, middle, high]);
         Some(Trend {
-            slope_per_cycle: median(&slopes),
-            slope_low: at((pairs - spread) / 2.0 - 1.0),
-            slope_high: at((pairs + spread) / 2.0),
+            slope_per_cycle: f64::midpoint(below, middle),
+            slope_low,
+            slope_high,
             cycles: self.per_point.saturating_mul(points.len() as u64),
         })
     }
@@ -93,6 +96,17 @@ impl TrendPoints {
         let deviations: Vec<f64> = heights.iter().map(|height| (height - centre).abs()).collect();
         1.4826 * median(&deviations)
     }
+}
+
+/// The values that stand at ascending ranks once `values` are in order; the others are not put in order for it.
+fn of_ranks<const N: usize>(values: &mut [f64], ranks: [usize; N]) -> [f64; N] {
+    let mut begin = 0;
+    ranks.map(|rank| {
+        let (_, value, _) = values[begin..].select_nth_unstable_by(rank - begin, f64::total_cmp);
+        let value = *value;
+        begin = rank;
+        value
+    })
 }
 
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the slice first")]
@@ -129,6 +143,7 @@ pub(super) fn remaining(points: &TrendPoints, trend: &Trend, (level, n): (f64, u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     fn filled(ratios: impl Iterator<Item = f64>) -> TrendPoints {
         let mut points = TrendPoints::default();
@@ -164,5 +179,20 @@ mod tests {
         assert!(remaining.low <= remaining.cycles && remaining.cycles <= remaining.high, "{remaining:?}");
         assert!(remaining.low > 200 && remaining.high < 420, "{remaining:?}");
         assert!((290..=310).contains(&remaining.cycles), "{remaining:?}");
+    }
+
+    proptest! {
+        #[test]
+        fn values_of_ranks_are_those_of_the_whole_in_order(
+            values in prop::collection::vec(prop_oneof![any::<f64>(), (-3_i32..3).prop_map(f64::from)], 1..300),
+            places in prop::array::uniform4(any::<prop::sample::Index>()),
+        ) {
+            let mut ranks = places.map(|place| place.index(values.len()));
+            ranks.sort_unstable();
+            let mut sorted = values.clone();
+            sorted.sort_by(f64::total_cmp);
+            let found = of_ranks(&mut values.clone(), ranks).map(f64::to_bits);
+            prop_assert_eq!(found, ranks.map(|rank| sorted[rank].to_bits()));
+        }
     }
 }

@@ -7,25 +7,64 @@ use std::borrow::Cow;
 
 /// Begins packed bytes. A fold's state begins with the low byte of its version, which is far from it.
 const PACKED: u8 = 0xff;
-/// Longest run in one pair.
-const LONGEST: usize = 255;
 
 /// Packs bytes that do not begin with [`PACKED`].
 pub(crate) fn pack(plain: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(1 + plain.len());
+    let mut out = Vec::with_capacity(1 + plain.len() + plain.len() / 2);
     out.push(PACKED);
-    let mut rest = plain;
-    while let Some(&first) = rest.first() {
-        let run = rest.iter().take(LONGEST).take_while(|&&byte| (byte == 0) == (first == 0)).count();
-        let (run, later) = rest.split_at(run);
-        rest = later;
-        if first == 0 {
-            out.extend([0, u8::try_from(run.len()).unwrap_or(u8::MAX)]);
-        } else {
-            out.extend_from_slice(run);
+    // Zeros at the end of the bytes before, which those that follow may go on with.
+    let mut zeros = 0;
+    for bytes in plain.chunks(MAPPED) {
+        let mut map = zeros_of(bytes);
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            let run = (map.trailing_ones() as usize).min(rest.len());
+            zeros += run;
+            rest = &rest[run..];
+            if rest.is_empty() {
+                break;
+            }
+            put_zeros(&mut out, zeros);
+            zeros = 0;
+            map = map.unbounded_shr(run as u32);
+            let run = (map.trailing_zeros() as usize).min(rest.len());
+            map = map.unbounded_shr(run as u32);
+            let (others, later) = rest.split_at(run);
+            out.extend_from_slice(others);
+            rest = later;
         }
     }
+    put_zeros(&mut out, zeros);
     out
+}
+
+/// Bytes that are looked at together.
+const MAPPED: usize = 64;
+
+/// A bit for each of at most [`MAPPED`] bytes, the first one lowest, set where it is zero.
+fn zeros_of(bytes: &[u8]) -> u64 {
+    let (words, rest) = bytes.as_chunks::<8>();
+    let map = words.iter().enumerate().fold(0, |map, (at, word)| map | zeros_of_word(*word) << (8 * at));
+    let after = 8 * words.len();
+    rest.iter().enumerate().fold(map, |map, (at, &byte)| map | u64::from(byte == 0) << (after + at))
+}
+
+/// The same of eight bytes at once.
+const fn zeros_of_word(bytes: [u8; 8]) -> u64 {
+    const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
+    let word = u64::from_le_bytes(bytes);
+    // The highest bit of a byte, where the byte is zero: nothing is carried from one to the next.
+    let zeros = !(((word & LOW) + LOW) | word | LOW);
+    // Those eight bits next to each other, at the top.
+    (zeros >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
+}
+
+fn put_zeros(out: &mut Vec<u8>, mut count: usize) {
+    while count > 0 {
+        let run = u8::try_from(count).unwrap_or(u8::MAX);
+        out.extend([0, run]);
+        count -= usize::from(run);
+    }
 }
 
 /// The bytes as they were, at most `most` of them; `None` where they are damaged or more. What was never packed comes
@@ -78,6 +117,23 @@ mod tests {
             let packed = pack(&plain);
             let unpacked = unpack(&packed, plain.len());
             prop_assert_eq!(unpacked.as_deref(), Some(plain.as_slice()));
+        }
+
+        #[test]
+        fn many_at_once_are_packed_as_one_by_one(
+            plain in prop::collection::vec(prop_oneof![4 => Just(0_u8), 1 => any::<u8>()], 0..2000),
+            run in 0..600_usize,
+        ) {
+            let plain = [plain.as_slice(), &vec![0; run], &plain].concat();
+            let mut one_by_one = vec![PACKED];
+            for bytes in plain.chunk_by(|a, b| (*a == 0) == (*b == 0)) {
+                if bytes[0] == 0 {
+                    bytes.chunks(255).for_each(|zeros| one_by_one.extend([0, u8::try_from(zeros.len()).unwrap()]));
+                } else {
+                    one_by_one.extend_from_slice(bytes);
+                }
+            }
+            prop_assert_eq!(pack(&plain), one_by_one);
         }
 
         #[test]
