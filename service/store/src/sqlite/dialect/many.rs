@@ -1,8 +1,9 @@
 //! Many rows in one statement: each statement is a hop to the connection's thread, which costs as much as a row.
 //!
-//! There is a statement for each number of rows up to 16, and for 32 and 64: rows to fill one up would cost SQLite as
-//! much as rows that are there. What is written last goes in one hop, statement behind statement, where all of it has
-//! as many rows.
+//! There are statements for 1, 2, 4, 8 and 16 rows: one for each number of rows would hold some megabytes of compiled
+//! statements, and is not worth it here. Groups of cycles whose surroundings are remembered are written elsewhere
+//! ([`crate::sqlite::group_writer`]). What is written last goes in one hop, statement behind statement, where all of it
+//! has as many rows as there is one for.
 //!
 //! Where a row is refused its whole transaction is rolled back, by whoever began it. `OR FAIL` leaves that to them: else
 //! SQLite keeps a copy of each page that a statement changes, so as to take back that statement alone.
@@ -21,31 +22,24 @@ use std::sync::{Arc, LazyLock};
 
 type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
 
-/// Numbers of rows beyond which there is not a statement for each.
-const EACH: usize = 16;
-const LARGER: [usize; 2] = [32, 64];
+/// Numbers of rows that there are statements for, each twice the one before.
+const SIZES: [usize; 5] = [1, 2, 4, 8, 16];
 
 /// One statement for several numbers of rows, made once in the life of the process.
 struct Statements {
-    texts: Vec<&'static str>,
+    texts: [&'static str; SIZES.len()],
 }
 
 impl Statements {
     fn new(head: &str, row: &str, tail: &str) -> Self {
         let text = |rows| -> &'static str { format!("{head}{}{tail}", vec![row; rows].join(",")).leak() };
-        Self { texts: (1..=EACH).chain(LARGER).map(text).collect() }
+        Self { texts: SIZES.map(text) }
     }
 
     /// The statement for as many of the rows as there is one for, and those rows and the rest.
     fn first<'r, T>(&self, rows: &'r [T]) -> Option<(&'static str, &'r [T], &'r [T])> {
-        let (place, count) = match rows.len() {
-            0 => return None,
-            count @ 1..=EACH => (count - 1, count),
-            17..=31 => (EACH - 1, EACH),
-            32..=63 => (EACH, LARGER[0]),
-            _ => (EACH + 1, LARGER[1]),
-        };
-        let (now, later) = rows.split_at(count);
+        let place = SIZES.iter().rposition(|size| *size <= rows.len())?;
+        let (now, later) = rows.split_at(SIZES[place]);
         Some((self.texts[place], now, later))
     }
 }
@@ -80,10 +74,11 @@ static NEW_CYCLES: LazyLock<Statements> = LazyLock::new(|| {
         // In this order: it looks up each key instead of reading an index from end to end.
         ") AS k CROSS JOIN cycles c ON c.machine_id = k.column1 AND c.cycle_id = k.column2",
     );
-    let both = keys.texts.iter().zip(&CYCLES.texts).map(|(keys, insert)| -> &'static str {
+    let both = |at: usize| -> &'static str {
+        let (keys, insert) = (keys.texts[at], CYCLES.texts[at]);
         format!("{keys}; {insert} ON CONFLICT (machine_id, cycle_id) DO NOTHING").leak()
-    });
-    Statements { texts: both.collect() }
+    };
+    Statements { texts: std::array::from_fn(both) }
 });
 
 fn bind_cycles(mut query: Query, rows: &[Arc<CycleRow>]) -> Query {
@@ -255,17 +250,18 @@ fn unconfirmed(error: sqlx::Error) -> StoreError {
 
 /// Blocks, folds and recommendations of as many rows each, and [`COMMIT`]; parameters are numbered on from statement to
 /// statement.
-static REST: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+static REST: LazyLock<[&'static str; SIZES.len()]> = LazyLock::new(|| {
     let text = |at: usize| -> &'static str {
         format!("{}; {}; {}; {COMMIT}", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
     };
-    (0..EACH).map(text).collect()
+    std::array::from_fn(text)
 });
 
-/// How many rows there are of each kind, where one statement writes all of them.
-fn as_many_each(rest: &Rest<'_>) -> Option<usize> {
+/// The statement for all of it, where there is one.
+fn as_many_each(rest: &Rest<'_>) -> Option<&'static str> {
     let rows = rest.issued.len();
-    ((1..=EACH).contains(&rows) && rest.blocks.len() == rows && rest.wear.len() == rows).then_some(rows)
+    let place = SIZES.iter().position(|size| *size == rows)?;
+    (rest.blocks.len() == rows && rest.wear.len() == rows).then(|| REST[place])
 }
 
 fn bind_rest(query: Query, rest: &Rest<'_>, now: Timestamp) -> Query {
@@ -278,8 +274,8 @@ pub(in crate::sqlite) async fn write_rest(
     rest: &Rest<'_>,
     now: Timestamp,
 ) -> StoreResult<Written> {
-    if let Some(rows) = as_many_each(rest) {
-        let query = bind_rest(sqlx::query(REST[rows - 1]), rest, now);
+    if let Some(text) = as_many_each(rest) {
+        let query = bind_rest(sqlx::query(text), rest, now);
         query.fetch_one(&mut *conn).await.map_err(unconfirmed)?;
         return Ok(Written::whole());
     }
