@@ -18,7 +18,9 @@ pub(crate) fn pack(plain: &[u8]) -> Vec<u8> {
         let mut map = zeros_of(bytes);
         let mut rest = bytes;
         while !rest.is_empty() {
-            let run = (map.trailing_ones() as usize).min(rest.len());
+            // Where the map says more than there is left, nothing follows.
+            let ones = map.trailing_ones();
+            let run = (ones as usize).min(rest.len());
             zeros += run;
             rest = &rest[run..];
             if rest.is_empty() {
@@ -26,10 +28,10 @@ pub(crate) fn pack(plain: &[u8]) -> Vec<u8> {
             }
             put_zeros(&mut out, zeros);
             zeros = 0;
-            map = map.unbounded_shr(run as u32);
-            let run = (map.trailing_zeros() as usize).min(rest.len());
-            map = map.unbounded_shr(run as u32);
-            let (others, later) = rest.split_at(run);
+            map = map.unbounded_shr(ones);
+            let others = map.trailing_zeros();
+            map = map.unbounded_shr(others);
+            let (others, later) = rest.split_at((others as usize).min(rest.len()));
             out.extend_from_slice(others);
             rest = later;
         }

@@ -24,7 +24,6 @@ pub(in crate::postgres) const fn assume<'h>(
     None
 }
 
-#[expect(clippy::unused_async, reason = "the other engine asks its database")]
 pub(in crate::postgres) async fn begin_assumed(
     _conn: &mut Conn,
     (never, _): Assumption<'_>,
