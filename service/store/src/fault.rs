@@ -27,8 +27,13 @@ impl From<sqlx::Error> for StoreError {
 
 impl From<rusqlite::Error> for StoreError {
     fn from(error: rusqlite::Error) -> Self {
-        let rusqlite::Error::SqliteFailure(failure, message) = &error else {
-            return Self::Database(Box::new(error));
+        let (failure, message) = match &error {
+            rusqlite::Error::SqliteFailure(failure, message) => (failure, message),
+            rusqlite::Error::InvalidColumnType(index, ..)
+            | rusqlite::Error::FromSqlConversionFailure(index, ..) => {
+                return Self::Damaged { what: format!("column {index} does not decode") };
+            }
+            _ => return Self::Database(Box::new(error)),
         };
         match Fault::of_sqlite(failure.extended_code.cast_unsigned()) {
             Fault::Refused => {
@@ -125,5 +130,35 @@ impl StoreError {
             Self::Full { what } => Self::Full { what },
             Self::Database(_) => Self::Database(text()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By extended result codes, as they come: what a store concludes of a refused write rests on them.
+    #[test]
+    fn failures_of_sqlite_are_told_apart() {
+        let told = |code| {
+            let message = "CHECK constraint failed: cycles_coverage_range".to_owned();
+            StoreError::from(rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(code), Some(message)))
+        };
+        // Full, IOERR_WRITE, IOERR_FSYNC, CORRUPT, READONLY, CANTOPEN, NOTADB
+        for code in [13, 778, 1034, 11, 8, 14, 26] {
+            assert!(matches!(told(code), StoreError::NotWritable(_)), "{code}: {:?}", told(code));
+        }
+        // BUSY, BUSY_RECOVERY, LOCKED, INTERRUPT
+        for code in [5, 261, 6, 9] {
+            assert!(matches!(told(code), StoreError::Unavailable(_)), "{code}: {:?}", told(code));
+        }
+        // CHECK, FOREIGN KEY, NOT NULL, PRIMARY KEY, UNIQUE
+        for code in [275, 787, 1299, 1555, 2067] {
+            let StoreError::Refused { constraint } = told(code) else { panic!("{code}: {:?}", told(code)) };
+            assert_eq!(constraint, "cycles_coverage_range");
+        }
+        assert!(matches!(told(1), StoreError::Database(_)));
+        let gone = StoreError::from(rusqlite::Error::QueryReturnedNoRows);
+        assert!(matches!(gone, StoreError::Database(_)), "{gone:?}");
     }
 }

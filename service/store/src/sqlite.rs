@@ -1,7 +1,7 @@
 //! SQLite: one writer, many readers, a checkpoint of its own. For a cell, with nothing to install.
 //!
-//! WAL with `synchronous=FULL`: an acknowledged cycle survives a power cut. Every change goes through one connection
-//! with `BEGIN IMMEDIATE`, so that no change fails for want of a lock that it could have waited for.
+//! WAL with `synchronous=FULL`: an acknowledged cycle survives a power cut. One change is made at a time, with `BEGIN
+//! IMMEDIATE`, so that none fails for want of a lock that it could have waited for.
 
 mod block_reader;
 mod checkpoint;
@@ -40,7 +40,7 @@ type Db = sqlx::Sqlite;
 type Conn = sqlx::SqliteConnection;
 type Engine = SqliteStore;
 
-/// What writes: one at a time, so that neither of the two connections waits for the other's lock.
+/// What writes: one at a time, so that neither of the two connections waits for a lock that the other holds at work.
 #[derive(Debug)]
 struct Writer {
     /// Writes whole groups, which is most of what is written.
@@ -151,7 +151,7 @@ impl SqliteStore {
         let pass = self.inner.gate.enter().await?;
         let inner = Arc::clone(&self.inner);
         let task = tokio::spawn(async move {
-            let mut writer = inner.writer.lock().await;
+            let mut writer = inner.writer().await?;
             let conn = &mut inner.settled(writer.as_mut()).await?.asked;
             let free: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
             if free <= PAGES_KEPT_FREE {
@@ -246,8 +246,10 @@ impl SqliteStore {
 
 impl Writer {
     async fn close(self) -> StoreResult<()> {
-        self.groups.close()?;
-        Ok(self.asked.close().await?)
+        // The last one folds the log into the file, whatever became of the first.
+        let closed = self.groups.close();
+        self.asked.close().await?;
+        closed
     }
 }
 

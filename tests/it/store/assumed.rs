@@ -222,3 +222,25 @@ async fn a_group_that_fails_is_not_stored_and_the_next_one_asks() {
     assert_eq!(given.wear_states().await[0].2, 5);
     given.done().await;
 }
+
+/// The writer of groups changes the folds that are remembered; who asks first writes them as if they might be new, which is
+/// what this database forbids from some moment on.
+#[tokio::test]
+async fn a_group_that_is_remembered_is_written_without_asking() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    shop(&*store).await;
+    stored(&*store, &Run::nth(1)).await;
+    stored(&*store, &Run::nth(2)).await;
+    let forbid = "CREATE TRIGGER asked BEFORE INSERT ON tool_wear BEGIN SELECT RAISE(ABORT, 'asked'); END";
+    given.raw(forbid).await.unwrap();
+    stored(&*store, &Run::nth(3)).await;
+    let forgetful = opened(&given).await;
+    let refused = commit(&forgetful, &[Run::nth(4)]).await;
+    assert!(matches!(&refused[..], [Err(StoreError::Refused { .. })]), "{refused:?}");
+    forgetful.close().await;
+    stored(&*store, &Run::nth(4)).await;
+    assert_eq!(given.wear_states().await[0].2, 4);
+    given.raw("DROP TRIGGER asked").await.unwrap();
+    given.done().await;
+}

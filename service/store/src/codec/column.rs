@@ -65,7 +65,7 @@ impl Column {
 const AT_ONCE: usize = 64;
 /// 1.5 × 2^52: what is added to it is rounded to an integer, which then stands in its low bits.
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
-/// 2^49. Of so much or less, the product of a decimal with its power of ten is within 1/8 of its integer, so that ties,
+/// 2^49. Below, the product of a decimal with its power of ten is within 1/8 of its integer, so that ties,
 /// which [`ROUNDER`] rounds otherwise than [`integer`], belong to no decimal.
 const ROUNDED_LIMIT: u64 = 1 << 49;
 

@@ -203,3 +203,45 @@ pub(super) async fn list(
     .await?;
     rows.iter().map(AlarmRow::alarm).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn verdict(state: ToolState) -> Verdict {
+        let mut verdict = Verdict::unknown("masked_by_feed", "said first");
+        verdict.state = state;
+        verdict.reasons.push(("decides", "said last".to_owned()));
+        verdict
+    }
+
+    #[test]
+    fn a_verdict_clears_what_it_does_not_call_for_and_tells_what_decides() {
+        let tool = ToolId::try_from("T1").unwrap();
+        let mut open = Vec::new();
+        let raised = changes(&tool, &verdict(ToolState::Worn), &mut open);
+        let [AlarmChange::Raise { kind: "worn", message, .. }] = &raised[..] else { panic!("{raised:?}") };
+        assert_eq!(message, "tool T1: said last");
+        assert_eq!(open, [AlarmKind::Worn]);
+        assert!(changes(&tool, &verdict(ToolState::Worn), &mut open).is_empty());
+
+        let changed = changes(&tool, &verdict(ToolState::Changed), &mut open);
+        let [AlarmChange::ClearVerdicts { but: Some("conditions_changed"), .. }, AlarmChange::Raise { .. }] =
+            &changed[..]
+        else {
+            panic!("{changed:?}")
+        };
+        assert_eq!(open, [AlarmKind::ConditionsChanged]);
+
+        let good = changes(&tool, &verdict(ToolState::Good), &mut open);
+        assert!(matches!(&good[..], [AlarmChange::ClearVerdicts { but: None, .. }]), "{good:?}");
+        assert!(open.is_empty());
+        assert!(changes(&tool, &verdict(ToolState::Good), &mut open).is_empty());
+
+        // Two stand of which one is called for: it is not raised again.
+        let mut both = vec![AlarmKind::Worn, AlarmKind::BrokenSuspected];
+        let cleared = changes(&tool, &verdict(ToolState::BrokenSuspected), &mut both);
+        assert!(matches!(&cleared[..], [AlarmChange::ClearVerdicts { but: Some("broken_suspected"), .. }]));
+        assert_eq!(both, [AlarmKind::BrokenSuspected]);
+    }
+}

@@ -1,7 +1,7 @@
 //! The transaction of a group: begun and asked first, or assumed and held against the database when it is needed.
 //!
 //! Where memory holds what a group rests on and all its cycles are taken to be new, nothing has to be asked before the
-//! group is written: what was assumed is checked in the statement that writes it. Where it does not hold, nothing was
+//! group is written: what was assumed is checked in the transaction that writes it. Where it does not hold, nothing was
 //! written, and the group is counted again from what the database says.
 
 use super::{Conn, Writer, alarms, dialect, recommendations};

@@ -46,7 +46,8 @@ pub(super) struct ToolWear {
     machines: BTreeMap<MachineId, Cached>,
     /// The fold over all machines, where there are several and it is known.
     whole: Option<(ToolFold, u64)>,
-    /// Open alarms that follow the verdict, where they are known.
+    /// Kinds of open alarms that follow the verdict, where they are known. They hold as long as the folds of these versions do:
+    /// who changes such an alarm writes a fold or begins another generation of the registry.
     pub(super) alarms: Option<Vec<AlarmKind>>,
 }
 

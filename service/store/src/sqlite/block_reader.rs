@@ -1,39 +1,52 @@
 //! Blocks of samples, read on the thread that asks.
 //!
 //! A cycle's samples are one row: finding it takes some microseconds where its pages are in the system's cache, less than
-//! waking another connection's thread and being woken by it. Where they are not, the thread waits for the disk. So only
-//! one reads like this at a time, and only where the runtime has another thread for everything else.
+//! waking another connection's thread and being woken by it. Where they are not, the thread waits for the disk, and whoever
+//! it would have served waits with it. So only one reads like this at a time, only where the runtime has another thread, and
+//! not for a while after a read that had to wait: then the disk is slow, or what is asked for is old.
 
 use super::open::SETTINGS;
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use feedwright_core::ids::{CycleId, MachineId};
 use rusqlite::{Connection, OpenFlags, OptionalExtension};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError, TryLockError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 
 /// What the connection keeps of the file, in KiB below zero: the upper pages of two indexes. The system keeps the rest.
 const CACHE: &str = "-256";
 
+/// A read that takes longer than this has waited for the disk.
+const WAITED: Duration = Duration::from_millis(5);
+/// How long nothing is read on the thread that asks after one that has waited.
+const WARY: Duration = Duration::from_secs(10);
+
 /// A connection that reads blocks.
 #[derive(Debug)]
 pub(super) struct BlockReader {
     /// `None` once closed.
-    conn: Mutex<Option<Connection>>,
+    reader: Mutex<Option<Reader>>,
+}
+
+#[derive(Debug)]
+struct Reader {
+    conn: Connection,
+    wary_until: Option<Instant>,
 }
 
 impl BlockReader {
     /// Opens a file that is there.
-    pub(super) fn open(path: &Path, patience: Duration) -> StoreResult<Self> {
+    pub(super) fn open(path: &Path) -> StoreResult<Self> {
         // No lock around every call: who holds it is the only one to use it.
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let conn = Connection::open_with_flags(path, flags)?;
-        conn.busy_timeout(patience)?;
         for (name, value) in SETTINGS.into_iter().chain([("cache_size", CACHE)]) {
             conn.pragma_update(None, name, value)?;
         }
-        Ok(Self { conn: Mutex::new(Some(conn)) })
+        // Where the file is locked, others are asked, which may wait.
+        conn.busy_timeout(Duration::ZERO)?;
+        Ok(Self { reader: Mutex::new(Some(Reader { conn, wary_until: None })) })
     }
 
     /// What `statement` finds, a block, for a cycle's machine and id; `None` where this thread is not to wait for it, as
@@ -47,21 +60,30 @@ impl BlockReader {
         if Handle::try_current().is_ok_and(|runtime| runtime.metrics().num_workers() < 2) {
             return None;
         }
-        let conn = match self.conn.try_lock() {
-            Ok(conn) => conn,
+        let mut reader = match self.reader.try_lock() {
+            Ok(reader) => reader,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => return None,
         };
-        let conn = conn.as_ref()?;
+        let Reader { conn, wary_until } = reader.as_mut()?;
+        let begun = Instant::now();
+        if wary_until.is_some_and(|until| begun < until) {
+            return None;
+        }
         let read = || {
             let mut statement = conn.prepare_cached(statement)?;
             statement.query_row([machine.as_str(), id.as_str()], |row| row.get(0)).optional()
         };
-        Some(read().map_err(Into::into))
+        let block = read().map_err(StoreError::from);
+        *wary_until = (begun.elapsed() > WAITED).then(|| Instant::now() + WARY);
+        match block {
+            Err(StoreError::Unavailable(_)) => None,
+            told => Some(told),
+        }
     }
 
     /// Closes it, when it has been read from.
     pub(super) fn close(&self) {
-        *self.conn.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *self.reader.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 }

@@ -163,7 +163,7 @@ fn insert_blocks(transaction: &Transaction<'_>, rows: &[BlockRow<'_>]) -> rusqli
 }
 
 /// Writes folds whose versions are known to be in force.
-fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) -> rusqlite::Result<()> {
+fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) -> StoreResult<()> {
     let update = |statement: &mut CachedStatement<'_>, row: &SavedWear| {
         run!(
             statement,
@@ -185,7 +185,11 @@ fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) 
          VALUES (?, ?, ?, ?, ?, ?, ?)",
     )?;
     for row in rows {
-        update(if row.version > 0 { &mut known } else { &mut new }, row)?;
+        let written = update(if row.version > 0 { &mut known } else { &mut new }, row)?;
+        if written != 1 {
+            // Its cycles would be stored and not counted.
+            return Err(StoreError::Damaged { what: format!("the fold of tool {} is gone", row.tool_id) });
+        }
     }
     Ok(())
 }

@@ -106,7 +106,7 @@ impl SqliteStore {
                 group_thread: GroupThread::start()?,
                 in_group: AtomicBool::new(false),
                 readers: Readers::of(readers),
-                block_reader: BlockReader::open(path, options.patience)?,
+                block_reader: BlockReader::open(path)?,
                 gate: Gate::default(),
                 refused: AtomicBool::new(false),
                 checkpoints,

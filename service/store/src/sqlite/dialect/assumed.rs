@@ -1,5 +1,6 @@
-//! A group whose heads are remembered is written without a question before: its first statement fails where they are not
-//! those in force, and so does the insertion of a cycle that is stored already.
+//! A group whose heads are remembered is written without a question before: as a whole by the writer of groups, or, where
+//! something has to be asked on the way, in a transaction whose first statement fails where the heads are not those in
+//! force. The insertion of a cycle that is stored already fails in both.
 
 use super::many::begin_and_insert;
 use crate::error::{StoreError, StoreResult};
