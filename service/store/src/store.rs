@@ -227,6 +227,8 @@ pub trait Store: Send + Sync + 'static {
     async fn cycle_columns(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Columns>>;
     /// One cycle's samples; `None` where there are none (any more).
     async fn cycle_samples(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Samples>> {
+        // Who asks for many asks for one after the other, and each may be there at once: in between others have the thread.
+        tokio::task::yield_now().await;
         self.cycle_columns(machine, id).await?.map(Columns::into_samples).transpose()
     }
     /// Cycles in the order of `(started_at, machine, cycle)`.

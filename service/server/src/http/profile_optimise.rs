@@ -197,8 +197,6 @@ async fn recorded(state: &AppState, rows: Vec<StoredCycle>) -> Result<Recorded, 
     // The newest first: the level of a tool is that of its last cycles.
     let mut judged: HashMap<ToolId, u32> = HashMap::new();
     for row in rows.iter().rev() {
-        // Samples may be there at once: between two cycles others may have the thread.
-        tokio::task::yield_now().await;
         let tool = &row.cycle.tool;
         if !verdicts.contains_key(tool) {
             verdicts.insert(tool.clone(), state.store.verdict(tool).await?);

@@ -153,8 +153,6 @@ impl Library {
             if taught.len() == MOST_LEARNED {
                 break;
             }
-            // Samples may be there at once: between two cycles others may have the thread.
-            tokio::task::yield_now().await;
             let Ok(cycle) = self.contact(row).await? else { continue };
             if relations.observe(&cycle.core(), cycle.source).is_ok() {
                 taught.push(row.cycle.id.clone());

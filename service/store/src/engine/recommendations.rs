@@ -24,13 +24,11 @@ pub(super) async fn keep_advice(conn: &mut Conn, row: &IssuedRow) -> StoreResult
     if known.is_some() {
         return Ok(());
     }
-    sqlx::query::<Db>(
-        "INSERT INTO advices (advice_hash, body) VALUES ($1, $2) ON CONFLICT (advice_hash) DO NOTHING",
-    )
-    .bind(row.advice_hash.as_slice())
-    .bind(&row.advice)
-    .execute(&mut *conn)
-    .await?;
+    sqlx::query::<Db>(IssuedRow::INSERT_ADVICE)
+        .bind(row.advice_hash.as_slice())
+        .bind(&row.advice)
+        .execute(&mut *conn)
+        .await?;
     Ok(())
 }
 

@@ -121,6 +121,10 @@ pub(crate) struct IssuedRow {
 }
 
 impl IssuedRow {
+    /// Takes the hash and the text of an advice.
+    pub(crate) const INSERT_ADVICE: &str =
+        "INSERT INTO advices (advice_hash, body) VALUES ($1, $2) ON CONFLICT (advice_hash) DO NOTHING";
+
     pub(crate) fn of(issued: &IssuedRecommendation) -> StoreResult<Self> {
         let recommendation = &issued.recommendation;
         let advice = serde_json::to_string(&AdviceBody::of(recommendation))

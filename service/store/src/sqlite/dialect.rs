@@ -5,7 +5,9 @@ mod many;
 
 pub(super) use super::group_writer::Assumption;
 pub(super) use assumed::{MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
-pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
+pub(super) use many::{
+    BLOCKS, CYCLES, RECOMMENDATIONS, insert_cycles, insert_recommendations, save_wear, write_rest,
+};
 
 use super::{Conn, Writer};
 use crate::error::StoreResult;

@@ -4,6 +4,7 @@
 //! every cycle of the shop goes without: a row's statement is made once and runs as often as there are rows, on the
 //! thread of the groups ([`super::group_thread`]), which may wait for the disk.
 
+use super::dialect::{BLOCKS, CYCLES, RECOMMENDATIONS};
 use super::engine::Heads;
 use super::open::{SETTINGS, is_durable};
 use crate::error::{StoreError, StoreResult};
@@ -130,19 +131,8 @@ macro_rules! run {
     }};
 }
 
-macro_rules! cycles_text {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
-        concat!(
-            "INSERT INTO cycles (", cycles_text!(@list $(stringify!($column),)*), ") VALUES (",
-            cycles_text!(@list $(cycles_text!(@one $column),)*), ")"
-        )
-    };
-    (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
-    (@one $column:ident) => { "?" };
-}
-
 fn insert_cycles(transaction: &Transaction<'_>, rows: &[Arc<CycleRow>]) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(cycle_columns!(cycles_text))?;
+    let mut statement = transaction.prepare_cached(CYCLES.one())?;
     for row in rows {
         macro_rules! insert_row {
             ($($column:ident: $type:ty = $placeholder:literal,)*) => { run!(statement, $(&row.$column,)*) };
@@ -153,9 +143,7 @@ fn insert_cycles(transaction: &Transaction<'_>, rows: &[Arc<CycleRow>]) -> rusql
 }
 
 fn insert_blocks(transaction: &Transaction<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(
-        "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES (?, ?, ?, ?)",
-    )?;
+    let mut statement = transaction.prepare_cached(BLOCKS.one())?;
     for row in rows {
         run!(statement, &row.machine_id, row.received_at_us, &row.cycle_id, row.block)?;
     }
@@ -218,9 +206,7 @@ fn insert_advices<'r>(
     transaction: &Transaction<'_>,
     rows: impl Iterator<Item = &'r IssuedRow>,
 ) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(
-        "INSERT INTO advices (advice_hash, body) VALUES (?, ?) ON CONFLICT (advice_hash) DO NOTHING",
-    )?;
+    let mut statement = transaction.prepare_cached(IssuedRow::INSERT_ADVICE)?;
     for row in rows {
         run!(statement, row.advice_hash.as_slice(), &row.advice)?;
     }
@@ -228,12 +214,7 @@ fn insert_advices<'r>(
 }
 
 fn insert_recommendations(transaction: &Transaction<'_>, rows: &[IssuedRow]) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(
-        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
-             level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-             data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-    )?;
+    let mut statement = transaction.prepare_cached(RECOMMENDATIONS.one())?;
     for row in rows {
         run!(
             statement,

@@ -63,8 +63,6 @@ impl Measured {
             if let Some(reason) = reason {
                 *measured.skipped.entry(reason).or_insert(0) += 1;
             }
-            // Samples may be there at once: between two cycles others may have the thread.
-            tokio::task::yield_now().await;
         }
         Ok(measured)
     }

@@ -1,7 +1,7 @@
 //! Many rows in one statement: each statement is a hop to the connection's thread, which costs as much as a row.
 //!
 //! There are statements for 1, 2, 4, 8 and 16 rows: one for each number of rows would hold some megabytes of compiled
-//! statements, and is not worth it here. Groups of cycles whose surroundings are remembered are written elsewhere
+//! statements, and is not worth it here. Groups of cycles whose surroundings are remembered are written row by row
 //! ([`crate::sqlite::group_writer`]). What is written last goes in one hop, statement behind statement, where all of it
 //! has as many rows as there is one for.
 //!
@@ -26,7 +26,7 @@ type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArgum
 const SIZES: [usize; 5] = [1, 2, 4, 8, 16];
 
 /// One statement for several numbers of rows, made once in the life of the process.
-struct Statements {
+pub(in crate::sqlite) struct Statements {
     texts: [&'static str; SIZES.len()],
 }
 
@@ -34,6 +34,11 @@ impl Statements {
     fn new(head: &str, row: &str, tail: &str) -> Self {
         let text = |rows| -> &'static str { format!("{head}{}{tail}", vec![row; rows].join(",")).leak() };
         Self { texts: SIZES.map(text) }
+    }
+
+    /// The statement for one row.
+    pub(in crate::sqlite) const fn one(&self) -> &'static str {
+        self.texts[0]
     }
 
     /// The statement for as many of the rows as there is one for, and those rows and the rest.
@@ -62,7 +67,7 @@ macro_rules! cycles_row {
 }
 
 /// Inserts cycles that are taken to be new.
-static CYCLES: LazyLock<Statements> =
+pub(in crate::sqlite) static CYCLES: LazyLock<Statements> =
     LazyLock::new(|| Statements::new(cycle_columns!(cycles_head), cycle_columns!(cycles_row), ""));
 
 /// Asks which of the keys are there, and inserts the others behind it: nobody else writes in between. RETURNING would
@@ -131,7 +136,7 @@ pub(super) async fn begin_and_insert(
     Ok(())
 }
 
-static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
+pub(in crate::sqlite) static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
     let head = "INSERT OR FAIL INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ";
     Statements::new(head, "(?,?,?,?)", "")
 });
@@ -184,7 +189,7 @@ pub(in crate::sqlite) async fn save_wear(
     Ok(())
 }
 
-static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
+pub(in crate::sqlite) static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
     Statements::new(
         "INSERT OR FAIL INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
