@@ -123,7 +123,9 @@ pub(super) async fn import(
     keep(&state, &caller, draft, content, (ProfileSource::Imported, Some(report))).await
 }
 
-/// Reads an exported file back: which version it is, and that nobody changed a character of it.
+/// Reads an exported file back: which version it says it is, and that nobody changed its content.
+///
+/// `known` says whether that version is stored here with this content; a file whose name was changed is not.
 #[utoipa::path(post, path = "/v1/feed-profiles/read", tag = "feed profiles", request_body = ReadBody,
     responses((status = 200, body = ReadAnswer),
         (status = 422, description = "The file was changed, or is none of ours", body = ProblemDocument<'static>)))]
