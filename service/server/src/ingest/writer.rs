@@ -2,17 +2,26 @@
 //!
 //! Live posts and batches have a lane each. A group takes what waits of the live lane first; where a batch waits, it
 //! leaves it an eighth of its places, so that a replay goes on under any load and never fills the way of live posts.
+//!
+//! What a commit costs is the group's more than the cycle's. Where many machines post at once, a group waits for those
+//! that are about to come back, no longer than the commit before it took: a post alone never waits.
 
 use crate::clock::Clock;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{Committed, NewCycle, Store, StoreError, StoreResult};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tracing::Instrument;
 
 /// Part of a group's places, one in so many, that live posts leave to a batch that waits.
 const BATCH_SHARE: usize = 8;
+
+/// Posts at once from which on a group waits for more of them.
+const MANY: usize = 8;
+/// No group waits longer for more, however slow the disk is.
+const LONGEST_WAIT: Duration = Duration::from_millis(4);
 
 /// Bounds of the writer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -101,36 +110,74 @@ struct Lanes {
     batch: mpsc::Receiver<Queued>,
 }
 
-impl Lanes {
-    /// Waits for cycles and fills the group with at most `most`; `false` when nobody can hand in any more.
-    async fn fill(&mut self, group: &mut Vec<Queued>, most: usize) -> bool {
-        // An empty lane that is closed is ready with nothing: only both of them are the end.
-        let first = tokio::select! {
-            biased;
-            Some(queued) = self.live.recv() => Some(queued),
-            Some(queued) = self.batch.recv() => Some(queued),
-            else => None,
-        };
-        let Some(first) = first else {
-            return false;
-        };
-        group.push(first);
-        let kept = if self.batch.is_empty() { 0 } else { (most / BATCH_SHARE).max(1) };
-        take(&mut self.live, group, most.saturating_sub(kept));
-        take(&mut self.batch, group, most);
-        // What the batch did not need.
-        take(&mut self.live, group, most);
-        true
+/// How many live posts a group waits for, and how long.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Expected {
+    posts: usize,
+    patience: Duration,
+}
+
+impl Expected {
+    /// What is expected after a group with so many live posts, which took so long to commit, when `waiting` others have
+    /// come meanwhile: those just answered may post again. Nothing where few post at once.
+    fn after(live: usize, took: Duration, waiting: usize) -> Option<Self> {
+        let posts = live + waiting;
+        (posts >= MANY).then(|| Self { posts, patience: took.min(LONGEST_WAIT) })
     }
 }
 
-/// Moves what waits into the group, until that holds `most`.
-fn take(lane: &mut mpsc::Receiver<Queued>, group: &mut Vec<Queued>, most: usize) {
+impl Lanes {
+    /// Waits for cycles and fills the group with at most `most`; says how many of them are live posts, or nothing when
+    /// nobody can hand in any more.
+    async fn fill(
+        &mut self,
+        group: &mut Vec<Queued>,
+        most: usize,
+        expected: Option<Expected>,
+    ) -> Option<usize> {
+        // An empty lane that is closed is ready with nothing: only both of them are the end.
+        let (first, mut live) = tokio::select! {
+            biased;
+            Some(queued) = self.live.recv() => (queued, 1),
+            Some(queued) = self.batch.recv() => (queued, 0),
+            else => return None,
+        };
+        group.push(first);
+        let kept = if self.batch.is_empty() { 0 } else { (most / BATCH_SHARE).max(1) };
+        live += take(&mut self.live, group, most.saturating_sub(kept));
+        if let Some(Expected { posts, patience }) = expected {
+            live += self.gather(group, posts.min(most.saturating_sub(kept)), patience).await;
+        }
+        take(&mut self.batch, group, most);
+        // What the batch did not need.
+        live += take(&mut self.live, group, most);
+        Some(live)
+    }
+
+    /// Waits for more live posts, until the group holds so many.
+    async fn gather(&mut self, group: &mut Vec<Queued>, posts: usize, patience: Duration) -> usize {
+        let before = group.len();
+        let until = tokio::time::Instant::now() + patience;
+        while group.len() < posts {
+            let Ok(Some(queued)) = tokio::time::timeout_at(until, self.live.recv()).await else {
+                break;
+            };
+            group.push(queued);
+            take(&mut self.live, group, posts);
+        }
+        group.len() - before
+    }
+}
+
+/// Moves what waits into the group, until that holds `most`; says how many that were.
+fn take(lane: &mut mpsc::Receiver<Queued>, group: &mut Vec<Queued>, most: usize) -> usize {
+    let before = group.len();
     while group.len() < most
         && let Ok(queued) = lane.try_recv()
     {
         group.push(queued);
     }
+    group.len() - before
 }
 
 async fn run(
@@ -142,14 +189,17 @@ async fn run(
     observer: Arc<dyn WriterObserver>,
 ) {
     let mut group = Vec::with_capacity(most);
-    while lanes.fill(&mut group, most).await {
+    let mut expected = None;
+    while let Some(live) = lanes.fill(&mut group, most, expected).await {
         let (cycles, answers): (Vec<_>, Vec<_>) =
             group.drain(..).map(|queued| (queued.cycle, queued.answer)).unzip();
-        let begun = std::time::Instant::now();
+        let begun = Instant::now();
         let count = cycles.len();
         let span = tracing::info_span!("commit", cycles = count);
         let outcomes = store.commit_cycles(cycles, clock.now(), settings).instrument(span).await;
-        observer.committed(count, begun.elapsed().as_secs_f64());
+        let took = begun.elapsed();
+        expected = Expected::after(live, took, lanes.live.len());
+        observer.committed(count, took.as_secs_f64());
         for (answer, outcome) in answers.into_iter().zip(outcomes) {
             if let Err(error @ StoreError::NotWritable(_)) = &outcome {
                 observer.not_writable(error);
@@ -230,14 +280,14 @@ mod tests {
             live.try_send(queued(&format!("l{index}")).0).unwrap_or_else(|_| panic!("room"));
         }
         let mut group = Vec::new();
-        assert!(lanes.fill(&mut group, 16).await);
+        assert_eq!(lanes.fill(&mut group, 16, None).await, Some(14));
         let (first, names_of_first) = (group.len(), names(&group));
         assert_eq!(first, 16);
         assert!(names_of_first[..14].iter().all(|name| name.starts_with('l')), "{names_of_first:?}");
         assert_eq!(names_of_first[14..], ["b0", "b1"]);
 
         group.clear();
-        assert!(lanes.fill(&mut group, 16).await);
+        assert_eq!(lanes.fill(&mut group, 16, None).await, Some(6));
         assert_eq!(
             names(&group)[..7],
             ["l14", "l15", "l16", "l17", "l18", "l19", "b2"],
@@ -247,9 +297,55 @@ mod tests {
         // Both hand in nothing more: what waits is still taken, then it ends.
         drop((live, batch));
         group.clear();
-        assert!(lanes.fill(&mut group, 16).await);
+        assert_eq!(lanes.fill(&mut group, 16, None).await, Some(0));
         assert_eq!(names(&group).len(), 8);
         group.clear();
-        assert!(!lanes.fill(&mut group, 16).await);
+        assert_eq!(lanes.fill(&mut group, 16, None).await, None);
+    }
+
+    #[tokio::test]
+    async fn a_group_waits_for_posts_that_are_about_to_come_and_no_longer_than_it_may() {
+        let ((live, live_end), (batch, batch_end)) = (mpsc::channel(100), mpsc::channel(100));
+        let mut lanes = Lanes { live: live_end, batch: batch_end };
+        let hand_in = |index: usize| {
+            live.try_send(queued(&format!("l{index}")).0).unwrap_or_else(|_| panic!("room"));
+        };
+        let patient = |posts| Some(Expected { posts, patience: Duration::from_secs(600) });
+        let mut group = Vec::new();
+        hand_in(0);
+        let others = async {
+            for index in 1..12 {
+                tokio::task::yield_now().await;
+                hand_in(index);
+            }
+        };
+        let (filled, ()) = tokio::join!(lanes.fill(&mut group, 16, patient(10)), others);
+        assert_eq!(filled, Some(10), "those that are expected");
+        assert_eq!(names(&group), (0..10).map(|index| format!("l{index}")).collect::<Vec<_>>());
+
+        group.clear();
+        hand_in(12);
+        let soon = Some(Expected { posts: 10, patience: Duration::from_millis(1) });
+        assert_eq!(lanes.fill(&mut group, 16, soon).await, Some(3), "no more came within its patience");
+
+        group.clear();
+        (13..33).for_each(&hand_in);
+        assert_eq!(lanes.fill(&mut group, 16, patient(100)).await, Some(16), "never more than a group holds");
+
+        // Nobody can hand in any more: there is nothing to wait for.
+        drop((live, batch));
+        group.clear();
+        assert_eq!(lanes.fill(&mut group, 16, patient(10)).await, Some(4));
+        assert_eq!(lanes.fill(&mut group, 16, patient(10)).await, None);
+    }
+
+    #[test]
+    fn only_where_many_post_at_once_a_group_waits_for_more() {
+        let took = Duration::from_millis(2);
+        assert_eq!(Expected::after(1, took, 0), None, "one alone");
+        assert_eq!(Expected::after(MANY - 2, took, 1), None);
+        assert_eq!(Expected::after(5, took, 7), Some(Expected { posts: 12, patience: took }));
+        let slow = Expected::after(20, Duration::from_secs(3), 0).unwrap();
+        assert_eq!(slow.patience, LONGEST_WAIT, "a slow disk does not hold up posts twice");
     }
 }
