@@ -4,7 +4,7 @@
 //! leaves it an eighth of its places, so that a replay goes on under any load and never fills the way of live posts.
 //!
 //! What a commit costs is the group's more than the cycle's. Where many machines post at once, a group waits for those
-//! that are about to come back, no longer than the commit before it took: a post alone never waits.
+//! that are about to come back: as long after the commit before it as that took, and no longer. A post alone never waits.
 
 use crate::clock::Clock;
 use feedwright_core::recommend::RecommendSettings;
@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
+use tokio::time::timeout_at;
 use tracing::Instrument;
 
 /// Part of a group's places, one in so many, that live posts leave to a batch that waits.
@@ -20,7 +21,7 @@ const BATCH_SHARE: usize = 8;
 
 /// Posts at once from which on a group waits for more of them.
 const MANY: usize = 8;
-/// No group waits longer for more, however slow the disk is.
+/// No group waits longer after a commit for more, however slow the disk is.
 const LONGEST_WAIT: Duration = Duration::from_millis(4);
 
 /// Bounds of the writer.
@@ -110,19 +111,19 @@ struct Lanes {
     batch: mpsc::Receiver<Queued>,
 }
 
-/// How many live posts a group waits for, and how long.
+/// How many live posts a group waits for, and until when.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Expected {
     posts: usize,
-    patience: Duration,
+    until: Instant,
 }
 
 impl Expected {
-    /// What is expected after a group with so many live posts, which took so long to commit, when `waiting` others have
-    /// come meanwhile: those just answered may post again. Nothing where few post at once.
-    fn after(live: usize, took: Duration, waiting: usize) -> Option<Self> {
+    /// What is expected after a group with so many live posts, whose commit took so long and ended just now, when `waiting`
+    /// others have come meanwhile: those that are answered may post again. Nothing where few post at once.
+    fn after(live: usize, (took, ended): (Duration, Instant), waiting: usize) -> Option<Self> {
         let posts = live + waiting;
-        (posts >= MANY).then(|| Self { posts, patience: took.min(LONGEST_WAIT) })
+        (posts >= MANY).then(|| Self { posts, until: ended + took.min(LONGEST_WAIT) })
     }
 }
 
@@ -145,8 +146,8 @@ impl Lanes {
         group.push(first);
         let kept = if self.batch.is_empty() { 0 } else { (most / BATCH_SHARE).max(1) };
         live += take(&mut self.live, group, most.saturating_sub(kept));
-        if let Some(Expected { posts, patience }) = expected {
-            live += self.gather(group, posts.min(most.saturating_sub(kept)), patience).await;
+        if let Some(Expected { posts, until }) = expected {
+            live += self.gather(group, posts.min(most.saturating_sub(kept)), until).await;
         }
         take(&mut self.batch, group, most);
         // What the batch did not need.
@@ -155,11 +156,10 @@ impl Lanes {
     }
 
     /// Waits for more live posts, until the group holds so many.
-    async fn gather(&mut self, group: &mut Vec<Queued>, posts: usize, patience: Duration) -> usize {
+    async fn gather(&mut self, group: &mut Vec<Queued>, posts: usize, until: Instant) -> usize {
         let before = group.len();
-        let until = tokio::time::Instant::now() + patience;
         while group.len() < posts {
-            let Ok(Some(queued)) = tokio::time::timeout_at(until, self.live.recv()).await else {
+            let Ok(Some(queued)) = timeout_at(until.into(), self.live.recv()).await else {
                 break;
             };
             group.push(queued);
@@ -197,8 +197,9 @@ async fn run(
         let count = cycles.len();
         let span = tracing::info_span!("commit", cycles = count);
         let outcomes = store.commit_cycles(cycles, clock.now(), settings).instrument(span).await;
-        let took = begun.elapsed();
-        expected = Expected::after(live, took, lanes.live.len());
+        let ended = Instant::now();
+        let took = ended.duration_since(begun);
+        expected = Expected::after(live, (took, ended), lanes.live.len());
         observer.committed(count, took.as_secs_f64());
         for (answer, outcome) in answers.into_iter().zip(outcomes) {
             if let Err(error @ StoreError::NotWritable(_)) = &outcome {
@@ -310,7 +311,8 @@ mod tests {
         let hand_in = |index: usize| {
             live.try_send(queued(&format!("l{index}")).0).unwrap_or_else(|_| panic!("room"));
         };
-        let patient = |posts| Some(Expected { posts, patience: Duration::from_secs(600) });
+        let later = Instant::now() + Duration::from_secs(600);
+        let patient = |posts| Some(Expected { posts, until: later });
         let mut group = Vec::new();
         hand_in(0);
         let others = async {
@@ -325,8 +327,14 @@ mod tests {
 
         group.clear();
         hand_in(12);
-        let soon = Some(Expected { posts: 10, patience: Duration::from_millis(1) });
-        assert_eq!(lanes.fill(&mut group, 16, soon).await, Some(3), "no more came within its patience");
+        let soon = Some(Expected { posts: 10, until: Instant::now() + Duration::from_millis(1) });
+        assert_eq!(lanes.fill(&mut group, 16, soon).await, Some(3), "no more came until then");
+
+        // Hours after many have posted at once, one posts alone.
+        group.clear();
+        hand_in(13);
+        let long_past = Some(Expected { posts: 10, until: Instant::now() });
+        assert_eq!(lanes.fill(&mut group, 16, long_past).await, Some(1));
 
         group.clear();
         (13..33).for_each(&hand_in);
@@ -341,11 +349,11 @@ mod tests {
 
     #[test]
     fn only_where_many_post_at_once_a_group_waits_for_more() {
-        let took = Duration::from_millis(2);
-        assert_eq!(Expected::after(1, took, 0), None, "one alone");
-        assert_eq!(Expected::after(MANY - 2, took, 1), None);
-        assert_eq!(Expected::after(5, took, 7), Some(Expected { posts: 12, patience: took }));
-        let slow = Expected::after(20, Duration::from_secs(3), 0).unwrap();
-        assert_eq!(slow.patience, LONGEST_WAIT, "a slow disk does not hold up posts twice");
+        let (took, ended) = (Duration::from_millis(2), Instant::now());
+        assert_eq!(Expected::after(1, (took, ended), 0), None, "one alone");
+        assert_eq!(Expected::after(MANY - 2, (took, ended), 1), None);
+        assert_eq!(Expected::after(5, (took, ended), 7), Some(Expected { posts: 12, until: ended + took }));
+        let slow = Expected::after(20, (Duration::from_secs(3), ended), 0).unwrap();
+        assert_eq!(slow.until, ended + LONGEST_WAIT, "a slow disk does not hold up posts twice");
     }
 }
