@@ -773,7 +773,7 @@ await check("a day of events in a minute: the pages stay live without growing", 
   };
   for (const [name, path] of [["fleet", "/"], ["cycle", "/cycle?machine=sim-4"], ["tool", "/tool?id=sim-tool-4"], ["next", "/next?machine=sim-1"]]) await withPage({ role: "viewer" }, async (page) => {
     let hours = 0;
-    // Nothing is on its way while the page is measured: an hour that has just come is a megabyte, and no growth.
+    // Nothing is on its way while the page is measured: what has just come is no growth.
     const pauses = new Map([4, 28].map((n) => { const pause = {}; pause.come = new Promise((done) => { pause.reached = done; }); pause.over = new Promise((done) => { pause.end = done; }); return [n, pause]; }));
     await page.route("**/v1/live*", async (route) => { hours += 1; const pause = pauses.get(hours - 1); pause?.reached(); await pause?.over; if (hours > 30) return route.abort(); return route.fulfill({ contentType: "text/event-stream", body: hour(hours) }); });
     await page.go(path);
