@@ -53,7 +53,7 @@
 //!   `(17 S − 3 J) / 28` · 5 (N = 16): `(11 S − J) / 40`
 //! * coder 0x00, Rice: with parameter `k` the quotient by 2^k as ones and a zero, then `k` bits; 24 ones are followed by
 //!   64 bits. `k` is the bit length of 3/4 of the running mean, see `rice.rs`. Bits fill bytes from the top.
-//! * coder 0x10, an adaptive binary range coder, see `range.rs`, taken where a mean residual is no more than 1.5.
+//! * coder 0x10, an adaptive binary range coder, see `range.rs`, taken where a mean residual is no more than 1.25.
 //!
 //! # Block format v2
 //!

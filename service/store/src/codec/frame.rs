@@ -123,10 +123,10 @@ fn put_residuals(out: &mut Vec<u8>, values: &[i64]) {
     };
 }
 
-/// Whether the mean of residuals, zig-zag, is no more than 3/2: these go to the range coder, as a Rice code spends a bit on
-/// each, however sure it is.
+/// Whether the mean of residuals, zig-zag, is no more than 5/4: these go to the range coder, as a Rice code spends a bit on
+/// each, however sure it is. Above it a Rice code needs a fourteenth more at the most, and a fifth of the time.
 fn are_sure(residuals: &[u64]) -> bool {
-    let most = (residuals.len() + residuals.len() / 2) as u64;
+    let most = (residuals.len() + residuals.len() / 4) as u64;
     let mut sum = 0_u64;
     // Noise is told from its first values. Eight residuals of decimals do not overflow.
     residuals.chunks(8).all(|residuals| {
