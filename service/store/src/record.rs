@@ -311,7 +311,7 @@ pub struct CycleAnswer {
     /// Whether its tool and its operation are registered.
     pub registered: bool,
     /// The verdict on the tool, after this cycle.
-    pub verdict: Verdict,
+    pub verdict: Arc<Verdict>,
     /// What to run next.
     pub recommendation: IssuedRecommendation,
 }

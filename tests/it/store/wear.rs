@@ -179,7 +179,7 @@ async fn an_event_takes_effect_with_the_cycle_it_names(store: Arc<dyn Store>) {
 
     let answer = stored(&*store, &Run::nth(6)).await;
     assert_eq!((answer.verdict.life, answer.verdict.cycles), (2, 5), "cycles 6 to 10");
-    assert_eq!(store.verdict(&id).await.unwrap(), answer.verdict);
+    assert_eq!(store.verdict(&id).await.unwrap(), *answer.verdict);
     assert_clean(&*store).await;
 
     let page = feedwright_store::Page { after: None, limit: 10 };

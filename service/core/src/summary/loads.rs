@@ -51,13 +51,26 @@ fn first_largest(values: &[f64]) -> Option<usize> {
     scan::first(values, |value| value == largest)
 }
 
+/// Values that are sorted without asking for memory: as many as a window of wear holds.
+const FEW: usize = 64;
+
 /// Median; the mean of the two middle values where their number is even. `values` must not be empty.
 pub(crate) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    let middle = sorted.len() / 2;
-    let (below, upper, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
+    if values.len() > FEW {
+        return median_in_place(&mut values.to_vec());
+    }
+    let mut few = [0.0; FEW];
+    let few = &mut few[..values.len()];
+    few.copy_from_slice(values);
+    median_in_place(few)
+}
+
+/// As [`median`], of values that may be put in another order.
+pub(crate) fn median_in_place(values: &mut [f64]) -> f64 {
+    let (length, middle) = (values.len(), values.len() / 2);
+    let (below, upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
     let upper = *upper;
-    if values.len() % 2 == 1 {
+    if length % 2 == 1 {
         upper
     } else {
         let lower = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -132,6 +145,20 @@ mod tests {
     use proptest::prelude::{prop_assert_eq, proptest};
 
     proptest! {
+        #[test]
+        fn a_median_is_the_middle_of_the_sorted_values(
+            values in proptest::collection::vec(-1e6..1e6_f64, 1..3 * FEW),
+        ) {
+            let mut sorted = values.clone();
+            sorted.sort_by(f64::total_cmp);
+            let middle = sorted.len() / 2;
+            let expected = match sorted.len() % 2 {
+                1 => sorted[middle],
+                _ => f64::midpoint(sorted[middle - 1], sorted[middle]),
+            };
+            prop_assert_eq!(median(&values).to_bits(), expected.to_bits());
+        }
+
         #[test]
         fn peaks_and_the_fall_are_where_a_plain_loop_finds_them(
             // Few different values, so that the largest comes again.

@@ -11,7 +11,7 @@ use super::trend::TrendPoints;
 use super::verdict::{FeedEvidence, Level, LevelBasis, Masked, ReferenceCycles};
 use crate::friction::relation::Estimate;
 use crate::friction::wear::{Compensated, Reference, compensate};
-use crate::summary::{DepthDigest, median};
+use crate::summary::{DepthDigest, median, median_in_place};
 use crate::units::Strategy;
 
 /// Ratios kept beside those as run, of reference cycles and of compensated ones.
@@ -176,10 +176,9 @@ impl ToolFold {
         self.decision().map(|decision| decision.level)
     }
 
-    /// What keeps the wear from being told, where something does.
-    pub(super) fn masked(&self) -> Option<Masked> {
+    /// What keeps the wear from being told, where something does, with what [`ToolFold::decision`] found.
+    pub(super) fn masked(&self, decision: Option<Decision>) -> Option<Masked> {
         let strategy = self.current_key().and_then(|key| key.key.strategy);
-        let decision = self.decision();
         match decision.and_then(|decision| decision.basis) {
             Some(LevelBasis::FeedCompensated | LevelBasis::ReferenceCycles) => None,
             _ if strategy == Some(Strategy::FAc) => Some(Masked::ByControl),
@@ -209,12 +208,15 @@ impl ToolFold {
         })
     }
 
+    /// The newest compensated ratios, where they are enough for a level.
+    fn compensated_window(&self) -> Option<&[CompensatedRatio]> {
+        let window = last(&self.feeds.compensated, self.window);
+        (window.len() >= LEAST_RATIOS.min(self.window as usize)).then_some(window)
+    }
+
     /// The compensated level, however uncertain.
     fn by_compensation(&self) -> Option<Decision> {
-        let window = last(&self.feeds.compensated, self.window);
-        if window.len() < LEAST_RATIOS.min(self.window as usize) {
-            return None;
-        }
+        let window = self.compensated_window()?;
         let ratios: Vec<f64> = window.iter().map(|entry| entry.deciding().0).collect();
         // What is not known of the relation is common to all of them and does not average out.
         let common: Vec<f64> = window.iter().map(|entry| entry.deciding().1).collect();
@@ -235,9 +237,9 @@ impl ToolFold {
         1.0 + (level - 1.0) * (now / age.max(1.0)).min(MOST_ONWARD)
     }
 
-    /// The decided level with what it is the median of.
-    pub(super) fn level_evidence(&self) -> Option<Level> {
-        let (decision, window) = (self.decision()?, self.window());
+    /// The level that [`ToolFold::decision`] found, with what it is the median of.
+    pub(super) fn level_evidence(&self, decision: Option<Decision>) -> Option<Level> {
+        let (decision, window) = (decision?, self.window());
         Some(Level {
             as_run: self.level()?,
             lowest: window.iter().copied().fold(f64::INFINITY, f64::min),
@@ -250,8 +252,8 @@ impl ToolFold {
         })
     }
 
-    /// What is known beside the ratios as run.
-    pub(super) fn feed_evidence(&self) -> FeedEvidence {
+    /// What is known beside the ratios as run, with what [`ToolFold::decision`] found.
+    pub(super) fn feed_evidence(&self, decision: Option<Decision>) -> FeedEvidence {
         let memory = &self.feeds;
         let window = last(&memory.compensated, self.window);
         let middle = |values: Vec<(f64, f64)>| {
@@ -266,7 +268,7 @@ impl ToolFold {
             compensated_n: u32::try_from(window.len()).unwrap_or(u32::MAX),
             by_references: references.and_then(|found| Some(Estimate { value: found.level, sd: found.sd? })),
             reference_n: references.map_or(0, |found| u32::try_from(found.n).unwrap_or(u32::MAX)),
-            masked: self.masked(),
+            masked: self.masked(decision),
             masked_cycles: memory.masked,
             references: self.reference_cycles(),
         }
@@ -281,9 +283,8 @@ impl ToolFold {
     fn reference_cycles(&self) -> Option<ReferenceCycles> {
         let memory = &self.feeds;
         let every = memory.every?;
-        let is_precise = last(&memory.compensated, self.window)
-            .last()
-            .is_some_and(|entry| entry.sd_at_limit <= PRECISE_SD && self.by_compensation().is_some());
+        let newest = self.compensated_window().and_then(<[_]>::last);
+        let is_precise = newest.is_some_and(|entry| entry.sd_at_limit <= PRECISE_SD);
         if !memory.ever_varied || is_precise {
             return None;
         }
@@ -317,10 +318,10 @@ fn last<T>(list: &[T], window: u32) -> &[T] {
 /// Standard error of the median of these.
 fn median_error(values: &[f64]) -> f64 {
     let centre = median(values);
-    let deviations: Vec<f64> = values.iter().map(|value| (value - centre).abs()).collect();
+    let mut deviations: Vec<f64> = values.iter().map(|value| (value - centre).abs()).collect();
     #[expect(clippy::cast_precision_loss, reason = "at most 63 ratios")]
     let n = values.len() as f64;
-    MEDIAN_ERROR * MAD_SIGMA * median(&deviations) / n.sqrt()
+    MEDIAN_ERROR * MAD_SIGMA * median_in_place(&mut deviations) / n.sqrt()
 }
 
 fn push<T>(ring: &mut Vec<T>, value: T) {

@@ -56,8 +56,8 @@ macro_rules! words {
     ($($type:ty: $put:expr, $take:expr;)*) => {$(
         impl Field for $type {
             fn put(&self, out: &mut Vec<u8>) {
-                let put: fn(&$type) -> &str = $put;
-                put(self).to_owned().put(out);
+                let text: fn(&$type) -> &str = $put;
+                put_text(text(self), out);
             }
             fn take(input: &mut &[u8]) -> Option<Self> {
                 let text = String::take(input)?;
@@ -99,10 +99,14 @@ impl Field for bool {
     }
 }
 
+fn put_text(text: &str, out: &mut Vec<u8>) {
+    (text.len() as u64).put(out);
+    out.extend_from_slice(text.as_bytes());
+}
+
 impl Field for String {
     fn put(&self, out: &mut Vec<u8>) {
-        (self.len() as u64).put(out);
-        out.extend_from_slice(self.as_bytes());
+        put_text(self, out);
     }
     fn take(input: &mut &[u8]) -> Option<Self> {
         let len = usize::try_from(u64::take(input)?).ok()?;

@@ -213,7 +213,7 @@ impl ToolFold {
         if self.counted > counted && !(learning && self.keys[at].baseline.is_some()) {
             self.judge();
         }
-        if settings.is_friction && self.masked().is_some() {
+        if settings.is_friction && self.masked(self.decision()).is_some() {
             self.feeds.masked += 1;
         }
     }

@@ -1,6 +1,7 @@
 //! From the fold's state to a verdict with its reasons.
 
 use super::WARNING_LEVEL;
+use super::basis::Decision;
 use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::remaining;
@@ -25,7 +26,11 @@ impl ToolFold {
 
     /// The level that is judged now; `None` before there is one, and for a tool that was never known to be new.
     pub fn judged_level(&self) -> Option<Level> {
-        if self.unworn { self.level_evidence() } else { None }
+        self.judged(self.decision())
+    }
+
+    fn judged(&self, decision: Option<Decision>) -> Option<Level> {
+        if self.unworn { self.level_evidence(decision) } else { None }
     }
 
     /// What the fold says now.
@@ -34,14 +39,14 @@ impl ToolFold {
             return Verdict::unknown("no_cycles", "no cycle of this tool is known");
         }
         let mut reasons = Vec::new();
-        let state = self.state(&mut reasons);
         let decision = self.decision();
+        let state = self.state(&mut reasons, decision);
         let points = match decision.and_then(|decision| decision.basis) {
             Some(LevelBasis::ReferenceCycles) => &self.feeds.reference_trend,
             Some(LevelBasis::FeedCompensated) => &self.feeds.compensated_trend,
             Some(LevelBasis::AsRun) | None => &self.trend,
         };
-        let level = self.judged_level();
+        let level = self.judged(decision);
         let trend = if self.unworn { points.trend() } else { None };
         let sure = matches!(state, ToolState::Good | ToolState::Warning);
         let remaining = match (&trend, &decision) {
@@ -60,10 +65,10 @@ impl ToolFold {
             trend,
             remaining,
             indicators: SecondIndicators {
-                masked_by_control: self.masked() == Some(Masked::ByControl),
+                masked_by_control: self.masked(decision) == Some(Masked::ByControl),
                 ..current.map(indicators).unwrap_or_default()
             },
-            feed: self.feed_evidence(),
+            feed: self.feed_evidence(decision),
             life: self.life,
             started_unworn: self.unworn,
             baselines: baselines.into_iter().map(evidence).collect(),
@@ -77,12 +82,11 @@ impl ToolFold {
         }
     }
 
-    fn state(&self, reasons: &mut Vec<(&'static str, String)>) -> ToolState {
+    fn state(&self, reasons: &mut Vec<(&'static str, String)>, decision: Option<Decision>) -> ToolState {
         let mut say = |code, why: String| reasons.push((code, why));
         let current = self.current.map(|at| &self.keys[at]);
-        let decision = self.decision();
-        let basis = decision.and_then(|decision| decision.basis);
-        match (self.masked(), basis) {
+        let (masked, basis) = (self.masked(decision), decision.and_then(|decision| decision.basis));
+        match (masked, basis) {
             (Some(Masked::ByControl), _) => say(
                 "masked_by_control",
                 "the control slows the feed as the tool wears, so energy hides wear".into(),
@@ -175,7 +179,7 @@ impl ToolFold {
             return ToolState::Unknown;
         }
         if let (Some(Strategy::FAc), Some(Masked::ByControl), Some(shift)) =
-            (key.key.strategy, self.masked(), indicators(key).fall_depth)
+            (key.key.strategy, masked, indicators(key).fall_depth)
             && shift.shift_mm().abs() >= FALL_SHIFT_MM
         {
             let shift = shift.shift_mm();
@@ -185,7 +189,7 @@ impl ToolFold {
             );
             return ToolState::Unknown;
         }
-        if self.masked().is_some() && self.may_be_worn() {
+        if masked.is_some() && self.may_be_worn() {
             say(
                 "maybe_worn",
                 "compensated for the feed, the level is too uncertain to call the tool good: run a reference \

@@ -17,11 +17,15 @@ pub(crate) struct Running {
     pub(crate) token: String,
 }
 
+/// Names another server than the one that is built beside the bench: an older one, or one built otherwise.
+const SERVER: &str = "FEEDWRIGHT_BENCH_SERVER";
+
 impl Running {
     /// Feedwright in that directory, on a free port. Like its peers here it writes no line per request.
     pub(crate) async fn feedwright(dir: &Path) -> Self {
         let port = free_port();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_feedwright"))
+        let program = std::env::var_os(SERVER).unwrap_or_else(|| env!("CARGO_BIN_EXE_feedwright").into());
+        let mut child = Command::new(program)
             .args(["--data-dir".as_ref(), dir.as_os_str()])
             .args(["--set", "log.level=warn", "serve", "--listen", &format!("127.0.0.1:{port}")])
             .stdout(Stdio::null())

@@ -230,7 +230,7 @@ async fn count_all(
     group: &[NewCycle],
     placed: &[Placed],
     (registry, versions, memory): (&GroupRegistry, &BTreeMap<ToolId, Versions>, &mut Memory),
-) -> StoreResult<(BTreeMap<ToolId, Verdict>, Vec<SavedWear>, Vec<AlarmChange>)> {
+) -> StoreResult<(BTreeMap<ToolId, Arc<Verdict>>, Vec<SavedWear>, Vec<AlarmChange>)> {
     let mut fresh: BTreeMap<&ToolId, BTreeMap<&MachineId, Vec<FactsRow>>> = BTreeMap::new();
     for (new, placed) in group.iter().zip(placed) {
         let cycle = &new.cycle;
@@ -259,7 +259,7 @@ async fn count_all(
             };
             alarms.extend(alarms::changes(tool, &verdict, open));
         }
-        verdicts.insert(tool.clone(), verdict);
+        verdicts.insert(tool.clone(), Arc::new(verdict));
         changed.extend(wear.take_changed()?);
         memory.keep(tool.clone(), wear);
     }
@@ -340,10 +340,10 @@ fn answer(
     cycle: &Cycle,
     (summary, received_at): (CycleSummary, Timestamp),
     registry: &GroupRegistry,
-    (verdict, known): (Option<&Verdict>, &Known),
+    (verdict, known): (Option<&Arc<Verdict>>, &Known),
     (now, settings): (Timestamp, RecommendSettings),
 ) -> StoreResult<Box<CycleAnswer>> {
-    let verdict = verdict.cloned().unwrap_or_else(wear::not_registered);
+    let verdict = verdict.cloned().unwrap_or_else(|| Arc::new(wear::not_registered()));
     let machine = registry
         .machines
         .get(&cycle.machine)

@@ -167,12 +167,12 @@ impl CycleAnswerBody {
         let answer = &accepted.answer;
         Self {
             status: if accepted.new { "stored" } else { "known" },
-            machine: accepted.cycle.machine.to_string(),
-            cycle_id: accepted.cycle.id.to_string(),
+            machine: accepted.cycle.machine.as_str().to_owned(),
+            cycle_id: accepted.cycle.id.as_str().to_owned(),
             received_at: time::show(answer.received_at),
             registered: answer.registered,
             summary: (&answer.summary).into(),
-            wear: (&answer.verdict).into(),
+            wear: (&*answer.verdict).into(),
             recommendation: (&answer.recommendation).into(),
         }
     }

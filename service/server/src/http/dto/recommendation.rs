@@ -237,12 +237,12 @@ impl From<&IssuedRecommendation> for RecommendationBody {
     fn from(issued: &IssuedRecommendation) -> Self {
         let advice = &issued.recommendation;
         Self {
-            id: issued.id.to_string(),
+            id: issued.id.as_str().to_owned(),
             issued_at: time::show(advice.issued_at),
             valid_until: time::show(advice.valid_until),
-            machine: advice.machine.to_string(),
-            operation: advice.operation.to_string(),
-            tool: advice.tool.to_string(),
+            machine: advice.machine.as_str().to_owned(),
+            operation: advice.operation.as_str().to_owned(),
+            tool: advice.tool.as_str().to_owned(),
             process: advice.process.map_or("unknown", feedwright_core::units::Process::as_str),
             action: advice.action.as_str(),
             feed: FeedBody {

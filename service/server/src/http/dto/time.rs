@@ -2,6 +2,7 @@
 
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
+use std::cell::RefCell;
 use std::fmt::Write;
 
 /// Every time that was read is in range; one that was added up may leave it, and is shown as the last there is.
@@ -10,9 +11,14 @@ fn in_range(at: Timestamp) -> jiff::Timestamp {
     jiff::Timestamp::from_microsecond(at.micros()).unwrap_or(end)
 }
 
+thread_local! {
+    // Nearly all times that are shown are of today.
+    static SHOWER: RefCell<Shower> = RefCell::default();
+}
+
 /// A time as JSON shows it, with as many digits as it needs.
 pub fn show(at: Timestamp) -> String {
-    in_range(at).to_string()
+    SHOWER.with_borrow_mut(|shower| shower.show(at).to_owned())
 }
 
 /// Microseconds of a day.
@@ -23,7 +29,7 @@ const FOUR_DIGITS: std::ops::Range<i64> = 0..253_000_000_000_000_000;
 const DATE_BYTES: usize = 11;
 const LONGEST: usize = DATE_BYTES + 16;
 
-/// Shows times one after the other as [`show`] does each: those of one day share its date.
+/// Shows times one after the other as the library does each: those of one day share its date.
 #[derive(Debug, Default)]
 pub struct Shower {
     day: Option<i64>,
@@ -36,14 +42,14 @@ impl Shower {
         let micros = at.micros();
         if !FOUR_DIGITS.contains(&micros) {
             self.day = None;
-            self.text = show(at);
+            self.text = in_range(at).to_string();
             return &self.text;
         }
         let (day, within) = (micros / DAY_US, micros % DAY_US);
         if self.day == Some(day) {
             self.text.truncate(DATE_BYTES);
         } else {
-            self.text = show(Timestamp::from_micros(day * DAY_US));
+            self.text = in_range(Timestamp::from_micros(day * DAY_US)).to_string();
             self.text.truncate(DATE_BYTES);
             self.text.reserve_exact(LONGEST - DATE_BYTES);
             self.day = Some(day);
@@ -132,7 +138,9 @@ mod tests {
             let mut shower = Shower::default();
             for micros in times {
                 let at = Timestamp::from_micros(micros);
-                prop_assert_eq!(shower.show(at), show(at));
+                let by_the_library = in_range(at).to_string();
+                prop_assert_eq!(shower.show(at), &by_the_library);
+                prop_assert_eq!(show(at), by_the_library);
             }
         }
     }

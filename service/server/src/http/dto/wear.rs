@@ -289,8 +289,8 @@ impl From<&BaselineEvidence> for BaselineBody {
     fn from(evidence: &BaselineEvidence) -> Self {
         let key = &evidence.key;
         Self {
-            machine: key.machine.to_string(),
-            operation: key.operation.to_string(),
+            machine: key.machine.as_str().to_owned(),
+            operation: key.operation.as_str().to_owned(),
             spindle_speed_rpm: key.spindle_speed_rpm,
             basis: EnergyBasis::as_str(key.basis),
             idle_subtracted: key.idle_subtracted,
@@ -328,8 +328,8 @@ impl From<&Verdict> for WearBody {
             .filter(|(_, count)| *count > 0)
             .collect();
         let last_excluded = verdict.last_excluded.iter().map(|(machine, cycle, why)| ExcludedBody {
-            machine: machine.to_string(),
-            cycle_id: cycle.to_string(),
+            machine: machine.as_str().to_owned(),
+            cycle_id: cycle.as_str().to_owned(),
             reason: why.as_str(),
         });
         Self {
