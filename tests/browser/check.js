@@ -265,6 +265,7 @@ await check("fleet: hundreds of machines are drawn and refreshed without lag", a
     console.log(`      sorting 600 machines: ${spent.map((ms) => `${ms.toFixed(0)} ms`).join(", ")}`);
     await page.go("/?view=wall");
     const places = () => page.locator(".tile h2").allTextContents();
+    await page.locator(".tile h2").nth(599).waitFor();
     const first = await places();
     assert.equal(first.length, 600);
     many.items.reverse();
