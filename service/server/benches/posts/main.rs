@@ -39,6 +39,8 @@ const ROUNDS: usize = 5;
 struct Round {
     /// Values per second of the server's processor time.
     values_per_cpu_second: f64,
+    /// Cycles of a commit, on average, while many post.
+    group: f64,
     /// Median time of a cycle posted alone, s.
     alone_p50: f64,
     /// 99th percentile of it, s.
@@ -125,6 +127,7 @@ fn main() {
     for (system, done) in &rounds {
         println!("\n{}", system.name());
         show("  million values per server-CPU-second", done, |round| round.values_per_cpu_second / 1e6);
+        show("  cycles a commit", done, |round| round.group);
         show("  one cycle alone, p50 ms", done, |round| round.alone_p50 * 1e3);
         show("  one cycle alone, p99 ms", done, |round| round.alone_p99 * 1e3);
         show("  one whole cycle read, p50 ms", done, |round| round.read_p50 * 1e3);
@@ -200,6 +203,7 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
         poster.await.expect("every post is acknowledged");
     }
     let spent = server.cpu_seconds() - cpu;
+    let group = server.mean_group(&client).await;
     let headers = format!("authorization: Bearer {}\r\ncontent-type: {}\r\n", server.token, form.media_type);
     let mut lone = Lone::connect(&server.address, &headers);
     let mut alone = Vec::with_capacity(ALONE);
@@ -220,7 +224,7 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
     server.stop().await;
     let stored: usize = cycles.iter().map(Cycle::values).sum();
     let values = cycles[..CYCLES].iter().map(Cycle::values).sum();
-    round(values, spent, (alone, reads), resident, data::size_of(dir.path()), stored)
+    Round { group, ..round(values, spent, (alone, reads), resident, data::size_of(dir.path()), stored) }
 }
 
 async fn post(
@@ -256,6 +260,7 @@ fn round(
     let alone_p50 = median(&mut alone);
     Round {
         values_per_cpu_second: values as f64 / cpu,
+        group: f64::NAN,
         alone_p50,
         alone_p99: alone.get(alone.len() * 99 / 100).map_or(f64::NAN, Duration::as_secs_f64),
         read_p50: median(&mut reads),

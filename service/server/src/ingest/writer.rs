@@ -10,8 +10,9 @@ use crate::clock::Clock;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{Committed, NewCycle, Store, StoreError, StoreResult};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{Notify, mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout_at;
 use tracing::Instrument;
@@ -49,8 +50,72 @@ pub trait WriterObserver: Send + Sync + 'static {
 /// Where cycles are handed in.
 #[derive(Clone)]
 pub struct WriterHandle {
+    ends: Arc<Ends>,
+}
+
+/// The lanes' ends where cycles are put in.
+struct Ends {
     live: mpsc::Sender<Queued>,
     batch: mpsc::Sender<Queued>,
+    enough: Arc<Enough>,
+}
+
+impl Drop for Ends {
+    fn drop(&mut self) {
+        self.enough.end();
+    }
+}
+
+/// Wakes a group that waits for more live posts once for all of them: each wake of a thread costs more than a cycle's
+/// share of its group.
+#[derive(Debug)]
+struct Enough {
+    /// Live posts in the lane from which on the group is woken; nobody waits for the largest number there is.
+    wanted: AtomicUsize,
+    /// Whether nobody can hand in any more.
+    ended: AtomicBool,
+    told: Notify,
+}
+
+impl Enough {
+    const NOBODY_WAITS: usize = usize::MAX;
+
+    fn new() -> Self {
+        Self {
+            wanted: AtomicUsize::new(Self::NOBODY_WAITS),
+            ended: AtomicBool::new(false),
+            told: Notify::new(),
+        }
+    }
+
+    /// Said by whoever has put something into a lane that holds so many now.
+    fn tell(&self, waiting: usize) {
+        // Behind the post that was put there: whoever waits looks at the lane after it has said what it wants.
+        if self.wanted.load(Ordering::SeqCst) <= waiting {
+            self.told.notify_one();
+        }
+    }
+
+    /// Said when nobody can hand in any more: there is nothing to wait for.
+    fn end(&self) {
+        self.ended.store(true, Ordering::SeqCst);
+        self.told.notify_one();
+    }
+
+    /// Waits until the lane holds `wanted`, but not beyond a moment; `false` where it does not.
+    async fn wait(&self, lane: &mpsc::Receiver<Queued>, wanted: usize, until: Instant) -> bool {
+        self.wanted.store(wanted, Ordering::SeqCst);
+        let came = async {
+            // What was told before may have been of an earlier wait.
+            while lane.len() < wanted && !self.ended.load(Ordering::SeqCst) {
+                self.told.notified().await;
+            }
+        };
+        // Too late or not: what there is tells.
+        let _ = timeout_at(until.into(), came).await;
+        self.wanted.store(Self::NOBODY_WAITS, Ordering::SeqCst);
+        lane.len() >= wanted
+    }
 }
 
 /// Why a cycle was not taken.
@@ -69,25 +134,30 @@ impl WriterHandle {
     /// Queues a live cycle, or says at once that the queue is full.
     pub fn enqueue(&self, cycle: NewCycle) -> Result<Answered, WriteError> {
         let (answer, answered) = oneshot::channel();
-        self.live.try_send(Queued { cycle, answer }).map_err(|error| match error {
+        self.ends.live.try_send(Queued { cycle, answer }).map_err(|error| match error {
             mpsc::error::TrySendError::Full(_) => WriteError::Busy,
             mpsc::error::TrySendError::Closed(_) => WriteError::Closing,
         })?;
+        self.ends.enough.tell(waiting_in(&self.ends.live));
         Ok(answered)
     }
 
     /// Queues a cycle of a batch behind live ones; waits for room.
     pub async fn enqueue_patiently(&self, cycle: NewCycle) -> Result<Answered, WriteError> {
         let (answer, answered) = oneshot::channel();
-        self.batch.send(Queued { cycle, answer }).await.map_err(|_| WriteError::Closing)?;
+        self.ends.batch.send(Queued { cycle, answer }).await.map_err(|_| WriteError::Closing)?;
         Ok(answered)
     }
 
     /// Cycles waiting now.
     pub fn depth(&self) -> usize {
-        let waiting = |lane: &mpsc::Sender<Queued>| lane.max_capacity() - lane.capacity();
-        waiting(&self.live) + waiting(&self.batch)
+        waiting_in(&self.ends.live) + waiting_in(&self.ends.batch)
     }
+}
+
+/// Cycles that wait in a lane.
+fn waiting_in(lane: &mpsc::Sender<Queued>) -> usize {
+    lane.max_capacity() - lane.capacity()
 }
 
 /// Starts the writer. It ends, with everything that was queued committed, when all handles are dropped.
@@ -98,17 +168,24 @@ pub fn start(
     clock: Clock,
     observer: Arc<dyn WriterObserver>,
 ) -> (WriterHandle, JoinHandle<()>) {
-    let (live, live_waiting) = mpsc::channel(bounds.queue.max(1));
-    let (batch, batch_waiting) = mpsc::channel(bounds.queue.max(1));
-    let lanes = Lanes { live: live_waiting, batch: batch_waiting };
+    let (handle, lanes) = lanes(bounds.queue.max(1));
     let task = tokio::spawn(run(store, lanes, bounds.group.max(1), settings, clock, observer));
-    (WriterHandle { live, batch }, task)
+    (handle, task)
+}
+
+/// Both ends of lanes that hold so many each.
+fn lanes(queue: usize) -> (WriterHandle, Lanes) {
+    let ((live, live_waiting), (batch, batch_waiting)) = (mpsc::channel(queue), mpsc::channel(queue));
+    let enough = Arc::new(Enough::new());
+    let lanes = Lanes { live: live_waiting, batch: batch_waiting, enough: Arc::clone(&enough) };
+    (WriterHandle { ends: Arc::new(Ends { live, batch, enough }) }, lanes)
 }
 
 /// The writer's ends of the lanes.
 struct Lanes {
     live: mpsc::Receiver<Queued>,
     batch: mpsc::Receiver<Queued>,
+    enough: Arc<Enough>,
 }
 
 /// How many live posts a group waits for, and until when.
@@ -158,11 +235,9 @@ impl Lanes {
     /// Waits for more live posts, until the group holds so many.
     async fn gather(&mut self, group: &mut Vec<Queued>, posts: usize, until: Instant) -> usize {
         let before = group.len();
-        while group.len() < posts {
-            let Ok(Some(queued)) = timeout_at(until.into(), self.live.recv()).await else {
-                break;
-            };
-            group.push(queued);
+        let mut in_time = true;
+        while group.len() < posts && in_time {
+            in_time = self.enough.wait(&self.live, posts - group.len(), until).await;
             take(&mut self.live, group, posts);
         }
         group.len() - before
@@ -237,7 +312,7 @@ mod tests {
         summarise(cycle, Context { machine: &machine, calibration: None, operation: None })
     }
 
-    fn queued(id: &str) -> (Queued, Answered) {
+    fn cycle(id: &str) -> NewCycle {
         let cycle = Cycle::new(CycleDraft {
             machine: "M1".try_into().unwrap(),
             id: id.try_into().unwrap(),
@@ -257,15 +332,18 @@ mod tests {
             reported: Reported { energy_joules: Some(1.0), ..Reported::default() },
         })
         .unwrap();
-        let new = NewCycle {
+        NewCycle {
             received_at: Timestamp::from_micros(0),
             encoded: codec::encode(&cycle),
             summary: summary(&cycle),
             cycle: Arc::new(cycle),
             generation: None,
-        };
+        }
+    }
+
+    fn queued(id: &str) -> (Queued, Answered) {
         let (answer, answered) = oneshot::channel();
-        (Queued { cycle: new, answer }, answered)
+        (Queued { cycle: cycle(id), answer }, answered)
     }
 
     fn names(group: &[Queued]) -> Vec<String> {
@@ -274,11 +352,10 @@ mod tests {
 
     #[tokio::test]
     async fn live_posts_go_first_and_a_batch_goes_on() {
-        let ((live, live_end), (batch, batch_end)) = (mpsc::channel(100), mpsc::channel(100));
-        let mut lanes = Lanes { live: live_end, batch: batch_end };
+        let (handle, mut lanes) = lanes(100);
         for index in 0..20 {
-            batch.try_send(queued(&format!("b{index}")).0).unwrap_or_else(|_| panic!("room"));
-            live.try_send(queued(&format!("l{index}")).0).unwrap_or_else(|_| panic!("room"));
+            handle.ends.batch.try_send(queued(&format!("b{index}")).0).unwrap_or_else(|_| panic!("room"));
+            handle.enqueue(cycle(&format!("l{index}"))).expect("room");
         }
         let mut group = Vec::new();
         assert_eq!(lanes.fill(&mut group, 16, None).await, Some(14));
@@ -296,7 +373,7 @@ mod tests {
         );
 
         // Both hand in nothing more: what waits is still taken, then it ends.
-        drop((live, batch));
+        drop(handle);
         group.clear();
         assert_eq!(lanes.fill(&mut group, 16, None).await, Some(0));
         assert_eq!(names(&group).len(), 8);
@@ -306,11 +383,8 @@ mod tests {
 
     #[tokio::test]
     async fn a_group_waits_for_posts_that_are_about_to_come_and_no_longer_than_it_may() {
-        let ((live, live_end), (batch, batch_end)) = (mpsc::channel(100), mpsc::channel(100));
-        let mut lanes = Lanes { live: live_end, batch: batch_end };
-        let hand_in = |index: usize| {
-            live.try_send(queued(&format!("l{index}")).0).unwrap_or_else(|_| panic!("room"));
-        };
+        let (handle, mut lanes) = lanes(100);
+        let hand_in = |index: usize| drop(handle.enqueue(cycle(&format!("l{index}"))).expect("room"));
         let later = Instant::now() + Duration::from_secs(600);
         let patient = |posts| Some(Expected { posts, until: later });
         let mut group = Vec::new();
@@ -341,7 +415,7 @@ mod tests {
         assert_eq!(lanes.fill(&mut group, 16, patient(100)).await, Some(16), "never more than a group holds");
 
         // Nobody can hand in any more: there is nothing to wait for.
-        drop((live, batch));
+        drop(handle);
         group.clear();
         assert_eq!(lanes.fill(&mut group, 16, patient(10)).await, Some(4));
         assert_eq!(lanes.fill(&mut group, 16, patient(10)).await, None);

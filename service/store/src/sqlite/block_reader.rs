@@ -2,8 +2,8 @@
 //!
 //! A cycle's samples are one row: finding it takes some microseconds where its pages are in the system's cache, less than
 //! waking another connection's thread and being woken by it. Where they are not, the thread waits for the disk, and whoever
-//! it would have served waits with it. So only one reads like this at a time, only where the runtime has another thread, and
-//! not for a while after a read that had to wait: then the disk is slow, or what is asked for is old.
+//! it would have served waits with it. So only one reads like this at a time, and nobody for a while after a read that had to
+//! wait: then the disk is slow, or what is asked for is old.
 
 use super::open::SETTINGS;
 use crate::error::{StoreError, StoreResult};
@@ -12,7 +12,6 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
-use tokio::runtime::Handle;
 
 /// What the connection keeps of the file, in KiB below zero: the upper pages of two indexes. The system keeps the rest.
 const CACHE: &str = "-256";
@@ -57,9 +56,6 @@ impl BlockReader {
         machine: &MachineId,
         id: &CycleId,
     ) -> Option<StoreResult<Option<Vec<u8>>>> {
-        if Handle::try_current().is_ok_and(|runtime| runtime.metrics().num_workers() < 2) {
-            return None;
-        }
         let mut reader = match self.reader.try_lock() {
             Ok(reader) => reader,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
