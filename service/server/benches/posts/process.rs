@@ -91,17 +91,6 @@ impl Running {
         kib * 1024
     }
 
-    /// Cycles of a commit so far, on average, as Feedwright itself counts them.
-    pub(crate) async fn mean_group(&self, client: &reqwest::Client) -> f64 {
-        let request = client.get(format!("{}/metrics", self.address)).bearer_auth(&self.token);
-        let text = request.send().await.expect("an answer").text().await.expect("its metrics");
-        let value = |name: &str| -> f64 {
-            let line = text.lines().find_map(|line| line.strip_prefix(name)).expect("the metric");
-            line.trim().parse().expect("a number")
-        };
-        value("feedwright_commit_group_size_sum ") / value("feedwright_commit_group_size_count ")
-    }
-
     /// Asks it to end, and waits.
     pub(crate) async fn stop(mut self) {
         let id = self.child.id().to_string();
