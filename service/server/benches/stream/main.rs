@@ -32,15 +32,8 @@ const ONE_IPO: Duration = Duration::from_millis(10);
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     feedwright_server::tls::use_ring();
-    let mut runtime = tokio::runtime::Builder::new_multi_thread();
-    let echo = arguments.iter().position(|argument| argument == "--echo");
-    if echo.is_some() {
-        // On as many threads as the server, which is what it is compared with.
-        let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        runtime.worker_threads(processors.div_ceil(2));
-    }
-    let runtime = runtime.enable_all().build().expect("a runtime");
-    if let Some(at) = echo {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+    if let Some(at) = arguments.iter().position(|argument| argument == "--echo") {
         runtime.block_on(echo::serve(arguments[at + 1].parse().expect("a port")));
         return;
     }
