@@ -235,9 +235,11 @@ impl Lanes {
     /// Waits for more live posts, until the group holds so many.
     async fn gather(&mut self, group: &mut Vec<Queued>, posts: usize, until: Instant) -> usize {
         let before = group.len();
+        // Emptied before it is full: no post is refused for want of room that its group could have made.
+        let most = self.live.max_capacity().div_ceil(2);
         let mut in_time = true;
         while group.len() < posts && in_time {
-            in_time = self.enough.wait(&self.live, posts - group.len(), until).await;
+            in_time = self.enough.wait(&self.live, most.min(posts - group.len()), until).await;
             take(&mut self.live, group, posts);
         }
         group.len() - before
@@ -419,6 +421,21 @@ mod tests {
         group.clear();
         assert_eq!(lanes.fill(&mut group, 16, patient(10)).await, Some(4));
         assert_eq!(lanes.fill(&mut group, 16, patient(10)).await, None);
+    }
+
+    #[tokio::test]
+    async fn a_group_that_waits_for_more_than_the_lane_holds_makes_room() {
+        let (handle, mut lanes) = lanes(4);
+        let expected = Some(Expected { posts: 30, until: Instant::now() + Duration::from_secs(600) });
+        let mut group = Vec::new();
+        let posts = async {
+            for index in 0..30 {
+                handle.enqueue(cycle(&format!("l{index}"))).expect("room");
+                tokio::task::yield_now().await;
+            }
+        };
+        let (filled, ()) = tokio::join!(lanes.fill(&mut group, 64, expected), posts);
+        assert_eq!((filled, group.len()), (Some(30), 30));
     }
 
     #[test]
