@@ -4,6 +4,7 @@ mod app;
 pub(crate) mod commands;
 mod demoted;
 mod feed_profiles;
+mod full_disk;
 mod lists;
 mod matrix;
 mod openapi;

@@ -63,6 +63,11 @@ impl Served {
         if let Some(address) = database {
             command.env("FEEDWRIGHT__DATABASE__URL", address);
         }
+        Self::run(command, until)
+    }
+
+    /// The same with that command.
+    pub(super) fn run(mut command: Command, until: &str) -> Self {
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         let mut served = Self { child, stderr, log: String::new() };
@@ -88,9 +93,14 @@ impl Served {
     }
 
     /// Sends SIGTERM; the whole output, and whether it ended well.
-    pub(super) fn terminate(mut self) -> (String, bool) {
+    pub(super) fn terminate(self) -> (String, bool) {
         let sent = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
         assert!(sent.success());
+        self.ended()
+    }
+
+    /// Waits until it has ended; the whole output, and whether it ended well.
+    pub(super) fn ended(mut self) -> (String, bool) {
         self.stderr.read_to_string(&mut self.log).unwrap();
         (std::mem::take(&mut self.log), self.child.wait().unwrap().success())
     }
