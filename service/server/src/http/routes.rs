@@ -18,10 +18,11 @@ use feedwright_store::Role;
 use http::{HeaderMap, Method, StatusCode, Uri};
 use std::collections::HashMap;
 use std::sync::LazyLock;
-use utoipa::openapi::path::PathItem;
+use utoipa::Path;
+use utoipa::openapi::path::{HttpMethod, PathItem};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa_axum::router::UtoipaMethodRouter;
-use utoipa_axum::routes;
+use utoipa_axum::{PathItemExt, routes};
 
 /// Who may use a route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,37 +65,37 @@ pub struct Route {
     path: String,
     access: Access,
     body: BodyLimit,
-    is_described: bool,
-    description: Option<Box<Description>>,
+    /// Makes its description, unless it is a page. All of them together are megabytes, and the code that makes them is as
+    /// large again: who only serves touches neither.
+    describe: Option<Describe>,
     handler: MethodRouter<AppState>,
 }
 
-/// Whether routes keep their descriptions: all of them together take megabytes, which only who prints them needs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Descriptions {
-    Kept,
-    Dropped,
+/// What `routes!` makes of a handler: its description, and a router that is not needed for that.
+type Describe = fn() -> UtoipaMethodRouter<AppState>;
+
+/// A route that describes itself: `route!(module::handler, access)`. Method and path are those of the handler's own
+/// `utoipa::path`.
+macro_rules! route {
+    ($module:ident::$handler:ident, $access:expr) => {
+        pastey::paste! {{
+            let methods = $module::[<__path_ $handler>]::methods();
+            let handler = MethodRouter::new();
+            Route {
+                method: method(&methods),
+                path: $module::[<__path_ $handler>]::path(),
+                access: $access,
+                body: BodyLimit::Registration,
+                describe: Some(|| routes!($module::$handler)),
+                handler: methods
+                    .iter()
+                    .fold(handler, |all, method| all.on(method.to_method_filter(), $module::$handler)),
+            }
+        }}
+    };
 }
 
 impl Route {
-    /// A route that describes itself: `routes!(handler)` with exactly one handler.
-    fn new(
-        (schemas, paths, handler): UtoipaMethodRouter<AppState>,
-        access: Access,
-        descriptions: Descriptions,
-    ) -> Self {
-        let (path, item) = paths.paths.into_iter().next().unwrap_or_default();
-        let method = match &item {
-            PathItem { put: Some(_), .. } => Method::PUT,
-            PathItem { post: Some(_), .. } => Method::POST,
-            PathItem { delete: Some(_), .. } => Method::DELETE,
-            _ => Method::GET,
-        };
-        let description = (descriptions == Descriptions::Kept)
-            .then(|| Box::new(Description { path: path.clone(), item, schemas, access }));
-        Self { method, path, access, body: BodyLimit::Registration, is_described: true, description, handler }
-    }
-
     /// A page or a file of one: not part of the described API.
     fn page(path: &str, handler: MethodRouter<AppState>) -> Self {
         Self {
@@ -102,8 +103,7 @@ impl Route {
             path: path.to_owned(),
             access: Access::Open,
             body: BodyLimit::Registration,
-            is_described: false,
-            description: None,
+            describe: None,
             handler,
         }
     }
@@ -131,7 +131,7 @@ impl Route {
 
     /// Whether it is part of the described API; pages and their files are not.
     pub const fn is_described(&self) -> bool {
-        self.is_described
+        self.describe.is_some()
     }
 }
 
@@ -143,114 +143,121 @@ pub(super) struct Description {
     pub(super) access: Access,
 }
 
-/// Every route there is.
-pub fn table() -> Vec<Route> {
-    routes(Descriptions::Dropped)
+/// The method of a handler, which has one.
+fn method(methods: &[HttpMethod]) -> Method {
+    match methods.first() {
+        Some(HttpMethod::Put) => Method::PUT,
+        Some(HttpMethod::Post) => Method::POST,
+        Some(HttpMethod::Delete) => Method::DELETE,
+        _ => Method::GET,
+    }
 }
 
 /// What every route adds to the description of the API.
 pub(super) fn descriptions() -> impl Iterator<Item = Description> {
-    routes(Descriptions::Kept)
-        .into_iter()
-        .filter_map(|route| route.description.map(|description| *description))
+    table().into_iter().filter_map(|route| {
+        let (schemas, paths, _) = (route.describe?)();
+        let (path, item) = paths.paths.into_iter().next()?;
+        Some(Description { path, item, schemas, access: route.access })
+    })
 }
 
-fn routes(descriptions: Descriptions) -> Vec<Route> {
-    let route = |parts, access| Route::new(parts, access, descriptions);
+/// Every route there is.
+pub fn table() -> Vec<Route> {
     let mut table = vec![
-        route(routes!(machines::put), ENGINEER),
-        route(routes!(machines::get), READ_OR_OWN),
-        route(routes!(machines::list), READ),
-        route(routes!(retention::put), ENGINEER),
-        route(routes!(retention::get), READ),
-        route(routes!(calibrations::add), ENGINEER),
-        route(routes!(calibrations::list), READ),
-        route(routes!(tools::put), ENGINEER),
-        route(routes!(tools::get), READ),
-        route(routes!(tools::list), READ),
-        route(routes!(tool_events::add), ENGINEER),
-        route(routes!(tool_events::list), READ),
-        route(routes!(operations::put), ENGINEER),
-        route(routes!(operations::get), READ),
-        route(routes!(operations::list), READ),
-        route(routes!(alarms::list), READ),
-        route(routes!(alarms::acknowledge), ENGINEER),
-        route(routes!(alarms::acknowledge_machine), ENGINEER),
-        route(routes!(quarantine::list), READ),
-        route(routes!(quarantine::get), READ),
-        route(routes!(quarantine::settle), ENGINEER).takes_cycles(),
-        route(routes!(audit::list), READ),
-        route(routes!(tokens::create), ADMIN),
-        route(routes!(tokens::list), ADMIN),
-        route(routes!(tokens::revoke), ADMIN),
+        route!(machines::put, ENGINEER),
+        route!(machines::get, READ_OR_OWN),
+        route!(machines::list, READ),
+        route!(retention::put, ENGINEER),
+        route!(retention::get, READ),
+        route!(calibrations::add, ENGINEER),
+        route!(calibrations::list, READ),
+        route!(tools::put, ENGINEER),
+        route!(tools::get, READ),
+        route!(tools::list, READ),
+        route!(tool_events::add, ENGINEER),
+        route!(tool_events::list, READ),
+        route!(operations::put, ENGINEER),
+        route!(operations::get, READ),
+        route!(operations::list, READ),
+        route!(alarms::list, READ),
+        route!(alarms::acknowledge, ENGINEER),
+        route!(alarms::acknowledge_machine, ENGINEER),
+        route!(quarantine::list, READ),
+        route!(quarantine::get, READ),
+        route!(quarantine::settle, ENGINEER).takes_cycles(),
+        route!(audit::list, READ),
+        route!(tokens::create, ADMIN),
+        route!(tokens::list, ADMIN),
+        route!(tokens::revoke, ADMIN),
         // Open: the token is in the body, and its handler counts failures as `authorise` does.
-        route(routes!(session::begin), Access::Open),
-        route(routes!(session::get), EVERYONE),
-        route(routes!(session::end), EVERYONE),
-        route(routes!(fleet::get), READ),
-        route(routes!(fleet::machine), READ),
-        route(routes!(health::healthz), Access::Open),
-        route(routes!(health::readyz), Access::Open),
-        route(routes!(health::metrics), READ),
-        route(routes!(openapi::document), Access::Open),
-        route(routes!(cycles::post_cycle), OWN).takes_cycles(),
-        route(routes!(cycles::post_batch), OWN).takes_cycles(),
-        route(routes!(cycles::get_cycle), READ_OR_OWN),
-        route(routes!(samples::get_samples), READ_OR_OWN),
-        route(routes!(cycles::list_cycles), READ),
-        route(routes!(summaries::get_summaries), READ),
-        route(routes!(series::get_series), READ),
-        route(routes!(course::get), READ_OR_OWN),
-        route(routes!(wear::get_wear), READ),
-        route(routes!(wear::get_history), READ),
-        route(routes!(life::get), READ),
-        route(routes!(recommendations::get_recommendation), READ_OR_OWN),
-        route(routes!(recommendations::get_issued), READ_OR_OWN),
-        route(routes!(library::put_turning), ENGINEER),
-        route(routes!(library::get_turning), READ),
-        route(routes!(library::list_turning), READ),
-        route(routes!(library::put_plunge), ENGINEER),
-        route(routes!(library::get_plunge), READ),
-        route(routes!(library::list_plunge), READ),
-        route(routes!(turning::plan), READ),
-        route(routes!(turning::next), READ).takes_cycles(),
-        route(routes!(plunge::feed), READ).takes_cycles(),
-        route(routes!(plunge::saving), READ).takes_cycles(),
-        route(routes!(plunge::recorded), READ),
-        route(routes!(continuity::simulate), READ),
-        route(routes!(continuity::map), READ),
-        route(routes!(continuity::border), READ),
-        route(routes!(continuity::advice), READ),
-        route(routes!(peak_to_peak::tuning), READ),
-        route(routes!(peak_to_peak::close_loop), READ),
-        route(routes!(peak_to_peak::poincare), READ),
-        route(routes!(peak_to_peak::recorded), READ).takes_cycles(),
-        route(routes!(jobs::get), READ),
-        route(routes!(jobs::cancel), READ),
-        route(routes!(friction::simulate), READ),
-        route(routes!(live::events), READ),
-        route(routes!(stream::open), OWN),
-        route(routes!(stream::overrides), READ_OR_OWN),
-        route(routes!(what_if::of_cycle), READ),
-        route(routes!(what_if::of_many), READ),
-        route(routes!(calibrations::fit), ENGINEER),
-        route(routes!(feed_profiles::draft), ENGINEER),
-        route(routes!(feed_profiles::list), READ),
-        route(routes!(feed_profiles::get), READ_OR_OWN),
-        route(routes!(feed_profiles::versions), READ),
-        route(routes!(feed_profiles::version), READ_OR_OWN),
-        route(routes!(feed_profiles::compare), READ),
-        route(routes!(feed_profiles::shadow), ENGINEER),
-        route(routes!(feed_profiles::approve), APPROVER),
-        route(routes!(feed_profiles::activate), RELEASE),
-        route(routes!(feed_profiles::rollback), RELEASE),
-        route(routes!(profile_files::export), READ_OR_OWN),
-        route(routes!(profile_files::import), ENGINEER),
-        route(routes!(profile_files::read), READ),
-        route(routes!(profile_evidence::shadow_report), READ),
-        route(routes!(profile_evidence::comparison), READ),
-        route(routes!(profile_optimise::start), ENGINEER),
-        route(routes!(profile_optimise::outcome), READ),
+        route!(session::begin, Access::Open),
+        route!(session::get, EVERYONE),
+        route!(session::end, EVERYONE),
+        route!(fleet::get, READ),
+        route!(fleet::machine, READ),
+        route!(health::healthz, Access::Open),
+        route!(health::readyz, Access::Open),
+        route!(health::metrics, READ),
+        route!(openapi::document, Access::Open),
+        route!(cycles::post_cycle, OWN).takes_cycles(),
+        route!(cycles::post_batch, OWN).takes_cycles(),
+        route!(cycles::get_cycle, READ_OR_OWN),
+        route!(samples::get_samples, READ_OR_OWN),
+        route!(cycles::list_cycles, READ),
+        route!(summaries::get_summaries, READ),
+        route!(series::get_series, READ),
+        route!(course::get, READ_OR_OWN),
+        route!(wear::get_wear, READ),
+        route!(wear::get_history, READ),
+        route!(life::get, READ),
+        route!(recommendations::get_recommendation, READ_OR_OWN),
+        route!(recommendations::get_issued, READ_OR_OWN),
+        route!(library::put_turning, ENGINEER),
+        route!(library::get_turning, READ),
+        route!(library::list_turning, READ),
+        route!(library::put_plunge, ENGINEER),
+        route!(library::get_plunge, READ),
+        route!(library::list_plunge, READ),
+        route!(turning::plan, READ),
+        route!(turning::next, READ).takes_cycles(),
+        route!(plunge::feed, READ).takes_cycles(),
+        route!(plunge::saving, READ).takes_cycles(),
+        route!(plunge::recorded, READ),
+        route!(continuity::simulate, READ),
+        route!(continuity::map, READ),
+        route!(continuity::border, READ),
+        route!(continuity::advice, READ),
+        route!(peak_to_peak::tuning, READ),
+        route!(peak_to_peak::close_loop, READ),
+        route!(peak_to_peak::poincare, READ),
+        route!(peak_to_peak::recorded, READ).takes_cycles(),
+        route!(jobs::get, READ),
+        route!(jobs::cancel, READ),
+        route!(friction::simulate, READ),
+        route!(live::events, READ),
+        route!(stream::open, OWN),
+        route!(stream::overrides, READ_OR_OWN),
+        route!(what_if::of_cycle, READ),
+        route!(what_if::of_many, READ),
+        route!(calibrations::fit, ENGINEER),
+        route!(feed_profiles::draft, ENGINEER),
+        route!(feed_profiles::list, READ),
+        route!(feed_profiles::get, READ_OR_OWN),
+        route!(feed_profiles::versions, READ),
+        route!(feed_profiles::version, READ_OR_OWN),
+        route!(feed_profiles::compare, READ),
+        route!(feed_profiles::shadow, ENGINEER),
+        route!(feed_profiles::approve, APPROVER),
+        route!(feed_profiles::activate, RELEASE),
+        route!(feed_profiles::rollback, RELEASE),
+        route!(profile_files::export, READ_OR_OWN),
+        route!(profile_files::import, ENGINEER),
+        route!(profile_files::read, READ),
+        route!(profile_evidence::shadow_report, READ),
+        route!(profile_evidence::comparison, READ),
+        route!(profile_optimise::start, ENGINEER),
+        route!(profile_optimise::outcome, READ),
         Route::page("/docs", get(viewer::index)),
         Route::page("/docs/", get(viewer::root)),
         Route::page("/docs/{*file}", get(viewer::file)),
