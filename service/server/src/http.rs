@@ -53,6 +53,7 @@ mod tokens;
 mod tool_events;
 mod tools;
 mod turning;
+mod value_series;
 mod viewer;
 mod what_if;
 

@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
+use std::thread::JoinHandle;
 use tempfile::TempDir;
 
 /// The binary, built from this very tree: another package's binary is not built for these tests by itself.
@@ -47,7 +48,8 @@ pub(super) fn succeed(output: Output) -> String {
 
 pub(crate) struct Served {
     child: Child,
-    stderr: BufReader<std::process::ChildStderr>,
+    /// What it says later, to its end. It is read all the while: a server whose log nobody reads waits.
+    rest: Option<JoinHandle<String>>,
     pub(crate) log: String,
 }
 
@@ -69,11 +71,16 @@ impl Served {
     /// The same with that command.
     pub(super) fn run(mut command: Command, until: &str) -> Self {
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
-        let stderr = BufReader::new(child.stderr.take().unwrap());
-        let mut served = Self { child, stderr, log: String::new() };
+        let mut stderr = BufReader::new(child.stderr.take().unwrap());
+        let mut served = Self { child, rest: None, log: String::new() };
         while !served.log.contains(until) {
-            assert!(served.stderr.read_line(&mut served.log).unwrap() > 0, "it ended: {}", served.log);
+            assert!(stderr.read_line(&mut served.log).unwrap() > 0, "it ended: {}", served.log);
         }
+        served.rest = Some(std::thread::spawn(move || {
+            let mut rest = String::new();
+            stderr.read_to_string(&mut rest).unwrap();
+            rest
+        }));
         served
     }
 
@@ -101,7 +108,7 @@ impl Served {
 
     /// Waits until it has ended; the whole output, and whether it ended well.
     pub(super) fn ended(mut self) -> (String, bool) {
-        self.stderr.read_to_string(&mut self.log).unwrap();
+        self.log += &self.rest.take().unwrap().join().unwrap();
         (std::mem::take(&mut self.log), self.child.wait().unwrap().success())
     }
 }

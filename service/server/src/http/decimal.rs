@@ -6,7 +6,7 @@
 use super::problem::Problem;
 use axum::response::{IntoResponse, Response};
 use http::{HeaderValue, header};
-use serde::Serialize;
+use serde::{Serialize, Serializer as _};
 use serde_json::ser::{CompactFormatter, Formatter, Serializer};
 use std::io::{Result, Write};
 
@@ -26,6 +26,11 @@ pub(super) fn json(body: &impl Serialize, values: usize) -> Result<Vec<u8>> {
     let mut out = Vec::with_capacity(512 + values * USUAL_BYTES);
     body.serialize(&mut Serializer::with_formatter(&mut out, Decimals::default()))?;
     Ok(out)
+}
+
+/// Appends an array of measured values.
+pub(super) fn write(out: &mut Vec<u8>, values: impl Iterator<Item = f64>) -> Result<()> {
+    Ok(Serializer::with_formatter(out, Decimals::default()).collect_seq(values)?)
 }
 
 /// The answer with that body.

@@ -79,6 +79,10 @@ type Describe = fn() -> UtoipaMethodRouter<AppState>;
 macro_rules! route {
     ($module:ident::$handler:ident, $access:expr) => {
         pastey::paste! {{
+            // A function with a name, unlike a closure: the linker puts it where it is in nobody's way (`seldom.ld`).
+            fn describe() -> UtoipaMethodRouter<AppState> {
+                routes!($module::$handler)
+            }
             let methods = $module::[<__path_ $handler>]::methods();
             let handler = MethodRouter::new();
             Route {
@@ -86,7 +90,7 @@ macro_rules! route {
                 path: $module::[<__path_ $handler>]::path(),
                 access: $access,
                 body: BodyLimit::Registration,
-                describe: Some(|| routes!($module::$handler)),
+                describe: Some(describe),
                 handler: methods
                     .iter()
                     .fold(handler, |all, method| all.on(method.to_method_filter(), $module::$handler)),

@@ -1,12 +1,13 @@
 //! Series of what cycles amounted to: in buckets over time, or the last ones by themselves.
 
 use super::decimal;
-use super::dto::series::{BucketBody, BucketSeriesBody, SeriesBody, ValueSeriesBody};
+use super::dto::series::{BucketBody, BucketSeriesBody, SeriesBody};
 use super::dto::time;
 use super::export::{self, PIECE};
 use super::extract::Query;
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
+use super::value_series;
 use crate::series::{self, Bucketed, GroupBy, LastCycles, MAX_LAST, Measure, Series, SeriesKey, Value};
 use crate::state::AppState;
 use crate::table::{Cell, Field, Format, Kind, Row};
@@ -23,8 +24,6 @@ use utoipa::IntoParams;
 
 /// What a bucket takes in JSON, in numbers.
 const VALUES_OF_BUCKET: usize = 16;
-/// What a cycle's value, time and ids take in JSON, in numbers.
-const VALUES_OF_CYCLE: usize = 8;
 
 /// Which series.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -104,7 +103,8 @@ pub(super) async fn get_series(
     }
     if format == Format::Json && !asked.in_rows {
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
-        return Ok((vary, decimal::answer(&answer.body(asked.by), answer.values())?).into_response());
+        let json = answer.json(asked.by).map_err(|error| Problem::internal(error.to_string()))?;
+        return Ok((vary, decimal::body(json)).into_response());
     }
     let (fields, rows) = answer.table(asked.by);
     let pieces: Vec<_> = rows.chunks(PIECE).map(|rows| Ok(rows.to_vec())).collect();
@@ -212,44 +212,26 @@ enum Answer<'a> {
 }
 
 impl Answer<'_> {
-    /// Numbers that an answer in JSON holds, each with its time and ids.
-    fn values(&self) -> usize {
+    fn json(&self, by: GroupBy) -> std::io::Result<Vec<u8>> {
         match self {
-            Self::Buckets(buckets, series) => series.len() * buckets.count() * VALUES_OF_BUCKET,
-            Self::Values(series) => series.values().map(Vec::len).sum::<usize>() * VALUES_OF_CYCLE,
-        }
-    }
-
-    fn body(&self, by: GroupBy) -> SeriesBody<'_> {
-        match self {
-            Self::Buckets(buckets, series) => SeriesBody::Buckets {
-                by: by.as_str(),
-                series: series
-                    .iter()
-                    .map(|(key, values)| BucketSeriesBody {
-                        key: key.into(),
-                        group: group(key),
-                        points: (0..buckets.count())
-                            .zip(&values.buckets)
-                            .map(|(at, spread)| BucketBody::of(buckets.begin(at), *spread))
-                            .collect(),
-                    })
-                    .collect(),
-            },
-            Self::Values(series) => SeriesBody::Cycles {
-                by: by.as_str(),
-                series: series
-                    .iter()
-                    .map(|(key, values)| ValueSeriesBody {
-                        key: key.into(),
-                        group: group(key),
-                        time: values,
-                        machine: values,
-                        cycle_id: values,
-                        value: values,
-                    })
-                    .collect(),
-            },
+            Self::Values(series) => value_series::json(by, series),
+            Self::Buckets(buckets, series) => {
+                let body = SeriesBody::Buckets {
+                    by: by.as_str(),
+                    series: series
+                        .iter()
+                        .map(|(key, values)| BucketSeriesBody {
+                            key: key.into(),
+                            group: group(key),
+                            points: (0..buckets.count())
+                                .zip(&values.buckets)
+                                .map(|(at, spread)| BucketBody::of(buckets.begin(at), *spread))
+                                .collect(),
+                        })
+                        .collect(),
+                };
+                decimal::json(&body, series.len() * buckets.count() * VALUES_OF_BUCKET)
+            }
         }
     }
 
@@ -312,6 +294,7 @@ impl Answer<'_> {
     }
 }
 
-fn group(key: &SeriesKey) -> Option<&str> {
+/// The machine, tool or operation whose series it is; `None` for the fleet.
+pub(super) fn group(key: &SeriesKey) -> Option<&str> {
     (!key.group.is_empty()).then_some(&key.group)
 }

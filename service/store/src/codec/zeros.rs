@@ -37,6 +37,8 @@ pub(crate) fn pack(plain: &[u8]) -> Vec<u8> {
         }
     }
     put_zeros(&mut out, zeros);
+    // Mostly zeros were there: far more was asked for than is kept, and a group keeps the state of each of its tools.
+    out.shrink_to_fit();
     out
 }
 

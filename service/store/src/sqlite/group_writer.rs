@@ -21,7 +21,7 @@ use std::time::Duration;
 
 /// What the writer of groups keeps of the file, in KiB below zero: the pages that some hundred machines' next cycles go
 /// to. Others come from the system's cache.
-const CACHE: &str = "-4096";
+const CACHE: &str = "-2048";
 
 /// A connection that writes groups. Whoever calls it waits for the disk.
 #[derive(Debug)]

@@ -47,6 +47,9 @@ pub(super) const SETTINGS: [(&str, &str); 6] = [
 /// What the connection keeps of the file, in KiB below zero, that writes all but whole groups.
 const WRITER_CACHE: &str = "-1024";
 
+/// What the checkpoint's connection keeps of the file, in KiB below zero: it copies pages, and looks at none.
+const CHECKPOINT_CACHE: &str = "-64";
+
 /// What a connection that reads keeps of the file, in KiB below zero. The system keeps the rest, once for all of them.
 const READER_CACHE: &str = "-512";
 
@@ -98,7 +101,11 @@ impl SqliteStore {
                 connect.clone().read_only(true).create_if_missing(false).pragma("cache_size", READER_CACHE),
             )
             .await?;
-        let checkpointer = connect.busy_timeout(CHECKPOINT_PATIENCE).connect().await?;
+        let checkpointer = connect
+            .busy_timeout(CHECKPOINT_PATIENCE)
+            .pragma("cache_size", CHECKPOINT_CACHE)
+            .connect()
+            .await?;
         let checkpoints = Checkpoints::start(checkpointer, options.checkpoint_every);
         Ok(Self {
             inner: Arc::new(Inner {

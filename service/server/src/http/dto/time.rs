@@ -54,34 +54,33 @@ impl Shower {
             self.text.reserve_exact(LONGEST - DATE_BYTES);
             self.day = Some(day);
         }
-        let seconds = within / 1_000_000;
-        self.push(seconds / 3600, 2);
+        let (seconds, fraction) = (within / 1_000_000, within % 1_000_000);
+        self.pair(seconds / 3600);
         self.text.push(':');
-        self.push(seconds / 60 % 60, 2);
+        self.pair(seconds / 60 % 60);
         self.text.push(':');
-        self.push(seconds % 60, 2);
-        let (mut fraction, mut digits) = (within % 1_000_000, 6);
+        self.pair(seconds % 60);
         if fraction > 0 {
-            while fraction % 10 == 0 {
-                fraction /= 10;
-                digits -= 1;
-            }
             self.text.push('.');
-            self.push(fraction, digits);
+            self.pair(fraction / 10_000);
+            self.pair(fraction / 100 % 100);
+            self.pair(fraction % 100);
+            self.text.truncate(self.text.trim_end_matches('0').len());
         }
         self.text.push('Z');
         &self.text
     }
 
-    /// Appends a number of at most six digits with so many of them.
-    fn push(&mut self, number: i64, digits: u32) {
-        let mut place = 10_i64.pow(digits - 1);
-        for _ in 0..digits {
-            self.text.push(char::from(b'0' + u8::try_from(number / place % 10).unwrap_or(0)));
-            place /= 10;
-        }
+    /// Appends a number below a hundred with two digits.
+    fn pair(&mut self, number: i64) {
+        let at = 2 * usize::try_from(number % 100).unwrap_or(0);
+        self.text.push_str(&PAIRS[at..at + 2]);
     }
 }
+
+/// The numbers below a hundred, each with two digits.
+const PAIRS: &str = "0001020304050607080910111213141516171819202122232425262728293031323334353637383940414243444546474849\
+                     5051525354555657585960616263646566676869707172737475767778798081828384858687888990919293949596979899";
 
 /// Writes a time as [`show`] shows it. Into memory this cannot fail.
 pub fn write(out: &mut impl Write, at: Timestamp) {
