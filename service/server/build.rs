@@ -9,6 +9,7 @@ fn main() {
         // A megabyte of relocations, which stays resident after the start, packed into some kilobytes. Debian has read
         // these since version 12 (glibc 2.36).
         println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
-        println!("cargo::rustc-link-arg-bins=-Wl,-T,{folder}/seldom.ld");
+        // Not by `-Wl`, which would divide a folder's name at its commas.
+        println!("cargo::rustc-link-arg-bins=-T{folder}/seldom.ld");
     }
 }
