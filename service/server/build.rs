@@ -3,13 +3,22 @@
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed=seldom.ld");
-    let target = |name: &str| std::env::var(format!("CARGO_CFG_TARGET_{name}")).unwrap_or_default();
-    let folder = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
-    if target("OS") == "linux" && target("ENV") == "gnu" {
-        // A megabyte of relocations, which stays resident after the start, packed into some kilobytes. Debian has read
-        // these since version 12 (glibc 2.36).
-        println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
-        // Not by `-Wl`, which would divide a folder's name at its commas.
-        println!("cargo::rustc-link-arg-bins=-T{folder}/seldom.ld");
+    let variable = |name: &str| std::env::var(name).unwrap_or_default();
+    if variable("CARGO_CFG_TARGET_OS") != "linux" || variable("CARGO_CFG_TARGET_ENV") != "gnu" {
+        return;
     }
+    // Whoever chooses a linker that cannot do this has the same program, of which more stays resident.
+    let chosen = variable("CARGO_ENCODED_RUSTFLAGS") + &variable("RUSTC_LINKER");
+    if OTHER_LINKERS.iter().any(|linker| chosen.contains(linker)) {
+        return;
+    }
+    // A megabyte of relocations, which stays resident after the start, packed into some kilobytes. Debian has read these
+    // since version 12 (glibc 2.36).
+    println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
+    // Not by `-Wl`, which would divide a folder's name at its commas.
+    println!("cargo::rustc-link-arg-bins=-T{}/seldom.ld", variable("CARGO_MANIFEST_DIR"));
 }
+
+/// Linkers other than LLVM's, which Rust brings, and GNU's. They do not read the script, and mold 1.10 packs relocations
+/// without saying so to glibc, which then starts nothing.
+const OTHER_LINKERS: [&str; 3] = ["mold", "wild", "gold"];
