@@ -108,7 +108,7 @@ async fn fills_up(room: u64) {
     assert!(!ended_well && log.contains("does not take writes"), "{log}");
     assert!(!log.contains("panicked"), "{log}");
 
-    // What is there is whole: every block, every hash, and the wear is that of the cycles.
+    // What is there is whole: every hash, and the wear is that of the cycles.
     let said = succeed(feedwright(&dir, &["check"]).output().unwrap());
     let checked = said.split(" cycles checked").next().and_then(|text| text.split_whitespace().last());
     let checked: i64 = checked.and_then(|count| count.parse().ok()).unwrap_or_else(|| panic!("{said}"));
