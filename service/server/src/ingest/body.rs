@@ -6,6 +6,7 @@
 
 mod frame;
 mod reader;
+mod short;
 
 use super::number::{Number, Numbers};
 use super::scan;
