@@ -182,10 +182,12 @@ impl<'a> Reader<'a> {
             return Some(Numbers(values));
         }
         loop {
-            let short = self.json.get(self.at..).and_then(|rest| rest.first_chunk()).and_then(short::number);
-            let (value, length) = match short {
-                Some(short) => short,
-                None => self.unusual_number()?,
+            let (value, length) = if let Some(text) = self.json.get(self.at..)?.first_chunk()
+                && let Some(short) = short::number(text)
+            {
+                short
+            } else {
+                self.unusual_number()?
             };
             values.push(value);
             self.at += length;
