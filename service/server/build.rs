@@ -2,7 +2,7 @@
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-changed=seldom.ld");
+    println!("cargo::rerun-if-changed=often.ld");
     let variable = |name: &str| std::env::var(name).unwrap_or_default();
     if variable("CARGO_CFG_TARGET_OS") != "linux" || variable("CARGO_CFG_TARGET_ENV") != "gnu" {
         return;
@@ -16,7 +16,7 @@ fn main() {
     // since version 12 (glibc 2.36).
     println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
     // Not by `-Wl`, which would divide a folder's name at its commas.
-    println!("cargo::rustc-link-arg-bins=-T{}/seldom.ld", variable("CARGO_MANIFEST_DIR"));
+    println!("cargo::rustc-link-arg-bins=-T{}/often.ld", variable("CARGO_MANIFEST_DIR"));
 }
 
 /// Linkers other than LLVM's, which Rust brings, and GNU's. They do not read the script, and mold 1.10 packs relocations

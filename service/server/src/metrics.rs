@@ -292,7 +292,7 @@ impl Metrics {
     /// Counts a cycle of a registered machine.
     pub fn cycle(&self, machine: &MachineId, outcome: CycleOutcome) {
         self.cycles.with_label_values(&[outcome.as_str()]).inc();
-        self.machines.cycle(machine, outcome.as_str());
+        self.machines.cycle(machine, outcome);
     }
 
     /// Counts a cycle that went to quarantine; `code` is the problem's.

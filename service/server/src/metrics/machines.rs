@@ -1,13 +1,13 @@
 //! Metrics that carry a machine's label: only registered machines, and at most `limits.metric_machines` of them.
 
 use super::registrar::Registrar;
-use super::seconds;
+use super::{CycleOutcome, seconds};
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::{NEUTRAL_OVERRIDE_PERCENT, Recommendation};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use feedwright_store::{AlarmKind, Round};
-use prometheus::{GaugeVec, IntCounterVec, IntGaugeVec};
+use prometheus::{Gauge, GaugeVec, IntCounter, IntCounterVec, IntGaugeVec};
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -26,11 +26,15 @@ const NEUTRAL_REASONS: [&str; 8] = [
 /// The reason that names the feed profile to run: with it a recommendation is not neutral although its override is.
 const PROFILE_ACTIVE: &str = "profile_active";
 
-/// What is remembered of a machine that has a label.
-#[derive(Default)]
+/// What is remembered of a machine that has a label. What each of its cycles changes is kept at hand: to look a series up
+/// by its labels takes longer than to count.
 struct Known {
     /// Since when its recommendations leave the feed as it is, and why.
     neutral: Option<(Timestamp, &'static str)>,
+    /// Its cycles, by [`CycleOutcome`].
+    cycles: [IntCounter; CycleOutcome::ALL.len()],
+    wear_level: Option<Gauge>,
+    remaining_cycles: Option<Gauge>,
 }
 
 pub(super) struct MachineMetrics {
@@ -103,24 +107,26 @@ impl MachineMetrics {
             if known.len() >= self.most {
                 return None;
             }
-            known.insert(machine.clone(), Known::default());
-            for outcome in super::CycleOutcome::ALL {
-                self.cycles.with_label_values(&[machine.as_str(), outcome.as_str()]);
-            }
+            let cycles = CycleOutcome::ALL
+                .map(|outcome| self.cycles.with_label_values(&[machine.as_str(), outcome.as_str()]));
+            let new = Known { neutral: None, cycles, wear_level: None, remaining_cycles: None };
+            known.insert(machine.clone(), new);
         }
         known.get_mut(machine).map(run)
     }
 
-    pub(super) fn cycle(&self, machine: &MachineId, outcome: &str) {
-        self.labelled(machine, |_| self.cycles.with_label_values(&[machine.as_str(), outcome]).inc());
+    pub(super) fn cycle(&self, machine: &MachineId, outcome: CycleOutcome) {
+        self.labelled(machine, |known| known.cycles[outcome as usize].inc());
     }
 
     pub(super) fn verdict(&self, machine: &MachineId, verdict: &Verdict) {
-        self.labelled(machine, |_| {
+        self.labelled(machine, |known| {
             // A tool that is being learnt has no level: that of the one before it must not stay.
-            set(&self.wear_level, machine, verdict.level.map(|level| level.value));
+            let level = verdict.level.map(|level| level.value);
+            set_kept(&self.wear_level, &mut known.wear_level, machine, level);
             #[expect(clippy::cast_precision_loss, reason = "a count of cycles")]
-            set(&self.remaining_cycles, machine, verdict.remaining.map(|left| left.cycles as f64));
+            let remaining = verdict.remaining.map(|left| left.cycles as f64);
+            set_kept(&self.remaining_cycles, &mut known.remaining_cycles, machine, remaining);
         });
     }
 
@@ -166,6 +172,15 @@ impl MachineMetrics {
                 gauge.set(super::whole(open));
             }
         }
+    }
+}
+
+/// As [`set`], of a gauge that is kept at hand while it is shown.
+fn set_kept(gauges: &GaugeVec, kept: &mut Option<Gauge>, machine: &MachineId, value: Option<f64>) {
+    match value {
+        Some(value) => kept.get_or_insert_with(|| gauges.with_label_values(&[machine.as_str()])).set(value),
+        None if kept.take().is_some() => drop(gauges.remove_label_values(&[machine.as_str()])),
+        None => {}
     }
 }
 
