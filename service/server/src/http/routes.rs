@@ -79,7 +79,7 @@ type Describe = fn() -> UtoipaMethodRouter<AppState>;
 macro_rules! route {
     ($module:ident::$handler:ident, $access:expr) => {
         pastey::paste! {{
-            // A function with a name, unlike a closure: the linker puts it where it is in nobody's way (`seldom.ld`).
+            // A function with a name, unlike a closure: a list of what runs tells it from its neighbours.
             fn describe() -> UtoipaMethodRouter<AppState> {
                 routes!($module::$handler)
             }
