@@ -170,14 +170,11 @@ fn check_column(channel: Channel, range: Range, values: &mut [f64], wrong: &mut 
             *value += 0.0;
             all & good
         });
-        if !all {
-            for (index, value) in values.iter().enumerate() {
-                let path = || format!("samples.{}[{}]", channel.as_str(), chunk * AT_ONCE + index);
-                if !(*value >= range.min && *value <= range.max) {
-                    range.collect(&path(), *value, wrong);
-                    return;
-                }
-            }
+        let bad = |value: &f64| !(*value >= range.min && *value <= range.max);
+        if !all && let Some(index) = values.iter().position(bad) {
+            let path = format!("samples.{}[{}]", channel.as_str(), chunk * AT_ONCE + index);
+            range.collect(&path, values[index], wrong);
+            return;
         }
     }
 }
@@ -200,6 +197,20 @@ mod tests {
     fn negative_zero_is_zero() {
         let samples = period(vec![(Channel::SpindleLoadPercent, vec![-0.0, 1.0])]).unwrap();
         assert!(samples.column(Channel::SpindleLoadPercent).unwrap()[0].is_sign_positive());
+    }
+
+    #[test]
+    fn the_first_bad_value_is_named_wherever_it_stands() {
+        for at in [0, AT_ONCE - 1, AT_ONCE, 2 * AT_ONCE + 5] {
+            let mut load = vec![-0.0; 3 * AT_ONCE];
+            load[at] = f64::NAN;
+            load[at + 1..].fill(f64::INFINITY);
+            let wrong = refusal(period(vec![(Channel::SpindleLoadPercent, load)]));
+            assert_eq!(wrong, (format!("samples.spindle_load_percent[{at}]"), "not_finite"));
+        }
+        let samples = period(vec![(Channel::SpindleLoadPercent, vec![-0.0; 3 * AT_ONCE])]).unwrap();
+        let load = samples.column(Channel::SpindleLoadPercent).unwrap();
+        assert!(load.iter().all(|value| value.is_sign_positive()));
     }
 
     #[test]

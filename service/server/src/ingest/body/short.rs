@@ -3,8 +3,8 @@
 //! One test for each digit, at a place that is known where the test stands: a loop over digits counts them, asks at each
 //! whether the body ends, and looks up what to divide by.
 
-/// As many bytes as are looked at: no test goes beyond them.
-pub(super) const REACH: usize = 16;
+/// As many bytes as are looked at: five digits, the point, four more and what may follow them.
+pub(super) const REACH: usize = 11;
 
 /// The number that begins there, with its length in bytes. What follows it is looked at by the caller. `None` says nothing:
 /// it may be a longer number, or none.
