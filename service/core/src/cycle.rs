@@ -226,6 +226,12 @@ impl Cycle {
         if wrong.is_empty() { Ok(Self(draft)) } else { Err(wrong) }
     }
 
+    /// The same with these samples in place of its own, or with none, for where they are kept apart.
+    #[must_use]
+    pub fn with_samples(self, samples: Option<Samples>) -> Self {
+        Self(CycleDraft { samples, ..self.0 })
+    }
+
     /// Gives the fields back.
     pub fn into_draft(self) -> CycleDraft {
         self.0

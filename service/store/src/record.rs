@@ -263,7 +263,7 @@ pub type ContentHash = [u8; 32];
 /// A cycle that is ready to be committed.
 #[derive(Debug, Clone)]
 pub struct NewCycle {
-    /// The cycle.
+    /// The cycle. Its samples are in `encoded`; nobody asks for them here.
     pub cycle: Arc<Cycle>,
     /// When the server received it.
     pub received_at: Timestamp,

@@ -1,7 +1,7 @@
 //! Several servers on one PostgreSQL: what one stores, the others know.
 
 use super::given::{Given, Run, at, commit, engineer, event, machine, operation, shop, stored, tool};
-use feedwright_core::cycle::Flag;
+use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
@@ -158,7 +158,10 @@ async fn a_change_at_one_server_is_in_force_at_the_next_commit_of_another() {
         .await
         .unwrap()
         .unwrap();
-    let late = NewCycle { generation: Some(generation), ..Run::nth(3).new_cycle() };
+    // As a server hands it over: samples are in its blocks only.
+    let late = Run::nth(3).new_cycle();
+    let cycle = Arc::new(Cycle::clone(&late.cycle).with_samples(None));
+    let late = NewCycle { generation: Some(generation), cycle, ..late };
     let new_tool = Run { tool: "T2".to_owned(), ..Run::nth(4) };
     let unregistered = NewCycle { generation: Some(generation), ..new_tool.new_cycle() };
     let answers = store.commit_cycles(vec![late, unregistered], at(400), RecommendSettings::default()).await;

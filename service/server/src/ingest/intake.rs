@@ -152,7 +152,7 @@ impl CycleIntake {
     async fn prepare(&self, machine: &MachineId, json: Bytes, refused: Refused) -> Result<Ready, Problem> {
         let now = self.clock.now();
         let cycle = match self.decode(machine, json.clone(), now).await? {
-            Ok(cycle) => Arc::new(cycle),
+            Ok(cycle) => cycle,
             Err(BodyError::Malformed(why)) => {
                 return Err(Problem::bad_request("malformed_json", format!("the body is no JSON: {why}")));
             }
@@ -178,6 +178,8 @@ impl CycleIntake {
         let mut summary = summarise(&cycle, context);
         summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
         let encoded = codec::encode(&cycle);
+        // A group waits with tens of cycles: the memory of their samples serves the next ones meanwhile.
+        let cycle = Arc::new(cycle.with_samples(None));
         let generation = Some(generation);
         Ok(Ready { cycle: NewCycle { cycle, received_at: now, encoded, summary, generation }, json })
     }

@@ -5,6 +5,7 @@ use super::registry::GroupRegistry;
 use super::transaction::GroupTransaction;
 use super::wear::{self, Heads, ToolWear, Versions};
 use super::{Conn, Writer, alarms, cycles, dialect, feed_profiles, models};
+use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::history::beginning;
 use crate::locks::Locks;
@@ -148,7 +149,7 @@ async fn place_all<'a>(
         }
         // Of two with one key in one group the first is the one that is stored.
         if let Entry::Vacant(first) = rows.entry((&cycle.machine, &cycle.id)) {
-            let summary = summary_of(new, registry);
+            let summary = summary_of(new, registry)?;
             first.insert((index, Arc::new(CycleRow::of(new, &summary)?), summary));
         }
     }
@@ -195,22 +196,24 @@ async fn place_all<'a>(
 
 /// The summary of a cycle that is stored now: under another generation of the registry than it was made under, it is
 /// made again, so that it rests on what is in force.
-fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> CycleSummary {
+fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> StoreResult<CycleSummary> {
     let cycle = &new.cycle;
     let again = new.generation.filter(|generation| *generation != registry.generation);
     let mut summary = match (again, registry.machines.get(&cycle.machine)) {
-        (Some(_), Some(known)) => summarise(
-            cycle,
-            Context {
+        (Some(_), Some(known)) => {
+            let context = Context {
                 machine: &known.machine,
                 calibration: known.calibration.as_deref(),
                 operation: registry.operations.get(&cycle.operation).map(AsRef::as_ref),
-            },
-        ),
+            };
+            let block = new.encoded.samples.as_deref();
+            let samples = block.map(|block| codec::decode_samples(block, usize::MAX)).transpose()?;
+            summarise(&Cycle::clone(cycle).with_samples(samples), context)
+        }
         _ => new.summary.clone(),
     };
     summary.flags.insert_if(!registry.tools.contains(&cycle.tool), Flag::ToolUnregistered);
-    summary
+    Ok(summary)
 }
 
 /// A cycle whose key is stored already: known, or in conflict.
