@@ -8,6 +8,8 @@ use serde_json::{Value, json};
 crate::engines::on_both!(
     samples_come_chosen_in_a_range_and_few_enough_for_a_screen,
     samples_come_in_the_form_that_is_accepted,
+    a_range_without_samples_is_an_empty_table,
+    cycles_of_one_moment_stand_in_the_order_of_the_machines_count,
     what_cannot_be_read_says_why,
     buckets_hold_every_cycle_once_and_gaps_are_no_zeros,
     the_last_cycles_of_a_tool_and_how_worn_it_was_after_each,
@@ -100,6 +102,64 @@ async fn samples_come_in_the_form_that_is_accepted() {
     assert!(arrow.body.ends_with(&[0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0]), "{} bytes", arrow.body.len());
     let refused = get_as(&app, SAMPLES, "text/html, application/json;q=0").await;
     assert_eq!((refused.status, refused.code().as_str()), (StatusCode::NOT_ACCEPTABLE, "not_acceptable"));
+}
+
+async fn a_range_without_samples_is_an_empty_table() {
+    let app = shop().await;
+    sampled(&app).await;
+    for range in
+        ["from_ms=1e9", "to_ms=-1", "from_ms=11&to_ms=12", "from_depth_mm=500", "from_ms=1e9&points=100"]
+    {
+        let path = format!("{SAMPLES}?{range}");
+        let columns = json!({"time_ms": [], "depth_mm": [], "spindle_load_percent": []});
+        assert_eq!(app.get(&path).await.json(), columns, "{range}");
+        assert_eq!(app.get(&format!("{path}&layout=rows")).await.json()["items"], json!([]), "{range}");
+        let csv = text(get_as(&app, &path, "text/csv").await);
+        assert_eq!(csv, "time,time_ms,depth_mm,spindle_load_percent\r\n", "{range}");
+        let parquet = get_as(&app, &path, "application/vnd.apache.parquet").await;
+        assert!(parquet.body.starts_with(b"PAR1") && parquet.body.ends_with(b"PAR1"), "{range}");
+        let arrow = get_as(&app, &path, "application/vnd.apache.arrow.stream").await;
+        assert!(arrow.body.ends_with(&[0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0]), "{range}");
+    }
+}
+
+/// As wear counts them: a control may begin several within one tick of its clock.
+async fn cycles_of_one_moment_stand_in_the_order_of_the_machines_count() {
+    let app = shop().await;
+    for number in [10, 8, 11, 9] {
+        let mut cycle = reported(number, "2026-05-04T05:00:00Z", f64::from(number));
+        cycle["seq"] = number.into();
+        post(&app, cycle).await;
+    }
+    post(&app, reported(12, "2026-05-04T05:00:01Z", 12.0)).await;
+    let ordered = json!(["c8", "c9", "c10", "c11", "c12"]);
+    let ids = |items: &Value| {
+        let items = items.as_array().unwrap_or_else(|| panic!("{items}"));
+        items.iter().map(|item| item["cycle_id"].clone()).collect::<Value>()
+    };
+    for of in ["tool=T1", "machine=M1", "operation=O1", "tool=T1&machine=M1"] {
+        for measure in ["duration_ms", "energy_joules"] {
+            let path = format!("/v1/series?{of}&last=5&measures={measure}");
+            assert_eq!(app.get(&path).await.json()["series"][0]["cycle_id"], ordered, "{path}");
+            let newest = app.get(&path.replace("last=5", "last=2")).await.json();
+            assert_eq!(newest["series"][0]["cycle_id"], json!(["c11", "c12"]), "{path}");
+        }
+        let path = format!("/v1/summaries?{of}&last=2");
+        assert_eq!(ids(&app.get(&path).await.json()["items"]), json!(["c11", "c12"]), "{path}");
+        // Page by page: a cursor is within the moment.
+        let (mut found, mut cursor) = (Vec::new(), String::new());
+        loop {
+            let page = app.get(&format!("/v1/cycles?{of}&limit=2{cursor}")).await.json();
+            found.extend(page["items"].as_array().unwrap().iter().map(|cycle| cycle["cycle_id"].clone()));
+            let Some(next) = page["next_cursor"].as_str() else { break };
+            cursor = format!("&cursor={next}");
+        }
+        assert_eq!(Value::from(found), ordered, "{of}");
+    }
+    assert_eq!(ids(&app.get("/v1/summaries").await.json()["items"]), ordered);
+    let life = app.get("/v1/tools/T1/life").await.json();
+    assert_eq!(life["cycle_id"], ordered, "{life}");
+    assert_eq!(app.get("/v1/fleet/M1").await.json()["last_cycle"]["cycle_id"], "c12");
 }
 
 async fn what_cannot_be_read_says_why() {

@@ -41,6 +41,13 @@ async fn content_that_cannot_be_is_named_and_kept_in_quarantine() {
         (with(r#"{"period_ms":10,"loads":[1]}"#), "unknown_field", "samples.loads"),
         (load("[1]").replace("06:00:00Z", "06:41:00Z"), "started_in_future", "started_at"),
         (load("[1]").replace("\"T1\"", "\"T 1\""), "invalid_id", "tool"),
+        (load("[1]").replace("\"q1\"", r#""q\u00001""#), "invalid_id", "cycle_id"),
+        (
+            load("[1]").replace("\"q1\"", r#""q1","law_version":"a\u0000""#),
+            "control_character",
+            "law_version",
+        ),
+        (load("[1]").replace("06:00:00Z", "06:00:00+25:00"), "invalid_timestamp", "started_at"),
     ];
     for (body, code, path) in &cases {
         let answer = shop.post_raw(CYCLES, "application/json", body.clone()).await;

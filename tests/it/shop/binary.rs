@@ -12,6 +12,7 @@ crate::engines::on_both!(
     a_frame_whose_content_cannot_be_is_named_and_kept,
     frames_that_are_too_large_torn_or_foreign_are_refused_and_not_kept,
     in_a_batch_of_frames_a_bad_one_fails_alone,
+    what_follows_a_torn_frame_is_no_cycle_either,
 );
 
 const CYCLES: &str = "/v1/machines/M1/cycles";
@@ -168,5 +169,23 @@ async fn in_a_batch_of_frames_a_bad_one_fails_alone() {
         ]
     );
     assert_eq!(outcomes[3]["problem"]["errors"][0]["path"], "spindle_speed_rpm");
+    assert_eq!((&outcomes[3]["cycle_id"], &outcomes[5]["cycle_id"]), (&json!("c4"), &Value::Null));
     assert_eq!(shop.get("/v1/tools/T1/wear").await.body["cycles"], 7);
+}
+
+async fn what_follows_a_torn_frame_is_no_cycle_either() {
+    let shop = Shop::open().await;
+    let (first, second) = (frame(&cycle(1, 20.0)), frame(&cycle(2, 20.0)));
+    let bodies = [first[..first.len() - 3].to_vec(), [first.as_slice(), b"{}"].concat()];
+    for (first, outcomes) in bodies.into_iter().zip([["refused", "refused"], ["stored", "refused"]]) {
+        let body = [first, second.clone()].concat();
+        let answer = shop.post_raw(&format!("{CYCLES}/batch"), wire::MEDIA_TYPE, body).await;
+        assert_eq!(answer.status, 200, "{}", answer.text);
+        let told: Vec<Value> = answer.text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let words: Vec<_> = told.iter().map(|outcome| outcome["outcome"].as_str().unwrap()).collect();
+        assert_eq!(words, outcomes);
+        assert_eq!(told[1]["problem"]["code"], "malformed_cycle", "{}", answer.text);
+        assert_eq!((&told[1]["line"], &told[1]["status"]), (&json!(2), &json!(400)));
+    }
+    assert_eq!(kept(&shop).await, 0);
 }

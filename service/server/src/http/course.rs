@@ -4,6 +4,7 @@ use super::compute::compute;
 use super::dto::course::CourseBody;
 use super::extract::PathId;
 use super::problem::{Problem, ProblemDocument};
+use super::samples::missing;
 use crate::course::course;
 use crate::state::AppState;
 use axum::Json;
@@ -20,6 +21,8 @@ use feedwright_core::ids::{CycleId, MachineId};
     responses(
         (status = 200, description = "The course", body = CourseBody),
         (status = 404, description = "There is no such cycle, or no samples of it", body = ProblemDocument<'static>),
+        (status = 410, description = "Its samples were dropped by retention; `dropped_at` says when",
+            body = ProblemDocument<'static>),
         (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),
     )
 )]
@@ -31,7 +34,7 @@ pub(super) async fn get(
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
     let samples = state.store.cycle_samples(&machine, &id).await?;
-    let samples = samples.ok_or_else(|| Problem::not_found("cycle with samples", id.as_str()))?;
+    let Some(samples) = samples else { return Err(missing(&state, &machine, &id).await?) };
     let around = state.store.surroundings(&machine, &stored.cycle.operation, &stored.cycle.tool).await?;
     let around = around.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?;
     compute(move || Ok(Json(CourseBody::from(course(&stored, &samples, &around))))).await

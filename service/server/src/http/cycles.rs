@@ -6,7 +6,7 @@ use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost};
 use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
-use crate::ingest::body::is_frame;
+use crate::ingest::body::{cycle_id_of, is_frame};
 use crate::ingest::content::{ContentError, Encoding, decompress};
 use crate::ingest::intake::{Accepted, Refused};
 use crate::state::AppState;
@@ -94,10 +94,12 @@ pub async fn post_batch(
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
     }
     let most = state.config.limits.batch_lines;
-    let lines = match form {
+    let mut lines = match form {
         Form::Json => lines_of(&body, most)?,
         Form::Binary => frames_of(&body, most)?,
     };
+    // What follows a torn frame may be anything, but no JSON.
+    let stray = lines.pop_if(|(_, bytes)| form == Form::Binary && !is_frame(bytes));
     let mut answer = Vec::with_capacity(128 * lines.len());
     for window in lines.chunks(BATCH_WINDOW) {
         let bodies = window.iter().map(|(_, line)| line.clone()).collect();
@@ -106,12 +108,14 @@ pub async fn post_batch(
         let accepting = async move { intake.accept_all(&machine, bodies).await };
         let results =
             state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))?;
-        for ((number, _), result) in window.iter().zip(results) {
-            let outcome = outcome(*number, result);
-            serde_json::to_writer(&mut answer, &outcome)
-                .map_err(|error| Problem::internal(error.to_string()))?;
-            answer.push(b'\n');
+        for (line, result) in window.iter().zip(results) {
+            put_outcome(&mut answer, line, result)?;
         }
+    }
+    if let Some(line) = stray {
+        let problem = no_frame();
+        state.metrics.cycle_rejected(problem.code);
+        put_outcome(&mut answer, &line, Err(problem))?;
     }
     Ok(([(header::CONTENT_TYPE, "application/x-ndjson")], answer).into_response())
 }
@@ -230,15 +234,17 @@ async fn decoded_body(
     let body = if encoding == Encoding::Identity { bytes } else { decoded(state, encoding, bytes).await? };
     // The body itself says which form it has; a header that says otherwise is a mistake to be told.
     match (form, is_frame(&body)) {
-        (Form::Binary, false) if !body.is_empty() => {
-            Err(Problem::bad_request("malformed_cycle", "the body is no cycle: it does not begin with FWC"))
-        }
+        (Form::Binary, false) if !body.is_empty() => Err(no_frame()),
         (Form::Json, true) => Err(Problem::bad_request(
             "malformed_json",
             format!("the body is no JSON but binary: send it as {}", wire::MEDIA_TYPE),
         )),
         _ => Ok((form, body)),
     }
+}
+
+fn no_frame() -> Problem {
+    Problem::bad_request("malformed_cycle", "the body is no cycle: it does not begin with FWC")
 }
 
 async fn decoded(state: &AppState, encoding: Encoding, bytes: Bytes) -> Result<Bytes, Problem> {
@@ -311,7 +317,19 @@ fn lines_of(text: &Bytes, most: usize) -> Result<Vec<(usize, Bytes)>, Problem> {
     Ok(lines)
 }
 
-fn outcome(line: usize, result: Result<Accepted, Problem>) -> BatchOutcome {
+/// Appends what became of a line or frame, by its number and bytes.
+fn put_outcome(
+    answer: &mut Vec<u8>,
+    (line, bytes): &(usize, Bytes),
+    result: Result<Accepted, Problem>,
+) -> Result<(), Problem> {
+    serde_json::to_writer(&mut *answer, &outcome(*line, bytes, result))
+        .map_err(|error| Problem::internal(error.to_string()))?;
+    answer.push(b'\n');
+    Ok(())
+}
+
+fn outcome(line: usize, bytes: &[u8], result: Result<Accepted, Problem>) -> BatchOutcome {
     match result {
         Ok(accepted) => BatchOutcome {
             line,
@@ -329,7 +347,7 @@ fn outcome(line: usize, result: Result<Accepted, Problem>) -> BatchOutcome {
                 line,
                 status: problem.status.as_u16(),
                 outcome: if quarantine_id.is_some() { "quarantined" } else { "refused" },
-                cycle_id: None,
+                cycle_id: cycle_id_of(bytes),
                 tool_state: None,
                 quarantine_id,
                 problem: serde_json::from_str(&problem.document(None)).ok(),

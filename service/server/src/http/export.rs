@@ -64,7 +64,8 @@ where
     let turn = state.exports.turn().await?;
     let fields: Arc<[Field]> = fields.into();
     let mut writer = writer(format, &fields)?;
-    let mut pieces = Box::pin(pieces);
+    // Asked once more after its end, where the first piece was the last.
+    let mut pieces = Box::pin(pieces.fuse());
     let first = match pieces.next().await {
         Some(rows) => writer.rows(&rows?)?,
         None => Vec::new(),

@@ -100,7 +100,7 @@ pub(super) async fn get_samples(
 }
 
 /// Why a cycle has no samples to show.
-async fn missing(state: &AppState, machine: &MachineId, id: &CycleId) -> Result<Problem, Problem> {
+pub(super) async fn missing(state: &AppState, machine: &MachineId, id: &CycleId) -> Result<Problem, Problem> {
     let Some(cycle) = state.store.cycle(machine, id).await? else {
         return Ok(Problem::not_found("cycle", id.as_str()));
     };

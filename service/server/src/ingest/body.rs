@@ -18,9 +18,11 @@ use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, Recommend
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_store::wire;
+use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
+use std::marker::PhantomData;
 
 /// How far a machine's clock may be ahead of the server's: beyond, a cycle goes to quarantine.
 pub const CLOCK_AHEAD_MS: i64 = 10 * 60 * 1000;
@@ -53,13 +55,33 @@ struct Body {
     process: Option<String>,
     strategy: Option<String>,
     law_version: Option<String>,
-    profile: Option<ProfileBody>,
+    profile: Option<Object<ProfileBody>>,
     recommendation_id: Option<String>,
     reference_cycle: Option<bool>,
     spindle_speed_rpm: Option<Number>,
     outcome: Option<String>,
     samples: Option<SamplesBody>,
-    reported: Option<ReportedBody>,
+    reported: Option<Object<ReportedBody>>,
+}
+
+/// What JSON has as an object: derived, it would also be read from a list of its fields in their order.
+#[derive(Debug)]
+struct Object<T>(T);
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Fields<T> {
+            type Value = T;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<T, A::Error> {
+                T::deserialize(MapAccessDeserializer::new(map))
+            }
+        }
+        deserializer.deserialize_map(Fields(PhantomData)).map(Self)
+    }
 }
 
 /// When a cycle began: JSON has a text, the binary form the time itself.
@@ -211,8 +233,17 @@ fn checked(machine: &MachineId, body: Body, max_samples: usize, now: Timestamp) 
     }
 }
 
-/// The cycle id of a body that is otherwise refused, for the quarantine's list.
+/// Most characters that are told of a cycle id which may be none.
+const MOST_OF_ID: usize = 128;
+
+/// The cycle id of a body that is otherwise refused, for the quarantine's list, of bounded length and without control
+/// characters, which not every database takes.
 pub fn cycle_id_of(body: &[u8]) -> Option<String> {
+    let id = any_cycle_id_of(body)?;
+    Some(id.chars().filter(|character| !character.is_control()).take(MOST_OF_ID).collect())
+}
+
+fn any_cycle_id_of(body: &[u8]) -> Option<String> {
     if is_frame(body) {
         return wire::read(body, usize::MAX).ok().map(|post| post.cycle_id);
     }
@@ -229,7 +260,7 @@ fn parse(json: &[u8]) -> Result<Body, BodyError> {
 
 fn parse_by_serde(json: &[u8]) -> Result<Body, BodyError> {
     let error = match serde_json::from_slice(json) {
-        Ok(body) => return Ok(body),
+        Ok(Object(body)) => return Ok(body),
         Err(error) => error,
     };
     if let Some((path, literal)) = scan::first_non_finite(json) {
@@ -245,7 +276,7 @@ fn parse_by_serde(json: &[u8]) -> Result<Body, BodyError> {
 /// Parses again, slower, to learn the path of what is wrong.
 fn located(json: &[u8]) -> BodyError {
     let mut deserializer = serde_json::Deserializer::from_slice(json);
-    let Err(error) = serde_path_to_error::deserialize::<_, Body>(&mut deserializer) else {
+    let Err(error) = serde_path_to_error::deserialize::<_, Object<Body>>(&mut deserializer) else {
         // Whole, but followed by more: two documents in one body.
         return BodyError::Malformed("there is more after the end of the document".into());
     };
@@ -273,7 +304,12 @@ fn located(json: &[u8]) -> BodyError {
     } else if let Some(name) = named("duplicate field `") {
         BodyError::one(below(&name), "duplicate_field", "is given twice")
     } else if text.contains("null") {
-        BodyError::one(path, "null_value", "must be a number, is null: leave out what was not sampled")
+        let message = if path.starts_with("samples") {
+            "must be a number, is null: leave out what was not sampled"
+        } else {
+            "must not be null"
+        };
+        BodyError::one(path, "null_value", message)
     } else {
         BodyError::one(path, "wrong_type", text)
     }
@@ -296,12 +332,16 @@ fn draft(
     let recommendation = body
         .recommendation_id
         .and_then(|text| keep(RecommendationId::parse("recommendation_id", &text), wrong));
-    let profile = body.profile.and_then(|profile| {
+    let profile = body.profile.and_then(|Object(profile)| {
         let id = keep(ProfileId::parse("profile.id", &profile.id), wrong)?;
         Some(ProfileVersion { profile: id, version: profile.version })
     });
+    if body.law_version.as_ref().is_some_and(|text| text.chars().any(char::is_control)) {
+        let message = "must not hold control characters";
+        wrong.push(Violation::new("law_version", "control_character", message));
+    }
     let samples = body.samples.and_then(|samples| columns(samples, max_samples, wrong));
-    let reported = body.reported.unwrap_or_default();
+    let reported = body.reported.map_or_else(ReportedBody::default, |Object(reported)| reported);
     let value = |number: Option<Number>| number.map(|number| number.0);
     Some(CycleDraft {
         machine: machine.clone(),
@@ -364,7 +404,7 @@ fn started_at(started: Started, now: Timestamp) -> Result<Timestamp, Violation> 
         // Within what a text could have said.
         Started::At(at) => {
             time::read("started_at", &time::show(at)).ok().filter(|shown| *shown == at).ok_or_else(|| {
-                Violation::new("started_at", "invalid_timestamp", "must be within the years -9999 to 9999")
+                Violation::new("started_at", "invalid_timestamp", "must be within the years 1 to 9999")
             })?
         }
     };

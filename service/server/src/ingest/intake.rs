@@ -270,7 +270,7 @@ impl CycleIntake {
         let entry = QuarantineEntry {
             id: uuid::Uuid::now_v7().to_string(),
             machine: machine.clone(),
-            cycle: body::cycle_id_of(&json).map(|id| id.chars().take(128).collect()),
+            cycle: body::cycle_id_of(&json),
             received_at: self.clock.now(),
             code: problem.errors.first().map_or(problem.code, |error| error.code).to_owned(),
             problem: problem.document(None),

@@ -93,9 +93,9 @@ fn countable(buckets: Buckets, width_us: i64) -> Result<Buckets, Problem> {
         return Ok(buckets);
     }
     let message = format!(
-        "the range has {} buckets of {} s, may have at most {MAX_BUCKETS}",
+        "the range has {} buckets of {} ms, may have at most {MAX_BUCKETS}",
         buckets.count(),
-        width_us / 1_000_000
+        width_us / 1_000
     );
     Err(Violation::new("bucket", "too_many_buckets", message).into())
 }

@@ -66,8 +66,9 @@ macro_rules! page {
             "WHERE ",
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
-              AND (c.started_at_us, c.machine_id, c.cycle_id) > ($6, $7, $8)
-              ORDER BY c.started_at_us, c.machine_id, c.cycle_id LIMIT $9"
+              AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($6, $7, COALESCE(
+                  (SELECT k.seq FROM cycles k WHERE k.machine_id = $7 AND k.cycle_id = $8), -1), $8)
+              ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $9"
         )
     };
 }
@@ -124,13 +125,13 @@ pub(super) async fn list(
 /// The last cycles that ran version `$2` of profile `$1`, newest first.
 pub(super) const LAST_OF_PROFILE: &str = select!(
     "WHERE c.profile_id = $1 AND c.profile_version = $2
-     ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $3"
+     ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $3"
 );
 
 /// The last cycles of operation `$1` with tools of type `$2`, newest first.
 pub(super) const LAST_WITH_TOOL_TYPE: &str = select!(
     "JOIN tools t ON t.tool_id = c.tool_id WHERE c.operation_id = $1 AND t.tool_type = $2
-     ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $3"
+     ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $3"
 );
 
 macro_rules! newest {
@@ -141,7 +142,7 @@ macro_rules! newest {
             "WHERE ",
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
-              ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $6"
+              ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
         )
     };
 }

@@ -16,7 +16,7 @@ const MOST_ALARMS: u32 = 2000;
 const LAST_CYCLES: &str = "SELECT machine_id, cycle_id, tool_id, operation_id, started_at_us, received_at_us, outcome,
         strategy, duration_ms, dynamometer_joules, calibrated_joules, measured_power_joules, rated_power_joules,
         reported_energy_joules, energy_scale, depth_digest
-    FROM cycles WHERE machine_id = $1 ORDER BY started_at_us DESC, cycle_id DESC LIMIT $2";
+    FROM cycles WHERE machine_id = $1 ORDER BY started_at_us DESC, COALESCE(seq, -1) DESC, cycle_id DESC LIMIT $2";
 
 /// Machines by id, each with its newest `recent` cycles (newest first), the verdict on the tool of the newest one and
 /// its open alarms.

@@ -41,8 +41,9 @@ macro_rules! forwards {
         points!(
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
-              AND (c.started_at_us, c.machine_id, c.cycle_id) > ($6, $7, $8)
-              ORDER BY c.started_at_us, c.machine_id, c.cycle_id LIMIT $9"
+              AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($6, $7, COALESCE(
+                  (SELECT k.seq FROM cycles k WHERE k.machine_id = $7 AND k.cycle_id = $8), -1), $8)
+              ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $9"
         )
     };
 }
@@ -170,7 +171,7 @@ macro_rules! backwards {
         points!(
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
-              ORDER BY c.started_at_us DESC, c.machine_id DESC, c.cycle_id DESC LIMIT $6"
+              ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
         )
     };
 }

@@ -69,41 +69,59 @@ pub struct ProfilePost {
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "the schema of what is read by hand")]
 pub struct SamplesPost {
-    /// Distance of two samples, ms.
+    /// Distance of two samples, ms. The first one is that of the end of the first period: it stands at `period_ms`, not at 0.
+    #[schema(nullable = false)]
     period_ms: Option<f64>,
     /// Times since the start of the cycle, ms, not running backwards.
+    #[schema(nullable = false)]
     time_ms: Option<Vec<f64>>,
     /// Tool tip depth: 0 at first contact, positive into the work, mm.
+    #[schema(nullable = false)]
     depth_mm: Option<Vec<f64>>,
     /// Programmed feed, mm/min.
+    #[schema(nullable = false)]
     feed_programmed_mm_min: Option<Vec<f64>>,
     /// Actual feed, mm/min.
+    #[schema(nullable = false)]
     feed_actual_mm_min: Option<Vec<f64>>,
     /// Feed override applied, %.
+    #[schema(nullable = false)]
     override_percent: Option<Vec<f64>>,
     /// Operator's override, %.
+    #[schema(nullable = false)]
     operator_override_percent: Option<Vec<f64>>,
     /// Feed-drive load, percent of the machine's declared rating.
+    #[schema(nullable = false)]
     feed_drive_load_percent: Option<Vec<f64>>,
     /// Spindle load, percent of the machine's declared rating.
+    #[schema(nullable = false)]
     spindle_load_percent: Option<Vec<f64>>,
     /// Spindle speed, rpm.
+    #[schema(nullable = false)]
     spindle_speed_rpm: Option<Vec<f64>>,
     /// Thrust from a dynamometer, N.
+    #[schema(nullable = false)]
     thrust_newtons: Option<Vec<f64>>,
     /// Torque from a dynamometer, N·m.
+    #[schema(nullable = false)]
     torque_newton_metres: Option<Vec<f64>>,
     /// Spindle power, W.
+    #[schema(nullable = false)]
     spindle_power_watts: Option<Vec<f64>>,
     /// Feed-drive power, W.
+    #[schema(nullable = false)]
     feed_drive_power_watts: Option<Vec<f64>>,
     /// Spindle current, A.
+    #[schema(nullable = false)]
     spindle_current_amperes: Option<Vec<f64>>,
     /// Feed-drive current, A.
+    #[schema(nullable = false)]
     feed_drive_current_amperes: Option<Vec<f64>>,
     /// Torque of the feed drive's motor, N·m.
+    #[schema(nullable = false)]
     feed_drive_torque_newton_metres: Option<Vec<f64>>,
     /// Torque of the spindle's motor, N·m.
+    #[schema(nullable = false)]
     spindle_torque_newton_metres: Option<Vec<f64>>,
 }
 
@@ -353,7 +371,7 @@ pub struct CycleBody {
     pub content_hash: String,
     /// Whether its samples are kept.
     pub has_samples: bool,
-    /// When retention dropped them, RFC 3339.
+    /// When retention dropped them, RFC 3339; of the decisions of one day (UTC) for one reason the last.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples_dropped_at: Option<String>,
     /// Its summary.
@@ -400,7 +418,7 @@ impl CycleBody {
 /// A cycle's samples, in the form in which they are posted.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct SamplesBody<'a> {
-    /// Distance of two samples, ms, where they are evenly spaced.
+    /// Distance of two samples, ms, where they are evenly spaced: the first one stands at this time, not at 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub period_ms: Option<f64>,
     /// Times since the start of the cycle, ms, where they are not.

@@ -61,7 +61,8 @@ pub struct RetentionView {
     pub dropped: Vec<SampleDropBody>,
 }
 
-/// A decision to drop samples.
+/// A decision to drop samples. Those of one day (UTC) for one reason are told as one, the last of them, with what all of
+/// them dropped; the audit has each.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct SampleDropBody {
     /// Samples that the server had received before this, RFC 3339.

@@ -5,10 +5,12 @@ use feedwright_core::units::Timestamp;
 use std::cell::RefCell;
 use std::fmt::Write;
 
+/// 0001-01-01T00:00:00Z: before it neither RFC 3339 nor most readers have a year.
+const FIRST_US: i64 = -62_135_596_800_000_000;
+
 /// Every time that was read is in range; one that was added up may leave it, and is shown as the last there is.
 fn in_range(at: Timestamp) -> jiff::Timestamp {
-    let end = if at.micros() > 0 { jiff::Timestamp::MAX } else { jiff::Timestamp::MIN };
-    jiff::Timestamp::from_microsecond(at.micros()).unwrap_or(end)
+    jiff::Timestamp::from_microsecond(at.micros().max(FIRST_US)).unwrap_or(jiff::Timestamp::MAX)
 }
 
 thread_local! {
@@ -101,15 +103,47 @@ pub fn after_ms(at: Timestamp, millis: f64) -> Timestamp {
     Timestamp::from_micros(at.micros().saturating_add((millis * 1000.0).round() as i64))
 }
 
-/// Reads RFC 3339 with any offset; digits finer than a microsecond are cut off.
+/// Reads RFC 3339 with any offset, from the year 1 on; digits finer than a microsecond are cut off.
 pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
-    text.parse::<jiff::Timestamp>().map(|at| Timestamp::from_micros(at.as_microsecond())).map_err(|_| {
-        Violation::new(
-            path,
-            "invalid_timestamp",
-            "must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z",
-        )
+    let invalid = |message| Violation::new(path, "invalid_timestamp", message);
+    if !is_rfc3339(text) {
+        return Err(invalid("must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z"));
+    }
+    let at = text.parse::<jiff::Timestamp>().ok().map(jiff::Timestamp::as_microsecond);
+    at.filter(|micros| *micros >= FIRST_US).map(Timestamp::from_micros).ok_or_else(|| {
+        invalid("must be a time that there is, from 0001-01-01T00:00:00Z to 9999-12-30T22:00:00Z")
     })
+}
+
+/// Whether a text has the form of RFC 3339: the library reads more (years of six digits, shorter offsets, offsets of more
+/// than a day, names of time zones). Whether there is such a time it does not say.
+fn is_rfc3339(text: &str) -> bool {
+    const DATE_AND_TIME: &[u8; 19] = b"0000-00-00T00:00:00";
+    let has_form = |bytes: &[u8], form: &[u8]| {
+        bytes.iter().zip(form).all(|(byte, form)| match form {
+            b'0' => byte.is_ascii_digit(),
+            b'T' => matches!(byte, b'T' | b't' | b' '),
+            _ => byte == form,
+        })
+    };
+    let Some((date_and_time, mut rest)) = text.as_bytes().split_first_chunk::<19>() else { return false };
+    if !has_form(date_and_time, DATE_AND_TIME) {
+        return false;
+    }
+    if let Some(fraction) = rest.strip_prefix(b".") {
+        let digits = fraction.iter().take_while(|byte| byte.is_ascii_digit()).count();
+        if digits == 0 {
+            return false;
+        }
+        rest = &fraction[digits..];
+    }
+    match rest {
+        [b'Z' | b'z'] => true,
+        [b'+' | b'-', offset @ ..] => {
+            offset.len() == 5 && has_form(offset, b"00:00") && &offset[..2] < b"24".as_slice()
+        }
+        _ => false,
+    }
 }
 
 #[cfg(test)]
@@ -159,5 +193,38 @@ mod tests {
         for text in ["", "yesterday", "2025-11-21", "2025-11-21T03:20:28", "1763695228"] {
             assert_eq!(read("at", text).unwrap_err().code, "invalid_timestamp", "{text}");
         }
+    }
+
+    #[test]
+    fn what_is_read_is_rfc_3339_and_so_is_what_is_shown() {
+        for text in [
+            "2026-05-05T06:00:00+24:00",
+            "2026-05-05T06:00:00+25:59",
+            "2026-05-05T06:00:00+02",
+            "2026-05-05T06:00:00+0200",
+            "2026-05-05T06:00:00+02:00[Europe/Berlin]",
+            "2026-05-05T06:00:00.Z",
+            "2026-05-05T06:00:00,5Z",
+            "2026-05-05T06:00Z",
+            "2026-05-05T06:00:00+02:60",
+            "2026-02-30T06:00:00Z",
+            "+002026-05-05T06:00:00Z",
+            "-009999-06-01T00:00:00Z",
+            "0000-12-31T23:59:59Z",
+            "0001-01-01T00:00:00+00:01",
+            "9999-12-31T23:59:59Z",
+        ] {
+            assert_eq!(read("at", text).unwrap_err().code, "invalid_timestamp", "{text}");
+        }
+        for (text, shown) in [
+            ("0001-01-01T00:00:00Z", "0001-01-01T00:00:00Z"),
+            ("2026-05-05t06:00:00.5z", "2026-05-05T06:00:00.5Z"),
+            ("2026-05-05 06:00:00-23:59", "2026-05-06T05:59:00Z"),
+            ("9999-12-30T22:00:00Z", "9999-12-30T22:00:00Z"),
+        ] {
+            assert_eq!(read("at", text).map(show).as_deref(), Ok(shown), "{text}");
+        }
+        assert_eq!(show(Timestamp::from_micros(i64::MIN)), "0001-01-01T00:00:00Z");
+        assert_eq!(show_even(Timestamp::from_micros(FIRST_US - 1)), "0001-01-01T00:00:00.000000Z");
     }
 }

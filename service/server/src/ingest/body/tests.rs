@@ -69,6 +69,7 @@ fn numbers_that_are_none_are_named() {
     assert_eq!(column("[]"), whole("empty"));
     assert_eq!(column("null"), whole("null_value"));
     assert_eq!(column("5"), whole("wrong_type"));
+    assert_eq!(refusal(r#"{"cycle_id":"c1","tool":null,"operation":"O1"}"#), ("tool".into(), "null_value"));
     assert_eq!(
         refusal(&with(r#""reported":{"energy_joules":NaN}"#)),
         ("reported.energy_joules".into(), "not_finite")
@@ -94,6 +95,30 @@ fn fields_that_are_unknown_missing_or_given_twice_are_named() {
         at("samples.time_ms", "contradictory")
     );
     assert_eq!(refusal(&with(r#""outcome":"completed""#)), at("samples", "nothing_recorded"));
+}
+
+#[test]
+fn lists_are_not_taken_for_their_fields_in_order() {
+    let at = |path: &str| (path.to_owned(), "wrong_type");
+    let ones = vec!["1"; 13].join(",");
+    assert_eq!(refusal(&with(&format!(r#""reported":[{ones}]"#))), at("reported"));
+    assert_eq!(refusal(&with(r#""profile":["P1",1],"reported":{"energy_joules":1}"#)), at("profile"));
+    let whole =
+        r#"["c1","T1","O1","2026-05-04T06:00:00Z",null,null,null,null,null,null,null,null,null,null,null]"#;
+    assert_eq!(refusal(whole), at(""));
+}
+
+#[test]
+fn text_without_control_characters_only() {
+    let law = |text: &str| with(&format!(r#""law_version":"{text}","reported":{{"energy_joules":1}}"#));
+    for text in [r"a\u0000", r"\r\n", r"\u0085"] {
+        assert_eq!(refusal(&law(text)), ("law_version".to_owned(), "control_character"), "{text}");
+    }
+    assert_eq!(of(&law("ac 1·2")).unwrap().law_version.as_deref(), Some("ac 1·2"));
+    // What is listed of a body that is refused is text that every database takes, of bounded length.
+    assert_eq!(cycle_id_of(br#"{"cycle_id":"a\u0000b"}"#).as_deref(), Some("ab"));
+    let long = format!(r#"{{"cycle_id":"{}"}}"#, "é".repeat(1000));
+    assert_eq!(cycle_id_of(long.as_bytes()), Some("é".repeat(128)));
 }
 
 #[test]
