@@ -200,6 +200,13 @@ async fn what_cannot_be_read_says_why() {
         assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{query}: {answer:?}");
         assert_eq!(answer.errors(), [(path.to_owned(), code.to_owned())], "{query}");
     }
+    let fine = "/v1/series?bucket=1ms&from=2026-05-04T00:00:00Z&to=2026-05-05T00:00:00Z";
+    let fine = app.get(fine).await.json();
+    assert!(fine["errors"][0]["message"].as_str().unwrap().contains("86400000 buckets of 1 ms"), "{fine}");
+    // Its first bucket begins before there are years.
+    let path = "/v1/series?bucket=1000d&from=0001-01-01T00:00:00Z&to=2026-05-05T00:00:00Z&measures=duration_ms&machine=M1";
+    let longest = app.get(path).await.json();
+    assert_eq!(longest["series"][0]["points"][0]["time"], "0001-01-01T00:00:00Z", "{longest}");
     for path in [
         "/v1/series?last=5&machine=M9",
         "/v1/series?last=5&tool=T9",

@@ -44,6 +44,8 @@ async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
     for number in 1..=3 {
         let gone = app.get(&format!("{M1}/cycles/s{number}/samples")).await;
         assert_eq!((gone.status, gone.code().as_str()), (StatusCode::GONE, "samples_dropped"));
+        let course = app.get(&format!("{M1}/cycles/s{number}/course")).await;
+        assert_eq!((course.status, course.code().as_str()), (StatusCode::GONE, "samples_dropped"));
         let problem = gone.json();
         assert_eq!(
             (&problem["reason"], &problem["dropped_at"]),
