@@ -195,12 +195,15 @@ async fn what_a_start_must_not_say_is_named_and_what_is_not_known_keeps_neutral(
     let (served, token) = shop(&[]).await;
     let mut machine = Machine::connect(&served, &token).await;
     let refused = machine
-        .start("c 1", json!({"channels": ["depth_mm", "depth"], "period_ms": 0.0, "in_force_percent": 70.0}))
+        .start(
+            "c 1",
+            json!({"channels": ["depth_mm", "depth"], "period_ms": 0.0, "in_force_percent": 70.0, "law_version": "a\u{0}"}),
+        )
         .await;
     assert_eq!((&refused["type"], &refused["code"]), (&json!("error"), &json!("invalid_content")));
     let paths: Vec<_> =
         refused["errors"].as_array().unwrap().iter().map(|e| e["path"].as_str().unwrap()).collect();
-    for path in ["cycle_id", "channels[1]", "period_ms", "in_force_percent"] {
+    for path in ["cycle_id", "channels[1]", "period_ms", "in_force_percent", "law_version"] {
         assert!(paths.contains(&path), "{path}: {refused}");
     }
     let knots = json!({"program": {"between": "linear", "knots": [{"depth_mm": 0.0, "feed_mm_min": -1.0}]}});

@@ -4,7 +4,7 @@ use super::compute::compute;
 use super::dto::course::CourseBody;
 use super::extract::PathId;
 use super::problem::{Problem, ProblemDocument};
-use super::samples::missing;
+use super::samples::no_samples;
 use crate::course::course;
 use crate::state::AppState;
 use axum::Json;
@@ -34,7 +34,7 @@ pub(super) async fn get(
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
     let samples = state.store.cycle_samples(&machine, &id).await?;
-    let Some(samples) = samples else { return Err(missing(&state, &machine, &id).await?) };
+    let Some(samples) = samples else { return Err(no_samples(&state, &machine, &id).await?) };
     let around = state.store.surroundings(&machine, &stored.cycle.operation, &stored.cycle.tool).await?;
     let around = around.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?;
     compute(move || Ok(Json(CourseBody::from(course(&stored, &samples, &around))))).await

@@ -64,7 +64,7 @@ where
     let turn = state.exports.turn().await?;
     let fields: Arc<[Field]> = fields.into();
     let mut writer = writer(format, &fields)?;
-    // Asked once more after its end, where the first piece was the last.
+    // Asked once more after its end, where there is no piece at all.
     let mut pieces = Box::pin(pieces.fuse());
     let first = match pieces.next().await {
         Some(rows) => writer.rows(&rows?)?,

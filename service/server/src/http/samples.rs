@@ -74,7 +74,7 @@ pub(super) async fn get_samples(
     if wanted.is_all() && format == Format::Json && !wanted.in_rows {
         let _turn = state.exports.turn().await?;
         let Some(columns) = state.store.cycle_columns(&machine, &id).await? else {
-            return Err(missing(&state, &machine, &id).await?);
+            return Err(no_samples(&state, &machine, &id).await?);
         };
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
         let json = columns::json(columns).map_err(|error| Problem::internal(error.to_string()))?;
@@ -82,7 +82,7 @@ pub(super) async fn get_samples(
     }
     let turn = state.exports.turn().await?;
     let Some(samples) = state.store.cycle_samples(&machine, &id).await? else {
-        return Err(missing(&state, &machine, &id).await?);
+        return Err(no_samples(&state, &machine, &id).await?);
     };
     let cycle = state.store.cycle(&machine, &id).await?;
     let cycle = cycle.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
@@ -100,7 +100,11 @@ pub(super) async fn get_samples(
 }
 
 /// Why a cycle has no samples to show.
-pub(super) async fn missing(state: &AppState, machine: &MachineId, id: &CycleId) -> Result<Problem, Problem> {
+pub(super) async fn no_samples(
+    state: &AppState,
+    machine: &MachineId,
+    id: &CycleId,
+) -> Result<Problem, Problem> {
     let Some(cycle) = state.store.cycle(machine, id).await? else {
         return Ok(Problem::not_found("cycle", id.as_str()));
     };

@@ -10,7 +10,7 @@ mod short;
 
 use super::number::{Number, Numbers};
 use super::scan;
-use crate::http::dto::time;
+use crate::http::dto::{text, time};
 use feedwright_core::cycle::{
     Channel, Cycle, CycleDraft, Outcome, ProfileVersion, Reported, ReportedCut, Samples, TimeBase,
 };
@@ -236,11 +236,13 @@ fn checked(machine: &MachineId, body: Body, max_samples: usize, now: Timestamp) 
 /// Most characters that are told of a cycle id which may be none.
 const MOST_OF_ID: usize = 128;
 
-/// The cycle id of a body that is otherwise refused, for the quarantine's list, of bounded length and without control
-/// characters, which not every database takes.
+/// The cycle id of a body that is otherwise refused, for the quarantine's list, of bounded length. Control characters, which
+/// not every database takes, are replaced, so that it is not taken for another id.
 pub fn cycle_id_of(body: &[u8]) -> Option<String> {
     let id = any_cycle_id_of(body)?;
-    Some(id.chars().filter(|character| !character.is_control()).take(MOST_OF_ID).collect())
+    let shown =
+        |character: char| if character.is_control() { char::REPLACEMENT_CHARACTER } else { character };
+    Some(id.chars().take(MOST_OF_ID).map(shown).collect())
 }
 
 fn any_cycle_id_of(body: &[u8]) -> Option<String> {
@@ -336,10 +338,9 @@ fn draft(
         let id = keep(ProfileId::parse("profile.id", &profile.id), wrong)?;
         Some(ProfileVersion { profile: id, version: profile.version })
     });
-    if body.law_version.as_ref().is_some_and(|text| text.chars().any(char::is_control)) {
-        let message = "must not hold control characters";
-        wrong.push(Violation::new("law_version", "control_character", message));
-    }
+    // Here and not where a cycle is made: those that are stored with other text have to be read.
+    let law_version =
+        text::optional("law_version", body.law_version.as_deref(), Cycle::MAX_LAW_VERSION, wrong);
     let samples = body.samples.and_then(|samples| columns(samples, max_samples, wrong));
     let reported = body.reported.map_or_else(ReportedBody::default, |Object(reported)| reported);
     let value = |number: Option<Number>| number.map(|number| number.0);
@@ -352,7 +353,7 @@ fn draft(
         seq: body.seq,
         process,
         strategy,
-        law_version: body.law_version,
+        law_version,
         profile,
         recommendation,
         reference: body.reference_cycle,

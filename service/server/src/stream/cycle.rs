@@ -3,7 +3,7 @@
 use super::binary::MOST_DECIMALS;
 use super::message::{ProgramMessage, SamplesMessage, StartMessage};
 use crate::config::StreamConfig;
-use crate::http::dto::time;
+use crate::http::dto::{text, time};
 use crate::ingest::body::CLOCK_AHEAD_MS;
 use crate::state::AppState;
 use feedwright_core::closed_loop::control::{self, LOOP_LAW_VERSION, Program, Standing};
@@ -12,7 +12,7 @@ use feedwright_core::closed_loop::profile;
 use feedwright_core::closed_loop::record::Timing;
 use feedwright_core::closed_loop::{Begun, LoopReason, Mode, RunningCycle, SampleAdvice};
 use feedwright_core::contact::{ContactInput, ContactSettings};
-use feedwright_core::cycle::{Channel, ProfileVersion};
+use feedwright_core::cycle::{Channel, Cycle, ProfileVersion};
 use feedwright_core::friction::error::Invalid;
 use feedwright_core::friction::program::{Between, FeedProgram, Knot, MOST_KNOTS};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
@@ -113,6 +113,7 @@ pub fn check(
     word("process", &meta.process, &|text| Process::parse(text).is_some());
     word("strategy", &meta.strategy, &|text| Strategy::parse(text).is_some());
     word("mode", &meta.mode, &|text| Mode::parse(text).is_some());
+    text::optional("law_version", meta.law_version.as_deref(), Cycle::MAX_LAW_VERSION, &mut wrong);
     if let Some(text) = &meta.recommendation_id {
         keep(RecommendationId::parse("recommendation_id", text), &mut wrong);
     }

@@ -176,17 +176,12 @@ macro_rules! backwards {
     };
 }
 
-// The index of a tool has the machine's own count between machine and cycle.
-macro_rules! last_of_tool {
-    ($columns:ident) => {
-        $columns!(
-            "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)
-             AND c.started_at_us >= $4 AND c.started_at_us < $5
-             ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
-        )
-    };
-}
+const LAST_ENERGIES_OF_TOOL: &str = energies!(
+    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
+     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)
+     AND c.started_at_us >= $4 AND c.started_at_us < $5
+     ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
+);
 
 /// The newest points, oldest of them first; of a tool's energies nothing else is read.
 pub(super) async fn last_points(
@@ -196,9 +191,8 @@ pub(super) async fn last_points(
     limit: u32,
 ) -> StoreResult<Vec<CyclePoint>> {
     let sql = match (&filter.tool, told) {
-        (Some(_), PointColumns::Energy) => last_of_tool!(energies),
-        (Some(_), PointColumns::All) => last_of_tool!(points),
-        (None, _) => of_subject!(backwards, filter),
+        (Some(_), PointColumns::Energy) => LAST_ENERGIES_OF_TOOL,
+        _ => of_subject!(backwards, filter),
     };
     let rows: Vec<DbRow> = sqlx::query::<Db>(sql)
         .bind(filter.tool.as_ref().map(ToolId::as_str))
