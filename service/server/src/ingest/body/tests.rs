@@ -111,8 +111,11 @@ fn lists_are_not_taken_for_their_fields_in_order() {
 #[test]
 fn text_without_control_characters_only() {
     let law = |text: &str| with(&format!(r#""law_version":"{text}","reported":{{"energy_joules":1}}"#));
-    for text in [r"a\u0000", r"\r\n", r"\u0085"] {
+    for text in [r"a\u0000", r"\u0000", r"ac\r\n1", r"1\u0085"] {
         assert_eq!(refusal(&law(text)), ("law_version".to_owned(), "control_character"), "{text}");
+    }
+    for blank in ["", " ", r"\r\n"] {
+        assert_eq!(refusal(&law(blank)), ("law_version".to_owned(), "invalid_length"), "{blank}");
     }
     assert_eq!(of(&law("ac 1·2")).unwrap().law_version.as_deref(), Some("ac 1·2"));
     // What is listed of a body that is refused is text that every database takes, of bounded length.
