@@ -65,6 +65,11 @@ pub struct Standing<'a> {
     pub program: &'a Program,
     /// Whether an overload of the machine waits to be acknowledged.
     pub overload_open: bool,
+    /// Whether the cycle says that it runs at a constant feed, as a reference cycle does: an override would falsify what is
+    /// learnt from it.
+    pub constant_feed: bool,
+    /// The process that the cycle names, where it does.
+    pub process: Option<Process>,
 }
 
 /// Where the law finds its inputs among the channels.
@@ -173,7 +178,15 @@ pub fn control(
         neutral.add(LoopReason::OperationUnregistered);
         return Ok((Control::Neutral, neutral, capped));
     };
+    if standing.process.is_some_and(|process| process != operation.process) {
+        neutral.add(LoopReason::NoLaw);
+        return Ok((Control::Neutral, neutral, capped));
+    }
     match operation.process {
+        Process::Friction if standing.constant_feed => {
+            neutral.add(LoopReason::NoLaw);
+            return Ok((Control::Neutral, neutral, capped));
+        }
         Process::Friction => {}
         Process::Plunge => {
             let Some(plunge) = plunge else {

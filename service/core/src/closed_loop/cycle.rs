@@ -289,6 +289,7 @@ impl RunningCycle {
             why.add(LoopReason::CycleTooLong);
         }
         self.cut_short |= !kept || too_long;
+        let mut never_taken = false;
         if time_ms.is_finite() {
             let age_ms = self.age_ms_of(now, time_ms);
             self.age_ms = Some(age_ms);
@@ -296,6 +297,9 @@ impl RunningCycle {
                 why.add(LoopReason::TooOld);
             } else if age_ms < 0.0 {
                 why.add(LoopReason::FromFuture);
+                // A wrong number, not a clock that runs fast: kept, it would make every true sample after it a late one, and
+                // the cycle could not be ended.
+                never_taken = n > self.record.next() && -age_ms > self.settings.oldest_sample_ms;
             }
         }
         let advice = if why.is_empty() {
@@ -307,7 +311,7 @@ impl RunningCycle {
         } else {
             SampleAdvice { ovr: self.withhold(Some(time_ms)), reasons: why }
         };
-        if kept && !too_long {
+        if kept && !too_long && !never_taken {
             self.record.keep(batch, i, advice);
         }
         advice

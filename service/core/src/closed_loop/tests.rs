@@ -88,8 +88,15 @@ fn running_with(
     tool: Option<ToolState>,
     told: &Program,
 ) -> RunningCycle {
-    let standing =
-        Standing { machine, operation: Some(operation), tool, program: told, overload_open: false };
+    let standing = Standing {
+        machine,
+        operation: Some(operation),
+        tool,
+        program: told,
+        overload_open: false,
+        constant_feed: false,
+        process: None,
+    };
     let overload = OverloadHold::UntilAcknowledged { relative_load: 2.0 };
     let control = control(&standing, &law(overload), PERIOD_MS, None).unwrap();
     let timing = Timing::Period { period_ms: PERIOD_MS };
@@ -162,6 +169,10 @@ fn every_break_of_the_sequence_is_named_and_never_raises() {
     assert!(each[0].reasons.contains(LoopReason::TooOld) && old.ovr.percent() <= 100.0);
     let (_, each) = send(&mut cycle, at(16), 500, &[10.0]);
     assert!(each[0].reasons.contains(LoopReason::FromFuture), "{each:?}");
+    // It takes no number: what is really taken next goes on.
+    let (next, each) = send(&mut cycle, at(15), 15, &[10.0]);
+    assert_eq!(next.next, 16, "{each:?}");
+    assert!(!each[0].reasons.contains(LoopReason::OutOfOrder), "{each:?}");
     let (_, each) = send(&mut cycle, at(2000), 2000, &[10.0]);
     assert!(each[0].reasons.contains(LoopReason::TooManySamples));
     assert!(each[0].reasons.contains(LoopReason::CycleTooLong) && cycle.was_cut_short());
@@ -244,6 +255,32 @@ fn what_is_not_known_keeps_neutral_and_says_so() {
 }
 
 #[test]
+fn no_law_acts_on_a_constant_feed_or_on_another_process() {
+    let (machine, operation, told) = (machine(), operation(Process::Friction), program());
+    let percent = |constant_feed, process| {
+        let standing = Standing {
+            machine: &machine,
+            operation: Some(&operation),
+            tool: Some(ToolState::Good),
+            program: &told,
+            overload_open: false,
+            constant_feed,
+            process,
+        };
+        let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, None).unwrap();
+        let timing = Timing::Period { period_ms: PERIOD_MS };
+        let mut cycle =
+            RunningCycle::new(begun(), control, (CHANNELS.to_vec(), timing), (Mode::Advise, settings()));
+        let (answer, _) = send(&mut cycle, at(0), 0, &[10.0]);
+        (answer.ovr.percent(), answer.reasons.contains(LoopReason::NoLaw))
+    };
+    let (law, none) = percent(false, Some(Process::Friction));
+    assert!(law > 100.0 && !none);
+    assert_eq!(percent(true, None), (100.0, true));
+    assert_eq!(percent(false, Some(Process::Turning)), (100.0, true));
+}
+
+#[test]
 fn another_programs_feed_is_told_from_rounding() {
     let channels = [
         Channel::DepthMm,
@@ -258,6 +295,8 @@ fn another_programs_feed_is_told_from_rounding() {
         tool: Some(ToolState::Good),
         program: &told,
         overload_open: false,
+        constant_feed: false,
+        process: None,
     };
     let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, None).unwrap();
     let timing = Timing::Period { period_ms: PERIOD_MS };
@@ -353,6 +392,8 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
         tool: Some(ToolState::Good),
         program: &Program::Unknown,
         overload_open: false,
+        constant_feed: false,
+        process: None,
     };
     let looped = PlungeLoop::new(plunge, detector, 4);
     let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, Some(looped)).unwrap();

@@ -383,8 +383,10 @@ impl Verdict {
         }
     }
 
-    /// Age of the last cycle of the fold, ms, never below 0; `None` where there is none.
+    /// Age of what the verdict rests on, ms, never below 0: of the last cycle that counted, and only where none did of the
+    /// last one. A cycle that counts for nothing makes old wear no younger. `None` where there is none.
     pub fn age_ms(&self, now: Timestamp) -> Option<i64> {
-        self.last.as_ref().map(|last| now.millis_since(last.started_at).max(0))
+        let at = self.last_counted_at.or_else(|| self.last.as_ref().map(|last| last.started_at))?;
+        Some(now.millis_since(at).max(0))
     }
 }

@@ -14,6 +14,7 @@ use feedwright_core::closed_loop::{Begun, LoopReason, Mode, RunningCycle, Sample
 use feedwright_core::contact::{ContactInput, ContactSettings};
 use feedwright_core::cycle::{Channel, Cycle, ProfileVersion};
 use feedwright_core::friction::error::Invalid;
+use feedwright_core::friction::law::OverloadHold;
 use feedwright_core::friction::program::{Between, FeedProgram, Knot, MOST_KNOTS};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::{Range, Violation};
@@ -324,7 +325,12 @@ pub async fn begin(
             program_hash = Some(profile.hash.to_string());
         }
     }
-    let overload_open = checked.meta.resend && overload_open(state, machine).await?;
+    // A cycle that is sent again is no next one.
+    let holds = match config.law().overload {
+        OverloadHold::UntilAcknowledged { .. } => true,
+        OverloadHold::UntilNextCycle { .. } | OverloadHold::Off => checked.meta.resend,
+    };
+    let overload_open = holds && overload_open(state, machine).await?;
     let plunge = match around.operation.as_ref().filter(|operation| operation.process == Process::Plunge) {
         Some(operation) => {
             let knowledge = store.knowledge(operation, &checked.tool).await?;
@@ -344,6 +350,8 @@ pub async fn begin(
         tool: verdict.map(|verdict| verdict.state),
         program: &program,
         overload_open,
+        constant_feed: checked.mode == Mode::Advise && checked.meta.runs_constant_feed(),
+        process: checked.meta.process.as_deref().and_then(Process::parse),
     };
     // Settings were checked at the start; what the law refuses all the same is no law.
     let control = control::control(&standing, &config.law(), checked.timing.period_ms(), plunge)

@@ -6,6 +6,7 @@
 use crate::http::dto::peak_to_peak::ControllerBody;
 use feedwright_core::cycle::Channel;
 use feedwright_core::invalid::Violation;
+use feedwright_core::units::Strategy;
 use serde::de::{DeserializeSeed, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::borrow::Cow;
@@ -79,6 +80,14 @@ pub struct StartMessage {
     /// Commanded spindle speed, rpm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spindle_speed_rpm: Option<f64>,
+}
+
+impl StartMessage {
+    /// Whether the machine says that it runs one constant feed, without an override.
+    pub fn runs_constant_feed(&self) -> bool {
+        self.reference_cycle == Some(true)
+            || self.strategy.as_deref().and_then(Strategy::parse) == Some(Strategy::FConst)
+    }
 }
 
 /// Programmed feed over depth.
