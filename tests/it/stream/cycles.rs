@@ -265,11 +265,11 @@ async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
     assert_eq!(machine.end(55).await["status"], 201);
     let started = machine.start("c2", json!({})).await;
     assert!(codes(&started["reasons"]).contains(&"overload_unacknowledged"), "{started}");
-    let neutral = machine.ask(load(0, 60, 5.0)).await;
+    let neutral = machine.ask(load(0, 10, 5.0)).await;
     assert_eq!(neutral["override_percent"], 100.0, "{neutral}");
     let (status, _) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
     assert_eq!(status, 200);
-    let freed = machine.ask(load(60, 5, 5.0)).await;
+    let freed = machine.ask(load(10, 5, 5.0)).await;
     assert!(freed["override_percent"].as_f64().unwrap() > 100.0, "{freed}");
     served.server.shutdown().await.unwrap();
 }
