@@ -106,7 +106,7 @@ pub enum DataQuality {
     Good,
     /// Too few cycles yet, or conditions that are to be confirmed.
     Limited,
-    /// The last cycle is older than data stays good.
+    /// The last cycle that counted is older than data stays good.
     Stale,
     /// No usable cycle.
     Missing,
