@@ -390,3 +390,27 @@ impl Verdict {
         Some(now.millis_since(at).max(0))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ids::{CycleId, MachineId};
+
+    #[test]
+    fn what_does_not_count_makes_no_wear_younger() {
+        let at = |ms: i64| Timestamp::from_micros(ms * 1000);
+        let last = OrderKey {
+            started_at: at(9_000),
+            machine: MachineId::parse("machine", "M1").unwrap(),
+            seq: None,
+            cycle: CycleId::parse("cycle", "aborted").unwrap(),
+        };
+        let mut verdict = Verdict::unknown("no_cycle", "no cycle yet");
+        assert_eq!(verdict.age_ms(at(10_000)), None);
+        verdict.last = Some(last);
+        assert_eq!(verdict.age_ms(at(10_000)), Some(1_000), "nothing counted: of the last cycle");
+        verdict.last_counted_at = Some(at(2_000));
+        assert_eq!(verdict.age_ms(at(10_000)), Some(8_000));
+        assert_eq!(verdict.age_ms(at(1_000)), Some(0), "never below 0");
+    }
+}
