@@ -14,6 +14,7 @@ pub mod database;
 pub mod http;
 pub mod ingest;
 pub mod jobs;
+pub mod json;
 pub mod lifecycle;
 pub mod live;
 pub mod metrics;

@@ -1,12 +1,11 @@
 //! Reading bodies within their bounds, and JSON out of them with the path of what is wrong.
 
 use super::problem::Problem;
-use crate::ingest::scan::first_non_finite;
+use crate::json::{self, Wrong};
 use crate::server::BodyTooSlow;
 use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
 use axum::extract::{FromRequest, Request};
 use bytes::Bytes;
-use feedwright_core::invalid::Violation;
 use http::{HeaderMap, StatusCode, header};
 use serde::de::DeserializeOwned;
 use std::error::Error;
@@ -27,10 +26,6 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
             return Err(unsupported("this body must not be compressed"));
         }
         let bytes = read(request, state).await?;
-        // Serde would take a list for the fields in their order, and an empty one for every default.
-        if bytes.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'[') {
-            return Err(Violation::new("", "wrong_type", "must be an object, is a list").into());
-        }
         parse(&bytes).map(Self)
     }
 }
@@ -74,50 +69,10 @@ fn is_too_slow(error: &(dyn Error + 'static)) -> bool {
 
 /// Parses JSON: 400 where it is none, 422 with the path where it is not what was expected.
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
-    let mut json = serde_json::Deserializer::from_slice(bytes);
-    let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| {
-        // Meant as JSON but for a word like NaN: named like every other bad field. Numbers too large are told below.
-        if error.inner().is_syntax()
-            && !error.inner().to_string().starts_with("number out of range")
-            && let Some((path, literal)) = first_non_finite(bytes)
-        {
-            return Violation::new(path, "not_finite", format!("must be a finite number, is {literal}"))
-                .into();
+    json::read(bytes).map_err(|wrong| match wrong {
+        Wrong::Malformed(why) => {
+            Problem::bad_request("malformed_json", format!("the body is no JSON: {why}"))
         }
-        let path = error.path().to_string();
-        explain(&path, error.inner())
-    })?;
-    json.end().map_err(|error| explain("", &error))?;
-    Ok(parsed)
-}
-
-/// Tells what is wrong with JSON, with a stable code and the path.
-fn explain(path: &str, error: &serde_json::Error) -> Problem {
-    let message = error.to_string();
-    let named = |prefix: &str| message.strip_prefix(prefix).and_then(|rest| rest.split('`').next());
-    let join = |name: &str| match path {
-        "" | "." => name.to_owned(),
-        path if path == name || path.ends_with(&format!(".{name}")) => path.to_owned(),
-        path => format!("{path}.{name}"),
-    };
-    let sentence = message.rsplit_once(" at line ").map_or(message.as_str(), |(sentence, _)| sentence);
-    let violation = |path: String, code| Problem::from(Violation::new(path, code, sentence));
-    if let Some(name) = named("unknown field `") {
-        return violation(join(name), "unknown_field");
-    }
-    if let Some(name) = named("missing field `") {
-        return violation(join(name), "missing_field");
-    }
-    if let Some(name) = named("duplicate field `") {
-        return violation(join(name), "duplicate_field");
-    }
-    let here = if path == "." { String::new() } else { path.to_owned() };
-    if message.starts_with("number out of range") {
-        return violation(here, "number_out_of_range");
-    }
-    if error.is_data() {
-        let code = if message.starts_with("invalid type") { "wrong_type" } else { "invalid_value" };
-        return violation(here, code);
-    }
-    Problem::bad_request("malformed_json", format!("the body is no JSON: {message}"))
+        Wrong::Field(violation) => violation.into(),
+    })
 }

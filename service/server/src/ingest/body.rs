@@ -1,8 +1,7 @@
 //! The JSON body of a cycle, to a checked [`Cycle`], with the path of whatever is wrong.
 //!
-//! The usual body is read in one pass by [`reader`]; anything else by `serde_json`, with the same outcome. Only what
-//! that refuses is looked at again: once with the path of the field, and once by [`super::scan`], which tells a
-//! document that is JSON but for NaN from one that is no JSON.
+//! The usual body is read in one pass by [`reader`]; anything else by [`json`], with the same outcome and with the path
+//! of what is wrong.
 
 mod frame;
 mod reader;
@@ -11,6 +10,7 @@ mod short;
 use super::number::{Number, Numbers};
 use super::scan;
 use crate::http::dto::{text, time};
+use crate::json::{self, Wrong};
 use feedwright_core::cycle::{
     Channel, Cycle, CycleDraft, Outcome, ProfileVersion, Reported, ReportedCut, Samples, TimeBase,
 };
@@ -18,11 +18,9 @@ use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, Recommend
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_store::wire;
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
+use serde::de::{Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
-use std::marker::PhantomData;
 
 /// How far a machine's clock may be ahead of the server's: beyond, a cycle goes to quarantine.
 pub const CLOCK_AHEAD_MS: i64 = 10 * 60 * 1000;
@@ -38,12 +36,6 @@ pub enum BodyError {
     Invalid(Vec<Violation>),
 }
 
-impl BodyError {
-    fn one(path: impl Into<String>, code: &'static str, message: impl Into<String>) -> Self {
-        Self::Invalid(vec![Violation::new(path, code, message)])
-    }
-}
-
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Body {
@@ -55,33 +47,13 @@ struct Body {
     process: Option<String>,
     strategy: Option<String>,
     law_version: Option<String>,
-    profile: Option<Object<ProfileBody>>,
+    profile: Option<ProfileBody>,
     recommendation_id: Option<String>,
     reference_cycle: Option<bool>,
     spindle_speed_rpm: Option<Number>,
     outcome: Option<String>,
     samples: Option<SamplesBody>,
-    reported: Option<Object<ReportedBody>>,
-}
-
-/// What JSON has as an object: derived, it would also be read from a list of its fields in their order.
-#[derive(Debug)]
-struct Object<T>(T);
-
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Fields<T>(PhantomData<T>);
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Fields<T> {
-            type Value = T;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an object")
-            }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<T, A::Error> {
-                T::deserialize(MapAccessDeserializer::new(map))
-            }
-        }
-        deserializer.deserialize_map(Fields(PhantomData)).map(Self)
-    }
+    reported: Option<ReportedBody>,
 }
 
 /// When a cycle began: JSON has a text, the binary form the time itself.
@@ -261,59 +233,31 @@ fn parse(json: &[u8]) -> Result<Body, BodyError> {
 }
 
 fn parse_by_serde(json: &[u8]) -> Result<Body, BodyError> {
-    let error = match serde_json::from_slice(json) {
-        Ok(Object(body)) => return Ok(body),
-        Err(error) => error,
-    };
-    if let Some((path, literal)) = scan::first_non_finite(json) {
-        return Err(BodyError::one(path, "not_finite", format!("must be a finite number, is {literal}")));
-    }
-    // A torn body may break a rule of ours before its tear: whether it is JSON at all comes first.
-    if serde_json::from_slice::<IgnoredAny>(json).is_err() {
-        return Err(BodyError::Malformed(error.to_string()));
-    }
-    Err(located(json))
+    json::read(json).map_err(|wrong| match wrong {
+        Wrong::Malformed(why) => BodyError::Malformed(why),
+        Wrong::Field(violation) => BodyError::Invalid(vec![told(json, violation)]),
+    })
 }
 
-/// Parses again, slower, to learn the path of what is wrong.
-fn located(json: &[u8]) -> BodyError {
-    let mut deserializer = serde_json::Deserializer::from_slice(json);
-    let Err(error) = serde_path_to_error::deserialize::<_, Object<Body>>(&mut deserializer) else {
-        // Whole, but followed by more: two documents in one body.
-        return BodyError::Malformed("there is more after the end of the document".into());
-    };
-    let path = error.path().to_string();
-    let path = if path == "." { String::new() } else { path };
-    let text = error.inner().to_string();
-    let text = text.rsplit_once(" at line ").map_or(text.as_str(), |(text, _)| text);
-    let named = |prefix: &str| {
-        text.strip_prefix(prefix).and_then(|rest| rest.split_once('`')).map(|(name, _)| name.to_owned())
-    };
-    let below = |name: &str| {
-        // The path ends in the field itself where serde was already inside it.
-        if path.is_empty() {
-            name.to_owned()
-        } else if path == name || path.ends_with(&format!(".{name}")) {
-            path.clone()
-        } else {
-            format!("{path}.{name}")
+/// What a cycle's body tells in words of its own: null, and a number beyond every other, which is told like NaN.
+fn told(json: &[u8], violation: Violation) -> Violation {
+    match violation.code {
+        "number_out_of_range" => match scan::first_non_finite(json) {
+            Some((path, literal)) => {
+                Violation::new(path, "not_finite", format!("must be a finite number, is {literal}"))
+            }
+            None => violation,
+        },
+        "wrong_type" if violation.message.starts_with("invalid type: null") => {
+            let message = if violation.path.starts_with("samples") {
+                "must be a number, is null: leave out what was not sampled"
+            } else {
+                "must not be null"
+            };
+            Violation::new(violation.path, "null_value", message)
         }
-    };
-    if let Some(name) = named("unknown field `") {
-        BodyError::one(below(&name), "unknown_field", "is not a field that a cycle has")
-    } else if let Some(name) = named("missing field `") {
-        BodyError::one(below(&name), "missing_field", "is required")
-    } else if let Some(name) = named("duplicate field `") {
-        BodyError::one(below(&name), "duplicate_field", "is given twice")
-    } else if text.contains("null") {
-        let message = if path.starts_with("samples") {
-            "must be a number, is null: leave out what was not sampled"
-        } else {
-            "must not be null"
-        };
-        BodyError::one(path, "null_value", message)
-    } else {
-        BodyError::one(path, "wrong_type", text)
+        "invalid_value" => Violation { code: "wrong_type", ..violation },
+        _ => violation,
     }
 }
 
@@ -334,7 +278,7 @@ fn draft(
     let recommendation = body
         .recommendation_id
         .and_then(|text| keep(RecommendationId::parse("recommendation_id", &text), wrong));
-    let profile = body.profile.and_then(|Object(profile)| {
+    let profile = body.profile.and_then(|profile| {
         let id = keep(ProfileId::parse("profile.id", &profile.id), wrong)?;
         Some(ProfileVersion { profile: id, version: profile.version })
     });
@@ -342,7 +286,7 @@ fn draft(
     let law_version =
         text::optional("law_version", body.law_version.as_deref(), Cycle::MAX_LAW_VERSION, wrong);
     let samples = body.samples.and_then(|samples| columns(samples, max_samples, wrong));
-    let reported = body.reported.map_or_else(ReportedBody::default, |Object(reported)| reported);
+    let reported = body.reported.unwrap_or_default();
     let value = |number: Option<Number>| number.map(|number| number.0);
     Some(CycleDraft {
         machine: machine.clone(),

@@ -4,6 +4,7 @@
 //! error with the path of the field, never a guess.
 
 use crate::http::dto::peak_to_peak::ControllerBody;
+use crate::json::{self, Wrong};
 use feedwright_core::cycle::Channel;
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Strategy;
@@ -310,8 +311,16 @@ pub fn read(text: &str) -> Result<Incoming, Unreadable> {
 }
 
 fn parse<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, Unreadable> {
-    serde_json::from_str(text)
-        .map_err(|error| Unreadable { n: number_of(text), violation: located(text, &error) })
+    json::read(text.as_bytes()).map_err(|wrong| {
+        let violation = match wrong {
+            Wrong::Malformed(why) => Violation::new("", "malformed_json", format!("is no JSON: {why}")),
+            Wrong::Field(violation) if violation.code == "invalid_value" => {
+                Violation { code: "wrong_type", ..violation }
+            }
+            Wrong::Field(violation) => violation,
+        };
+        Unreadable { n: number_of(text), violation }
+    })
 }
 
 fn number_of(text: &str) -> Option<u32> {
@@ -320,26 +329,6 @@ fn number_of(text: &str) -> Option<u32> {
         n: u32,
     }
     serde_json::from_str::<OnlyNumber>(text).ok().map(|only| only.n)
-}
-
-fn located(text: &str, error: &serde_json::Error) -> Violation {
-    if let Some((path, literal)) = crate::ingest::scan::first_non_finite(text.as_bytes()) {
-        return Violation::new(path, "not_finite", format!("must be a finite number or null, is {literal}"));
-    }
-    if serde_json::from_str::<IgnoredAny>(text).is_err() {
-        return Violation::new("", "malformed_json", format!("is no JSON: {error}"));
-    }
-    let message = error.to_string();
-    let named = |prefix: &str| message.strip_prefix(prefix)?.split_once('`').map(|(name, _)| name.to_owned());
-    if let Some(name) = named("unknown field `") {
-        Violation::new(name, "unknown_field", "is not a field of this message")
-    } else if let Some(name) = named("missing field `") {
-        Violation::new(name, "missing_field", "is required")
-    } else if let Some(name) = named("duplicate field `") {
-        Violation::new(name, "duplicate_field", "is given twice")
-    } else {
-        Violation::new("", "wrong_type", message)
-    }
 }
 
 /// Adds a column to some values: a number, null, or an array of them; null is kept as what is not a number.
@@ -479,7 +468,28 @@ mod tests {
         assert_eq!(refused(nan), at(None, "depth_mm[0]", "not_finite"));
         let twice = r#"{"type":"samples","n":4,"first":0,"depth_mm":[1],"depth_mm":[1]}"#;
         assert_eq!(refused(twice), at(Some(4), "depth_mm", "duplicate_field"));
-        assert_eq!(refused(r#"{"type":"samples","n":-4,"first":0}"#).2, "wrong_type");
+        assert_eq!(refused(r#"{"type":"samples","n":-4,"first":0}"#), at(None, "n", "wrong_type"));
+        let text = r#"{"type":"samples","n":4,"first":0,"depth_mm":[1,"2"]}"#;
+        assert_eq!(refused(text), at(Some(4), "depth_mm[1]", "wrong_type"));
+        assert_eq!(refused(r#"{"type":3,"n":4}"#), at(Some(4), "type", "wrong_type"));
+        assert_eq!(refused(r#"["end",4]"#), at(None, "", "wrong_type"));
+        let start = |field: &str| {
+            format!(
+                r#"{{"type":"start","n":4,"cycle_id":"c","tool":"T","operation":"O","started_at":"","sent_at":"",
+                    "channels":[],{field}}}"#
+            )
+        };
+        for (field, path) in [
+            (r#""program":["held",[]]"#, "program"),
+            (
+                r#""program":{"between":"held","knots":[{"depth_mm":0,"feed_mm_min":1},[1,2]]}"#,
+                "program.knots[1]",
+            ),
+            (r#""profile":["P",1]"#, "profile"),
+            (r#""seq":"1""#, "seq"),
+        ] {
+            assert_eq!(refused(&start(field)), at(Some(4), path, "wrong_type"), "{field}");
+        }
         assert_eq!(refused(r#"{"type":"end","n":1,"more":1}"#), at(Some(1), "more", "unknown_field"));
     }
 }

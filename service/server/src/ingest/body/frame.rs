@@ -1,7 +1,7 @@
 //! The binary body as the same fields that JSON has, so that both are checked by one code.
 
 use super::super::number::Number;
-use super::{Body, BodyError, Object, ProfileBody, ReportedBody, SamplesBody, Started};
+use super::{Body, BodyError, ProfileBody, ReportedBody, SamplesBody, Started};
 use feedwright_core::invalid::Violation;
 use feedwright_store::wire::{self, Post, PostedSamples, WireError};
 
@@ -48,7 +48,7 @@ impl From<Post> for Body {
             process: post.process,
             strategy: post.strategy,
             law_version: post.law_version,
-            profile: post.profile.map(|(id, version)| Object(ProfileBody { id, version })),
+            profile: post.profile.map(|(id, version)| ProfileBody { id, version }),
             recommendation_id: post.recommendation_id,
             reference_cycle: post.reference_cycle,
             spindle_speed_rpm: post.spindle_speed_rpm.map(Number),
@@ -58,7 +58,7 @@ impl From<Post> for Body {
                 time_ms,
                 columns,
             }),
-            reported: Some(Object(ReportedBody {
+            reported: Some(ReportedBody {
                 energy_joules,
                 duration_ms,
                 max_depth_mm,
@@ -72,7 +72,7 @@ impl From<Post> for Body {
                 spindle_power_watts,
                 thrust_newtons,
                 edge_wear_mm,
-            })),
+            }),
         }
     }
 }

@@ -5,7 +5,7 @@
 
 use super::super::number::{Number, Numbers};
 use super::short;
-use super::{Body, Object, ProfileBody, ReportedBody, SamplesBody, Started};
+use super::{Body, ProfileBody, ReportedBody, SamplesBody, Started};
 use feedwright_core::cycle::Channel;
 
 /// Digits that a number may have: every integer of so many is exact as f64, so a quotient by a power of ten, exact as
@@ -84,14 +84,14 @@ impl<'a> Reader<'a> {
             process: fields.process,
             strategy: fields.strategy,
             law_version: fields.law_version,
-            profile: fields.profile.map(Object),
+            profile: fields.profile,
             recommendation_id: fields.recommendation_id,
             // Rare: a body that has it is left to the reader that knows everything.
             reference_cycle: None,
             spindle_speed_rpm: fields.spindle_speed_rpm,
             outcome: fields.outcome,
             samples: fields.samples,
-            reported: fields.reported.map(Object),
+            reported: fields.reported,
         })
     }
 
