@@ -148,7 +148,8 @@ pub struct CycleDraft {
     pub started_at: Timestamp,
     /// The machine's own count, where it has one.
     pub seq: Option<u64>,
-    /// The process, where it differs from the operation's or the operation is not registered.
+    /// The process as the machine names it: where it is not the operation's, the cycle is flagged
+    /// [`Flag::Contradictory`].
     pub process: Option<Process>,
     /// How the feed was chosen.
     pub strategy: Option<Strategy>,

@@ -106,7 +106,9 @@ pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
         summary.energy.push(Energy::reported(joules));
     }
     summary.energy_scale = summary.best_energy().map_or(0, |best| energy::scale(best, context));
-    let contradictory = contradicts(cycle, &summary) || contradicts_reference(cycle, &summary);
+    let contradictory = contradicts(cycle, &summary)
+        || contradicts_reference(cycle, &summary)
+        || contradicts_operation(cycle, context);
     let asked = context.operation.and_then(|operation| operation.depth_mm);
     let short = asked.zip(summary.max_depth_mm).is_some_and(|(asked, reached)| reached < DEPTH_FLOOR * asked);
     let no_energy = summary.energy.is_empty();
@@ -221,6 +223,11 @@ fn contradicts(cycle: &Cycle, summary: &CycleSummary) -> bool {
 /// Whether a cycle that is called a reference cycle was run at feeds that differ.
 fn contradicts_reference(cycle: &Cycle, summary: &CycleSummary) -> bool {
     cycle.reference == Some(true) && summary.digest.as_ref().is_some_and(|digest| !digest.is_constant_feed())
+}
+
+/// Whether a cycle names another process than its operation has.
+fn contradicts_operation(cycle: &Cycle, context: Context<'_>) -> bool {
+    cycle.process.zip(context.operation).is_some_and(|(process, operation)| process != operation.process)
 }
 
 /// How much time each sample stands for.

@@ -207,6 +207,13 @@ async fn a_machine_may_mark_its_reference_cycles_itself() {
         let wrong = &answer.body["errors"][0];
         assert_eq!((&wrong["path"], &wrong["code"]), (&json!("reference_cycle"), &json!("contradictory")));
     }
+    // Another process than the operation's is stored, and told.
+    let mut body = worn(10, &paper.adaptive, "f_ac", false, 0.0);
+    body["process"] = json!("plunge");
+    let answer = shop.cycle("F1", &body).await;
+    assert_eq!(answer.status, 201, "{}", answer.text);
+    assert!(flagged(&answer.body, "contradictory"), "{}", answer.text);
+
     let mut body = marked(9, &paper.constant, true);
     body["reference_cycle"] = json!("yes");
     assert_eq!(shop.cycle("F1", &body).await.status, 422);

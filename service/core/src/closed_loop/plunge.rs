@@ -2,7 +2,7 @@
 //!
 //! A loop through a network bites before it knows: the advised approach is at most the permitted bite over the
 //! detector's lag and the answer's age. Fast is only what is known to be in air: while the idle band is being learnt,
-//! and after anything unusable, the advice is the working feed.
+//! and after anything unusable, the advice is at most the working feed.
 
 use super::control::Seen;
 use super::reason::{LoopReason, LoopReasons};
@@ -72,6 +72,8 @@ pub struct PlungeLimits {
     pub plunge: BoundedFeed,
     /// Working feed, mm/min.
     pub work: BoundedFeed,
+    /// The slowest that the machine runs, mm/min.
+    pub least: BoundedFeed,
     /// Feed out of the hole, mm/min.
     pub retract: BoundedFeed,
     /// How far the drill may bite at plunge feed, mm.
@@ -89,6 +91,8 @@ pub struct PlungeLoop {
     detector: ContactDetector,
     confirm_samples: u32,
     phase: PlungePhase,
+    /// Whether contact was found.
+    in_work: bool,
     /// Good samples still needed before it may be fast.
     settling: u32,
     settling_samples: u32,
@@ -105,6 +109,7 @@ impl PlungeLoop {
             confirm_samples: detector.data().confirm_samples,
             detector: ContactDetector::new(detector),
             phase: PlungePhase::Work,
+            in_work: false,
             settling: 0,
             settling_samples,
             contact_offset_mm: None,
@@ -128,6 +133,7 @@ impl PlungeLoop {
         } else {
             self.settling = self.settling.saturating_sub(1);
         }
+        self.in_work = found.event == Some(ContactEvent::Contact) || found.phase == Phase::InWork;
         self.phase = match (found.event, found.phase) {
             (Some(ContactEvent::Contact), _) | (_, Phase::InWork) => PlungePhase::Work,
             (_, Phase::Through) => PlungePhase::Retract,
@@ -157,19 +163,24 @@ impl PlungeLoop {
         (lag_ms + age_ms.max(self.limits.answer_age_ms)) / 1000.0
     }
 
+    /// A feed that bites no deeper than is allowed.
+    fn bounded(&self, wish_mm_min: f64, delay_s: f64, reasons: &mut LoopReasons) -> BoundedFeed {
+        let bitten = self.limits.allowed_bite_mm / delay_s * 60.0;
+        if bitten < wish_mm_min {
+            reasons.add(LoopReason::BiteLimited);
+        }
+        BoundedFeed(wish_mm_min.min(bitten).max(self.limits.least.0))
+    }
+
     fn advice(&self, age_ms: f64, reasons: &mut LoopReasons) -> PlungeStep {
         let delay_s = self.delay_s(age_ms);
         let feed = match self.phase {
-            PlungePhase::Work => self.limits.work,
             PlungePhase::Retract => self.limits.retract,
-            PlungePhase::Approach => {
-                let bitten = self.limits.allowed_bite_mm / delay_s * 60.0;
-                if bitten < self.limits.plunge.mm_min() {
-                    reasons.add(LoopReason::BiteLimited);
-                }
-                // Never below the working feed: that is permitted in the work itself.
-                BoundedFeed(self.limits.plunge.0.min(bitten).max(self.limits.work.0))
-            }
+            PlungePhase::Work if self.in_work => self.limits.work,
+            // What bounds the approach bounds the feed of which it is not known whether it is one, so that nothing unknown
+            // raises it: the working feed itself may bite deeper than is allowed.
+            PlungePhase::Work => self.bounded(self.limits.work.0.min(self.limits.plunge.0), delay_s, reasons),
+            PlungePhase::Approach => self.bounded(self.limits.plunge.0, delay_s, reasons),
         };
         PlungeStep {
             phase: self.phase,

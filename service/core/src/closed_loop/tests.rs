@@ -2,9 +2,9 @@
 
 #![expect(clippy::float_cmp, reason = "neutral and the limits are exact values, not results of arithmetic")]
 
-use super::control::{LawSettings, Program, control};
+use super::control::{LawSettings, Program, Seen, control};
 use super::monitor::Monitor;
-use super::plunge::{BoundedFeed, PlungeLimits, PlungeLoop, PlungePhase};
+use super::plunge::{BoundedFeed, PlungeLimits, PlungeLoop, PlungePhase, PlungeStep};
 use super::profile::RunProfile;
 use super::record::Timing;
 use super::{
@@ -378,6 +378,7 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
     let plunge = PlungeLimits {
         plunge: feed(2500.0),
         work: feed(120.0),
+        least: feed(0.5),
         retract: feed(9999.0),
         allowed_bite_mm: 0.5,
         answer_age_ms: 20.0,
@@ -440,6 +441,53 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
     }
     assert_eq!((work.0.phase, work.0.feed.mm_min()), (PlungePhase::Retract, 3000.0));
     assert!(work.0.breakthrough_depth_mm.is_some_and(|depth| (depth - 8.0).abs() < 1e-12));
+}
+
+#[test]
+fn a_working_feed_that_bites_too_deep_is_run_in_the_work_only() {
+    let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
+    let feed = |mm_min| BoundedFeed::within(&limits, mm_min).unwrap();
+    // 0.1 mm within 60 ms: 100 mm/min.
+    let plunge = PlungeLimits {
+        plunge: feed(2500.0),
+        work: feed(120.0),
+        least: feed(1.0),
+        retract: feed(3000.0),
+        allowed_bite_mm: 0.1,
+        answer_age_ms: 20.0,
+        period_ms: 10.0,
+    };
+    let mut plunge = PlungeLoop::new(plunge, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
+    let seen = |depth_mm: f64, load: f64| Seen {
+        time_ms: 0.0,
+        age_ms: 0.0,
+        depth_mm: Some(depth_mm),
+        feed_drive_percent: Some(load),
+        spindle_percent: None,
+        programmed_mm_min: None,
+        actual_mm_min: Some(100.0),
+    };
+    let mut phases = Vec::new();
+    let mut check = |(step, reasons): (PlungeStep, LoopReasons)| {
+        let known = step.contact_offset_mm.is_some();
+        assert!((step.feed.mm_min() - if known { 120.0 } else { 100.0 }).abs() < 1e-9, "{step:?}");
+        assert_eq!(reasons.contains(LoopReason::BiteLimited), !known, "{step:?}");
+        phases.push(step.phase);
+    };
+    for k in 0..30 {
+        check(plunge.step(&seen(-10.0 + f64::from(k) * 0.1, 3.0)));
+    }
+    check(plunge.step(&seen(-6.9, f64::NAN)));
+    for k in 0..6 {
+        check(plunge.step(&seen(-6.8 + f64::from(k) * 0.1, 3.0)));
+    }
+    for k in 0..8 {
+        check(plunge.step(&seen(0.1 * f64::from(k), 30.0)));
+    }
+    phases.dedup();
+    let (approach, work) = (PlungePhase::Approach, PlungePhase::Work);
+    assert_eq!(phases, [work, approach, work, approach, work]);
+    assert!((plunge.withhold().feed.mm_min() - 120.0).abs() < 1e-9);
 }
 
 #[test]

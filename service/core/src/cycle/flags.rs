@@ -52,7 +52,8 @@ flags! {
     NoEnergy = 12, "no_energy";
     /// A load lies beyond the range of the machine's fitted lines.
     BeyondCalibration = 13, "beyond_calibration";
-    /// The control reports a length or depth, or calls a reference cycle, what its samples contradict.
+    /// The control reports a length or depth, or calls a reference cycle, what its samples contradict; or it names another
+    /// process than its operation's.
     Contradictory = 14, "contradictory";
     /// The machine says that it is a reference cycle.
     ReferenceCycle = 15, "reference_cycle";

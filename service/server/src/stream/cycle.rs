@@ -418,6 +418,7 @@ fn plunge_loop(
     let limits = PlungeLimits {
         plunge: BoundedFeed::within(limits, advised)?,
         work: BoundedFeed::within(limits, operation.programmed_feed_mm_min?)?,
+        least: BoundedFeed::within(limits, limits.min_mm_min())?,
         retract: BoundedFeed::within(limits, limits.max_mm_min())?,
         allowed_bite_mm: latency.allowed_bite_mm,
         answer_age_ms: latency.answer_age_s * 1000.0,

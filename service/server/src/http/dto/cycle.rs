@@ -31,7 +31,7 @@ pub struct CyclePost {
     started_at: String,
     /// The machine's own count.
     seq: Option<u64>,
-    /// `friction`, `drilling`, `plunge`, `turning`, `vibratory` or `milling`; the operation's where it is left out.
+    /// `friction`, `drilling`, `plunge`, `turning`, `vibratory` or `milling`; the operation's where it is left out; another one flags the cycle `contradictory`.
     process: Option<String>,
     /// `f_const`, `f_sec`, `f_lin` or `f_ac`.
     strategy: Option<String>,
