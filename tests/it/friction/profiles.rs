@@ -507,6 +507,20 @@ async fn a_profile_per_wear_band_is_drafted_and_each_is_handed_out_within_its_ba
         "{}",
         answer.text
     );
+    for (edges, path) in [
+        (json!([1.0]), "wear_edges"),
+        (json!([1.0, 9.0]), "wear_edges[1]"),
+        (json!([1.0, 1.0]), "wear_edges[1]"),
+    ] {
+        let wrong = refused(question.clone(), json!({"wear_edges": edges}));
+        let answer = story.shop.post("/v1/feed-profiles/optimize", &wrong).await;
+        assert_eq!(
+            (answer.status, &answer.body["errors"][0]["path"]),
+            (422, &json!(path)),
+            "{}",
+            answer.text
+        );
+    }
     // Three cycles do not tell their wear: no band is made up.
     let asked = story.shop.post("/v1/feed-profiles/optimize", &question).await;
     let done = ended(&story.shop, asked.headers["location"].to_str().unwrap()).await;

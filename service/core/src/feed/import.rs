@@ -205,7 +205,7 @@ struct Reader {
 /// One hole of a simple program: `G0`, `G1`, `G81`, `G80`, `G90`, `G94`, `G21`, `G71`, `G710`, `G17`, `F`, `Z`, `R`.
 ///
 /// Comments in parentheses and behind a semicolon are passed over, as are X and Y of rapid moves, M, S, T, N, O and a lone
-/// `%`. `contact_z_mm` is the Z of first contact. Pecking (`G73`, `G83`), dwells (`G4`, `G82`), feed per revolution
+/// `%`, and what `G64` says of rounding. `contact_z_mm` is the Z of first contact. Pecking (`G73`, `G83`), dwells (`G4`, `G82`), feed per revolution
 /// (`G95`), increments (`G91`), inches (`G20`, `G70`), variables, loops, calls and a second hole are refused: none of them
 /// is a feed over depth.
 ///
@@ -286,6 +286,8 @@ impl Reader {
                 return Err(("not_understood", format!("the word {letter} stands twice in the block")));
             }
         }
+        // What G64's P and Q bound is how far corners are rounded: a hole has none.
+        let rounds = words.iter().any(|&(letter, value)| letter == 'G' && (value - 64.0).abs() < 0.05);
         let (mut z, mut sideways) = (None, false);
         let (mut motion, mut moved) = (self.motion, false);
         for &(letter, value) in words {
@@ -306,7 +308,15 @@ impl Reader {
                 'F' => return Err(("out_of_range", "a feed must be above 0".to_owned())),
                 'R' => self.retract = Some(value),
                 'X' | 'Y' => sideways = true,
-                'M' | 'S' | 'T' | 'N' | 'O' | 'H' | 'D' => {
+                'P' | 'Q' if !rounds => {
+                    return refused(&format!(
+                        "{letter}{value}: dwells, pecks and repeats are no feed over depth"
+                    ));
+                }
+                'L' | 'K' => {
+                    return refused(&format!("{letter}{value}: repeats are no feed over depth"));
+                }
+                'M' | 'S' | 'T' | 'N' | 'O' | 'H' | 'D' | 'P' | 'Q' => {
                     let word = format!("{letter}{value}");
                     if letter != 'N'
                         && !self.hole.passed_over.contains(&word)
@@ -315,7 +325,6 @@ impl Reader {
                         self.hole.passed_over.push(word);
                     }
                 }
-                'P' | 'Q' | 'L' | 'K' => return refused("dwells, pecks and repeats are no feed over depth"),
                 other => return Err(("not_understood", format!("the word {other} is not read"))),
             }
         }
@@ -466,6 +475,10 @@ mod tests {
         // Editors begin with a byte order mark, end lines in two ways, and a tape ends with a percent sign.
         let same = gcode(&format!("\u{feff}{}", text.replace('\n', "\r\n")), 0.0).unwrap();
         assert_eq!(same, hole);
+        // How far corners are rounded is nothing that a hole has.
+        let rounded = gcode(&text.replace("G21 G90", "G64 P0.01 Q0.02 G21 G90"), 0.0).unwrap();
+        assert_eq!(rounded.held, hole.held);
+        assert_eq!(rounded.passed_over[..3], ["O1234", "P0.01", "Q0.02"]);
         // First contact may lie elsewhere than at Z0.
         assert!((gcode("G1 Z-1 F100", 2.0).unwrap().held[0].to_mm - 3.0).abs() < 1e-12);
     }
@@ -481,6 +494,9 @@ mod tests {
         assert_eq!(refused("G83 Z-10 R1 Q2 F100").1, "not_a_feed_over_depth");
         assert_eq!(refused("G0 Z1\nG82 Z-10 R1 P500 F100"), ("text:line 2".into(), "not_a_feed_over_depth"));
         assert_eq!(refused("G91\nG1 Z-1 F100"), ("text:line 1".into(), "not_a_feed_over_depth"));
+        let why = gcode("G1 Z-1 F100 P500", 0.0).unwrap_err();
+        assert_eq!(why[0].message, "P500: dwells, pecks and repeats are no feed over depth");
+        assert_eq!(refused("G64 P0.01 L3\nG1 Z-1 F100"), ("text:line 1".into(), "not_a_feed_over_depth"));
         assert_eq!(refused("G95 F0.1\nG1 Z-1"), ("text:line 1".into(), "not_a_feed_over_depth"));
         assert_eq!(refused("G20\nG1 Z-1 F10"), ("text:line 1".into(), "not_a_feed_over_depth"));
         assert_eq!(refused("G1 Z-1 X5 F100"), ("text:line 1".into(), "not_a_feed_over_depth"));

@@ -5,6 +5,39 @@ use crate::field_error::{FieldError, Problem, within};
 /// Most speed–feed pairs of a grid: a plan over it still takes well under a second.
 pub const MAX_GRID_PAIRS: usize = 100_000;
 
+/// Paths of an interval or axis and of its fields.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Paths {
+    whole: &'static str,
+    min: &'static str,
+    max: &'static str,
+    step: &'static str,
+}
+
+/// [`Paths`] of the field of that name.
+macro_rules! paths {
+    ($at:literal) => {
+        $crate::turning::domain::Paths::new(
+            $at,
+            concat!($at, ".min"),
+            concat!($at, ".max"),
+            concat!($at, ".step"),
+        )
+    };
+}
+pub(crate) use paths;
+
+impl Paths {
+    pub(crate) const fn new(
+        whole: &'static str,
+        min: &'static str,
+        max: &'static str,
+        step: &'static str,
+    ) -> Self {
+        Self { whole, min, max, step }
+    }
+}
+
 /// Closed interval of a quantity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
@@ -15,11 +48,11 @@ pub struct Range {
 }
 
 impl Range {
-    pub(crate) fn check(self, field: &'static str, min: f64, max: f64) -> Result<Self, FieldError> {
-        within(field, self.min, min, max)?;
-        within(field, self.max, min, max)?;
+    pub(crate) fn check(self, paths: Paths, min: f64, max: f64) -> Result<Self, FieldError> {
+        within(paths.min, self.min, min, max)?;
+        within(paths.max, self.max, min, max)?;
         if self.min > self.max {
-            return Err(FieldError::new(field, Problem::Inverted));
+            return Err(FieldError::new(paths.whole, Problem::Inverted));
         }
         Ok(self)
     }
@@ -44,9 +77,9 @@ pub struct Axis {
 }
 
 impl Axis {
-    fn values(self, field: &'static str, min: f64, max: f64) -> Result<Vec<f64>, FieldError> {
-        Range { min: self.min, max: self.max }.check(field, min, max)?;
-        within(field, self.step, 1e-9, max)?;
+    fn values(self, paths: Paths, min: f64, max: f64) -> Result<Vec<f64>, FieldError> {
+        Range { min: self.min, max: self.max }.check(paths, min, max)?;
+        within(paths.step, self.step, 1e-9, max)?;
         // The slack admits 0.60 as the 108th step of 0.005 from 0.06 in binary arithmetic.
         let steps = ((self.max - self.min) / self.step + 1e-6).floor();
         #[expect(clippy::cast_precision_loss, reason = "the bound is far below 2^53")]
@@ -58,7 +91,7 @@ impl Axis {
                 reason = "float casts saturate"
             )]
             let count = steps as usize;
-            return Err(FieldError::new(field, Problem::TooMany { count, max: MAX_GRID_PAIRS }));
+            return Err(FieldError::new(paths.step, Problem::TooMany { count, max: MAX_GRID_PAIRS }));
         }
         #[expect(
             clippy::cast_possible_truncation,
@@ -117,17 +150,20 @@ impl Domain {
     pub(super) fn new(input: DomainInput) -> Result<Self, FieldError> {
         match input {
             DomainInput::Grid { speed_m_min, feed_mm_rev } => {
-                let speeds_m_min = speed_m_min.values("domain.speed_m_min", 1e-3, 1e5)?;
-                let feeds_mm_rev = feed_mm_rev.values("domain.feed_mm_rev", 1e-6, 100.0)?;
+                let speeds_m_min = speed_m_min.values(paths!("domain.grid.speed_m_min"), 1e-3, 1e5)?;
+                let feeds_mm_rev = feed_mm_rev.values(paths!("domain.grid.feed_mm_rev"), 1e-6, 100.0)?;
                 let count = speeds_m_min.len() * feeds_mm_rev.len();
                 if count > MAX_GRID_PAIRS {
-                    return Err(FieldError::new("domain", Problem::TooMany { count, max: MAX_GRID_PAIRS }));
+                    return Err(FieldError::new(
+                        "domain.grid",
+                        Problem::TooMany { count, max: MAX_GRID_PAIRS },
+                    ));
                 }
                 Ok(Self::Grid { speeds_m_min, feeds_mm_rev })
             }
             DomainInput::Continuous { speed_m_min, feed_mm_rev } => Ok(Self::Continuous {
-                speed_m_min: speed_m_min.check("domain.speed_m_min", 1e-3, 1e5)?,
-                feed_mm_rev: feed_mm_rev.check("domain.feed_mm_rev", 1e-6, 100.0)?,
+                speed_m_min: speed_m_min.check(paths!("domain.continuous.speed_m_min"), 1e-3, 1e5)?,
+                feed_mm_rev: feed_mm_rev.check(paths!("domain.continuous.feed_mm_rev"), 1e-6, 100.0)?,
             }),
         }
     }

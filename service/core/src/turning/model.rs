@@ -2,7 +2,7 @@
 
 use crate::field_error::{FieldError, Problem, within};
 
-use super::domain::Range;
+use super::domain::{Range, paths};
 
 /// Longest name of a tool, work material or machine in an entry.
 const MAX_NAME_CHARS: usize = 128;
@@ -126,9 +126,9 @@ impl TurningModel {
         within("force.feed_exponent", f.feed_exponent, 0.01, 3.0)?;
         within("force.depth_exponent", f.depth_exponent, -3.0, 3.0)?;
         within("force.wear_exponent", f.wear_exponent, 0.05, 5.0)?;
-        input.ranges.speed_m_min.check("ranges.speed_m_min", 1e-3, 1e5)?;
-        input.ranges.feed_mm_rev.check("ranges.feed_mm_rev", 1e-6, 100.0)?;
-        input.ranges.depth_mm.check("ranges.depth_mm", 1e-3, 100.0)?;
+        input.ranges.speed_m_min.check(paths!("ranges.speed_m_min"), 1e-3, 1e5)?;
+        input.ranges.feed_mm_rev.check(paths!("ranges.feed_mm_rev"), 1e-6, 100.0)?;
+        input.ranges.depth_mm.check(paths!("ranges.depth_mm"), 1e-3, 100.0)?;
         within("scatter.wear_log_sd", input.scatter.wear_log_sd, 1e-6, 2.0)?;
         within("scatter.power_log_sd", input.scatter.power_log_sd, 1e-6, 2.0)?;
         within("scatter.force_log_sd", input.scatter.force_log_sd, 1e-6, 2.0)?;

@@ -293,11 +293,14 @@ fn bad_input_is_refused_by_name() {
         speed_m_min: Axis { min: 50.0, max: 200.0, step: 10.0 },
         feed_mm_rev,
     };
-    assert_eq!(refused(JobInput { domain: grid(fine), ..base() }), ("domain.feed_mm_rev", "too_many"));
+    assert_eq!(
+        refused(JobInput { domain: grid(fine), ..base() }),
+        ("domain.grid.feed_mm_rev.step", "too_many")
+    );
     let inverted = Axis { min: 0.6, max: 0.06, step: 0.01 };
     assert_eq!(
         refused(JobInput { domain: grid(inverted), ..base() }),
-        ("domain.feed_mm_rev", "inverted_range")
+        ("domain.grid.feed_mm_rev", "inverted_range")
     );
     let mut model = TurningModel::alaskari_oraby_2017().data().clone();
     model.set.tool = " ".into();

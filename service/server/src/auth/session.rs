@@ -107,7 +107,9 @@ pub fn from_own_page(method: &Method, headers: &HeaderMap) -> Result<(), Problem
     }
     let reads = matches!(*method, Method::GET | Method::HEAD);
     if !reads && !headers.contains_key(&PAGE_HEADER) {
-        return refuse("a change by cookie needs the header x-feedwright-page");
+        return refuse(
+            "a sign-in and a change by cookie need the header x-feedwright-page, which a page of this service sends",
+        );
     }
     Ok(())
 }

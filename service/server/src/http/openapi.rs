@@ -7,7 +7,7 @@ use http::header;
 use std::sync::LazyLock;
 use utoipa::openapi::path::{Operation, PathItem};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
-use utoipa::openapi::{Components, ContentBuilder, InfoBuilder, OpenApi, Paths, Ref, RefOr, ResponseBuilder};
+use utoipa::openapi::{Components, ContentBuilder, InfoBuilder, OpenApi, Paths, Ref, RefOr, ResponseBuilder, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 /// The description as JSON, made once.
@@ -24,11 +24,12 @@ pub(super) async fn document() -> Response {
 
 /// The description as JSON, as it is checked in.
 pub fn json() -> Result<String, String> {
-    let json = describe().to_pretty_json().map_err(|error| error.to_string())?;
+    let json = describe()?.to_pretty_json().map_err(|error| error.to_string())?;
     Ok(json + "\n")
 }
 
-fn describe() -> OpenApi {
+/// The description; an error names what two types share, since one of them would be told wrong.
+fn describe() -> Result<OpenApi, String> {
     let info = InfoBuilder::new()
         .title("Feedwright")
         .version("1")
@@ -39,14 +40,14 @@ fn describe() -> OpenApi {
     let mut nested = Vec::new();
     ProblemDocument::schemas(&mut nested);
     components.schemas.insert(ProblemDocument::name().into_owned(), ProblemDocument::schema());
-    components.schemas.extend(nested);
+    add(&mut components, nested)?;
     for Description { path, mut item, schemas, access } in descriptions() {
         for (method, operation) in operations(&mut item) {
             // Handlers of different nouns share their names; paths are unique.
             operation.operation_id = Some(operation_id(method, &path));
             secure(operation, access);
         }
-        components.schemas.extend(schemas);
+        add(&mut components, schemas)?;
         match paths.paths.get_mut(&path) {
             Some(known) => known.merge_operations(item),
             None => {
@@ -58,7 +59,18 @@ fn describe() -> OpenApi {
     components.add_security_scheme("token", SecurityScheme::Http(bearer));
     let mut openapi = OpenApi::new(info, paths);
     openapi.components = Some(components);
-    openapi
+    Ok(openapi)
+}
+
+/// Adds schemas by their names, which no two of them share.
+fn add(components: &mut Components, schemas: Vec<(String, RefOr<Schema>)>) -> Result<(), String> {
+    for (name, schema) in schemas {
+        if components.schemas.get(&name).is_some_and(|known| *known != schema) {
+            return Err(format!("two types are called {name}"));
+        }
+        components.schemas.insert(name, schema);
+    }
+    Ok(())
 }
 
 fn operations(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mut Operation)> {

@@ -18,6 +18,8 @@ use http::{HeaderMap, Method, StatusCode, header};
 ///
 /// Only for pages of this service; programs send their token with every request instead.
 #[utoipa::path(post, path = "/v1/session", tag = "session", request_body = SessionBody,
+    params(("x-feedwright-page" = String, Header,
+        description = "Any value: a page of another site cannot send it without a preflight, which is never granted")),
     responses(
         (status = 201, description = "Who this is and what it may do", body = SessionView),
         (status = 401, description = "The token is not known, or was revoked", body = ProblemDocument<'static>),

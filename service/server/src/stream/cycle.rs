@@ -461,14 +461,18 @@ impl StreamedCycle {
                 return Err(Violation::new(channel.as_str(), "length_mismatch", why));
             }
         }
+        if let Some(missing) =
+            channels.iter().find(|channel| message.columns().all(|(sent, _)| sent != **channel))
+        {
+            let why = "was named by the start: send null where it was not measured";
+            return Err(Violation::new(missing.as_str(), "missing_field", why));
+        }
         self.fits(count, message.time_ms.len(), most)?;
         (ordered.first, ordered.count) = (message.first, count);
         ordered.values.clear();
         for channel in channels {
-            match message.columns().find(|(sent, _)| sent == channel) {
-                Some((_, column)) => ordered.values.extend_from_slice(column),
-                // Declared and not sent: not measured.
-                None => ordered.values.resize(ordered.values.len() + count, f64::NAN),
+            if let Some((_, column)) = message.columns().find(|(sent, _)| sent == channel) {
+                ordered.values.extend_from_slice(column);
             }
         }
         ordered.times_ms.clear();

@@ -4,7 +4,7 @@ use super::profile::Knots;
 use super::propose::{Proposal, optimise};
 use super::recording::RecordedCycle;
 use super::settings::{Settings, SettingsParams};
-use crate::friction::error::{Invalid, InvalidCode, between};
+use crate::friction::error::{Invalid, InvalidCode};
 
 /// Most bands.
 pub const MOST_BANDS: usize = 8;
@@ -23,6 +23,28 @@ pub struct WearBand {
     pub proposal: Proposal,
 }
 
+/// Checks edges of bands before anything is computed: 2 to 9 of them, increasing, within 0.5 to 3.
+///
+/// # Errors
+/// With the field `edges`, or one of them.
+pub fn check_edges(edges: &[f64]) -> Result<(), Invalid> {
+    if !(2..=MOST_BANDS + 1).contains(&edges.len()) {
+        let text = format!("2 to {} edges, not {}", MOST_BANDS + 1, edges.len());
+        return Err(Invalid::new("edges", InvalidCode::OutOfRange, text));
+    }
+    for (at, edge) in edges.iter().enumerate() {
+        if !(0.5..=3.0).contains(edge) {
+            let text = format!("must be within 0.5 to 3, is {edge}");
+            return Err(Invalid::new(format!("edges[{at}]"), InvalidCode::OutOfRange, text));
+        }
+        if at > 0 && *edge <= edges[at - 1] {
+            let text = "must be greater than the edge before";
+            return Err(Invalid::new(format!("edges[{at}]"), InvalidCode::NotIncreasing, text));
+        }
+    }
+    Ok(())
+}
+
 /// A proposal for each band between `edges` (wear, increasing, 2 to 9 of them), planned at the band's upper edge; a band
 /// whose own profile gains less than 1 % over the next worn one's is joined to it.
 ///
@@ -34,17 +56,7 @@ pub fn wear_bands(
     last: Option<&Knots>,
     edges: &[f64],
 ) -> Result<Vec<WearBand>, Invalid> {
-    if !(2..=MOST_BANDS + 1).contains(&edges.len()) {
-        let text = format!("2 to {} edges, not {}", MOST_BANDS + 1, edges.len());
-        return Err(Invalid::new("edges", InvalidCode::OutOfRange, text));
-    }
-    for (at, edge) in edges.iter().enumerate() {
-        between("edges", *edge, 0.5, 3.0)?;
-        if at > 0 && *edge <= edges[at - 1] {
-            let text = "must be greater than the edge before";
-            return Err(Invalid::new(format!("edges[{at}]"), InvalidCode::NotIncreasing, text));
-        }
-    }
+    check_edges(edges)?;
     if cycles.iter().all(|cycle| cycle.wear_ratio.is_none()) {
         let text = "no cycle tells the wear at which it ran";
         return Err(Invalid::new("cycles", InvalidCode::NotIdentifiable, text));

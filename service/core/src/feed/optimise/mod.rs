@@ -36,7 +36,7 @@ mod simplify;
 #[cfg(test)]
 mod tests;
 
-pub use bands::{MOST_BANDS, WearBand, wear_bands};
+pub use bands::{MOST_BANDS, WearBand, check_edges, wear_bands};
 pub use explain::Section;
 pub use outcome::{Actual, Comparison, Deviation, calibrate, compare, coverage};
 pub use plan::Binding;

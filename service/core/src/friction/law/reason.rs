@@ -8,7 +8,7 @@ use crate::friction::feed_override::Clamp;
 pub enum Reason {
     /// The law is off while the material heats up.
     Heating,
-    /// The load is below the preferred one: the law raises.
+    /// The load is below the preferred one: the law raises, within the limits.
     LoadBelowSet,
     /// The load is the preferred one: the override stays.
     LoadAtSet,

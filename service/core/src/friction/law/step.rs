@@ -159,13 +159,18 @@ impl LawState {
         let highest = params.bounds.profile().max_percent();
         let in_force = self.ovr.percent();
         let mut wish = next_override(in_force, load, c, highest);
+        // At the highest override nothing is left to rise by.
+        let at_the_top = load < 1.0 && in_force >= highest;
         reasons.add(if load > 1.0 {
             Reason::LoadAboveSet
-        } else if wish > in_force {
+        } else if wish > in_force || at_the_top {
             Reason::LoadBelowSet
         } else {
             Reason::LoadAtSet
         });
+        if at_the_top {
+            reasons.add(Reason::ClampedProfileMax);
+        }
         if self.overloaded {
             wish = wish.min(self.ovr.neutral_from().percent());
             reasons.add(Reason::OverloadHeld);

@@ -41,6 +41,19 @@ fn without_a_rise_limit_a_cycle_takes_the_44_and_18_ipo_of_the_bare_equations() 
 }
 
 #[test]
+fn at_the_highest_override_a_low_load_is_told_as_one() {
+    let config = law(|_| {});
+    let mut state = LawState::new();
+    for k in 0..400 {
+        let before = state.ovr().percent();
+        let reasons = state.step(&config, &sample(k, 0.0, 0.0)).reasons;
+        assert!(reasons.contains(Reason::LoadBelowSet) && !reasons.contains(Reason::LoadAtSet), "{k}");
+        assert_eq!(reasons.contains(Reason::ClampedProfileMax), before >= 200.0, "{k}");
+    }
+    assert!(state.ovr().percent() >= 200.0);
+}
+
+#[test]
 fn the_papers_law_has_the_papers_numbers() {
     let params = LawParams::paper(30.0, 40.0).unwrap();
     let weights = params.weights.as_array();

@@ -3,7 +3,7 @@
 use super::feed_profile::{ProfileBody, ProfileLimitsBody};
 use feedwright_core::feed::optimise::{
     Band, Bushing, Comparison, Deviation, Heating, Identified, Objective, Prediction, Proposal, Section,
-    Settings, SettingsParams,
+    Settings, SettingsParams, check_edges,
 };
 use feedwright_core::feed::profile::LimitsInput;
 use feedwright_core::friction::error::Invalid;
@@ -170,6 +170,7 @@ impl OptimiseBody {
             let why = "each band has its own: leave wear_level and wear_from_level out";
             return Err(Violation::new("wear_edges", "one_of", why));
         }
+        self.wear_edges.as_deref().map_or(Ok(()), check_edges).map_err(|error| refused(&error))?;
         let base = settings(&self.operation, known.depth_mm, &self.limits.to_input())?;
         let params = SettingsParams {
             heating: self.heating.map(|heating| Heating {
