@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of stories are part of the stories")]
 
+mod described;
 mod engines;
 mod friction;
 mod fuzz;

@@ -7,6 +7,7 @@ mod lives;
 mod restart;
 mod weekend;
 
+use crate::described::{Content, holds};
 use feedwright_core::units::Timestamp;
 use feedwright_server::clock::Clock;
 use feedwright_server::config::Config;
@@ -109,9 +110,24 @@ impl Shop {
     }
 
     pub(crate) async fn send_as(&self, request: reqwest::RequestBuilder, token: &str) -> Answer {
-        let response = request.bearer_auth(token).send().await.unwrap();
+        let request = request.bearer_auth(token).build().unwrap();
+        let (method, path) = (request.method().clone(), request.url().path().to_owned());
+        let kind = |headers: &reqwest::header::HeaderMap| {
+            headers.get("content-type").map_or(String::new(), |kind| kind.to_str().unwrap().to_owned())
+        };
+        let sent_kind = kind(request.headers());
+        let sent = request.body().and_then(|body| body.as_bytes()).map(<[u8]>::to_vec);
+        let response = self.client.execute(request).await.unwrap();
         let (status, headers) = (response.status().as_u16(), response.headers().clone());
         let text = response.text().await.unwrap();
+        let sent = sent.as_deref().map(|bytes| Content { kind: &sent_kind, bytes });
+        holds(
+            method.as_str(),
+            &path,
+            sent,
+            status,
+            &Content { kind: &kind(&headers), bytes: text.as_bytes() },
+        );
         Answer { status, body: serde_json::from_str(&text).unwrap_or(Value::Null), text, headers }
     }
 

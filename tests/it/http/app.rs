@@ -1,5 +1,6 @@
 //! The service under test: a store in a directory of its own, a clock that stands still, a token of every role.
 
+use crate::described::{Content, holds};
 use axum::Router;
 use axum::body::Body;
 use feedwright_core::ids::MachineId;
@@ -130,6 +131,7 @@ impl App {
     }
 
     pub(super) async fn send(&self, request: Request<Body>) -> Answer {
+        let (method, path) = (request.method().clone(), request.uri().path().to_owned());
         let response = self.router.clone().oneshot(request).await.unwrap();
         let (parts, body) = response.into_parts();
         // A live view never ends: its story is told over a real socket.
@@ -137,6 +139,8 @@ impl App {
             return Answer { status: parts.status, headers: parts.headers, body: Vec::new() };
         }
         let body = axum::body::to_bytes(body, usize::MAX).await.unwrap().to_vec();
+        let kind = parts.headers.get("content-type").map_or("", |kind| kind.to_str().unwrap());
+        holds(method.as_str(), &path, None, parts.status.as_u16(), &Content { kind, bytes: &body });
         Answer { status: parts.status, headers: parts.headers, body }
     }
 

@@ -2,7 +2,7 @@
 
 use super::dto::job::JobBody;
 use super::extract::PathId;
-use super::problem::Problem;
+use super::problem::{Problem, ProblemDocument};
 use crate::jobs::{INLINE_STEPS, MAX_STEPS, Progress, Question, Snapshot, Stage};
 use crate::state::AppState;
 use axum::extract::State;
@@ -85,7 +85,8 @@ pub(super) async fn get(
 
 /// Cancels a computation that waits or runs. It is shared by everyone who asked the same.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
-    responses((status = 204, description = "It is being cancelled"), (status = 409, description = "It has ended")))]
+    responses((status = 204, description = "It is being cancelled"), (status = 409, description = "It has ended",
+        body = ProblemDocument<'static>)))]
 pub(super) async fn cancel(
     State(state): State<AppState>,
     PathId(id): PathId<String>,

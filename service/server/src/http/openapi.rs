@@ -1,14 +1,22 @@
 //! The description of the API, made from the table of routes.
 
+mod merge;
+
 use super::problem::ProblemDocument;
 use super::routes::{Access, Description, descriptions};
 use axum::response::{IntoResponse, Response};
 use http::header;
+use std::collections::BTreeSet;
 use std::sync::LazyLock;
 use utoipa::openapi::path::{Operation, PathItem};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
-use utoipa::openapi::{Components, ContentBuilder, InfoBuilder, OpenApi, Paths, Ref, RefOr, ResponseBuilder, Schema};
+use utoipa::openapi::{
+    Components, ContentBuilder, InfoBuilder, OpenApi, Paths, Ref, RefOr, ResponseBuilder, Schema,
+};
 use utoipa::{PartialSchema, ToSchema};
+
+/// What an error is told as.
+const PROBLEM: &str = "application/problem+json";
 
 /// The description as JSON, made once.
 static JSON: LazyLock<Result<String, String>> = LazyLock::new(json);
@@ -40,14 +48,15 @@ fn describe() -> Result<OpenApi, String> {
     let mut nested = Vec::new();
     ProblemDocument::schemas(&mut nested);
     components.schemas.insert(ProblemDocument::name().into_owned(), ProblemDocument::schema());
-    add(&mut components, nested)?;
+    let mut shared = BTreeSet::new();
+    add(&mut components, nested, &mut shared);
     for Description { path, mut item, schemas, access } in descriptions() {
         for (method, operation) in operations(&mut item) {
             // Handlers of different nouns share their names; paths are unique.
             operation.operation_id = Some(operation_id(method, &path));
             secure(operation, access);
         }
-        add(&mut components, schemas)?;
+        add(&mut components, schemas, &mut shared);
         match paths.paths.get_mut(&path) {
             Some(known) => known.merge_operations(item),
             None => {
@@ -55,6 +64,10 @@ fn describe() -> Result<OpenApi, String> {
             }
         }
     }
+    if !shared.is_empty() {
+        return Err(format!("several types are called {shared:?}: their names have to tell them apart"));
+    }
+    merge::merge(&mut components.schemas);
     let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).bearer_format("fwt").build();
     components.add_security_scheme("token", SecurityScheme::Http(bearer));
     let mut openapi = OpenApi::new(info, paths);
@@ -62,15 +75,15 @@ fn describe() -> Result<OpenApi, String> {
     Ok(openapi)
 }
 
-/// Adds schemas by their names, which no two of them share.
-fn add(components: &mut Components, schemas: Vec<(String, RefOr<Schema>)>) -> Result<(), String> {
+/// Adds schemas by their names; `shared` takes the names of those that are not the same.
+fn add(components: &mut Components, schemas: Vec<(String, RefOr<Schema>)>, shared: &mut BTreeSet<String>) {
     for (name, schema) in schemas {
         if components.schemas.get(&name).is_some_and(|known| *known != schema) {
-            return Err(format!("two types are called {name}"));
+            shared.insert(name);
+        } else {
+            components.schemas.insert(name, schema);
         }
-        components.schemas.insert(name, schema);
     }
-    Ok(())
 }
 
 fn operations(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mut Operation)> {
@@ -99,11 +112,20 @@ fn secure(operation: &mut Operation, access: Access) {
         let before = operation.description.take().filter(|text| !text.is_empty());
         operation.description = Some(before.map_or(line.clone(), |text| format!("{text}\n\n{line}")));
     }
-    let schema = Ref::from_schema_name(ProblemDocument::name());
+    let schema = RefOr::Ref(Ref::from_schema_name(ProblemDocument::name()));
+    for response in operation.responses.responses.values_mut() {
+        if let RefOr::T(utoipa::openapi::Response { content, .. }) = response
+            && let Some(RefOr::T(json)) = content.get("application/json")
+            && json.schema.as_ref() == Some(&schema)
+            && let Some(problem) = content.shift_remove("application/json")
+        {
+            content.insert(PROBLEM.to_owned(), problem);
+        }
+    }
     let content = ContentBuilder::new().schema(Some(schema)).build();
     let response = ResponseBuilder::new()
         .description("What went wrong, as a problem document (RFC 9457).")
-        .content("application/problem+json", content)
+        .content(PROBLEM, content)
         .build();
     operation.responses.responses.insert("default".to_owned(), RefOr::T(response));
 }

@@ -23,7 +23,7 @@ use http::{HeaderValue, StatusCode, header};
 /// Each file begins with a comment: profile, version, hash, limits, units, warning. A draft or shadow is not written.
 #[utoipa::path(get, path = "/v1/feed-profiles/{profile}/export", tag = "feed profiles",
     params(("profile" = String, Path), ExportQuery),
-    responses((status = 200, description = "The file", content_type = "text/plain", body = String),
+    responses((status = 200, description = "The file", content((String = "text/plain"), (Object = "application/json"))),
         (status = 409, description = "The version is not approved (`not_released`), or nothing is active (`nothing_active`)",
             body = ProblemDocument<'static>),
         (status = 422, description = "An option out of range, a feed outside the machine's limits (`outside_machine`), or one \

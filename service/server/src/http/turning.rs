@@ -3,7 +3,7 @@
 use super::body::Json;
 use super::dto::mirror::To;
 use super::dto::turning::{
-    IntervalBody, TurningNextAnswer, TurningNextQuestion, TurningPlanAnswer, TurningPlanQuestion,
+    TurningIntervalBody, TurningNextAnswer, TurningNextQuestion, TurningPlanAnswer, TurningPlanQuestion,
     WholeLifeBody, outside_warning,
 };
 use super::library::turning_model;
@@ -98,7 +98,7 @@ fn answer(NextCut { state, corrections, readings, choice }: NextCut) -> TurningN
         elapsed_min: state.elapsed_min(),
         corrections: corrections.to(),
         readings: readings.to(),
-        next: choice.ok().map(IntervalBody::from),
+        next: choice.ok().map(TurningIntervalBody::from),
         ended_by: choice.err().to(),
         warnings,
     }

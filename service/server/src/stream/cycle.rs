@@ -461,13 +461,13 @@ impl StreamedCycle {
                 return Err(Violation::new(channel.as_str(), "length_mismatch", why));
             }
         }
+        self.fits(count, message.time_ms.len(), most)?;
         if let Some(missing) =
             channels.iter().find(|channel| message.columns().all(|(sent, _)| sent != **channel))
         {
             let why = "was named by the start: send null where it was not measured";
             return Err(Violation::new(missing.as_str(), "missing_field", why));
         }
-        self.fits(count, message.time_ms.len(), most)?;
         (ordered.first, ordered.count) = (message.first, count);
         ordered.values.clear();
         for channel in channels {

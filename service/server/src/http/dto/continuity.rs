@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 mirror! {
     /// Settings of the continuity control (Eq. 12 and 13).
-    ControlBody = ContinuityControl {
+    ContinuityControlBody = ContinuityControl {
         /// Adaptation parameter c.
         #[schema(example = 0.002)]
         adaptation: f64,
@@ -157,7 +157,7 @@ impl Default for SettingsBody {
 }
 
 impl SettingsBody {
-    fn input(self, p: f64, kc: f64, control: Option<ControlBody>) -> ProcessInput {
+    fn input(self, p: f64, kc: f64, control: Option<ContinuityControlBody>) -> ProcessInput {
         ProcessInput {
             frequency_ratio: p,
             cutting_coefficient: kc,
@@ -183,7 +183,7 @@ pub struct SimulateQuestion {
     pub cutting_coefficient: f64,
     /// Control; left out: the free process.
     #[serde(default)]
-    pub control: Option<ControlBody>,
+    pub control: Option<ContinuityControlBody>,
     /// The rest.
     #[serde(default)]
     pub settings: SettingsBody,
@@ -264,7 +264,7 @@ pub struct MapQuestionBody {
     pub cutting_coefficient: MapAxisBody,
     /// Control; left out: the free process.
     #[serde(default)]
-    pub control: Option<ControlBody>,
+    pub control: Option<ContinuityControlBody>,
     /// The rest.
     #[serde(default)]
     pub settings: SettingsBody,
@@ -373,7 +373,7 @@ pub struct AdviceQuestionBody {
     pub speeds_rpm: MapAxisBody,
     /// Control; left out: the free process.
     #[serde(default)]
-    pub control: Option<ControlBody>,
+    pub control: Option<ContinuityControlBody>,
     /// Largest peak-to-peak displacement accepted, feeds per edge.
     pub most_amplitude_feeds: f64,
     /// Scatter of the cutting coefficient that a window should bear, 0.3 for ±30 %.

@@ -39,7 +39,7 @@ pub struct RecommendationBody {
     /// Limits that hold whatever the control does.
     pub limits: AdviceLimitsBody,
     /// Set loads.
-    pub load_limits: LoadLimitsBody,
+    pub load_limits: SetLoadsBody,
     /// The tool it was made for.
     pub tool_state: ToolStateBody,
     /// The data it rests on.
@@ -204,7 +204,7 @@ pub struct AdviceLimitsBody {
 
 /// Set loads of the operation, percent of the machine's declared ratings.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct LoadLimitsBody {
+pub struct SetLoadsBody {
     /// Of the spindle drive, %.
     pub spindle_load_set_percent: Option<f64>,
     /// Of the feed drive, %.
@@ -271,7 +271,7 @@ impl From<&IssuedRecommendation> for RecommendationBody {
                 override_min_percent: advice.limits.override_min_percent(),
                 override_max_percent: advice.limits.override_max_percent(),
             },
-            load_limits: LoadLimitsBody {
+            load_limits: SetLoadsBody {
                 spindle_load_set_percent: advice.spindle_load_set_percent,
                 feed_drive_load_set_percent: advice.feed_drive_load_set_percent,
             },

@@ -14,7 +14,7 @@ use utoipa::ToSchema;
 
 mirror! {
     /// Evenly spaced values from `min` to `max`.
-    AxisBody = Axis {
+    TurningAxisBody = Axis {
         /// First value.
         min: f64,
         /// Last value.
@@ -24,7 +24,7 @@ mirror! {
     }
 
     /// Limits that hold at the end of every interval.
-    LimitsBody = Limits {
+    TurningLimitsBody = Limits {
         /// Spindle power, kW.
         #[schema(example = 7.0)]
         power_kw: f64,
@@ -187,9 +187,9 @@ pub enum DomainBody {
 #[serde(deny_unknown_fields)]
 pub struct GridBody {
     /// Cutting speed, m/min.
-    pub speed_m_min: AxisBody,
+    pub speed_m_min: TurningAxisBody,
     /// Feed, mm/rev.
-    pub feed_mm_rev: AxisBody,
+    pub feed_mm_rev: TurningAxisBody,
 }
 
 /// Two ranges.
@@ -332,7 +332,7 @@ pub struct TurningJobBody {
     #[serde(default = "one")]
     pub interval_min: f64,
     /// Limits.
-    pub limits: LimitsBody,
+    pub limits: TurningLimitsBody,
     /// Pairs to choose from; left out: any within the ranges that the entry was fitted in.
     #[serde(default)]
     pub domain: Option<DomainBody>,
@@ -413,7 +413,7 @@ pub struct TurningPlanQuestion {
 
 /// An interval of a plan.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-pub struct IntervalBody {
+pub struct TurningIntervalBody {
     /// Start, min since the edge was new.
     pub start_min: f64,
     /// End, min since the edge was new.
@@ -434,7 +434,7 @@ pub struct IntervalBody {
     pub outside: OutsideBody,
 }
 
-impl From<Chosen> for IntervalBody {
+impl From<Chosen> for TurningIntervalBody {
     fn from(chosen: Chosen) -> Self {
         Self {
             start_min: chosen.start_min,
@@ -453,7 +453,7 @@ impl From<Chosen> for IntervalBody {
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct PlanBody {
     /// In order of time.
-    pub intervals: Vec<IntervalBody>,
+    pub intervals: Vec<TurningIntervalBody>,
     /// Sums over them.
     pub totals: TotalsBody,
     /// `power`, `force` or `wear`: that limit leaves no pair; `exchange`: a new edge pays more; `horizon`.
@@ -577,7 +577,7 @@ pub struct TurningNextAnswer {
     /// What that rests on.
     pub readings: ReadingsBody,
     /// The next interval; absent where the edge is spent.
-    pub next: Option<IntervalBody>,
+    pub next: Option<TurningIntervalBody>,
     /// The limit that leaves no pair.
     pub ended_by: Option<&'static str>,
     /// What to know before using it.
@@ -605,7 +605,7 @@ pub struct TurningSetupBody {
     #[serde(default = "one")]
     pub interval_min: f64,
     /// Limits.
-    pub limits: LimitsBody,
+    pub limits: TurningLimitsBody,
     /// Pairs to choose from.
     pub domain: DomainBody,
     /// How wear adds up.

@@ -1,6 +1,6 @@
 //! What-if on stored cycles in JSON.
 
-use super::friction::control::{BetweenWord, KnotBody, LawBody, ProgramBody};
+use super::friction::control::{BetweenWord, LawBody, ProgramBody, ProgramKnotBody};
 use super::friction::model::AxisBody;
 use super::time;
 use crate::what_if::{Asked, IdleLoads, IdleSource, Prediction, TorqueSource};
@@ -69,7 +69,7 @@ pub struct ProfileChoiceBody {
     /// In place of an id: what the feed does between knots.
     pub between: Option<BetweenWord>,
     /// In place of an id: the knots.
-    pub knots: Option<Vec<KnotBody>>,
+    pub knots: Option<Vec<ProgramKnotBody>>,
 }
 
 /// What a [`ControlBody`] names: a program as it is, or a stored profile.

@@ -26,7 +26,7 @@ pub enum BetweenWord {
 /// A point of a feed program.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub struct KnotBody {
+pub struct ProgramKnotBody {
     /// Tip depth below contact, mm.
     pub depth_mm: f64,
     /// Programmed feed, mm/min.
@@ -40,7 +40,7 @@ pub struct ProgramBody {
     /// What the feed does between knots.
     pub between: BetweenWord,
     /// The knots.
-    pub knots: Vec<KnotBody>,
+    pub knots: Vec<ProgramKnotBody>,
 }
 
 impl ProgramBody {
@@ -50,7 +50,7 @@ impl ProgramBody {
             BetweenWord::Held => Between::Held,
             BetweenWord::Linear => Between::Linear,
         };
-        let knot = |knot: &KnotBody| Knot { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min };
+        let knot = |knot: &ProgramKnotBody| Knot { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min };
         FeedProgram::new(between, self.knots.iter().map(knot).collect())
             .map_err(|error| refused(&error, |field| format!("{at}.{field}")))
     }
