@@ -116,7 +116,9 @@ impl Shop {
             headers.get("content-type").map_or(String::new(), |kind| kind.to_str().unwrap().to_owned())
         };
         let sent_kind = kind(request.headers());
-        let sent = request.body().and_then(|body| body.as_bytes()).map(<[u8]>::to_vec);
+        // What is packed is held where the same is sent as it is.
+        let packed = request.headers().contains_key("content-encoding");
+        let sent = request.body().and_then(|body| body.as_bytes()).filter(|_| !packed).map(<[u8]>::to_vec);
         let response = self.client.execute(request).await.unwrap();
         let (status, headers) = (response.status().as_u16(), response.headers().clone());
         let text = response.text().await.unwrap();

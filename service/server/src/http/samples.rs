@@ -2,7 +2,7 @@
 
 use super::columns;
 use super::decimal;
-use super::dto::cycle::SamplesBody;
+use super::dto::cycle::{SamplesAnswer, SamplesBody};
 use super::dto::time;
 use super::export::{self, PIECE};
 use super::extract::{PathId, Query};
@@ -54,7 +54,7 @@ pub(super) struct SamplesQuery {
         SamplesQuery),
     responses(
         (status = 200, description = "The samples", content(
-            (SamplesBody<'static> = "application/json"), (String = "text/csv"),
+            (SamplesAnswer = "application/json"), (String = "text/csv"),
             (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
         (status = 404, description = "There is no such cycle, or it came without samples", body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),

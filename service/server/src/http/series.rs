@@ -1,7 +1,7 @@
 //! Series of what cycles amounted to: in buckets over time, or the last ones by themselves.
 
 use super::decimal;
-use super::dto::series::{BucketBody, BucketSeriesBody, SeriesBody};
+use super::dto::series::{BucketBody, BucketSeriesBody, SeriesAnswer, SeriesBody};
 use super::dto::time;
 use super::export::{self, PIECE};
 use super::extract::Query;
@@ -63,7 +63,7 @@ pub(super) struct SeriesQuery {
     get, path = "/v1/series", tag = "series", params(SeriesQuery),
     responses(
         (status = 200, description = "The series", content(
-            (SeriesBody<'static> = "application/json"), (String = "text/csv"),
+            (SeriesAnswer = "application/json"), (String = "text/csv"),
             (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
         (status = 404, description = "Of that machine, tool or operation nothing is known",
             body = ProblemDocument<'static>),

@@ -10,6 +10,7 @@ use crate::auth::Caller;
 use crate::state::AppState;
 use axum::extract::State;
 use feedwright_core::ids::ToolId;
+use feedwright_core::invalid::Violation;
 use http::StatusCode;
 
 /// Tells what happened to a tool. Its wear is judged anew from its cycles before this is answered.
@@ -23,6 +24,13 @@ pub(super) async fn add(
 ) -> Result<(StatusCode, axum::Json<ToolEventView>), Problem> {
     let (actor, now) = (caller.actor(), state.clock.now());
     let event = body.into_event(now)?;
+    // The cycle itself may come after the event.
+    if let Some((machine, _)) = &event.first_cycle
+        && state.store.machine(machine).await?.is_none()
+    {
+        let why = format!("there is no machine `{machine}`");
+        return Err(Violation::new("first_cycle.machine", "unknown_machine", why).into());
+    }
     let id = tool.clone();
     let stored =
         state.commit(|store| async move { store.add_tool_event(&id, event, &actor, now).await }).await?;

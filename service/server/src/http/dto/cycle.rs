@@ -431,6 +431,21 @@ pub struct SamplesBody<'a> {
     pub columns: BTreeMap<&'static str, Cow<'a, [f64]>>,
 }
 
+/// A cycle's samples: columns in the form in which they are posted, or rows where those were asked for.
+#[derive(Serialize, ToSchema)]
+pub struct SamplesAnswer {
+    /// Distance of two samples, ms, where they are evenly spaced: the first one stands at this time, not at 0.
+    period_ms: Option<f64>,
+    /// Times since the start of the cycle, ms, where they are not.
+    time_ms: Option<Vec<f64>>,
+    /// With `layout=rows`, and nothing else then: an object per sample, with the fields of the other forms' rows.
+    #[schema(value_type = Option<Vec<Object>>)]
+    items: Option<Vec<serde_json::Value>>,
+    /// The channels by name.
+    #[serde(flatten)]
+    columns: BTreeMap<String, Vec<f64>>,
+}
+
 impl SamplesBody<'_> {
     /// How many values it holds.
     pub fn values(&self) -> usize {

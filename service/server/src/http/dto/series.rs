@@ -28,6 +28,20 @@ pub enum SeriesBody<'a> {
     },
 }
 
+/// Series as `layout` says: columns, or rows where those were asked for.
+#[derive(Serialize, ToSchema)]
+#[serde(untagged)]
+pub enum SeriesAnswer {
+    /// With `layout=columns`, or without.
+    Columns(SeriesBody<'static>),
+    /// With `layout=rows`.
+    Rows {
+        /// An object per bucket or cycle, with the fields of the other forms' rows.
+        #[schema(value_type = Vec<Object>)]
+        items: Vec<serde_json::Value>,
+    },
+}
+
 /// What a series tells.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct SeriesName {

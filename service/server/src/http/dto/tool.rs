@@ -60,7 +60,7 @@ impl From<Versioned<Tool>> for Registered<ToolBody> {
 pub struct ToolEventBody {
     /// What happened.
     pub kind: ToolEventKindWord,
-    /// When, RFC 3339; now where it is left out.
+    /// When, RFC 3339, at most 10 minutes ahead of the server's clock; now where it is left out.
     #[serde(default)]
     #[schema(example = "2026-05-04T06:00:00Z")]
     pub at: Option<String>,
@@ -86,7 +86,14 @@ impl ToolEventBody {
     /// The event; it happened `now` where the body names no time.
     pub fn into_event(self, now: Timestamp) -> Result<ToolEvent, Vec<Violation>> {
         let mut wrong = Vec::new();
-        let at = self.at.as_deref().map_or(Ok(now), |at| time::read("at", at));
+        let at = self.at.as_deref().map_or(Ok(now), |at| time::read("at", at)).and_then(|at| {
+            // A typing error of the year would part every cycle to come from the tool that runs it.
+            if at.millis_since(now) > CLOCK_AHEAD_MS {
+                let why = "is more than 10 minutes ahead of the server's clock";
+                return Err(Violation::new("at", "in_future", why));
+            }
+            Ok(at)
+        });
         let reason = optional("reason", self.reason.as_deref(), MAX_REASON, &mut wrong);
         if self.kind.0 == ToolEventKind::Reset && reason.is_none() {
             wrong.push(Violation::new("reason", "reason_required", "a reset needs a reason"));
