@@ -99,6 +99,13 @@ async fn a_reset_needs_a_reason_and_goes_into_the_audit() {
     let bad = json!({"kind": "changed", "at": "today", "first_cycle": {"machine": "M 1", "cycle_id": "c"}});
     let errors = app.post("/v1/tools/T1/events", bad).await.errors();
     assert_eq!(errors.len(), 2, "{errors:?}");
+    // A typing error of the year would end every life to come.
+    let ahead = |at: &str| json!({"kind": "changed", "at": at});
+    let errors = app.post("/v1/tools/T1/events", ahead("2062-05-04T06:00:00Z")).await.errors();
+    assert_eq!(errors, [("at".to_owned(), "in_future".to_owned())]);
+    let nowhere = json!({"kind": "changed", "first_cycle": {"machine": "M9", "cycle_id": "c"}});
+    let errors = app.post("/v1/tools/T1/events", nowhere).await.errors();
+    assert_eq!(errors, [("first_cycle.machine".to_owned(), "unknown_machine".to_owned())]);
 
     let events = app.get("/v1/tools/T1/events").await.json();
     let kinds: Vec<_> =

@@ -4,6 +4,7 @@ use super::text::{MAX_NAME, MAX_REASON, optional, required};
 use super::time;
 use super::word::ToolEventKindWord;
 use super::{Registered, checked};
+use crate::ingest::body::CLOCK_AHEAD_MS;
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
