@@ -7,6 +7,7 @@ use super::finish::{self, connection_gone, show};
 use super::message::{
     self, EndMessage, Incoming, MonitorMessage, ResumeMessage, SamplesMessage, StartMessage, VibrationMessage,
 };
+use super::overload::Overload;
 use super::slots::{Held, Ownership};
 use crate::auth::Caller;
 use crate::http::dto::mirror::{To, violation};
@@ -21,6 +22,7 @@ use feedwright_core::closed_loop::{Answer, Batch, LoopReason, LoopReasons, Sampl
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
 use feedwright_core::vibratory::peak_to_peak::{ControllerInput, ControllerSettings, VibrationSample};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
@@ -387,8 +389,10 @@ impl Connection {
     async fn begin(&self, checked: Checked) -> Result<(), Problem> {
         let id = checked.id().clone();
         let machine = &self.ownership.slot.machine;
-        let running =
-            self.ownership.held().and_then(|held| held.cycle.as_ref().map(|cycle| cycle.id.clone()));
+        let (running, overload) = match self.ownership.held().as_ref().and_then(|held| held.cycle.as_ref()) {
+            Some(cycle) => (Some(cycle.id.clone()), cycle.overload.clone()),
+            None => (None, None),
+        };
         if running.as_ref() == Some(&id) && !checked.resends() {
             let detail = "this cycle runs already: resume it, or start it with resend to send it from its first sample";
             return Err(Problem::new(http::StatusCode::CONFLICT, "cycle_running", detail));
@@ -399,6 +403,9 @@ impl Connection {
                 "running cycles hold too many samples",
                 5,
             ));
+        }
+        if let Some(overload) = overload {
+            overload.raise(&self.state, machine).await?;
         }
         let begun = cycle::begin(&self.state, machine, checked).await?;
         let begun = begun.ok_or_else(|| {
@@ -647,19 +654,14 @@ fn judge(
     let machine = &ownership.slot.machine;
     if answered.overloaded && !cycle.overload_told {
         cycle.overload_told = true;
-        let message = format!("cycle {}: the load exceeded the limit of an overload", cycle.id);
-        let tasks = state.lifecycle.clone();
-        let (state, machine, tool) = (state.clone(), machine.clone(), cycle.tool.clone());
-        let raising = async move {
-            let raised = state
-                .commit(|store| async move { store.raise_overload(&machine, &tool, &message, now).await })
-                .await;
-            if let Err(error) = raised {
-                tracing::warn!(%error, "an overload could not be raised");
+        let overload = Arc::new(Overload::seen(&cycle.id, &cycle.tool, now));
+        cycle.overload = Some(overload.clone());
+        let (raising, machine) = (state.clone(), machine.clone());
+        state.lifecycle.spawn(async move {
+            if let Err(error) = overload.raise(&raising, &machine).await {
+                tracing::warn!(%machine, %error, "an overload could not be raised; its cycle's end tries again");
             }
-            state.live.alarms_may_have_changed();
-        };
-        tasks.spawn(raising);
+        });
     }
     let interval_us =
         i64::try_from(state.live.config().sample_interval_ms).unwrap_or(i64::MAX).saturating_mul(1000);

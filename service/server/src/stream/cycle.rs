@@ -2,6 +2,7 @@
 
 use super::binary::MOST_DECIMALS;
 use super::message::{ProgramMessage, SamplesMessage, StartMessage};
+use super::overload::Overload;
 use crate::config::StreamConfig;
 use crate::http::dto::{text, time};
 use crate::ingest::body::CLOCK_AHEAD_MS;
@@ -25,6 +26,7 @@ use feedwright_core::recommend::Knowledge;
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_store::{AlarmFilter, AlarmKind, Page, StoreResult};
 use serde_json::{Value, json};
+use std::sync::Arc;
 
 /// The override that a machine says is in force.
 const IN_FORCE_RANGE: Range = Range::new(0.0, 1000.0, "%");
@@ -48,6 +50,8 @@ pub struct StreamedCycle {
     pub program_hash: Option<String>,
     /// Whether its overload was told already.
     pub overload_told: bool,
+    /// The last overload that it has seen itself.
+    pub overload: Option<Arc<Overload>>,
     /// When its samples were shown last, µs.
     pub shown_us: i64,
 }
@@ -379,6 +383,7 @@ pub async fn begin(
         law_version: LOOP_LAW_VERSION,
         program_hash,
         overload_told: overload_open,
+        overload: None,
         shown_us: i64::MIN,
     }))
 }

@@ -58,6 +58,9 @@ async fn try_store(
     outcome: Option<&str>,
     reported: Option<&Value>,
 ) -> Result<Accepted, Problem> {
+    if let Some(overload) = &cycle.overload {
+        overload.raise(state, machine).await?;
+    }
     // Before the cycle: with the cycle stored and these lost, nobody would send them again.
     keep_overrides(state, machine, &cycle.id, cycle).await?;
     let json = Bytes::from(cycle.body(cycle.id.as_str(), outcome, reported).to_string());
@@ -130,6 +133,12 @@ fn incomplete_id(cycle: &StreamedCycle) -> Option<CycleId> {
 pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
     let slot = ownership.slot.clone();
     let Some((generation, cycle_left)) = state.streams.leave(ownership) else { return };
+    let overload = slot.lock().cycle.as_ref().and_then(|cycle| cycle.overload.clone());
+    if let Some(overload) = overload
+        && let Err(error) = overload.raise(state, &slot.machine).await
+    {
+        tracing::warn!(machine = %slot.machine, %error, "an overload could not be raised");
+    }
     release(state, &slot, generation).await;
     if !cycle_left {
         show(state, &slot, MachineState::Disconnected);

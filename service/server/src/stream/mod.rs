@@ -16,6 +16,7 @@ pub mod finish;
 pub mod leases;
 pub mod message;
 pub mod opening;
+pub mod overload;
 pub mod slots;
 
 pub use leases::start;
