@@ -1,6 +1,6 @@
 //! The live view, read over real sockets as a page reads it.
 
-mod reader;
+pub(crate) mod reader;
 mod served;
 mod session;
 mod shown;

@@ -8,20 +8,20 @@ use std::time::Duration;
 const PATIENCE: Duration = Duration::from_secs(20);
 
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Told {
-    pub(super) name: String,
-    pub(super) id: Option<String>,
-    pub(super) data: Value,
+pub(crate) struct Told {
+    pub(crate) name: String,
+    pub(crate) id: Option<String>,
+    pub(crate) data: Value,
 }
 
-pub(super) struct Reader {
+pub(crate) struct Reader {
     response: reqwest::Response,
     text: String,
-    pub(super) comments: usize,
+    pub(crate) comments: usize,
 }
 
 impl Reader {
-    pub(super) async fn open(served: &Served, query: &str, last: Option<&str>) -> Self {
+    pub(crate) async fn open(served: &Served, query: &str, last: Option<&str>) -> Self {
         let mut request =
             served.client.get(served.url(&format!("/v1/live{query}"))).bearer_auth(&served.token);
         if let Some(last) = last {
@@ -34,7 +34,7 @@ impl Reader {
     }
 
     /// As a page's reader comes: with its session's cookie.
-    pub(super) async fn with_cookie(served: &Served, cookie: &str) -> Self {
+    pub(crate) async fn with_cookie(served: &Served, cookie: &str) -> Self {
         let request = served.client.get(served.url("/v1/live")).header("cookie", cookie);
         let response = request.send().await.unwrap();
         assert_eq!(response.status(), 200);
@@ -42,14 +42,14 @@ impl Reader {
     }
 
     /// As a program comes: with that token.
-    pub(super) async fn with_token(served: &Served, token: &str) -> Self {
+    pub(crate) async fn with_token(served: &Served, token: &str) -> Self {
         let response = served.client.get(served.url("/v1/live")).bearer_auth(token).send().await.unwrap();
         assert_eq!(response.status(), 200);
         Self { response, text: String::new(), comments: 0 }
     }
 
     /// The next event; `None` where the server ended the view.
-    pub(super) async fn next(&mut self) -> Option<Told> {
+    pub(crate) async fn next(&mut self) -> Option<Told> {
         loop {
             if let Some((block, rest)) = self.text.split_once("\n\n") {
                 let (block, rest) = (block.to_owned(), rest.to_owned());
@@ -69,7 +69,7 @@ impl Reader {
     }
 
     /// The next event of that name, skipping others.
-    pub(super) async fn next_of(&mut self, name: &str) -> Told {
+    pub(crate) async fn next_of(&mut self, name: &str) -> Told {
         let mut skipped = Vec::new();
         // Heartbeats must not make a wait for what never comes endless.
         let wanted = async {

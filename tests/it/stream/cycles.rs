@@ -1,7 +1,7 @@
 //! Whole cycles: answered sample by sample, stored as a post would have been.
 
 use super::client::{Came, Machine, codes, frame, posted};
-use crate::live::Served;
+use crate::live::{Served, reader::Reader};
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
 
@@ -228,15 +228,16 @@ async fn what_a_start_must_not_say_is_named_and_what_is_not_known_keeps_neutral(
     served.server.shutdown().await.unwrap();
 }
 
+fn load(from: u64, count: usize, load: f64) -> Value {
+    json!({"type": "samples", "first": from, "depth_mm": vec![1.0; count],
+           "spindle_load_percent": vec![load; count], "feed_drive_load_percent": vec![5.0; count]})
+}
+
 #[tokio::test]
 async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
     let (served, token) = shop(&[("stream.overload_relative_load", "1.5")]).await;
     let mut machine = Machine::connect(&served, &token).await;
     machine.start("c1", json!({})).await;
-    let load = |from: u64, count: usize, load: f64| {
-        json!({"type": "samples", "first": from, "depth_mm": vec![1.0; count],
-               "spindle_load_percent": vec![load; count], "feed_drive_load_percent": vec![5.0; count]})
-    };
     let overload = machine.ask(load(0, 10, 90.0)).await;
     assert_eq!(overload["overload"], true);
     assert!(codes(&overload["reasons"]).contains(&"overload"));
@@ -268,6 +269,14 @@ async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
     assert_eq!(status, 200);
     let freed = machine.ask(load(10, 5, 5.0)).await;
     assert!(freed["override_percent"].as_f64().unwrap() > 100.0, "{freed}");
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn an_overload_is_waited_for_and_freed_by_no_other_ones_acknowledgement() {
+    let (served, token) = shop(&[("stream.overload_relative_load", "1.5")]).await;
+    let mut reader = Reader::open(&served, "", None).await;
+    let mut machine = Machine::connect(&served, &token).await;
     // However soon the next cycle starts, after the end, in place of the running cycle or as that cycle itself.
     for round in 0..24 {
         let id = format!("r{round}");
@@ -286,6 +295,22 @@ async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
         assert!(codes(&next["reasons"]).contains(&"overload_unacknowledged"), "{round}: {next}");
         let (status, freed) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
         assert_eq!((status, freed["acknowledged"].as_array().unwrap().len()), (200, 1), "{freed}");
+        // The alarms are looked at now and then: what is told of this one comes when there may be another one.
+        assert_eq!(machine.start(&format!("{id}-again"), json!({})).await["type"], "started");
+        assert_eq!(machine.ask(load(0, 10, 90.0)).await["overload"], true, "{round}");
+        let id = &freed["acknowledged"][0]["id"];
+        loop {
+            let told = reader.next_of("alarm").await.data;
+            if told["change"] == "cleared" && &told["alarm"]["id"] == id {
+                break;
+            }
+        }
+        let held = machine.ask(load(10, 5, 5.0)).await;
+        assert_eq!(held["overload"], true, "{round}: {held}");
+        assert!(codes(&held["reasons"]).contains(&"overload_held"), "{round}: {held}");
+        let (status, freed) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
+        let answer = machine.ask(load(15, 5, 5.0)).await;
+        assert_eq!((status, &answer["overload"]), (200, &json!(false)), "{round}: {freed} {answer}");
     }
     served.server.shutdown().await.unwrap();
 }

@@ -6,6 +6,7 @@ use super::extract::{PathId, Query, query_id};
 use super::problem::Problem;
 use crate::auth::Caller;
 use crate::state::AppState;
+use crate::stream::overload;
 use axum::Json;
 use axum::extract::State;
 use feedwright_core::ids::MachineId;
@@ -80,7 +81,7 @@ async fn acknowledge_one(state: &AppState, caller: &Caller, id: RowNumber) -> Re
     if let Some(machine) =
         alarm.as_ref().filter(|alarm| alarm.kind == AlarmKind::Overload).and_then(|a| a.machine.as_ref())
     {
-        state.streams.acknowledged(machine);
+        overload::settle(state, machine).await;
     }
     alarm.ok_or_else(|| Problem::not_found("alarm", &id.to_string()))
 }

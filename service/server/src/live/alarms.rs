@@ -5,6 +5,7 @@
 
 use super::event::Event;
 use crate::state::AppState;
+use crate::stream::overload;
 use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, StoreResult};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -58,7 +59,7 @@ async fn look(state: &AppState, shown: &mut Option<Shown>) -> StoreResult<()> {
     let fresh = since(state, after).await?;
     let newest = fresh.last().map_or(after, |alarm| alarm.id);
     if let Some(before) = shown {
-        tell(state, &before.open, &open, &fresh);
+        tell(state, &before.open, &open, &fresh).await;
     }
     open.extend(fresh.into_iter().filter(|alarm| alarm.cleared_at.is_none()).map(|alarm| (alarm.id, alarm)));
     *shown = Some(Shown { open, newest });
@@ -94,17 +95,17 @@ async fn open(state: &AppState) -> StoreResult<Open> {
     Ok(found)
 }
 
-fn tell(state: &AppState, before: &Open, now: &Open, fresh: &[Alarm]) {
+async fn tell(state: &AppState, before: &Open, now: &Open, fresh: &[Alarm]) {
     // Each server looks by itself: nothing here is told to the others.
     for alarm in fresh {
         state.live.show(Event::alarm("raised", alarm.clone()));
         if alarm.cleared_at.is_some() {
-            cleared(state, alarm);
+            cleared(state, alarm).await;
         }
     }
     for (id, known) in before {
         match now.get(id) {
-            None => cleared(state, known),
+            None => cleared(state, known).await,
             Some(alarm) if known.acknowledged.is_none() && alarm.acknowledged.is_some() => {
                 state.live.show(Event::alarm("acknowledged", alarm.clone()));
             }
@@ -113,10 +114,10 @@ fn tell(state: &AppState, before: &Open, now: &Open, fresh: &[Alarm]) {
     }
 }
 
-fn cleared(state: &AppState, alarm: &Alarm) {
+async fn cleared(state: &AppState, alarm: &Alarm) {
     // An overload is cleared by whoever acknowledges it, perhaps at another server.
     if let (AlarmKind::Overload, Some(machine)) = (alarm.kind, &alarm.machine) {
-        state.streams.acknowledged(machine);
+        overload::settle(state, machine).await;
     }
     state.live.show(Event::alarm_cleared(alarm));
 }

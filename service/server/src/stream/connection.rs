@@ -7,7 +7,7 @@ use super::finish::{self, connection_gone, show};
 use super::message::{
     self, EndMessage, Incoming, MonitorMessage, ResumeMessage, SamplesMessage, StartMessage, VibrationMessage,
 };
-use super::overload::Overload;
+use super::overload::{self, Overload};
 use super::slots::{Held, Ownership};
 use crate::auth::Caller;
 use crate::http::dto::mirror::{To, violation};
@@ -412,6 +412,7 @@ impl Connection {
             let detail = format!("there is no machine `{machine}`");
             Problem::new(http::StatusCode::NOT_FOUND, "unknown_machine", detail)
         })?;
+        let held_up = begun.overload.is_some();
         let left = match self.ownership.held() {
             Some(mut held) => {
                 let left = held.cycle.replace(begun);
@@ -420,6 +421,10 @@ impl Connection {
             }
             None => None,
         };
+        if held_up {
+            // It may have been acknowledged before there was this cycle to free.
+            overload::settle(&self.state, machine).await;
+        }
         if let Some(left) = left.filter(|left| left.id != id) {
             let (state, machine) = (self.state.clone(), machine.clone());
             self.state.lifecycle.spawn(async move { finish::store_incomplete(&state, &machine, left).await });
@@ -652,16 +657,10 @@ fn judge(
     each.clear();
     let answered = cycle.running.take(now, &batch, each);
     let machine = &ownership.slot.machine;
-    if answered.overloaded && !cycle.overload_told {
-        cycle.overload_told = true;
+    if answered.overloaded && cycle.overload.is_none() {
         let overload = Arc::new(Overload::seen(&cycle.id, &cycle.tool, now));
         cycle.overload = Some(overload.clone());
-        let (raising, machine) = (state.clone(), machine.clone());
-        state.lifecycle.spawn(async move {
-            if let Err(error) = overload.raise(&raising, &machine).await {
-                tracing::warn!(%machine, %error, "an overload could not be raised; its cycle's end tries again");
-            }
-        });
+        overload.raise_beside(state, machine);
     }
     let interval_us =
         i64::try_from(state.live.config().sample_interval_ms).unwrap_or(i64::MAX).saturating_mul(1000);

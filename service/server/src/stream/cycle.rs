@@ -48,9 +48,7 @@ pub struct StreamedCycle {
     pub law_version: &'static str,
     /// Hash of the program that the machine told, or of the feed profile that it named.
     pub program_hash: Option<String>,
-    /// Whether its overload was told already.
-    pub overload_told: bool,
-    /// The last overload that it has seen itself.
+    /// The overload that holds it until somebody acknowledges it.
     pub overload: Option<Arc<Overload>>,
     /// When its samples were shown last, µs.
     pub shown_us: i64,
@@ -365,6 +363,8 @@ pub async fn begin(
             neutral.add(LoopReason::NoLaw);
             (control::Control::Neutral, neutral, feedwright_core::closed_loop::LoopReasons::NONE)
         });
+    let overload = overload_open
+        .then(|| Arc::new(Overload::open_before(&checked.id, &checked.tool, checked.begun.received_at)));
     let mut running = RunningCycle::new(
         checked.begun,
         control,
@@ -382,13 +382,13 @@ pub async fn begin(
         decimals: checked.decimals,
         law_version: LOOP_LAW_VERSION,
         program_hash,
-        overload_told: overload_open,
-        overload: None,
+        overload,
         shown_us: i64::MIN,
     }))
 }
 
-async fn overload_open(state: &AppState, machine: &MachineId) -> StoreResult<bool> {
+/// Whether an overload of a machine is open that nobody has acknowledged.
+pub async fn overload_open(state: &AppState, machine: &MachineId) -> StoreResult<bool> {
     let filter = AlarmFilter { open: Some(true), machine: Some(machine.clone()), tool: None };
     // At most one alarm of a kind is open for one subject: a machine has few.
     let open = state.store.alarms(&filter, Page { after: None, limit: 1000 }).await?;

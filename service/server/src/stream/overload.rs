@@ -1,16 +1,21 @@
-//! An overload on its way from a running cycle to the list of alarms.
+//! An overload on its way from a running cycle to the list of alarms, and back once somebody has acknowledged it.
 //!
 //! It is raised beside the answers, as a commit must not hold up an override. What follows in the machine waits for
 //! it: the end of the cycle is not answered, no other cycle starts and the lease is not given back before it is
 //! committed. Otherwise the next cycle would find no alarm and raise the feed of a tool that nobody has looked at.
+//!
+//! Nor is a cycle freed by what is told of an alarm, which may be an earlier one and may come late: the list of alarms
+//! is asked whether one is open.
 
+use super::cycle;
 use crate::state::AppState;
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_store::StoreResult;
+use std::sync::Arc;
 use tokio::sync::OnceCell;
 
-/// An overload that a running cycle has seen.
+/// An overload that holds a running cycle.
 #[derive(Debug)]
 pub struct Overload {
     tool: ToolId,
@@ -25,6 +30,25 @@ impl Overload {
     pub fn seen(cycle: &CycleId, tool: &ToolId, now: Timestamp) -> Self {
         let message = format!("cycle {cycle}: the load exceeded the limit of an overload");
         Self { tool: tool.clone(), message, at: now, raised: OnceCell::new() }
+    }
+
+    /// An overload that was open when a cycle started.
+    pub fn open_before(cycle: &CycleId, tool: &ToolId, now: Timestamp) -> Self {
+        Self { raised: OnceCell::new_with(Some(())), ..Self::seen(cycle, tool, now) }
+    }
+
+    /// Raises it in a task of its own.
+    pub fn raise_beside(self: Arc<Self>, state: &AppState, machine: &MachineId) {
+        let (raising, machine) = (state.clone(), machine.clone());
+        state.lifecycle.spawn(async move {
+            match self.raise(&raising, &machine).await {
+                // It may have been acknowledged while nobody could know that it was this one.
+                Ok(()) => settle(&raising, &machine).await,
+                Err(error) => {
+                    tracing::warn!(%machine, %error, "an overload could not be raised; its cycle's end tries again");
+                }
+            }
+        });
     }
 
     /// Raises it; returns once it is committed. Whoever asks while another raises it waits for that one, and tries
@@ -43,5 +67,31 @@ impl Overload {
                 .inspect(|()| state.live.alarms_may_have_changed())
         };
         self.raised.get_or_try_init(raise).await.copied()
+    }
+}
+
+/// Frees a machine's running cycle where no overload of the machine is open any more. Where that cannot be read the
+/// cycle stays held.
+pub async fn settle(state: &AppState, machine: &MachineId) {
+    let Some(slot) = state.streams.slot(machine) else { return };
+    let Some(overload) = slot.lock().cycle.as_ref().and_then(|cycle| cycle.overload.clone()) else { return };
+    if !overload.raised.initialized() {
+        // Who raises it settles it.
+        return;
+    }
+    match cycle::overload_open(state, machine).await {
+        Ok(false) => {}
+        Ok(true) => return,
+        Err(error) => {
+            tracing::warn!(%machine, %error, "whether an overload is open cannot be read: its cycle stays held");
+            return;
+        }
+    }
+    // An overload that came meanwhile is not the one that was asked for.
+    if let Some(cycle) = &mut slot.lock().cycle
+        && cycle.overload.as_ref().is_some_and(|held| Arc::ptr_eq(held, &overload))
+    {
+        cycle.overload = None;
+        cycle.running.acknowledge();
     }
 }

@@ -179,16 +179,6 @@ impl Streams {
         }
         held.charged = bytes;
     }
-
-    /// Somebody has acknowledged the overloads of a machine.
-    pub fn acknowledged(&self, machine: &MachineId) {
-        if let Some(slot) = self.slot(machine)
-            && let Some(cycle) = &mut slot.lock().cycle
-        {
-            cycle.running.acknowledge();
-            cycle.overload_told = false;
-        }
-    }
 }
 
 impl Slot {
