@@ -7,7 +7,7 @@ use feedwright_core::units::Timestamp;
 use feedwright_server::clock::Clock;
 use feedwright_server::config::{Config, Sources};
 use feedwright_server::server::Server;
-use feedwright_store::{CycleFilter, Page};
+use feedwright_store::{CycleFilter, Page, Repair};
 use secrecy::ExposeSecret;
 use std::collections::HashSet;
 use std::net::SocketAddr;
@@ -120,7 +120,7 @@ async fn ten_thousand_hang_up(given: &Given) {
     kept.extend(tools.iter().map(|tool| tool.value.id.as_str()[1..].parse::<usize>().unwrap()));
     let missing: Vec<_> = acknowledged.difference(&kept).collect();
     assert!(missing.is_empty(), "acknowledged and not stored: {missing:?}");
-    let check = store.check_wear(false).await.unwrap();
+    let check = store.check_wear(Repair::No).await.unwrap();
     assert_eq!(check.different, vec![], "every cycle is counted once");
     server.shutdown().await.unwrap();
 }

@@ -21,7 +21,7 @@ use crate::operation::Operation;
 use crate::units::Timestamp;
 
 /// Version of the summary's rules; stored with every summary, so that a change of rules shows.
-pub const SUMMARY_VERSION: u32 = 3;
+pub const SUMMARY_VERSION: u32 = 4;
 
 /// Share of a cycle's time that samples must cover for its energy to be compared.
 pub const COVERAGE_FLOOR: f64 = 0.95;

@@ -55,5 +55,15 @@ pub enum StoreError {
     Database(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
+impl StoreError {
+    /// What is damaged, with the cycle that it was found in.
+    pub(crate) fn of_cycle(self, machine: &str, cycle: &str) -> Self {
+        match self {
+            Self::Damaged { what } => Self::Damaged { what: format!("cycle {machine}/{cycle}: {what}") },
+            other => other,
+        }
+    }
+}
+
 /// A store's result.
 pub type StoreResult<T> = Result<T, StoreError>;

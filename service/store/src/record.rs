@@ -11,7 +11,7 @@ use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_core::wear::{CycleFacts, Exclusion, Level, Verdict};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// A value with the version that its ETag names, counted from 1.
@@ -274,6 +274,8 @@ pub struct NewCycle {
     /// Generation of the registry that the summary rests on: where another one is in force at the commit, the summary
     /// is made again. `None` where it stands as it is.
     pub generation: Option<i64>,
+    /// Whether its end never came in: it is flagged incomplete, whatever its summary says.
+    pub cut_short: bool,
 }
 
 /// What the codec makes of a cycle.
@@ -665,13 +667,35 @@ pub struct Surroundings {
     pub tool: Option<Tool>,
 }
 
-/// What the check of a tool's cache against its fold found.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Which caches of wear are folded again where they differ from their fold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Repair<'a> {
+    /// None.
+    No,
+    /// Those of all tools but these, whose cycles are doubtful: their wear would be wrong as if it were right.
+    AllBut(&'a BTreeSet<ToolId>),
+}
+
+impl Repair<'_> {
+    /// Whether it folds the tool's.
+    #[must_use]
+    pub fn folds(self, tool: &ToolId) -> bool {
+        match self {
+            Self::No => false,
+            Self::AllBut(doubtful) => !doubtful.contains(tool),
+        }
+    }
+}
+
+/// What the check of tools' caches against their folds found.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct WearCheck {
     /// Rows of the cache that were compared.
     pub rows: u64,
     /// Those that differed from the fold, `(machine, tool)`.
     pub different: Vec<(MachineId, ToolId)>,
+    /// Tools whose cycles could not be folded, with what could not be read.
+    pub unreadable: Vec<(ToolId, String)>,
 }
 
 /// How long a machine's samples are kept; without either limit for ever.
@@ -741,7 +765,7 @@ pub struct Dropped {
 /// What is wrong with something stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreFault {
-    /// What it is about: `cycle`, `samples`, `hash`, `file`.
+    /// What it is about: `cycle`, `samples`, `hash`, `summary`, `file`.
     pub kind: &'static str,
     /// Which one, as in `M1/c0001`.
     pub key: String,
@@ -756,8 +780,13 @@ pub struct CheckPage {
     pub checked: u64,
     /// Those among them whose samples were dropped, so that their content hash cannot be computed again.
     pub dropped: u64,
+    /// Those whose energies could not be computed again: machine, operation, fitted lines or the summary's rules were
+    /// others, or may have been, when they were received. What rests on the samples alone was compared.
+    pub unverified: u64,
     /// What is wrong.
     pub faults: Vec<StoreFault>,
+    /// The tools of cycles that say something else than was taken in: wear is not folded over them.
+    pub doubtful: BTreeSet<ToolId>,
     /// Where to go on; `None` at the end.
     pub next: Option<(MachineId, CycleId)>,
 }

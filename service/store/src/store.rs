@@ -10,7 +10,7 @@ use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
     DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
     SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings,
     TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
@@ -283,8 +283,9 @@ pub trait Store: Send + Sync + 'static {
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
     /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
-    /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair`.
-    async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck>;
+    /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair` says so. A tool whose
+    /// cycles cannot be read is named.
+    async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck>;
 
     /// Keeps a recommendation that is handed out.
     async fn issue_recommendation(&self, issued: &IssuedRecommendation) -> StoreResult<()>;

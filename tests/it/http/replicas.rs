@@ -6,7 +6,7 @@ use feedwright_server::clock::Clock;
 use feedwright_server::config::{Config, Sources};
 use feedwright_server::database;
 use feedwright_server::server::{RunningServer, Server};
-use feedwright_store::{Page, Store};
+use feedwright_store::{Page, Repair, Store};
 use secrecy::ExposeSecret;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -82,7 +82,7 @@ async fn the_same_cycles_to_three_servers_are_stored_and_counted_once() {
         assert_eq!(wear["cycles"], CYCLES, "{wear}");
     }
     let store = given.store();
-    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     assert_eq!(
         store.cycles(&Default::default(), Page { after: None, limit: 99 }).await.unwrap().len(),
         CYCLES

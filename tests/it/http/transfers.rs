@@ -74,6 +74,26 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
     let said = succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());
     assert!(said.contains("fault: wear M1/T1: folded again"), "{said}");
     succeed(feedwright(&other, &["check"]).output().unwrap());
+    // Nor is wear folded over a cycle that says something else than was taken in.
+    let change = async |change: &'static str| {
+        let mut conn = tables(&other).await;
+        sqlx::query(change).execute(&mut conn).await.unwrap();
+        conn.close().await.unwrap();
+    };
+    change("UPDATE cycles SET mean_spindle_load_percent = mean_spindle_load_percent + 1 WHERE cycle_id = 'c00005'")
+        .await;
+    change("UPDATE tool_wear SET folded = folded + 1").await;
+    let (found, said) = fail(feedwright(&other, &["check", "--repair"]).output().unwrap());
+    for part in [
+        "fault: summary M1/c00005: it is not what the cycle amounts to: mean_spindle_load_percent is ",
+        "fault: wear M1/T1: the cache is not the fold over the cycles, and is not folded again, ",
+    ] {
+        assert!(found.contains(part), "{found}");
+    }
+    assert!(said.contains("2 faults are left"), "{said}");
+    change("UPDATE cycles SET mean_spindle_load_percent = mean_spindle_load_percent - 1 WHERE cycle_id = 'c00005'")
+        .await;
+    succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());
     // A block that is damaged stays damaged, and stays named.
     let mut conn = tables(&other).await;
     let zeros = "UPDATE cycle_samples SET block = zeroblob(length(block)) WHERE cycle_id = 'c00007'";

@@ -8,8 +8,8 @@ use super::recent::Chance;
 use feedwright_core::machine::{FeedLimits, Machine};
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
-    AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, SqliteOptions, SqliteStore, Store,
-    StoreError, StoreResult,
+    AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, Repair, SqliteOptions, SqliteStore,
+    Store, StoreError, StoreResult,
 };
 
 async fn opened(given: &Given) -> SqliteStore {
@@ -42,7 +42,7 @@ async fn left(given: &Given, store: &dyn Store) -> Vec<String> {
     let alarms = store.alarms(&AlarmFilter::default(), Page { after: None, limit: 100 }).await.unwrap();
     lines.extend(alarms.iter().map(|alarm| format!("{alarm:?}")));
     lines.extend(given.wear_states().await.iter().map(|state| format!("{state:?}")));
-    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     for (table, column) in [
         ("recommendations", "tool_id"),
         ("advices", "body"),
@@ -193,11 +193,11 @@ async fn what_another_store_changed_is_noticed() {
             n += 1;
             stored(store, &Run::nth(n)).await;
         }
-        assert_eq!(store.check_wear(false).await.unwrap().different, []);
+        assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     }
     let folded: Vec<i64> = given.wear_states().await.iter().map(|(_, _, folded, _)| *folded).collect();
     assert_eq!(folded, [174]);
-    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     other.close().await;
     given.done().await;
 }

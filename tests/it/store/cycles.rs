@@ -3,7 +3,9 @@
 use super::given::{Given, Run, at, commit, engineer, machine, new_cycle, shop, stored, stories, tool};
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::recommend::RecommendSettings;
-use feedwright_store::{Committed, CycleFilter, CycleKey, Page, Precondition, Store, StoreError};
+use feedwright_store::{
+    Committed, CycleFilter, CycleKey, NewCycle, Page, Precondition, Repair, Store, StoreError,
+};
 use std::sync::Arc;
 
 stories!(
@@ -11,6 +13,7 @@ stories!(
     a_cycle_is_new_then_known_then_a_conflict,
     duplicates_inside_a_group_are_seen,
     groups_of_every_size_are_whole,
+    a_cycle_that_was_cut_short_is_flagged_whatever_was_registered_meanwhile,
     a_row_that_fails_fails_alone,
     an_unknown_machine_stores_nothing,
     pages_have_neither_gaps_nor_repeats,
@@ -134,8 +137,22 @@ async fn groups_of_every_size_are_whole(store: Arc<dyn Store>) {
     }
     let checked = store.check_cycles(None, 10_000).await.unwrap();
     assert_eq!((checked.checked, checked.faults), (all.len() as u64, vec![]));
-    let check = store.check_wear(false).await.unwrap();
+    let check = store.check_wear(Repair::No).await.unwrap();
     assert_eq!((check.rows, check.different), (40, vec![]));
+}
+
+async fn a_cycle_that_was_cut_short_is_flagged_whatever_was_registered_meanwhile(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    for (n, generation) in [(1, None), (2, Some(-1))] {
+        let cut = NewCycle { generation, cut_short: true, ..Run::nth(n).new_cycle() };
+        let key = (cut.cycle.machine.clone(), cut.cycle.id.clone());
+        let outcome = store.commit_cycles(vec![cut], at(1000), RecommendSettings::default()).await.pop();
+        let Some(Ok(Committed::Stored(answer))) = outcome else { panic!("{generation:?}: {outcome:?}") };
+        assert!(answer.summary.flags.contains(Flag::Incomplete), "{generation:?}");
+        let kept = store.cycle(&key.0, &key.1).await.unwrap().unwrap();
+        assert!(kept.summary.flags.contains(Flag::Incomplete), "{generation:?}");
+    }
+    assert_eq!(store.check_cycles(None, 10).await.unwrap().faults, []);
 }
 
 async fn a_row_that_fails_fails_alone(store: Arc<dyn Store>) {
@@ -155,7 +172,7 @@ async fn a_row_that_fails_fails_alone(store: Arc<dyn Store>) {
     let list = store.cycles(&CycleFilter::default(), Page { after: None, limit: 10 }).await.unwrap();
     let ids: Vec<&str> = list.iter().map(|cycle| cycle.cycle.id.as_str()).collect();
     assert_eq!(ids, ["c00001", "c00002", "c00004"]);
-    let check = store.check_wear(false).await.unwrap();
+    let check = store.check_wear(Repair::No).await.unwrap();
     assert_eq!((check.rows, check.different), (1, vec![]));
 }
 
@@ -187,7 +204,7 @@ async fn a_group_that_fails_at_its_end_leaves_nothing_open(given: &Given) {
     given.raw(allow).await.unwrap();
     let outcomes = commit(&*store, &group).await;
     assert!(outcomes.iter().all(|outcome| matches!(outcome, Ok(Committed::Stored(_)))), "{outcomes:?}");
-    let check = store.check_wear(false).await.unwrap();
+    let check = store.check_wear(Repair::No).await.unwrap();
     assert_eq!(check.different, []);
     assert_eq!(store.check_cycles(None, 10).await.unwrap().checked, 3);
 }

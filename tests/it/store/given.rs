@@ -354,6 +354,7 @@ pub(crate) fn new_cycle(cycle: Cycle) -> NewCycle {
         encoded,
         summary,
         generation: None,
+        cut_short: false,
     }
 }
 

@@ -4,7 +4,7 @@
 use super::given::{Given, Run, at, commit, shop, stored, tool};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{
-    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Store, StoreError,
+    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Repair, Store, StoreError,
 };
 use sqlx::{Connection, Executor, PgConnection};
 use std::net::TcpListener;
@@ -216,7 +216,7 @@ async fn a_pooler_in_transaction_mode_is_borne() {
     }
     let all = store.cycles(&CycleFilter::default(), Page { after: None, limit: 1000 }).await.unwrap();
     assert_eq!(all.len(), 80);
-    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     store.close().await;
     drop(pooler);
     given.done().await;
@@ -243,7 +243,7 @@ async fn after_a_restart_of_the_server_work_goes_on() {
     stored(&store, &Run::nth(2)).await;
     stored(&store, &Run::nth(3)).await;
     assert!(store.probe_write(at(2)).await.is_ok());
-    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 9 }).await.unwrap();
     assert_eq!(cycles.len(), 3, "each once");
     store.close().await;

@@ -5,7 +5,7 @@ use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
-    Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Store,
+    Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Repair, Store,
 };
 use sqlx::{Connection, PgConnection};
 use std::sync::Arc;
@@ -66,7 +66,7 @@ async fn the_same_cycles_to_three_servers_count_once() {
     for id in ["T1", "T2"] {
         assert_eq!(replicas[2].verdict(&id.try_into().unwrap()).await.unwrap().cycles, 30, "{id}");
     }
-    let check = replicas[0].check_wear(false).await.unwrap();
+    let check = replicas[0].check_wear(Repair::No).await.unwrap();
     assert_eq!((check.rows, check.different), (2, vec![]));
     for replica in &replicas[1..] {
         replica.close().await;
@@ -182,7 +182,7 @@ async fn a_change_at_one_server_is_in_force_at_the_next_commit_of_another() {
     // The fold itself: what another server counted is not counted over.
     assert_eq!(stored(&*other, &Run::nth(5)).await.verdict.cycles, 2);
     assert_eq!(stored(&*store, &Run::nth(6)).await.verdict.cycles, 3);
-    assert_eq!(store.check_wear(false).await.unwrap().different, vec![]);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, vec![]);
     other.close().await;
     given.done().await;
 }

@@ -9,7 +9,7 @@ use feedwright_store::transfer::{
 };
 use feedwright_store::{
     Actor, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, QuarantineBounds,
-    QuarantineEntry, Role, SqliteOptions, SqliteStore, Store, TokenRecord, WatchSettings,
+    QuarantineEntry, Repair, Role, SqliteOptions, SqliteStore, Store, TokenRecord, WatchSettings,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -84,7 +84,7 @@ async fn sound(store: &dyn Store) {
     assert_eq!(store.check_tables().await.unwrap(), []);
     let page = store.check_cycles(None, 1000).await.unwrap();
     assert_eq!((page.checked > 0, page.faults.as_slice()), (true, [].as_slice()));
-    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
 }
 
 async fn copied(from: &Address, to: &Address) -> Result<(Vec<(String, TableSum)>, u64), TransferError> {

@@ -5,8 +5,8 @@ use feedwright_core::ids::RecommendationId;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::transfer::{TableSum, back_up_postgres, back_up_sqlite};
 use feedwright_store::{
-    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, SqliteOptions, SqliteStore,
-    Store,
+    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Repair, SqliteOptions,
+    SqliteStore, Store,
 };
 use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, SqliteConnection};
@@ -290,7 +290,7 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
     assert_eq!(shown(&*store, &advice).await, before);
     assert_eq!(folds(given).await, folded);
     assert_eq!(store.check_tables().await.unwrap(), []);
-    assert_eq!(store.check_wear(false).await.unwrap().different, []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     if !given.is_postgres() {
         assert_eq!(
             page_bytes(given.file()).await,

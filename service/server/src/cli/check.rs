@@ -1,11 +1,12 @@
-//! `feedwright check`: every block, every hash, wear against its fold.
+//! `feedwright check`: every block, every hash, every summary against its samples, wear against its fold.
 
 use super::{Settings, log, print};
 use crate::database::{self, Database};
 use anyhow::{Context, bail};
 use clap::Args;
 use feedwright_store::transfer::restore_to_sqlite;
-use feedwright_store::{SqliteOptions, SqliteStore, Store};
+use feedwright_store::{Repair, SqliteOptions, SqliteStore, Store};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -15,7 +16,8 @@ const PAGE: u32 = 200;
 /// Arguments of the command.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Folds wear again where the cache differs from it. Nothing else can be repaired: what is damaged is named.
+    /// Folds wear again where the cache differs from it, but not over cycles that say something else than was taken in.
+    /// Nothing else can be repaired: what is damaged is named.
     #[arg(long)]
     repair: bool,
     /// Checks this backup instead of the configured database, in a copy of it.
@@ -57,11 +59,14 @@ async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
         faults += 1;
         print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))?;
     }
-    let (mut checked, mut dropped, mut after) = (0, 0, None);
+    let (mut checked, mut dropped, mut unverified, mut after) = (0, 0, 0, None);
+    let mut doubtful = BTreeSet::new();
     loop {
         let page = store.check_cycles(after.as_ref(), PAGE).await?;
         checked += page.checked;
         dropped += page.dropped;
+        unverified += page.unverified;
+        doubtful.extend(page.doubtful);
         for fault in page.faults {
             faults += 1;
             print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))?;
@@ -72,17 +77,28 @@ async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
         }
     }
     print(&format!("{checked} cycles checked, of {dropped} the samples were dropped by retention\n"))?;
+    if unverified > 0 {
+        print(&format!(
+            "of {unverified} cycles machine, operation, fitted lines or rules have changed, or may have: their energies \
+             were not computed again\n"
+        ))?;
+    }
+    let repair = if repair { Repair::AllBut(&doubtful) } else { Repair::No };
     let wear = store.check_wear(repair).await?;
     for (machine, tool) in &wear.different {
-        let done = if repair {
+        let done = if repair.folds(tool) {
             "folded again"
+        } else if doubtful.contains(tool) {
+            "the cache is not the fold over the cycles, and is not folded again, since some of them are at fault"
         } else {
             "the cache is not the fold over the cycles; --repair folds it again"
         };
+        faults += u64::from(!repair.folds(tool));
         print(&format!("fault: wear {machine}/{tool}: {done}\n"))?;
     }
-    if !repair {
-        faults += wear.different.len() as u64;
+    for (tool, what) in &wear.unreadable {
+        faults += 1;
+        print(&format!("fault: wear {tool}: it cannot be folded: {what}\n"))?;
     }
     print(&format!("{} folds of wear checked, {} differed\n", wear.rows, wear.different.len()))?;
     if faults > 0 {

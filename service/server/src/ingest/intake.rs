@@ -181,7 +181,10 @@ impl CycleIntake {
         // A group waits with tens of cycles: the memory of their samples serves the next ones meanwhile.
         let cycle = Arc::new(cycle.with_samples(None));
         let generation = Some(generation);
-        Ok(Ready { cycle: NewCycle { cycle, received_at: now, encoded, summary, generation }, json })
+        Ok(Ready {
+            cycle: NewCycle { cycle, received_at: now, encoded, summary, generation, cut_short: false },
+            json,
+        })
     }
 
     /// Everything after the queue: what the commit came to.
@@ -326,7 +329,7 @@ impl CycleIntake {
     ) -> Result<Accepted, Problem> {
         let result = match self.prepare(machine, json, refused).await {
             Ok(mut ready) => {
-                ready.cycle.summary.flags.insert(Flag::Incomplete);
+                ready.cycle.cut_short = true;
                 match self.enqueue_patiently(ready).await {
                     Ok(queued) => self.settle(queued, refused).await,
                     Err(problem) => Err(problem),

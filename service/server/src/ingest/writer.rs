@@ -340,6 +340,7 @@ mod tests {
             summary: summary(&cycle),
             cycle: Arc::new(cycle),
             generation: None,
+            cut_short: false,
         }
     }
 

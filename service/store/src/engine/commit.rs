@@ -213,6 +213,7 @@ fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> StoreResult<CycleSumm
         _ => new.summary.clone(),
     };
     summary.flags.insert_if(!registry.tools.contains(&cycle.tool), Flag::ToolUnregistered);
+    summary.flags.insert_if(new.cut_short, Flag::Incomplete);
     Ok(summary)
 }
 

@@ -16,7 +16,7 @@ use crate::recent::Group;
 use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
     DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Round, RowNumber, SampleDrop,
+    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
     SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings,
     TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
@@ -533,8 +533,8 @@ impl Store for Engine {
         snapshot!(self, |conn| life::of(conn, &tool, most).await)
     }
 
-    async fn check_wear(&self, repair: bool) -> StoreResult<WearCheck> {
-        let mut checked = WearCheck { rows: 0, different: Vec::new() };
+    async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck> {
+        let mut checked = WearCheck::default();
         let mut after = None;
         loop {
             let last = after.clone();
@@ -543,13 +543,19 @@ impl Store for Engine {
                 return Ok(checked);
             };
             let tool = next.clone();
-            let (rows, different) = if repair {
-                register!(self, |conn| check::tool(conn, &tool, true).await)?
+            let found: StoreResult<_> = if repair.folds(&tool) {
+                register!(self, |conn| check::tool(conn, &tool, true).await)
             } else {
-                snapshot!(self, |conn| check::tool(conn, &tool, false).await)?
+                snapshot!(self, |conn| check::tool(conn, &tool, false).await)
             };
-            checked.rows += rows;
-            checked.different.extend(different.into_iter().map(|machine| (machine, next.clone())));
+            match found {
+                Ok((rows, different)) => {
+                    checked.rows += rows;
+                    checked.different.extend(different.into_iter().map(|machine| (machine, next.clone())));
+                }
+                Err(StoreError::Damaged { what }) => checked.unreadable.push((next.clone(), what)),
+                Err(error) => return Err(error),
+            }
             after = Some(next);
         }
     }

@@ -1,11 +1,19 @@
-//! The check of what is stored: every block decodes, every content hash is that of the content, nothing stands alone.
+//! The check of what is stored: every block decodes, every content hash is that of the content, every summary is what
+//! its samples amount to, nothing stands alone.
+
+mod context;
 
 use super::{Conn, Db, cycles, dialect, retention};
 use crate::codec;
-use crate::error::StoreResult;
-use crate::record::{CheckPage, StoreFault};
+use crate::error::{StoreError, StoreResult};
+use crate::record::{CheckPage, EncodedCycle, NewCycle, StoreFault};
 use crate::rows::{CycleRow, ReportedCutRow, cycle_columns, id};
-use feedwright_core::ids::{CycleId, MachineId};
+use context::Contexts;
+use feedwright_core::cycle::Cycle;
+use feedwright_core::ids::{CycleId, MachineId, ToolId};
+use feedwright_core::summary::{Context, SUMMARY_VERSION, summarise};
+use feedwright_core::units::Timestamp;
+use std::sync::Arc;
 
 /// Rows without their other half that are named.
 const MOST_STRAYS: i64 = 1_000;
@@ -27,17 +35,24 @@ pub(super) async fn page(
     max_samples: usize,
 ) -> StoreResult<CheckPage> {
     let (machine, cycle) = after.map_or(("", ""), |(machine, cycle)| (machine.as_str(), cycle.as_str()));
-    let rows: Vec<CycleRow> = sqlx::query_as::<Db, _>(cycle_columns!(select_sql))
+    let mut rows: Vec<CycleRow> = sqlx::query_as::<Db, _>(cycle_columns!(select_sql))
         .bind(machine)
         .bind(cycle)
         .bind(i64::from(limit))
         .fetch_all(&mut *conn)
         .await?;
     let mut page = CheckPage { checked: rows.len() as u64, ..CheckPage::default() };
-    for row in &rows {
+    let mut contexts = Contexts::default();
+    for row in &mut rows {
         let key = format!("{}/{}", row.machine_id, row.cycle_id);
-        let mut fault =
-            |kind, detail: String| page.faults.push(StoreFault { kind, key: key.clone(), detail });
+        let tool = row.tool_id.clone();
+        let mut fault = |kind, detail: String| {
+            // Lost samples leave what was made of them.
+            if kind != "samples" {
+                page.doubtful.extend(id::<ToolId>("tool_id", &tool));
+            }
+            page.faults.push(StoreFault { kind, key: key.clone(), detail });
+        };
         let (Ok(machine), Ok(cycle)) =
             (id::<MachineId>("machine_id", &row.machine_id), id::<CycleId>("cycle_id", &row.cycle_id))
         else {
@@ -77,10 +92,24 @@ pub(super) async fn page(
         .bind(&row.cycle_id)
         .fetch_optional(&mut *conn)
         .await?;
-        match row.cycle(samples, cut) {
-            Ok(cycle) if codec::content_hash(&cycle).as_slice() == row.content_hash => {}
-            Ok(_) => fault("hash", "the content hash is not that of the content".to_owned()),
-            Err(error) => fault("cycle", error.to_string()),
+        let cycle = match row.cycle(samples, cut) {
+            Ok(cycle) => cycle,
+            Err(error) => {
+                fault("cycle", error.to_string());
+                continue;
+            }
+        };
+        let hash = codec::content_hash(&cycle);
+        if hash.as_slice() != row.content_hash {
+            fault("hash", "the content hash is not that of the content".to_owned());
+            continue;
+        }
+        match summary(conn, &mut contexts, row, (cycle, hash)).await {
+            Ok(Summary::Holds) => {}
+            Ok(Summary::Unverified) => page.unverified += 1,
+            Ok(Summary::Differs(what)) => fault("summary", what),
+            Err(StoreError::Damaged { what }) => fault("summary", what),
+            Err(error) => return Err(error),
         }
     }
     page.next = match rows.last() {
@@ -90,6 +119,49 @@ pub(super) async fn page(
         _ => None,
     };
     Ok(page)
+}
+
+/// What a stored summary is beside one made again.
+enum Summary {
+    Holds,
+    /// Other rules, or another machine or operation, than when it was made: only what rests on the samples alone was held.
+    Unverified,
+    Differs(String),
+}
+
+/// Makes the summary of a cycle again, and holds the stored one against it.
+async fn summary(
+    conn: &mut Conn,
+    contexts: &mut Contexts,
+    row: &mut CycleRow,
+    (cycle, hash): (Cycle, [u8; 32]),
+) -> StoreResult<Summary> {
+    row.readable()?;
+    if row.summary_version != i64::from(SUMMARY_VERSION) {
+        return Ok(Summary::Unverified);
+    }
+    let known = contexts.of(conn, row, &cycle).await?;
+    let (machine, calibration, operation) = (known.machine(), known.calibration(), known.operation());
+    let summary = summarise(&cycle, Context { machine, calibration, operation });
+    let same = known.same;
+    let received_at = Timestamp::from_micros(row.received_at_us);
+    let again = NewCycle {
+        cycle: Arc::new(cycle),
+        received_at,
+        encoded: EncodedCycle { hash, samples: None },
+        summary,
+        generation: None,
+        cut_short: false,
+    };
+    let mut again = CycleRow::of(&again, &again.summary)?;
+    let differing = row.differing(&mut again, same);
+    if !differing.is_empty() {
+        let told =
+            differing.iter().map(|it| format!("{} is {} instead of {}", it.column, it.stored, it.again));
+        let told = told.collect::<Vec<_>>().join(", ");
+        return Ok(Summary::Differs(format!("it is not what the cycle amounts to: {told}")));
+    }
+    Ok(if same { Summary::Holds } else { Summary::Unverified })
 }
 
 /// What is wrong with the tables as a whole.

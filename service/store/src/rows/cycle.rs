@@ -7,6 +7,7 @@ use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
 use feedwright_core::cycle::{Cycle, CycleDraft, Flag, Flags, Outcome, ProfileVersion, Reported, Samples};
 use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis, IdlePower, Peak};
 use feedwright_core::units::{Process, Strategy, Timestamp};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Hands every column of `cycles`, with its type and placeholder, to a macro: the list stands once.
 macro_rules! cycle_columns {
@@ -128,6 +129,32 @@ macro_rules! define_quantities {
     };
 }
 cycle_columns!(define_quantities);
+
+/// The flags that samples alone decide.
+const OF_SAMPLES: [Flag; 9] = [
+    Flag::FeedHold,
+    Flag::OverrideZero,
+    Flag::NegativeLoad,
+    Flag::NegativePower,
+    Flag::DepthReversal,
+    Flag::LoadOver400,
+    Flag::Gaps,
+    Flag::Aborted,
+    Flag::ClockSuspect,
+];
+
+/// A column of a summary that is not what the cycle amounts to.
+#[derive(Debug)]
+pub(crate) struct Difference {
+    pub(crate) column: &'static str,
+    pub(crate) stored: String,
+    pub(crate) again: String,
+}
+
+/// Whether two sums of the same numbers are the same but for the order in which they were added.
+fn same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
+}
 
 /// A row of `cycles` with whether samples are kept for it.
 #[derive(Debug, Clone, sqlx::FromRow)]
@@ -350,6 +377,11 @@ impl CycleRow {
         })
     }
 
+    /// Whether everything of it can be read.
+    pub(crate) fn readable(&self) -> StoreResult<()> {
+        self.summary().map(|_| ())
+    }
+
     fn meta(&self) -> StoreResult<CycleMeta> {
         let profile = match (&self.profile_id, self.profile_version) {
             (Some(profile), Some(version)) => Some(ProfileVersion {
@@ -429,6 +461,51 @@ impl CycleRow {
             let first = wrong.first().map(ToString::to_string).unwrap_or_default();
             StoreError::Damaged { what: format!("what is stored of it is no cycle: {first}") }
         })
+    }
+
+    /// Holds the summary against one made again of the same cycle: what differs, with its column. Unless `same_context`,
+    /// only what rests on the samples alone is held. Sums of an earlier build may differ in their last bits.
+    pub(crate) fn differing(&mut self, again: &mut Self, same_context: bool) -> Vec<Difference> {
+        let rests_on_context = |name: &str| {
+            let energy = name.ends_with("_joules") && !name.starts_with("reported_");
+            energy || name == "measured_power_idle_watts"
+        };
+        let text = |value: Option<f64>| value.map_or_else(|| "nothing".to_owned(), |value| value.to_string());
+        let mut found = Vec::new();
+        let mut differ =
+            |column, stored: String, again: String| found.push(Difference { column, stored, again });
+        if !same(self.coverage, again.coverage) {
+            differ("coverage", self.coverage.to_string(), again.coverage.to_string());
+        }
+        let stored: BTreeMap<_, _> = self.quantities_mut().map(|(name, value)| (name, *value)).collect();
+        let anew: BTreeMap<_, _> = again.quantities_mut().map(|(name, value)| (name, *value)).collect();
+        let names: BTreeSet<_> = stored.keys().chain(anew.keys()).copied().collect();
+        for name in names.into_iter().filter(|name| same_context || !rests_on_context(name)) {
+            let (stored, anew) = (stored.get(name).copied(), anew.get(name).copied());
+            let holds = match (stored, anew) {
+                (Some(stored), Some(anew)) => same(stored, anew),
+                _ => false,
+            };
+            if !holds {
+                differ(name, text(stored), text(anew));
+            }
+        }
+        // An end that never came and a tool that was not registered are not seen in the samples.
+        let unseen = Flag::ToolUnregistered as i64 | (self.flags & Flag::Incomplete as i64);
+        let held =
+            if same_context { !unseen } else { OF_SAMPLES.iter().fold(0, |bits, flag| bits | *flag as i64) };
+        if (self.flags ^ again.flags) & held != 0 {
+            differ("flags", self.flags.to_string(), again.flags.to_string());
+        }
+        if same_context {
+            if self.energy_scale != again.energy_scale {
+                differ("energy_scale", self.energy_scale.to_string(), again.energy_scale.to_string());
+            }
+            if self.depth_digest != again.depth_digest {
+                differ("depth_digest", "another course".to_owned(), "this".to_owned());
+            }
+        }
+        found
     }
 
     pub(crate) fn hash(&self) -> StoreResult<ContentHash> {

@@ -1,0 +1,130 @@
+//! Machine, operation and fitted lines as they were when a cycle was received, as far as that can be known.
+
+use super::super::{Conn, machines, operations};
+use crate::error::{StoreError, StoreResult};
+use crate::record::{Page, Versioned};
+use crate::rows::CycleRow;
+use feedwright_core::cycle::{Cycle, Flag};
+use feedwright_core::ids::{MachineId, OperationId};
+use feedwright_core::machine::{Calibration, Machine};
+use feedwright_core::operation::Operation;
+use feedwright_core::units::Timestamp;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// How far the clocks of several servers may be apart, µs. What changed within it may have changed before or after.
+const CLOCKS_APART_US: i64 = 60_000_000;
+
+/// What was read already: a page has many cycles of few machines and operations.
+#[derive(Default)]
+pub(super) struct Contexts {
+    machines: HashMap<MachineId, Arc<Around>>,
+    operations: HashMap<OperationId, Option<Arc<Versioned<Operation>>>>,
+}
+
+struct Around {
+    machine: Versioned<Machine>,
+    /// With when each was fitted, oldest first.
+    calibrations: Vec<(Calibration, Timestamp)>,
+}
+
+/// What a summary rests on besides its cycle.
+pub(super) struct Known {
+    around: Arc<Around>,
+    calibration: Option<usize>,
+    operation: Option<Arc<Versioned<Operation>>>,
+    /// Whether it is what was in force when the cycle was received.
+    pub(super) same: bool,
+}
+
+/// When something changed, beside when a cycle was received.
+#[derive(PartialEq, Eq)]
+enum When {
+    Before,
+    About,
+    After,
+}
+
+fn when(changed: Timestamp, received_us: i64) -> When {
+    match changed.micros().saturating_sub(received_us) {
+        later if later > CLOCKS_APART_US => When::After,
+        later if later < -CLOCKS_APART_US => When::Before,
+        _ => When::About,
+    }
+}
+
+impl Known {
+    pub(super) fn machine(&self) -> &Machine {
+        &self.around.machine.value
+    }
+
+    pub(super) fn calibration(&self) -> Option<&Calibration> {
+        self.calibration.and_then(|at| self.around.calibrations.get(at)).map(|(calibration, _)| calibration)
+    }
+
+    pub(super) fn operation(&self) -> Option<&Operation> {
+        self.operation.as_deref().map(|operation| &operation.value)
+    }
+}
+
+impl Contexts {
+    /// What was in force when the cycle was received; what is in force now where that is not known any more.
+    pub(super) async fn of(&mut self, conn: &mut Conn, row: &CycleRow, cycle: &Cycle) -> StoreResult<Known> {
+        let around = self.around(conn, &cycle.machine).await?;
+        let operation = self.operation(conn, &cycle.operation).await?;
+        let received = row.received_at_us;
+        // No cycle comes before its machine is registered: the first version was in force from the first cycle on.
+        let machine = &around.machine;
+        let mut same = machine.version == 1 || when(machine.updated_at, received) == When::Before;
+        let mut calibration = None;
+        for (at, (_, fitted_at)) in around.calibrations.iter().enumerate() {
+            match when(*fitted_at, received) {
+                When::Before => calibration = Some(at),
+                When::About => same = false,
+                When::After => {}
+            }
+        }
+        let unregistered = row.flags & Flag::OperationUnregistered as i64 != 0;
+        let operation = match operation {
+            None => None,
+            Some(operation) => match (when(operation.updated_at, received), operation.version) {
+                (When::Before, _) => Some(operation),
+                (When::After, 1) => None,
+                // Registered by then or not: the flag says so. Its first version is the one that was in force.
+                (_, 1) => (!unregistered).then_some(operation),
+                (..) if unregistered => None,
+                (..) => {
+                    same = false;
+                    Some(operation)
+                }
+            },
+        };
+        Ok(Known { around, calibration, operation, same })
+    }
+
+    async fn around(&mut self, conn: &mut Conn, id: &MachineId) -> StoreResult<Arc<Around>> {
+        if let Some(known) = self.machines.get(id) {
+            return Ok(known.clone());
+        }
+        let machine = machines::get(conn, id).await?;
+        let machine = machine
+            .ok_or_else(|| StoreError::Damaged { what: format!("its machine `{id}` is not there") })?;
+        let calibrations = machines::calibrations(conn, id, &Page { after: None, limit: u32::MAX }).await?;
+        let around = Arc::new(Around { machine, calibrations });
+        self.machines.insert(id.clone(), around.clone());
+        Ok(around)
+    }
+
+    async fn operation(
+        &mut self,
+        conn: &mut Conn,
+        id: &OperationId,
+    ) -> StoreResult<Option<Arc<Versioned<Operation>>>> {
+        if let Some(known) = self.operations.get(id) {
+            return Ok(known.clone());
+        }
+        let operation = operations::get(conn, id).await?.map(Arc::new);
+        self.operations.insert(id.clone(), operation.clone());
+        Ok(operation)
+    }
+}

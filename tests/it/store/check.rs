@@ -1,0 +1,218 @@
+//! What a check finds of summaries, and that wear is never folded over what it doubts.
+
+use super::given::{Given, Run, at, commit, engineer, machine, operation, shop, stories};
+use feedwright_core::machine::{Calibration, FittedLine};
+use feedwright_core::operation::Operation;
+use feedwright_core::recommend::RecommendSettings;
+use feedwright_core::units::Process;
+use feedwright_store::{CheckPage, Committed, NewCycle, Precondition, Repair, Store};
+use sqlx::AssertSqlSafe;
+use std::collections::BTreeSet;
+
+stories!(with tables:
+    a_summary_that_is_not_its_cycles_is_named_with_its_columns,
+    what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same,
+    wear_is_not_folded_over_doubtful_cycles,
+    a_course_that_cannot_be_read_is_named_and_the_rest_is_checked,
+);
+
+/// Eight cycles of two tools, one every ten minutes, the last without samples.
+async fn eight(store: &dyn Store) {
+    shop(store).await;
+    store.put_tool(super::given::tool("T2"), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+    let runs: Vec<Run> = (1..=8)
+        .map(|n| Run {
+            tool: if n % 2 == 0 { "T2" } else { "T1" }.to_owned(),
+            seconds: i64::from(n) * 600,
+            sampled: n < 8,
+            ..Run::nth(n)
+        })
+        .collect();
+    for outcome in commit(store, &runs).await {
+        outcome.unwrap();
+    }
+}
+
+async fn checked(store: &dyn Store) -> CheckPage {
+    store.check_cycles(None, 100).await.unwrap()
+}
+
+fn told(page: &CheckPage) -> Vec<(&str, &str, &str)> {
+    let faults = page.faults.iter();
+    faults.map(|fault| (fault.kind, fault.key.as_str(), fault.detail.as_str())).collect()
+}
+
+async fn a_summary_that_is_not_its_cycles_is_named_with_its_columns(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    let clean = checked(&*store).await;
+    assert_eq!((clean.checked, clean.unverified, told(&clean)), (8, 0, vec![]));
+    let good = ["c00001", "c00008"].map(|id| id.try_into().unwrap());
+    for id in &good {
+        assert!(
+            !store.cycle(&"M1".try_into().unwrap(), id).await.unwrap().unwrap().summary.energy.is_empty()
+        );
+    }
+    let changes: &[(&'static str, &[&str])] = &[
+        ("rated_power_joules = rated_power_joules * 1.0001", &["rated_power_joules"]),
+        ("operator_override_percent = 100, quantities = quantities + 1", &["operator_override_percent"]),
+        ("mean_spindle_load_percent = mean_spindle_load_percent + 0.001", &["mean_spindle_load_percent"]),
+        ("max_spindle_load_depth_mm = 0.75", &["max_spindle_load_depth_mm"]),
+        ("max_depth_mm = max_depth_mm + 1", &["max_depth_mm"]),
+        ("duration_ms = duration_ms + 1", &["duration_ms"]),
+        ("coverage = 0.96", &["coverage"]),
+        ("flags = flags + 1", &["flags"]),
+        ("flags = flags + 8192", &["flags"]),
+        ("flags = flags + 16384", &["flags"]),
+        ("energy_scale = energy_scale + 1", &["energy_scale"]),
+        ("depth_digest = NULL", &["depth_digest"]),
+        (
+            "depth_digest = (SELECT o.depth_digest FROM cycles o WHERE o.cycle_id = 'other')",
+            &["depth_digest"],
+        ),
+    ];
+    // A cycle of another load, for a course that can be read and is another's.
+    commit(&*store, &[Run { id: "other".to_owned(), load: 40.0, seconds: 6000, ..Run::nth(20) }]).await;
+    for (change, columns) in changes {
+        // What is stored is put back by what it was.
+        for statement in [
+            "CREATE TABLE kept AS SELECT * FROM cycles WHERE cycle_id = 'c00003'".to_owned(),
+            format!("UPDATE cycles SET {change} WHERE cycle_id = 'c00003'"),
+        ] {
+            given.raw(AssertSqlSafe(statement)).await.unwrap();
+        }
+        let found = checked(&*store).await;
+        let [(kind, key, detail)] = told(&found)[..] else { panic!("{change}: {:?}", found.faults) };
+        assert_eq!((kind, key), ("summary", "M1/c00003"), "{change}");
+        for column in *columns {
+            assert!(detail.contains(column), "{change}: {detail}");
+        }
+        assert_eq!(found.doubtful, BTreeSet::from(["T1".try_into().unwrap()]), "{change}");
+        for statement in [
+            "UPDATE cycles SET (rated_power_joules, operator_override_percent, quantities, mean_spindle_load_percent,
+                 max_spindle_load_depth_mm, max_depth_mm, duration_ms, coverage, flags, energy_scale, depth_digest) =
+             (SELECT rated_power_joules, operator_override_percent, quantities, mean_spindle_load_percent,
+                 max_spindle_load_depth_mm, max_depth_mm, duration_ms, coverage, flags, energy_scale, depth_digest
+              FROM kept) WHERE cycle_id = 'c00003'",
+            "DROP TABLE kept",
+        ] {
+            given.raw(statement).await.unwrap();
+        }
+        assert_eq!(told(&checked(&*store).await), [], "{change}");
+    }
+    // Without samples there is what the control reported.
+    given.raw("UPDATE cycles SET duration_ms = 1 WHERE cycle_id = 'c00008'").await.unwrap();
+    let found = checked(&*store).await;
+    let [("summary", "M1/c00008", detail)] = told(&found)[..] else { panic!("{:?}", found.faults) };
+    assert!(detail.contains("duration_ms is 1 instead of 2000"), "{detail}");
+}
+
+async fn what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    // As a server does: what is stored rests on what is in force.
+    let run = async |n: u32, seconds: i64| {
+        let cycle = NewCycle { generation: Some(-1), ..Run { seconds, ..Run::nth(n) }.new_cycle() };
+        let outcome = store.commit_cycles(vec![cycle], at(seconds), RecommendSettings::default()).await.pop();
+        assert!(matches!(outcome, Some(Ok(Committed::Stored(_)))), "{outcome:?}");
+    };
+    let found = async || {
+        let found = checked(&*store).await;
+        assert_eq!(told(&found), []);
+        found.unverified
+    };
+    let who = engineer();
+    run(1, 600).await;
+    assert_eq!(found().await, 0);
+    let mut stronger = machine("M1");
+    stronger.spindle.rated_power_watts = stronger.spindle.rated_power_watts.map(|watts| 2.0 * watts);
+    store.put_machine(stronger, Precondition::Version(1), &who, at(2000)).await.unwrap();
+    run(2, 2030).await;
+    run(3, 2600).await;
+    assert_eq!(found().await, 2, "the first two may rest on the ratings before");
+    let other = Operation { process: Process::Plunge, spindle_speed_rpm: Some(900.0), ..operation("O1") };
+    store.put_operation(other, Precondition::Version(1), &who, at(4000)).await.unwrap();
+    run(4, 4600).await;
+    assert_eq!(found().await, 3, "the third knew another operation");
+    let line = FittedLine {
+        slope: 0.4,
+        intercept: 0.0,
+        min_percent: 0.0,
+        max_percent: 100.0,
+        r_squared: 0.99,
+        residual_spread: 1.0,
+    };
+    let fitted = Calibration { version: 0, thrust: None, torque: Some(line) };
+    store.add_calibration(&"M1".try_into().unwrap(), fitted, &who, at(6000)).await.unwrap().unwrap();
+    run(5, 6030).await;
+    run(6, 6600).await;
+    assert_eq!(found().await, 4, "at the fifth the lines may have been there or not; the fourth had none");
+    // An operation that was registered when its cycles had come; then changed.
+    let mut late = Run { operation: "O2", seconds: 7000, ..Run::nth(7) }.new_cycle();
+    late.generation = Some(-1);
+    store.commit_cycles(vec![late], at(7000), RecommendSettings::default()).await.pop().unwrap().unwrap();
+    store.put_operation(operation("O2"), Precondition::Absent, &who, at(8000)).await.unwrap();
+    assert_eq!(found().await, 4);
+    let slower = Operation { depth_mm: Some(40.0), ..operation("O2") };
+    store.put_operation(slower, Precondition::Version(1), &who, at(9000)).await.unwrap();
+    assert_eq!(found().await, 4);
+
+    for (change, faults) in [
+        ("mean_spindle_load_percent = 31 WHERE cycle_id = 'c00001'", &["M1/c00001"][..]),
+        ("flags = flags + 1 WHERE cycle_id = 'c00003'", &["M1/c00001", "M1/c00003"]),
+        ("rated_power_joules = 1 WHERE cycle_id = 'c00002'", &["M1/c00001", "M1/c00003"]),
+        ("rated_power_joules = 1 WHERE cycle_id = 'c00006'", &["M1/c00001", "M1/c00003", "M1/c00006"]),
+    ] {
+        given.raw(AssertSqlSafe(format!("UPDATE cycles SET {change}"))).await.unwrap();
+        let found = checked(&*store).await;
+        let keys: Vec<_> = told(&found).into_iter().map(|(_, key, _)| key).collect();
+        assert_eq!(keys, faults, "{change}");
+    }
+}
+
+async fn wear_is_not_folded_over_doubtful_cycles(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    let good = given.wear_states().await;
+    given.raw("UPDATE cycles SET energy_scale = energy_scale + 1 WHERE cycle_id = 'c00003'").await.unwrap();
+    given.raw("UPDATE tool_wear SET folded = folded - 1 WHERE tool_id = 'T2'").await.unwrap();
+    let doubtful = checked(&*store).await.doubtful;
+    assert_eq!(doubtful, BTreeSet::from(["T1".try_into().unwrap()]));
+    let of = |tool: &str| ("M1".try_into().unwrap(), tool.try_into().unwrap());
+    let found = store.check_wear(Repair::AllBut(&doubtful)).await.unwrap();
+    assert_eq!(found.different, [of("T1"), of("T2")]);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, [of("T1")], "T2 was folded again");
+    assert_eq!(given.wear_states().await, good, "T1 was left as it was");
+    given.raw("UPDATE cycles SET energy_scale = energy_scale - 1 WHERE cycle_id = 'c00003'").await.unwrap();
+    assert_eq!(told(&checked(&*store).await), []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+}
+
+async fn a_course_that_cannot_be_read_is_named_and_the_rest_is_checked(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    let bytes = if given.is_postgres() {
+        "decode(repeat('00', length(depth_digest)), 'hex')"
+    } else {
+        "zeroblob(length(depth_digest))"
+    };
+    let damage = format!("UPDATE cycles SET depth_digest = {bytes} WHERE cycle_id IN ('c00003', 'c00006')");
+    assert_eq!(given.raw(AssertSqlSafe(damage)).await.unwrap(), 2);
+    given.raw("UPDATE cycles SET duration_ms = 1 WHERE cycle_id = 'c00008'").await.unwrap();
+    let found = checked(&*store).await;
+    let keys: Vec<_> = told(&found).into_iter().map(|(kind, key, _)| (kind, key)).collect();
+    assert_eq!(keys, [("summary", "M1/c00003"), ("summary", "M1/c00006"), ("summary", "M1/c00008")]);
+    assert!(found.faults[0].detail.contains("depth_digest"), "{:?}", found.faults[0]);
+    for repair in [Repair::No, Repair::AllBut(&found.doubtful), Repair::AllBut(&BTreeSet::new())] {
+        let wear = store.check_wear(repair).await.unwrap();
+        let named: Vec<_> =
+            wear.unreadable.iter().map(|(tool, what)| (tool.as_str(), what.as_str())).collect();
+        assert_eq!(
+            named,
+            [
+                ("T1", "cycle M1/c00003: column depth_digest holds what it must not"),
+                ("T2", "cycle M1/c00006: column depth_digest holds what it must not")
+            ]
+        );
+    }
+}
