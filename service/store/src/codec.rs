@@ -13,7 +13,7 @@
 //! `option` = 0 or 1 followed by the value:
 //!
 //! ```text
-//! "feedwright cycle content v1\n"
+//! "feedwright cycle content v2\n"
 //! text machine   text cycle   text tool   text operation
 //! i64 started_at µs           option u64 seq
 //! option text process         option text strategy          option text law version
@@ -25,8 +25,13 @@
 //!   u32 samples per column    u16 channels, and per channel in ascending code: u8 code, column
 //! where anything of a cut is reported:
 //!   text "cut"                5 × option float, in the order of the struct
-//! column: u8 form, then per value i64 m (forms 0..=9) or u64 bits (form 255)
+//! column:
+//!   u8 form 0..=9, u8 width, per value m as a signed integer of that width: the first of 2, 4 and 8 bytes that holds each
+//!   u8 form 255, per value u64 bits
 //! ```
+//!
+//! Version 1 begins with `v1` and has no width: per value i64 m. What was stored under it keeps it; the same content again
+//! is known by either.
 //!
 //! # Block format v3
 //!
@@ -80,7 +85,7 @@ pub use column::{Column, Columns, Time};
 #[cfg(test)]
 pub(crate) use frame::tests::cycle as cycle_of_every_field;
 pub use frame::{decode_columns, decode_samples, encode_samples};
-pub use hash::content_hash;
+pub use hash::{content_hash, is_hash_of};
 pub use overrides::{decode_overrides, encode_overrides};
 pub(crate) use predict::unzigzag;
 

@@ -1,20 +1,51 @@
 //! The content hash, as the module above lays it out.
+//!
+//! The first version hashed each value of a column as eight bytes, most of them zeros, which took longer than to put a
+//! body's numbers into columns. Cycles that were stored under it keep it: [`is_hash_of`] knows both.
 
 use super::column::{Column, Columns, Time};
 use crate::record::ContentHash;
 use feedwright_core::cycle::Cycle;
 use zerocopy::{Immutable, IntoBytes};
 
-const DOMAIN: &[u8] = b"feedwright cycle content v1\n";
+/// How values of a column are hashed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Version {
+    /// As eight bytes each.
+    First,
+    /// Decimals by as many bytes each as the column needs.
+    Second,
+}
+
+impl Version {
+    const fn domain(self) -> &'static [u8] {
+        match self {
+            Self::First => b"feedwright cycle content v1\n",
+            Self::Second => b"feedwright cycle content v2\n",
+        }
+    }
+}
 
 /// Hash over the canonical content of a cycle.
 pub fn content_hash(cycle: &Cycle) -> ContentHash {
     of_parts(cycle, cycle.samples.as_ref().map(Columns::of).as_ref())
 }
 
+/// Whether a hash, of whichever version, is that of a cycle's content.
+pub fn is_hash_of(hash: &ContentHash, cycle: &Cycle) -> bool {
+    let samples = cycle.samples.as_ref().map(Columns::of);
+    [Version::Second, Version::First]
+        .into_iter()
+        .any(|version| of_version(version, cycle, samples.as_ref()) == *hash)
+}
+
 pub(super) fn of_parts(cycle: &Cycle, samples: Option<&Columns>) -> ContentHash {
-    let mut hash = Hash { hasher: blake3::Hasher::new(), waiting: Vec::with_capacity(WAITING) };
-    hash.bytes(DOMAIN);
+    of_version(Version::Second, cycle, samples)
+}
+
+fn of_version(version: Version, cycle: &Cycle, samples: Option<&Columns>) -> ContentHash {
+    let mut hash = Hash { version, hasher: blake3::Hasher::new(), waiting: Vec::with_capacity(EXPECTED) };
+    hash.bytes(version.domain());
     hash.text(cycle.machine.as_str());
     hash.text(cycle.id.as_str());
     hash.text(cycle.tool.as_str());
@@ -52,19 +83,42 @@ pub(super) fn of_parts(cycle: &Cycle, samples: Option<&Columns>) -> ContentHash 
 
 /// Bytes that are hashed together: blake3 is several times faster on long input.
 const WAITING: usize = 64 * 1024;
+/// Most cycles are less.
+const EXPECTED: usize = 16 * 1024;
 
 struct Hash {
+    version: Version,
     hasher: blake3::Hasher,
     waiting: Vec<u8>,
 }
 
 impl Hash {
     fn bytes(&mut self, bytes: &[u8]) {
-        if self.waiting.len() + bytes.len() > WAITING {
+        self.make_room(bytes.len());
+        self.waiting.extend_from_slice(bytes);
+    }
+
+    /// For so many bytes, where there are no more than [`WAITING`].
+    fn make_room(&mut self, bytes: usize) {
+        if self.waiting.len() + bytes > WAITING {
             self.hasher.update(&self.waiting);
             self.waiting.clear();
         }
-        self.waiting.extend_from_slice(bytes);
+    }
+
+    /// A decimal column by `N` bytes a value.
+    fn narrow<const N: usize>(&mut self, scale: u8, values: &[i64], bytes_of: impl Fn(i64) -> [u8; N]) {
+        self.bytes(&[scale, u8::try_from(N).unwrap_or(u8::MAX)]);
+        for values in values.chunks(WAITING / N) {
+            let more = values.len() * N;
+            self.make_room(more);
+            let begins = self.waiting.len();
+            self.waiting.resize(begins + more, 0);
+            let (slots, _) = self.waiting[begins..].as_chunks_mut::<N>();
+            for (slot, value) in slots.iter_mut().zip(values) {
+                *slot = bytes_of(*value);
+            }
+        }
     }
 
     /// Words as little-endian bytes.
@@ -120,15 +174,35 @@ impl Hash {
 
     fn column(&mut self, column: &Column) {
         match column {
-            Column::Decimal { scale, values } => {
+            Column::Decimal { scale, values } if self.version == Version::First => {
                 self.bytes(&[*scale]);
                 self.words(values, i64::to_le);
             }
+            #[expect(clippy::cast_possible_truncation, reason = "as many bytes as each of them needs")]
+            Column::Decimal { scale, values } => match width(values) {
+                2 => self.narrow(*scale, values, |value| (value as i16).to_le_bytes()),
+                4 => self.narrow(*scale, values, |value| (value as i32).to_le_bytes()),
+                _ => self.narrow(*scale, values, i64::to_le_bytes),
+            },
             Column::Exact(bits) => {
                 self.bytes(&[255]);
                 self.words(bits, u64::to_le);
             }
         }
+    }
+}
+
+/// The fewest bytes of 2, 4 and 8 that hold each of the values.
+fn width(values: &[i64]) -> usize {
+    // What reaches beyond, of all values together: one comparison each would not be made for several at once.
+    let beyond = |bits: u32| {
+        let reach = 1_i64 << (bits - 1);
+        values.iter().fold(0, |all, value| all | value.wrapping_add(reach).cast_unsigned()) >> bits
+    };
+    match () {
+        () if beyond(16) == 0 => 2,
+        () if beyond(32) == 0 => 4,
+        () => 8,
     }
 }
 
@@ -144,11 +218,59 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_is_fixed_for_ever() {
-        assert_eq!(
-            hex(&content_hash(&cycle())),
-            "ecbe8c11a8700ff4d815cb9e00debebce332c7f461033abbcf0b938c18bb7ddd"
-        );
+    fn hashes_are_fixed_for_ever() {
+        let first = "ecbe8c11a8700ff4d815cb9e00debebce332c7f461033abbcf0b938c18bb7ddd";
+        let second = "26520291cead1adda260f676ef212c4a2c515c047a709d2ede3cc60447e2ea99";
+        let columns = cycle().samples.as_ref().map(Columns::of);
+        assert_eq!(hex(&of_version(Version::First, &cycle(), columns.as_ref())), first);
+        assert_eq!(hex(&content_hash(&cycle())), second);
+    }
+
+    #[test]
+    fn a_hash_of_either_version_is_known_and_no_other() {
+        let cycle = cycle();
+        let columns = cycle.samples.as_ref().map(Columns::of);
+        for version in [Version::First, Version::Second] {
+            let mut hash = of_version(version, &cycle, columns.as_ref());
+            assert!(is_hash_of(&hash, &cycle), "{version:?}");
+            hash[31] ^= 1;
+            assert!(!is_hash_of(&hash, &cycle), "{version:?}");
+        }
+    }
+
+    #[test]
+    fn values_are_hashed_by_as_many_bytes_as_the_widest_needs() {
+        for (edge, width_within, width_beyond) in [(1_i64 << 15, 2, 4), (1 << 31, 4, 8)] {
+            for within in [-edge, edge - 1] {
+                assert_eq!(width(&[0, within, 1]), width_within, "{within}");
+            }
+            for beyond in [-edge - 1, edge] {
+                assert_eq!(width(&[0, beyond, 1]), width_beyond, "{beyond}");
+            }
+        }
+        let bytes = |values: &[i64]| {
+            let mut hash =
+                Hash { version: Version::Second, hasher: blake3::Hasher::new(), waiting: Vec::new() };
+            hash.column(&Column::Decimal { scale: 3, values: values.to_vec() });
+            hash.waiting
+        };
+        assert_eq!(bytes(&[1, -2]), [3, 2, 1, 0, 254, 255]);
+        assert_eq!(bytes(&[65_536, -2]), [3, 4, 0, 0, 1, 0, 254, 255, 255, 255]);
+        assert_eq!(bytes(&[1 << 40]), [3, 8, 0, 0, 0, 0, 0, 1, 0, 0]);
+    }
+
+    #[test]
+    fn what_waits_is_hashed_when_it_is_too_much() {
+        for count in [WAITING / 2 - 1, WAITING / 2, WAITING / 2 + 1, 3 * WAITING] {
+            let values: Vec<i64> = (0..count).map(|at| i64::try_from(at % 1000).unwrap() - 500).collect();
+            let mut hash =
+                Hash { version: Version::Second, hasher: blake3::Hasher::new(), waiting: Vec::new() };
+            hash.column(&Column::Decimal { scale: 0, values: values.clone() });
+            hash.hasher.update(&hash.waiting);
+            let narrow = |value: &i64| i16::try_from(*value).unwrap().to_le_bytes();
+            let plain: Vec<u8> = [0, 2].into_iter().chain(values.iter().flat_map(narrow)).collect();
+            assert_eq!(hash.hasher.finalize(), blake3::hash(&plain), "{count}");
+        }
     }
 
     #[test]
@@ -158,7 +280,8 @@ mod tests {
                 let (bytes, words) = (vec![7; before], (0..count as u64).collect::<Vec<_>>());
                 let words: Vec<u64> =
                     words.iter().map(|word| word.wrapping_mul(0x9E37_79B9_7F4A_7C15)).collect();
-                let mut hash = Hash { hasher: blake3::Hasher::new(), waiting: Vec::new() };
+                let version = Version::First;
+                let mut hash = Hash { version, hasher: blake3::Hasher::new(), waiting: Vec::new() };
                 hash.bytes(&bytes);
                 hash.words(&words, u64::to_le);
                 hash.hasher.update(&hash.waiting);

@@ -9,7 +9,9 @@ use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::history::beginning;
 use crate::locks::Locks;
-use crate::record::{AlarmKind, Committed, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle};
+use crate::record::{
+    AlarmKind, Committed, ContentHash, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle,
+};
 use crate::registry::Registry;
 use crate::rows::{AlarmChange, BlockRow, CutRow, CycleRow, FactsRow, IssuedRow, Place, Rest, SavedWear};
 use crate::work::Written;
@@ -206,9 +208,7 @@ fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> StoreResult<CycleSumm
                 calibration: known.calibration.as_deref(),
                 operation: registry.operations.get(&cycle.operation).map(AsRef::as_ref),
             };
-            let block = new.encoded.samples.as_deref();
-            let samples = block.map(|block| codec::decode_samples(block, usize::MAX)).transpose()?;
-            summarise(&Cycle::clone(cycle).with_samples(samples), context)
+            summarise(&with_samples(new)?, context)
         }
         _ => new.summary.clone(),
     };
@@ -221,10 +221,26 @@ fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> StoreResult<CycleSumm
 async fn known(conn: &mut Conn, new: &NewCycle) -> StoreResult<Placed> {
     let cycle = &new.cycle;
     match cycles::get(conn, &cycle.machine, &cycle.id).await? {
-        Some(known) if known.hash == new.encoded.hash => Ok(Placed::Known(Box::new(known))),
+        Some(known) if is_content_of(&known.hash, new)? => Ok(Placed::Known(Box::new(known))),
         Some(known) => Ok(Placed::Done(Committed::Conflict { stored_hash: known.hash })),
         None => Err(StoreError::Unavailable("a cycle of the same key came and went".into())),
     }
+}
+
+/// Whether a stored hash, of whichever version, is that of this cycle.
+fn is_content_of(stored: &ContentHash, new: &NewCycle) -> StoreResult<bool> {
+    if *stored == new.encoded.hash {
+        return Ok(true);
+    }
+    // A conflict, which is rare, or what an earlier version of the hash was stored of.
+    Ok(codec::is_hash_of(stored, &with_samples(new)?))
+}
+
+/// The cycle with its samples, which are in its block.
+fn with_samples(new: &NewCycle) -> StoreResult<Cycle> {
+    let block = new.encoded.samples.as_deref();
+    let samples = block.map(|block| codec::decode_samples(block, usize::MAX)).transpose()?;
+    Ok(Cycle::clone(&new.cycle).with_samples(samples))
 }
 
 /// Folds what is new into the tools of the group; returns the verdict on each registered tool, and the folds and alarms to
