@@ -14,6 +14,9 @@ stories!(
     a_machine_has_a_say_of_its_own,
     what_is_said_has_versions,
     what_was_dropped_is_no_fault_and_what_is_missing_is,
+    what_a_clock_that_was_ahead_has_decided_is_taken_back,
+    what_was_decided_but_not_dropped_yet_stays,
+    what_a_clock_that_was_ahead_received_pushes_nothing_out,
 );
 
 const DAY: i64 = 86_400;
@@ -151,6 +154,73 @@ async fn what_was_dropped_is_no_fault_and_what_is_missing_is(store: Arc<dyn Stor
     let rest = store.check_cycles(first.next.as_ref(), 7).await.unwrap();
     assert_eq!((rest.checked, rest.next), (3, None));
     assert_eq!(store.check_tables().await.unwrap(), []);
+}
+
+async fn what_a_clock_that_was_ahead_has_decided_is_taken_back(store: Arc<dyn Store>) {
+    year(&*store).await;
+    let machine = MachineId::try_from("M1").unwrap();
+    assert_eq!(run(&*store, days(100), 150 * DAY).await.0, 1, "an honest decision");
+    let honest = store.sample_drops(&machine).await.unwrap();
+    assert_eq!(run(&*store, days(30), 1000 * DAY).await.0, 1);
+    assert_eq!(kept(&*store).await, [false; 10], "they are gone");
+    // The clock is right again.
+    let sampled = |n: u32, day: i64| Run { seconds: day * DAY, ..Run::nth(n) };
+    stored(&*store, &sampled(10, 300)).await;
+    for day in [300, 310] {
+        assert_eq!(run(&*store, days(30), day * DAY + 60).await, (0, Dropped::default()), "day {day}");
+        stored(&*store, &sampled(u32::try_from(day).unwrap(), day + 1)).await;
+    }
+    let whole = kept(&*store).await;
+    assert_eq!(whole.iter().filter(|kept| **kept).count(), 3, "{whole:?}");
+    let told = store.sample_drops(&machine).await.unwrap();
+    assert_eq!(told[0], honest[0]);
+    assert_eq!(told.iter().map(|drop| drop.cycles).sum::<u64>(), 10, "{told:?}");
+    assert!(told.iter().all(|drop| drop.before <= at(300 * DAY + 60)), "{told:?}");
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.dropped, checked.faults.as_slice()), (10, [].as_slice()));
+    let audit = store.audit(Page { after: None, limit: 100 }).await.unwrap();
+    assert_eq!(audit.iter().filter(|entry| entry.action == "samples.drop_taken_back").count(), 1);
+    // And decisions are made as ever.
+    assert_eq!(run(&*store, days(30), 400 * DAY).await.1.cycles, 3);
+}
+
+async fn what_was_decided_but_not_dropped_yet_stays(store: Arc<dyn Store>) {
+    year(&*store).await;
+    // A server whose clock is ahead decides, and stops before it drops anything.
+    assert_eq!(store.decide_drops(days(30), at(1000 * DAY)).await.unwrap().len(), 1);
+    let (first, second) = tokio::join!(
+        store.decide_drops(FOR_EVER, at(300 * DAY)),
+        store.decide_drops(FOR_EVER, at(300 * DAY))
+    );
+    assert_eq!((first.unwrap().len(), second.unwrap().len()), (0, 0), "two servers at once");
+    assert_eq!(run(&*store, FOR_EVER, 300 * DAY).await, (0, Dropped::default()));
+    assert_eq!(kept(&*store).await, [true; 10]);
+    assert_eq!(store.sample_drops(&"M1".try_into().unwrap()).await.unwrap(), [], "nothing went");
+    let audit = store.audit(Page { after: None, limit: 100 }).await.unwrap();
+    assert_eq!(audit.iter().filter(|entry| entry.action == "samples.drop_taken_back").count(), 1);
+}
+
+async fn what_a_clock_that_was_ahead_received_pushes_nothing_out(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    for n in 0..4 {
+        stored(&*store, &Run { seconds: 900 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    for n in 4..10 {
+        stored(&*store, &Run { seconds: 300 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    // Not one block fits into a byte; those that are to be received yet are no reason to drop what comes until then.
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    assert_eq!(run(&*store, none, 301 * DAY).await.1.cycles, 6);
+    assert_eq!(
+        kept(&*store).await,
+        [[false; 6].as_slice(), &[true; 4]].concat(),
+        "in the order of their beginnings"
+    );
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    assert!(drops[0].before < at(301 * DAY), "{drops:?}");
+    stored(&*store, &Run { seconds: 302 * DAY, ..Run::nth(20) }).await;
+    let some = SampleRetention { days: None, bytes: Some(1 << 20) };
+    assert_eq!(run(&*store, some, 303 * DAY).await, (0, Dropped::default()));
 }
 
 /// What the check must find, told on the tables themselves.

@@ -482,6 +482,11 @@ impl Store for Engine {
             let page = self.machines(Page { after: after.take(), limit: MACHINES_PAGE }).await?;
             for machine in &page {
                 let id = machine.value.id.clone();
+                if snapshot!(self, |conn| retention::is_ahead(conn, &id, now).await)? {
+                    let id = machine.value.id.clone();
+                    write!(self, |conn| retention::take_back(conn, &id, now).await)?;
+                }
+                let id = machine.value.id.clone();
                 let horizon = snapshot!(self, |conn| {
                     let said = retention::get(conn, &id).await?;
                     let kept = said.map_or(otherwise, |said| said.value);
