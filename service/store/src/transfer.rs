@@ -1,7 +1,7 @@
 //! Whole databases: copied from one engine to the other, backed up, restored, compared by digests.
 //!
 //! A table is what both engines' migrations make of it: the same names, and rows in the order of their primary key. So
-//! tables are read from the schema itself and a new one needs nothing here. Names come out of the schema that this
+//! tables are read from the schema itself, and a new one needs a line in `moves` only where its rows change or go. Names come out of the schema that this
 //! program's own migrations made, and are refused where they are no plain words; nothing that a client wrote becomes
 //! SQL. A copy reads one snapshot, keeps a page in memory, may be repeated after it broke off, and is believed only
 //! when both sides have the same digests.
@@ -9,6 +9,7 @@
 mod backup;
 mod copy;
 mod digest;
+mod moves;
 mod postgres;
 mod sqlite;
 
@@ -162,6 +163,11 @@ impl Table {
         self.key.iter().filter_map(|&at| row.get(at).cloned()).collect()
     }
 
+    /// Where a column stands in a row.
+    fn place(&self, column: &str) -> Option<usize> {
+        self.columns.iter().position(|(name, _)| name == column)
+    }
+
     fn show_key(&self, row: &Row) -> String {
         self.key_of(row).iter().map(Value::show).collect::<Vec<_>>().join("/")
     }
@@ -195,7 +201,10 @@ pub(crate) trait Side: Send {
     async fn prepare(&mut self, received_us: Option<(i64, i64)>) -> StoreResult<()>;
 
     /// Adds rows, all or none of them.
-    async fn insert(&mut self, table: &Table, rows: &[Row]) -> StoreResult<()>;
+    async fn insert(&mut self, table: &Table, rows: &[&Row]) -> StoreResult<()>;
+
+    /// Removes the rows of these keys, all or none of them.
+    async fn remove(&mut self, table: &Table, keys: &[Row]) -> StoreResult<()>;
 
     /// Removes all rows.
     async fn clear(&mut self, table: &Table) -> StoreResult<()>;

@@ -9,7 +9,8 @@ use feedwright_store::transfer::{
 };
 use feedwright_store::{
     Actor, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, QuarantineBounds,
-    QuarantineEntry, Repair, Role, SqliteOptions, SqliteStore, Store, TokenRecord, WatchSettings,
+    QuarantineEntry, Repair, Role, SampleRetention, SessionRecord, SqliteOptions, SqliteStore, Store,
+    TokenRecord, WatchSettings,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -169,6 +170,181 @@ async fn a_target_with_other_data_is_refused_untouched() {
     assert_eq!(sums("after").await, before, "nothing of it has changed");
     cell.done().await;
     other.done().await;
+}
+
+async fn session(store: &dyn Store, n: u8) {
+    let session = SessionRecord {
+        hash: [n; 32],
+        token: "tok-1".to_owned(),
+        created_at: at(i64::from(n) * 100),
+        expires_at: at(i64::from(n) * 100 + 50),
+    };
+    store.begin_session(session, 5, &engineer()).await.unwrap();
+}
+
+/// What a shop does in a week: something of every kind that changes rows, or removes them.
+async fn week(store: &dyn Store) {
+    let who = engineer();
+    for n in 81..=140 {
+        let load = if n > 100 { 90.0 } else { 36.0 };
+        stored(store, &Run { machine: if n % 5 == 0 { "M2" } else { "M1" }, load, ..Run::nth(n) }).await;
+    }
+    let renamed = feedwright_core::machine::Machine { name: "another name".to_owned(), ..machine("M1") };
+    store.put_machine(renamed, Precondition::Version(1), &who, at(9500)).await.unwrap();
+    let changed = event(ToolEventKind::Changed, at(120 * 60));
+    store.add_tool_event(&"T1".try_into().unwrap(), changed, &who, at(9501)).await.unwrap();
+    assert!(store.settle_quarantine("q1", "discarded", &who, at(9502)).await.unwrap());
+    for alarm in store.alarms(&Default::default(), Page { after: None, limit: 99 }).await.unwrap() {
+        store.acknowledge_alarm(alarm.id, &who, at(9503)).await.unwrap();
+    }
+    // The first one is over, and forgotten.
+    session(store, 2).await;
+    store.revoke_token("tok-1", &who, at(9504)).await.unwrap().unwrap();
+    drop_old_samples(store, 90_002).await;
+}
+
+/// Up to half of the samples, in bytes, of each machine that has the most.
+async fn drop_old_samples(store: &dyn Store, seconds: i64) {
+    for power in (0..24).rev() {
+        let kept = SampleRetention { days: None, bytes: Some(1 << power) };
+        if !store.decide_drops(kept, at(seconds)).await.unwrap().is_empty() {
+            break;
+        }
+    }
+    let mut dropped = 0;
+    loop {
+        let step = store.drop_some(10, at(seconds)).await.unwrap();
+        dropped += step.cycles;
+        if !step.more {
+            break;
+        }
+    }
+    assert!(dropped > 0);
+}
+
+/// Copies from a source whose server runs, and again a week later.
+async fn copied_while_it_goes_on(given: &Given, from: &Address, to: &Address) -> Vec<(String, TableSum)> {
+    let store = given.store();
+    fill(&*store).await;
+    session(&*store, 1).await;
+    drop_old_samples(&*store, 90_001).await;
+    let (first, _) = copied(from, to).await.unwrap();
+    week(&*store).await;
+    let (second, rows) = copied(from, to).await.unwrap();
+    assert!(rows > 60, "{rows}");
+    for table in
+        ["alarms", "cycle_samples", "machines", "quarantine", "registry_generation", "sample_drops", "tokens"]
+    {
+        let of = |sums: &[(String, TableSum)]| sums.iter().find(|(name, _)| name == table).unwrap().1;
+        assert_ne!(of(&first), of(&second), "{table} moved on");
+    }
+    assert_eq!(copied(from, to).await.unwrap(), (second.clone(), 0), "nothing is left");
+    second
+}
+
+#[tokio::test]
+async fn a_cell_that_goes_on_is_copied_to_the_plant_again() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    copied_while_it_goes_on(&cell, &from, &to).await;
+    let store = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap();
+    assert_eq!(shown(&store).await, shown(&*cell.store()).await);
+    sound(&store).await;
+    store.close().await;
+    cell.done().await;
+    plant.done().await;
+}
+
+#[tokio::test]
+async fn a_plant_that_goes_on_is_copied_to_a_cell_again() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cell.sqlite3");
+    let (from, to) = (Address::Postgres(plant.address()), Address::Sqlite(file.clone()));
+    let sums = copied_while_it_goes_on(&plant, &from, &to).await;
+    let store = sqlite(&file).await;
+    assert_eq!(shown(&store).await, shown(&*plant.store()).await);
+    sound(&store).await;
+    store.close().await;
+    // What the backup finds is what the copy said.
+    let backup = back_up_sqlite(&file, &folder.path().join("backup"), at(1)).await.unwrap();
+    assert_eq!(backup.tables, sums);
+    plant.done().await;
+}
+
+#[tokio::test]
+async fn a_target_that_somebody_else_wrote_is_refused_by_table_and_key() {
+    let source = Given::sqlite().await;
+    fill(&*source.store()).await;
+    let folder = tempfile::tempdir().unwrap();
+    let early = folder.path().join("early.sqlite3");
+    let from = Address::Sqlite(source.file());
+    copied(&from, &Address::Sqlite(early.clone())).await.unwrap();
+    week(&*source.store()).await;
+    let refused = async |name: &str| {
+        let file = folder.path().join(name);
+        let sums =
+            async |to: &str| back_up_sqlite(&file, &folder.path().join(to), at(1)).await.unwrap().tables;
+        let before = sums(&format!("{name}.before")).await;
+        let error = copied(&from, &Address::Sqlite(file.clone())).await.unwrap_err();
+        assert_eq!(sums(&format!("{name}.after")).await, before, "{name}: nothing was written");
+        match error {
+            TransferError::OtherData { table, key, what } => format!("{table} {key} {what}"),
+            other => panic!("{name}: {other}"),
+        }
+    };
+    let target = async |name: &str| {
+        std::fs::copy(&early, folder.path().join(name)).unwrap();
+        sqlite(&folder.path().join(name)).await
+    };
+
+    let store = target("cycle").await;
+    stored(&store, &Run { machine: "M2", ..Run::nth(9000) }).await;
+    store.close().await;
+    assert_eq!(refused("cycle").await, "cycles M2/c09000 is not in the source");
+
+    // The same name, but another content.
+    let store = target("content").await;
+    stored(&store, &Run { machine: "M1", load: 55.0, ..Run::nth(81) }).await;
+    store.close().await;
+    assert_eq!(refused("content").await, "cycles M1/c00081 is there with other content");
+
+    // Changed as people change it: the line in the audit tells.
+    let store = target("registry").await;
+    let renamed = feedwright_core::machine::Machine { name: "here".to_owned(), ..machine("M1") };
+    store.put_machine(renamed, Precondition::Version(1), &engineer(), at(9500)).await.unwrap();
+    store.close().await;
+    let told = refused("registry").await;
+    assert!(told.starts_with("audit ") && told.ends_with(" is there with other content"), "{told}");
+
+    // Changed behind the program's back, where the source did not change it, and where it did.
+    for (name, sql, told) in [
+        ("tool", "UPDATE tools SET name = 'x' WHERE tool_id = 'T1'", "tools T1 is there with other content"),
+        (
+            "machine",
+            "UPDATE machines SET version = 9 WHERE machine_id = 'M1'",
+            "machines M1 is newer than in the source",
+        ),
+        ("surplus", "UPDATE operations SET operation_id = 'O9'", "operations O9 is not in the source"),
+        (
+            "samples",
+            "UPDATE cycle_samples SET cycle_id = 'c99999' WHERE cycle_id = 'c00079'",
+            "cycle_samples M1/1767604743000000/c99999 is not in the source",
+        ),
+    ] {
+        target(name).await.close().await;
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join(name));
+        let mut conn = sqlx::ConnectOptions::connect(&options).await.unwrap();
+        assert_eq!(sqlx::query(sql).execute(&mut conn).await.unwrap().rows_affected(), 1, "{name}");
+        sqlx::Connection::close(conn).await.unwrap();
+        assert_eq!(refused(name).await, told, "{name}");
+    }
+    source.done().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

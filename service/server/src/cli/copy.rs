@@ -14,7 +14,7 @@ pub struct Arguments {
     /// Where everything is: `sqlite:///path/to/feedwright.sqlite3` or `postgres://user:password@host/database`.
     #[arg(long, env = "FEEDWRIGHT_COPY_FROM", hide_env_values = true, value_parser = secret)]
     from: SecretString,
-    /// Where it is to be: fresh, or what an earlier copy that broke off left there.
+    /// Where it is to be: fresh, or what an earlier copy of the same source left there.
     #[arg(long, env = "FEEDWRIGHT_COPY_TO", hide_env_values = true, value_parser = secret)]
     to: SecretString,
 }

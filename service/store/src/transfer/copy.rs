@@ -1,9 +1,10 @@
 //! From one database into another.
 
 use super::digest::{Summing, of_table};
+use super::moves::{Drops, Moves};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
-use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, Value};
+use super::{MOST_PARAMETERS, Side, Table, TableSum, TransferError, Value};
 use std::path::PathBuf;
 
 /// Where a database is.
@@ -53,8 +54,9 @@ impl Address {
 
 /// Copies everything, and compares digests of both sides afterwards.
 ///
-/// The target must be fresh, or hold what an earlier copy of the same source left there: then the rest is added.
-/// `told` hears of each table when it is done. Returns each table with its sum.
+/// The target must be fresh, or hold what an earlier copy of the same source left there: then the rest is added, and rows
+/// that moved on in the source since follow it (see [`super::moves`]). `told` hears of each table when it is done. Returns
+/// each table with its sum.
 pub async fn copy(
     from: &Address,
     to: &Address,
@@ -77,19 +79,27 @@ pub(super) async fn transfer(
     source.begin_snapshot().await?;
     let tables = source.tables().await?;
     same_schema(&tables, &target.tables().await?)?;
-    if is_fresh(target, &tables).await? {
-        for table in &tables {
+    let drops = Drops::of(source, &tables).await?;
+    let fresh = is_fresh(target, &tables).await?;
+    let mut behind = Vec::new();
+    // What people would look for first is told first.
+    let mut compared: Vec<&Table> = tables.iter().collect();
+    compared.sort_by_key(|table| FIRST.iter().position(|first| table.name == *first).unwrap_or(FIRST.len()));
+    for table in compared {
+        if fresh {
             target.clear(table).await?;
+        } else if walk(source, target, (table, &drops), Writing::Refused).await?.obsolete > 0 {
+            behind.push(table);
         }
-    } else {
-        for table in &tables {
-            walk(source, target, table, Writing::Refused).await?;
-        }
+    }
+    // All of a table that goes before anything that comes: no two rows may stand for the same open alarm, say.
+    for table in behind {
+        walk(source, target, (table, &drops), Writing::Removed).await?;
     }
     target.prepare(source.range("cycle_samples", "received_at_us").await?).await?;
     let mut sums = Vec::with_capacity(tables.len());
     for table in &tables {
-        let (sum, written) = walk(source, target, table, Writing::Missing).await?;
+        let Walked { sum, written, .. } = walk(source, target, (table, &drops), Writing::Missing).await?;
         let arrived = of_table(target, table).await?;
         if arrived != sum {
             return Err(TransferError::Differs { table: table.name.clone(), from: sum, to: arrived });
@@ -143,57 +153,94 @@ async fn is_fresh(target: &mut dyn Side, tables: &[Table]) -> Result<bool, Trans
     Ok(fresh)
 }
 
+/// Tables that are compared before all others.
+const FIRST: [&str; 2] = ["cycles", "audit"];
+
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Writing {
-    /// Only compared: what the target has must be the source's.
+    /// Only compared: what the target has must be the source's, now or before.
     Refused,
+    /// What the source had before, and has no more, is removed.
+    Removed,
     /// What the target lacks is added.
     Missing,
 }
 
-/// Walks both sides of a table in the order of its key. Returns the source's sum and how many rows were written.
+/// What was found on the way through a table.
+struct Walked {
+    sum: TableSum,
+    /// Rows of the target that the source has no more, or otherwise by now.
+    obsolete: u64,
+    /// Rows that were added.
+    written: u64,
+}
+
+/// Walks both sides of a table in the order of its key.
 async fn walk(
     source: &mut dyn Side,
     target: &mut dyn Side,
-    table: &Table,
+    (table, drops): (&Table, &Drops),
     writing: Writing,
-) -> Result<(TableSum, u64), TransferError> {
-    let other = |row: &Row, what| TransferError::OtherData {
-        table: table.name.clone(),
-        key: table.show_key(row),
-        what,
-    };
-    let (mut summing, mut written) = (Summing::new(table), 0);
+) -> Result<Walked, TransferError> {
+    let moves = Moves::of(table)?;
+    let (mut summing, mut obsolete, mut written) = (Summing::new(table), 0, 0);
     let (mut after, mut limit) = (None, Table::next_page(0, 0));
     loop {
         let page = source.rows(table, after.as_ref(), None, limit).await?;
+        page.iter().for_each(|row| summing.add(row));
+        // Up to the last key of the page, or, after the last page, all the rest.
         let until = page.last().map(|last| table.key_of(last));
-        // Up to the last key of the page, or, after the last page, all the rest; one row more shows a surplus.
-        let there = target.rows(table, after.as_ref(), until.as_ref(), page.len() + 1).await?;
-        let mut there = there.into_iter().peekable();
-        let mut missing = Vec::new();
-        for row in &page {
-            summing.add(row);
-            match there.peek() {
-                Some(found) if table.key_of(found) == table.key_of(row) => {
-                    if found != row {
-                        return Err(other(row, "is there with other content"));
+        let (mut missing, mut gone, mut next) = (Vec::new(), Vec::new(), 0);
+        let mut at = after.clone();
+        loop {
+            // One row more than the page shows a surplus.
+            let there = target.rows(table, at.as_ref(), until.as_ref(), page.len() + 1).await?;
+            for found in &there {
+                let key = table.key_of(found);
+                let beside = page[next..].iter().position(|row| table.key_of(row) == key);
+                let verdict = match beside.map(|beside| next + beside) {
+                    Some(place) => {
+                        missing.extend(&page[next..place]);
+                        next = place + 1;
+                        if *found == page[place] {
+                            Ok(false)
+                        } else {
+                            moves.follows(found, &page[place]).map(|()| true)
+                        }
                     }
-                    there.next();
+                    None => moves.goes(found, drops).map(|()| true),
+                };
+                match verdict {
+                    Ok(true) => gone.push(key),
+                    Ok(false) => {}
+                    Err(what) => {
+                        let (table, key) = (table.name.clone(), table.show_key(found));
+                        return Err(TransferError::OtherData { table, key, what });
+                    }
                 }
-                _ => missing.push(row.clone()),
+            }
+            match there.last() {
+                Some(last) if there.len() > page.len() => at = Some(table.key_of(last)),
+                _ => break,
             }
         }
-        if let Some(surplus) = there.next() {
-            return Err(other(&surplus, "is not in the source"));
-        }
-        if writing == Writing::Missing {
-            for rows in missing.chunks((MOST_PARAMETERS / table.columns.len()).max(1)) {
-                target.insert(table, rows).await?;
-                written += rows.len() as u64;
+        missing.extend(&page[next..]);
+        obsolete += gone.len() as u64;
+        match writing {
+            Writing::Refused => {}
+            Writing::Removed => {
+                for keys in gone.chunks((MOST_PARAMETERS / table.key.len()).max(1)) {
+                    target.remove(table, keys).await?;
+                }
+            }
+            Writing::Missing => {
+                for rows in missing.chunks((MOST_PARAMETERS / table.columns.len()).max(1)) {
+                    target.insert(table, rows).await?;
+                    written += rows.len() as u64;
+                }
             }
         }
-        let Some(until) = until else { return Ok((summing.sum(), written)) };
+        let Some(until) = until else { return Ok(Walked { sum: summing.sum(), obsolete, written }) };
         after = Some(until);
         limit = Table::next_page(page.len(), page.iter().flatten().map(Value::size).sum());
     }

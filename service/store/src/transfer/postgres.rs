@@ -181,7 +181,7 @@ impl Side for PostgresSide {
         }
     }
 
-    async fn insert(&mut self, table: &Table, rows: &[Row]) -> StoreResult<()> {
+    async fn insert(&mut self, table: &Table, rows: &[&Row]) -> StoreResult<()> {
         let names = quoted(table.columns.iter().map(|(name, _)| name.as_str()), "");
         let text = format!("INSERT INTO \"{}\" ({names}) OVERRIDING SYSTEM VALUE VALUES ", table.name);
         let mut query = QueryBuilder::new(text);
@@ -192,6 +192,20 @@ impl Side for PostgresSide {
             tuple(&mut query, row, table.columns.iter().map(|(_, kind)| *kind));
         }
         query.build().persistent(false).execute(&mut self.conn).await?;
+        Ok(())
+    }
+
+    async fn remove(&mut self, table: &Table, keys: &[Row]) -> StoreResult<()> {
+        let names = quoted(table.key.iter().map(|&at| table.columns[at].0.as_str()), "");
+        let mut query =
+            QueryBuilder::new(format!("DELETE FROM \"{}\" WHERE ({names}) IN (VALUES ", table.name));
+        for (at, key) in keys.iter().enumerate() {
+            if at > 0 {
+                query.push(", ");
+            }
+            tuple(&mut query, key, table.key.iter().map(|&at| table.columns[at].1));
+        }
+        query.push(")").build().persistent(false).execute(&mut self.conn).await?;
         Ok(())
     }
 

@@ -147,7 +147,7 @@ impl Side for SqliteSide {
         Ok(())
     }
 
-    async fn insert(&mut self, table: &Table, rows: &[Row]) -> StoreResult<()> {
+    async fn insert(&mut self, table: &Table, rows: &[&Row]) -> StoreResult<()> {
         let names = quoted(table.columns.iter().map(|(name, _)| name.as_str()), "");
         let mut query = QueryBuilder::new(format!("INSERT INTO \"{}\" ({names}) VALUES ", table.name));
         for (at, row) in rows.iter().enumerate() {
@@ -157,6 +157,20 @@ impl Side for SqliteSide {
             tuple(&mut query, row);
         }
         query.build().persistent(false).execute(&mut self.conn).await?;
+        Ok(())
+    }
+
+    async fn remove(&mut self, table: &Table, keys: &[Row]) -> StoreResult<()> {
+        let names = quoted(table.key.iter().map(|&at| table.columns[at].0.as_str()), "");
+        let mut query =
+            QueryBuilder::new(format!("DELETE FROM \"{}\" WHERE ({names}) IN (VALUES ", table.name));
+        for (at, key) in keys.iter().enumerate() {
+            if at > 0 {
+                query.push(", ");
+            }
+            tuple(&mut query, key);
+        }
+        query.push(")").build().persistent(false).execute(&mut self.conn).await?;
         Ok(())
     }
 

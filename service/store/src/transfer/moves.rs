@@ -1,0 +1,177 @@
+//! What may have moved on in a source since an earlier copy of it: table by table, how a row changes and whether it goes.
+//!
+//! What happened once stands for ever: cycles, advice, what tools went through, the audit. A target may have no row of these
+//! that the source has not, to the bit. As every change of what people register leaves a line in the audit, and every cycle
+//! its row, a target that passes was not written by anybody else. So the other tables may follow the source, each as far as
+//! its rows can change; what changed otherwise is refused.
+
+use super::{Row, Side, Table, TransferError, Value};
+use std::collections::BTreeMap;
+
+/// Why a row is refused.
+const OTHER: &str = "is there with other content";
+const SURPLUS: &str = "is not in the source";
+const NEWER: &str = "is newer than in the source";
+
+/// How the rows of a table change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// They do not, and stay.
+    Never,
+    /// With a column that counts up, or tells when.
+    Counted(&'static str),
+    /// These columns are filled in, once.
+    Filled(&'static [&'static str]),
+    /// These columns change, and the others do not. Something that is `Counted` tells that they did.
+    Within(&'static [&'static str]),
+    /// Anyhow, and they go too: made of what stands for ever, or of use for a while.
+    Anyhow,
+    /// They do not, and go where a decision of retention names them.
+    Dropped,
+}
+
+fn kind(table: &str) -> Kind {
+    match table {
+        "machines" | "tools" | "operations" | "models" | "retention" => Kind::Counted("version"),
+        "registry_generation" => Kind::Counted("changes"),
+        "feed_profiles" => Kind::Counted("revision"),
+        // A cycle that was sent again after its stream broke.
+        "cycle_overrides" => Kind::Counted("stored_at_us"),
+        "machine_contacts" => Kind::Counted("last_cycle_at_us"),
+        "feed_profile_versions" => Kind::Within(&[
+            "state",
+            "shadowed_by",
+            "shadowed_at_us",
+            "approved_by",
+            "approved_at_us",
+            "activated_by",
+            "activated_at_us",
+            "activated_revision",
+            "superseded_at_us",
+            "rolled_back",
+        ]),
+        "alarms" => Kind::Filled(&["cleared_at_us", "acknowledged_by", "acknowledged_at_us"]),
+        "quarantine" => Kind::Filled(&["settled_at_us", "settled_how"]),
+        "tokens" => Kind::Filled(&["revoked_at_us"]),
+        // Folds are caches, leases and sessions end, decisions of a day are put together.
+        "tool_wear" | "tool_wear_checkpoints" | "stream_leases" | "sessions" | "sample_drops" => Kind::Anyhow,
+        "cycle_samples" => Kind::Dropped,
+        _ => Kind::Never,
+    }
+}
+
+/// How the rows of one table change.
+pub(super) struct Moves<'a> {
+    table: &'a Table,
+    kind: Kind,
+}
+
+impl<'a> Moves<'a> {
+    pub(super) fn of(table: &'a Table) -> Result<Self, TransferError> {
+        let moves = Self { table, kind: kind(&table.name) };
+        let named = match moves.kind {
+            Kind::Counted(column) => vec![column],
+            Kind::Filled(columns) | Kind::Within(columns) => columns.to_vec(),
+            Kind::Dropped => vec!["machine_id", "received_at_us"],
+            Kind::Never | Kind::Anyhow => Vec::new(),
+        };
+        match named.into_iter().find(|column| table.place(column).is_none()) {
+            Some(column) => Err(TransferError::Schema(format!("{} has no {column}", table.name))),
+            None => Ok(moves),
+        }
+    }
+
+    /// Whether a row of the target may be what this row of the source was before; why not.
+    pub(super) fn follows(&self, found: &Row, row: &Row) -> Result<(), &'static str> {
+        let differing = || {
+            let pairs = self.table.columns.iter().zip(found.iter().zip(row));
+            pairs.filter(|(_, (was, is))| was != is).map(|((name, _), (was, _))| (name.as_str(), was))
+        };
+        let may = match self.kind {
+            Kind::Never | Kind::Dropped => false,
+            Kind::Anyhow => true,
+            Kind::Within(columns) => differing().all(|(name, _)| columns.contains(&name)),
+            Kind::Filled(columns) => {
+                differing().all(|(name, was)| *was == Value::Null && columns.contains(&name))
+            }
+            Kind::Counted(column) => match (self.whole(found, column), self.whole(row, column)) {
+                (Some(was), Some(is)) if was > is => return Err(NEWER),
+                (was, is) => was < is,
+            },
+        };
+        if may { Ok(()) } else { Err(OTHER) }
+    }
+
+    /// Whether the source may have had a row of the target before; why not.
+    pub(super) fn goes(&self, found: &Row, drops: &Drops) -> Result<(), &'static str> {
+        let may = match self.kind {
+            Kind::Anyhow => true,
+            Kind::Dropped => match (self.value(found, "machine_id"), self.whole(found, "received_at_us")) {
+                (Some(Value::Text(machine)), Some(received)) => drops.name(machine, received),
+                _ => false,
+            },
+            Kind::Never | Kind::Counted(_) | Kind::Filled(_) | Kind::Within(_) => false,
+        };
+        if may { Ok(()) } else { Err(SURPLUS) }
+    }
+
+    fn value<'r>(&self, row: &'r Row, column: &str) -> Option<&'r Value> {
+        row.get(self.table.place(column)?)
+    }
+
+    fn whole(&self, row: &Row, column: &str) -> Option<i64> {
+        match self.value(row, column)? {
+            Value::Whole(value) => Some(*value),
+            _ => None,
+        }
+    }
+}
+
+/// Up to which receipt a source's samples are dropped, by machine, µs.
+pub(super) struct Drops(BTreeMap<String, i64>);
+
+impl Drops {
+    pub(super) async fn of(source: &mut dyn Side, tables: &[Table]) -> Result<Self, TransferError> {
+        let mut before = BTreeMap::new();
+        let Some(table) = tables.iter().find(|table| table.name == "sample_drops") else {
+            return Ok(Self(before));
+        };
+        let mut after = None;
+        loop {
+            let page = source.rows(table, after.as_ref(), None, super::PAGE_ROWS).await?;
+            for row in &page {
+                let value = |column: &str| table.place(column).and_then(|at| row.get(at));
+                if let (Some(Value::Text(machine)), Some(Value::Whole(until))) =
+                    (value("machine_id"), value("before_us"))
+                {
+                    let latest = before.entry(machine.clone()).or_insert(*until);
+                    *latest = (*latest).max(*until);
+                }
+            }
+            let Some(last) = page.last() else { return Ok(Self(before)) };
+            after = Some(table.key_of(last));
+        }
+    }
+
+    fn name(&self, machine: &str, received_us: i64) -> bool {
+        self.0.get(machine).is_some_and(|before| received_us < *before)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transfer::sqlite::SqliteSide;
+
+    /// A column that is renamed, or a table, would be refused as other data.
+    #[tokio::test]
+    async fn what_changes_is_there() {
+        let mut model = SqliteSide::model().await.unwrap();
+        let tables = model.tables().await.unwrap();
+        for table in &tables {
+            Moves::of(table).unwrap();
+        }
+        let changing = tables.iter().filter(|table| kind(&table.name) != Kind::Never).count();
+        assert_eq!(changing, 19, "a table that is named in `kind` is gone, or has another name");
+    }
+}
