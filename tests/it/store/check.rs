@@ -5,7 +5,8 @@ use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::units::Process;
-use feedwright_store::{CheckPage, Committed, NewCycle, Precondition, Repair, Store};
+use feedwright_core::wear::Exclusion;
+use feedwright_store::{CheckPage, Committed, CycleFilter, NewCycle, Page, Precondition, Repair, Store};
 use sqlx::AssertSqlSafe;
 use std::collections::BTreeSet;
 
@@ -14,6 +15,7 @@ stories!(with tables:
     what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same,
     wear_is_not_folded_over_doubtful_cycles,
     a_course_that_cannot_be_read_is_named_and_the_rest_is_checked,
+    a_course_that_cannot_be_read_costs_its_cycle_alone,
 );
 
 /// Eight cycles of two tools, one every ten minutes, the last without samples.
@@ -215,4 +217,83 @@ async fn a_course_that_cannot_be_read_is_named_and_the_rest_is_checked(given: &G
             ]
         );
     }
+}
+
+async fn a_course_that_cannot_be_read_costs_its_cycle_alone(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    let bytes = if given.is_postgres() {
+        "decode(repeat('00', length(depth_digest)), 'hex')"
+    } else {
+        "zeroblob(length(depth_digest))"
+    };
+    given.raw("CREATE TABLE kept AS SELECT cycle_id, depth_digest FROM cycles").await.unwrap();
+    let damage = format!("UPDATE cycles SET depth_digest = {bytes} WHERE cycle_id = 'c00003'");
+    assert_eq!(given.raw(AssertSqlSafe(damage)).await.unwrap(), 1);
+
+    let (machine, tool) = ("M1".try_into().unwrap(), "T1".try_into().unwrap());
+    let page = || Page { after: None, limit: 100 };
+    let courses = |cycles: &[feedwright_store::StoredCycle]| {
+        cycles.iter().map(|cycle| cycle.summary.digest.is_some()).collect::<Vec<_>>()
+    };
+    let all = CycleFilter::default();
+    // The eighth has no samples.
+    let with = [true, true, false, true, true, true, true, false];
+    let listed = store.cycles(&all, page()).await.unwrap();
+    assert_eq!(courses(&listed), with);
+    assert!(!listed[2].summary.energy.is_empty() && listed[2].has_samples, "what it is otherwise is told");
+    assert_eq!(courses(&store.last_cycles(&all, 100).await.unwrap()), with);
+    let id = "c00003".try_into().unwrap();
+    assert_eq!(store.cycle(&machine, &id).await.unwrap().unwrap(), listed[2]);
+    assert!(store.cycle_samples(&machine, &id).await.unwrap().is_some());
+    assert_eq!(store.points(&all, page()).await.unwrap().len(), 8);
+    let fleet = store.fleet_machine(&machine, 8).await.unwrap().unwrap();
+    let contacts: Vec<_> = fleet.recent.iter().map(|cycle| cycle.contact_joules.is_some()).collect();
+    assert_eq!(contacts.iter().filter(|known| **known).count(), 6, "{contacts:?}");
+
+    // A late cycle folds the tool's history anew, past the one that is damaged: of that nothing is known.
+    let late = Run { seconds: 1500, ..Run::nth(20) };
+    let outcome = commit(&*store, std::slice::from_ref(&late)).await.pop().unwrap();
+    assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+    let life = store.life(&tool, 100).await.unwrap();
+    let told: Vec<_> =
+        life.cycles.iter().map(|cycle| (cycle.facts.order.cycle.as_str(), cycle.excluded)).collect();
+    assert_eq!(
+        told,
+        [
+            ("c00001", None),
+            ("c00020", None),
+            ("c00003", Some(Exclusion::NoEnergy)),
+            ("c00005", None),
+            ("c00007", None)
+        ]
+    );
+    assert_eq!(store.verdict(&tool).await.unwrap(), life.verdict);
+    assert_eq!(life.verdict.cycles, 5);
+
+    // The check still names it, and repairs nothing that it cannot judge.
+    let found = checked(&*store).await;
+    assert_eq!(told_keys(&found), [("summary", "M1/c00003")]);
+    let wear = store.check_wear(Repair::AllBut(&BTreeSet::new())).await.unwrap();
+    assert_eq!(wear.unreadable.len(), 1, "{wear:?}");
+    assert_eq!(wear.unreadable[0].0, tool);
+
+    // Put right by hand: the folds are made again of what there is.
+    given
+        .raw(
+            "UPDATE cycles SET depth_digest = (SELECT k.depth_digest FROM kept k WHERE k.cycle_id = 'c00003')
+             WHERE cycle_id = 'c00003'",
+        )
+        .await
+        .unwrap();
+    given.raw("DROP TABLE kept").await.unwrap();
+    assert_eq!(told_keys(&checked(&*store).await), []);
+    assert_eq!(store.check_wear(Repair::AllBut(&BTreeSet::new())).await.unwrap().different.len(), 1);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    let life = store.life(&tool, 100).await.unwrap();
+    assert!(life.cycles.iter().all(|cycle| cycle.excluded.is_none()), "{life:?}");
+}
+
+fn told_keys(page: &CheckPage) -> Vec<(&str, &str)> {
+    told(page).into_iter().map(|(kind, key, _)| (kind, key)).collect()
 }

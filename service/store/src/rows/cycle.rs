@@ -5,7 +5,7 @@ use crate::codec::digest;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
 use feedwright_core::cycle::{Cycle, CycleDraft, Flag, Flags, Outcome, ProfileVersion, Reported, Samples};
-use feedwright_core::summary::{CycleSummary, Energy, EnergyBasis, IdlePower, Peak};
+use feedwright_core::summary::{CycleSummary, DepthDigest, Energy, EnergyBasis, IdlePower, Peak};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -332,7 +332,7 @@ impl CycleRow {
         .collect()
     }
 
-    fn summary(&self) -> StoreResult<CycleSummary> {
+    fn summary(&self, digest: Option<DepthDigest>) -> StoreResult<CycleSummary> {
         Ok(CycleSummary {
             version: number("summary_version", self.summary_version)?,
             sample_count: number("sample_count", self.sample_count)?,
@@ -371,7 +371,7 @@ impl CycleRow {
             operator_override_percent: self.operator_override_percent,
             median_spindle_speed_rpm: self.median_spindle_speed_rpm,
             spindle_load_fall_depth_mm: self.spindle_load_fall_depth_mm,
-            digest: self.depth_digest.as_deref().map(super::facts::digest).transpose()?,
+            digest,
             coverage: self.coverage,
             flags: Flags::from_bits(number("flags", self.flags)?),
         })
@@ -379,7 +379,7 @@ impl CycleRow {
 
     /// Whether everything of it can be read.
     pub(crate) fn readable(&self) -> StoreResult<()> {
-        self.summary().map(|_| ())
+        self.summary(self.depth_digest.as_deref().map(super::facts::digest).transpose()?).map(|_| ())
     }
 
     fn meta(&self) -> StoreResult<CycleMeta> {
@@ -517,10 +517,16 @@ impl CycleRow {
 }
 
 impl CycleWithSamples {
+    /// The cycle; without its course over depth where that cannot be read.
     pub(crate) fn stored(&self) -> StoreResult<StoredCycle> {
+        let cycle = &self.cycle;
+        let digest = cycle
+            .depth_digest
+            .as_deref()
+            .and_then(|bytes| super::facts::legible_digest(bytes, &cycle.machine_id, &cycle.cycle_id));
         Ok(StoredCycle {
             cycle: self.cycle.meta()?,
-            summary: self.cycle.summary()?,
+            summary: self.cycle.summary(digest)?,
             received_at: Timestamp::from_micros(self.cycle.received_at_us),
             hash: self.cycle.hash()?,
             has_samples: self.has_samples,

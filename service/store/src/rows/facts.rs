@@ -10,10 +10,30 @@ use feedwright_core::summary::{DepthDigest, EnergyBasis};
 use feedwright_core::tool::{ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey};
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+
+/// Cycles whose course is told to be damaged; `feedwright check` names them all.
+const MOST_TOLD: usize = 1_000;
 
 /// The stored digest.
 pub(super) fn digest(bytes: &[u8]) -> StoreResult<DepthDigest> {
     crate::codec::digest::unpack(bytes).ok_or_else(|| damaged("depth_digest"))
+}
+
+/// The stored digest of a cycle, where there is one and it can be read. One that cannot costs its cycle its course, and
+/// nobody else anything: the log says so once.
+pub(super) fn legible_digest(bytes: &[u8], machine: &str, cycle: &str) -> Option<DepthDigest> {
+    static TOLD: Mutex<BTreeSet<(String, String)>> = Mutex::new(BTreeSet::new());
+    let error = match digest(bytes) {
+        Ok(digest) => return Some(digest),
+        Err(error) => error,
+    };
+    let mut told = TOLD.lock().unwrap_or_else(PoisonError::into_inner);
+    if told.len() < MOST_TOLD && told.insert((machine.to_owned(), cycle.to_owned())) {
+        tracing::error!(machine, cycle, %error, "the course of a cycle over depth cannot be read and is left out");
+    }
+    None
 }
 
 /// What wear needs of one cycle.
@@ -122,8 +142,19 @@ impl FactsRow {
         .find_map(|(basis, net, joules)| Some((basis, net, joules?)))
     }
 
+    /// Whether everything of it can be read.
+    pub(crate) fn readable(&self) -> StoreResult<()> {
+        self.depth_digest.as_deref().map(digest).transpose().map(|_| ())
+    }
+
     /// What the fold takes: the facts, and the operation's settings where it is registered.
+    ///
+    /// Of a cycle whose digest cannot be read it is not known what would be compared: it has no energy, and is left out as
+    /// one that was not measured.
     pub(crate) fn facts(&self) -> StoreResult<(CycleFacts, Option<FoldSettings>)> {
+        let stored = self.depth_digest.as_deref();
+        let digest = stored.and_then(|bytes| legible_digest(bytes, &self.machine_id, &self.cycle_id));
+        let is_measured = stored.is_none() || digest.is_some();
         let profile = match (&self.profile_id, self.profile_version) {
             (Some(profile), Some(version)) => Some(ProfileVersion {
                 profile: id("profile_id", profile)?,
@@ -142,13 +173,13 @@ impl FactsRow {
                 .transpose()?,
             law_version: self.law_version.clone(),
             profile,
-            energy: self.best_energy(),
+            energy: self.best_energy().filter(|_| is_measured),
             energy_scale: self.energy_scale,
             duration_ms: self.duration_ms,
             max_depth_mm: self.max_depth_mm,
             fall_depth_mm: self.spindle_load_fall_depth_mm,
             operator_override_percent: self.operator_override_percent,
-            digest: self.depth_digest.as_deref().map(digest).transpose()?,
+            digest,
             asked_as_reference: self
                 .recommendation_id
                 .as_deref()

@@ -56,8 +56,8 @@ impl FleetCycleRow {
             contact_joules: self
                 .depth_digest
                 .as_deref()
-                .map(|bytes| super::facts::digest(bytes).map(|digest| digest.joules()))
-                .transpose()?,
+                .and_then(|bytes| super::facts::legible_digest(bytes, &self.machine_id, &self.cycle_id))
+                .map(|digest| digest.joules()),
             energy_scale: self.energy_scale,
         })
     }
