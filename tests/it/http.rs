@@ -8,6 +8,7 @@ mod full_disk;
 mod lists;
 mod matrix;
 mod openapi;
+mod outage;
 mod problems;
 mod quarantine;
 mod reading;

@@ -83,7 +83,7 @@ impl Cluster {
         self.folder.path().join("data")
     }
 
-    fn control(&self, arguments: &[&str]) {
+    pub(crate) fn control(&self, arguments: &[&str]) {
         let options = format!(
             "-c listen_addresses=127.0.0.1 -c port={} -c unix_socket_directories={}",
             self.port,

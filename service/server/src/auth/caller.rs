@@ -9,12 +9,24 @@ use axum::extract::{FromRequestParts, RawPathParams, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::MachineId;
-use feedwright_store::{Actor, Role, StoreResult, TokenRecord};
+use feedwright_store::{Actor, Role, StoreError, StoreResult, TokenRecord};
 use http::request::Parts;
 use http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 use subtle::ConstantTimeEq;
+
+/// How long `/metrics` waits for the look-up of a token that was good lately: Prometheus gives up after ten seconds.
+const OUTAGE_PATIENCE: Duration = Duration::from_secs(1);
+
+/// Whom a route believes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Trust {
+    /// Tokens that the database knows now.
+    Known,
+    /// While the database cannot be asked, also those that it knew lately: who watches the service is told that it fails.
+    Lately,
+}
 
 /// Who calls. Only [`authorise`] makes one, so a handler that can name the caller has been authorised.
 #[derive(Debug, Clone)]
@@ -97,8 +109,8 @@ impl<S: Send + Sync> FromRequestParts<S> for Caller {
 }
 
 /// Runs before every handler: lets pass who may use the route, and nobody else.
-pub async fn authorise(
-    State((state, access)): State<(AppState, Access)>,
+pub(crate) async fn authorise(
+    State((state, access, trust)): State<(AppState, Access, Trust)>,
     params: RawPathParams,
     mut request: Request,
     next: Next,
@@ -107,7 +119,7 @@ pub async fn authorise(
         return next.run(request).await;
     };
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0.ip());
-    let caller = match authenticate(&state, request.method(), request.headers(), peer).await {
+    let caller = match authenticate((&state, trust), request.method(), request.headers(), peer).await {
         Ok(caller) => caller,
         Err(problem) => {
             if problem.status == StatusCode::UNAUTHORIZED || problem.status == StatusCode::TOO_MANY_REQUESTS {
@@ -135,7 +147,7 @@ pub async fn authorise(
 pub(crate) struct Peer(pub(crate) SocketAddr);
 
 async fn authenticate(
-    state: &AppState,
+    (state, trust): (&AppState, Trust),
     method: &Method,
     headers: &HeaderMap,
     peer: Option<IpAddr>,
@@ -150,7 +162,7 @@ async fn authenticate(
     let text = presented.to_str().ok().and_then(|text| text.split_once(' '));
     let token =
         text.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer")).map(|(_, token)| token.trim());
-    let record = authenticate_token(state, token.unwrap_or_default(), peer).await?;
+    let record = authenticate_trusting((state, trust), token.unwrap_or_default(), peer).await?;
     Ok(Caller::new(record, None))
 }
 
@@ -160,11 +172,23 @@ pub(crate) async fn authenticate_token(
     text: &str,
     peer: Option<IpAddr>,
 ) -> Result<TokenRecord, Problem> {
+    authenticate_trusting((state, Trust::Known), text, peer).await
+}
+
+async fn authenticate_trusting(
+    (state, trust): (&AppState, Trust),
+    text: &str,
+    peer: Option<IpAddr>,
+) -> Result<TokenRecord, Problem> {
     let Some(token) = Token::parse(text) else {
         return Err(failed(state, peer, "token_malformed", "this is no token of this service"));
     };
     let hash = token.hash();
-    let record = known_token(state, &hash).await?.filter(|known| known.id == token.id());
+    let record = match trust {
+        Trust::Known => known_token(state, &hash).await?,
+        Trust::Lately => lately_known_token(state, &hash).await?,
+    };
+    let record = record.filter(|known| known.id == token.id());
     match record {
         None => Err(failed(state, peer, "token_unknown", "the token is not known")),
         Some(TokenRecord { revoked_at: Some(_), .. }) => {
@@ -183,10 +207,32 @@ async fn known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Option<To
     // From before it is read: its life counts from what was true then.
     let looked_up = Instant::now();
     let record = state.store.token_by_hash(hash).await?.filter(|known| bool::from(known.hash.ct_eq(hash)));
-    if let Some(record) = &record {
-        state.known_tokens.keep(record, began, looked_up);
+    match &record {
+        Some(record) if record.revoked_at.is_none() => state.known_tokens.keep(record, began, looked_up),
+        _ => state.known_tokens.refuse(hash),
     }
     Ok(record)
+}
+
+/// The same; where the database cannot be asked, a token that was good lately.
+async fn lately_known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
+    if state.known_tokens.lately(hash, Instant::now()).is_none() {
+        return known_token(state, hash).await;
+    }
+    // A task of its own: what asks the database is never cut off.
+    let (asking, asked) = (state.clone(), *hash);
+    let asked = tokio::spawn(async move { known_token(&asking, &asked).await });
+    let error = match tokio::time::timeout(OUTAGE_PATIENCE, asked).await {
+        Ok(Ok(Err(error @ (StoreError::Unavailable(_) | StoreError::NotWritable(_))))) => error,
+        Ok(Ok(answer)) => return answer,
+        Ok(Err(lost)) => StoreError::Unavailable(Box::new(lost)),
+        Err(late) => StoreError::Unavailable(Box::new(late)),
+    };
+    // Once more: it may have been revoked meanwhile.
+    match state.known_tokens.lately(hash, Instant::now()) {
+        Some(record) => Ok(Some(record)),
+        None => Err(error),
+    }
 }
 
 /// Counts a failure: 401, or 429 where the address had too many.

@@ -2,6 +2,7 @@
 //!
 //! A revocation through this process acts on the next request; one through another process or replica within
 //! [`LIFE`]. Only tokens that were good are kept, under their hash; nothing is kept of those that were refused.
+//! While the database cannot be asked, `/metrics` believes one for longer ([`OUTAGE_LIFE`]).
 
 use feedwright_store::TokenRecord;
 use std::collections::HashMap;
@@ -10,6 +11,9 @@ use std::time::{Duration, Instant};
 
 /// How long a token is believed without looking: what a revocation elsewhere may take to act here.
 const LIFE: Duration = Duration::from_secs(2);
+/// How long a token that was good is believed by `/metrics`, and by nothing else, while the database cannot be asked: long
+/// enough that whoever is on call is told what it is that fails.
+const OUTAGE_LIFE: Duration = Duration::from_secs(60 * 60);
 /// Tokens kept at the most; a plant has hundreds of machines.
 const MOST: usize = 4096;
 
@@ -38,6 +42,19 @@ impl KnownTokens {
             Some((record, at)) if now.saturating_duration_since(*at) < LIFE => Ok(record.clone()),
             _ => Err(Epoch(known.epoch)),
         }
+    }
+
+    /// The token of that hash, where the last look-up, not long before `now`, found it good: for `/metrics` alone.
+    pub(super) fn lately(&self, hash: &[u8; 32], now: Instant) -> Option<TokenRecord> {
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let (record, at) = known.tokens.get(hash)?;
+        (now.saturating_duration_since(*at) < OUTAGE_LIFE).then(|| record.clone())
+    }
+
+    /// A look-up has found no good token of that hash.
+    pub(super) fn refuse(&self, hash: &[u8; 32]) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        known.tokens.remove(hash);
     }
 
     /// Keeps a token that was looked up from `now` on; a revoked one, or one whose look-up began before something was
@@ -98,6 +115,28 @@ mod tests {
         let later = tokens.get(&[3; 32], now).unwrap_err();
         tokens.keep(&record(3, true), later, now);
         assert!(tokens.get(&[3; 32], now).is_err(), "a revoked token is never kept");
+    }
+
+    #[test]
+    fn it_is_remembered_for_an_outage_until_it_is_known_to_be_no_good() {
+        let (tokens, now) = (KnownTokens::default(), Instant::now());
+        for hash in 1..=3 {
+            let ticket = tokens.get(&[hash; 32], now).unwrap_err();
+            tokens.keep(&record(hash, false), ticket, now);
+        }
+        let later = now + OUTAGE_LIFE / 2;
+        assert!(tokens.get(&[1; 32], later).is_err(), "by other routes it is not believed");
+        assert_eq!(tokens.lately(&[1; 32], later), Some(record(1, false)));
+        assert_eq!(tokens.lately(&[1; 32], now + OUTAGE_LIFE), None);
+        assert_eq!(tokens.lately(&[9; 32], later), None, "nobody has looked it up");
+        // Revoked by another server, and seen by a look-up since.
+        tokens.refuse(&[2; 32]);
+        assert_eq!(
+            (tokens.lately(&[2; 32], later), tokens.lately(&[3; 32], later)),
+            (None, Some(record(3, false)))
+        );
+        tokens.forget();
+        assert_eq!(tokens.lately(&[3; 32], later), None, "something was revoked here");
     }
 
     #[test]

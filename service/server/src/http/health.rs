@@ -33,13 +33,14 @@ pub(super) async fn readyz(State(state): State<AppState>) -> Result<axum::Json<H
     }
 }
 
-// None of them asks the database: they are wanted most when it is in trouble. What only the database knows is as old as
-// the watch's last round.
+// They are wanted most when the database is in trouble: whether it takes writes is asked as `/readyz` asks, for seconds at
+// the most; what only the database knows is as old as the watch's last round.
 /// Metrics in the text format of Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "service",
     responses((status = 200, body = String, content_type = "text/plain")))]
 pub(super) async fn metrics(State(state): State<AppState>) -> Response {
     state.intake.measure();
+    state.metrics.ready(state.ready().await.is_ok());
     match state.metrics.text() {
         Ok(text) => ([(header::CONTENT_TYPE, prometheus::TEXT_FORMAT)], text).into_response(),
         Err(error) => Problem::internal(error.to_string()).into_response(),

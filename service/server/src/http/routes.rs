@@ -6,7 +6,7 @@ use super::{
     profile_files, profile_optimise, quarantine, recommendations, retention, samples, series, session,
     stream, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
-use crate::auth::authorise;
+use crate::auth::{Trust, authorise};
 use crate::http::problem::Problem;
 use crate::state::AppState;
 use crate::ui;
@@ -64,6 +64,7 @@ pub struct Route {
     method: Method,
     path: String,
     access: Access,
+    trust: Trust,
     body: BodyLimit,
     /// Makes its description, unless it is a page. All of them together are megabytes, and the code that makes them is as
     /// large again: who only serves touches neither.
@@ -89,6 +90,7 @@ macro_rules! route {
                 method: method(&methods),
                 path: $module::[<__path_ $handler>]::path(),
                 access: $access,
+                trust: Trust::Known,
                 body: BodyLimit::Registration,
                 describe: Some(describe),
                 handler: methods
@@ -106,6 +108,7 @@ impl Route {
             method: Method::GET,
             path: path.to_owned(),
             access: Access::Open,
+            trust: Trust::Known,
             body: BodyLimit::Registration,
             describe: None,
             handler,
@@ -116,6 +119,13 @@ impl Route {
     #[must_use]
     pub fn takes_cycles(self) -> Self {
         Self { body: BodyLimit::Cycles, ..self }
+    }
+
+    /// Answers a token that was good lately while the database cannot be asked. Only for what
+    /// does no harm where its token was revoked elsewhere just before.
+    #[must_use]
+    fn in_an_outage(self) -> Self {
+        Self { trust: Trust::Lately, ..self }
     }
 
     /// The method.
@@ -202,7 +212,7 @@ pub fn table() -> Vec<Route> {
         route!(fleet::machine, READ),
         route!(health::healthz, Access::Open),
         route!(health::readyz, Access::Open),
-        route!(health::metrics, READ),
+        route!(health::metrics, READ).in_an_outage(),
         route!(openapi::document, Access::Open),
         route!(cycles::post_cycle, OWN).takes_cycles(),
         route!(cycles::post_batch, OWN).takes_cycles(),
@@ -295,12 +305,12 @@ pub fn allowed(role: Role) -> &'static [String] {
 pub fn router(state: AppState) -> Router {
     let limits = state.config.limits;
     let mut router = Router::new();
-    for Route { path, access, body, handler, .. } in table() {
+    for Route { path, access, trust, body, handler, .. } in table() {
         let limit = match body {
             BodyLimit::Registration => limits.registration_bytes,
             BodyLimit::Cycles => limits.body_bytes,
         };
-        let guard = from_fn_with_state((state.clone(), access), authorise);
+        let guard = from_fn_with_state((state.clone(), access, trust), authorise);
         // Layers run from the last to the first: nobody's body is read before their token.
         let handler = handler.route_layer(DefaultBodyLimit::max(limit)).route_layer(guard);
         router = router.route(&path, handler);
