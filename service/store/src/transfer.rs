@@ -9,6 +9,7 @@
 mod backup;
 mod copy;
 mod digest;
+mod failure;
 mod moves;
 mod postgres;
 mod sqlite;

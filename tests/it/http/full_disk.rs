@@ -19,7 +19,7 @@ const ROOMS: [u64; 3] = [400_000, 1_100_000, 2_300_000];
 
 /// The command as on a disk with that much room for a file. A write beyond it fails, as on a full disk; left to itself it
 /// would end the process.
-fn with_room(bytes: u64, command: &Command) -> Command {
+pub(super) fn with_room(bytes: u64, command: &Command) -> Command {
     let mut limited = Command::new("sh");
     limited.args(["-c", "trap '' XFSZ; exec prlimit --fsize=\"$0\" \"$@\"", &bytes.to_string()]);
     limited.arg(command.get_program()).args(command.get_args());

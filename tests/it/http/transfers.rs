@@ -1,10 +1,11 @@
 //! The commands that keep data: backup beside a running server, restore, check, copy.
 
 use super::commands::{Served, feedwright, succeed};
-use crate::store::given::{Run, shop, stored};
+use super::full_disk::with_room;
+use crate::store::given::{Given, Run, shop, stored};
 use feedwright_store::{SqliteOptions, SqliteStore, Store};
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Output;
 use tempfile::TempDir;
 
@@ -120,4 +121,92 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
         refused.contains("cycle_samples") && refused.contains("is there with other content"),
         "{refused}"
     );
+}
+
+/// Less than any database of ours needs, bytes.
+const LITTLE_ROOM: u64 = 100_000;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_fails_with_a_file_is_told_of_that_file_and_leaves_nothing() {
+    let cell = TempDir::new().unwrap();
+    std::fs::create_dir(cell.path().join("data")).unwrap();
+    let store = SqliteStore::open(file(&cell), SqliteOptions::default()).await.unwrap();
+    shop(&store).await;
+    for n in 1..=30 {
+        stored(&store, &Run::nth(n)).await;
+    }
+    store.close().await;
+    let folder = TempDir::new().unwrap();
+    let named = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let told = |output: Output, path: &str, cause: &str| {
+        let (_, said) = fail(output);
+        assert!(said.contains(&format!("{path}: ")) && said.contains(cause), "{path}: {cause}: {said}");
+        assert!(!said.contains("does not take writes"), "{said}");
+    };
+    let names = |of: &Path| {
+        let mut names: Vec<_> = of.read_dir().unwrap().map(|found| found.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+
+    // A disk that is full.
+    let full = named("full");
+    told(
+        with_room(LITTLE_ROOM, &feedwright(&cell, &["backup", &full])).output().unwrap(),
+        &full,
+        "space left",
+    );
+    if let Some(plant) = Given::postgres().await {
+        let mut backup = feedwright(&cell, &["backup", &full]);
+        backup.env("FEEDWRIGHT__DATABASE__URL", plant.address());
+        told(with_room(LITTLE_ROOM, &backup).output().unwrap(), &full, "space left");
+        plant.done().await;
+    }
+    told(
+        feedwright(&cell, &["backup", &named("none/there")]).output().unwrap(),
+        &named("none/there.partial"),
+        "cannot be made",
+    );
+    let nothing = TempDir::new().unwrap();
+    let path = file(&nothing);
+    told(
+        feedwright(&nothing, &["backup", &full]).output().unwrap(),
+        path.to_str().unwrap(),
+        "cannot be opened",
+    );
+    assert!(names(folder.path()).is_empty(), "{:?}", names(folder.path()));
+
+    let good = named("good");
+    succeed(feedwright(&cell, &["backup", &good]).output().unwrap());
+    let bytes = std::fs::read(&good).unwrap();
+    std::fs::write(named("short"), &bytes[..bytes.len() / 2]).unwrap();
+    std::fs::write(
+        named("text"),
+        "a shopping list, longer than what every file of SQLite begins with ".repeat(99),
+    )
+    .unwrap();
+    let other = TempDir::new().unwrap();
+    let restored = file(&other).to_str().unwrap().to_owned();
+    let restore = |path: &str| feedwright(&other, &["restore", path]);
+    told(
+        with_room(LITTLE_ROOM, &restore(&good)).output().unwrap(),
+        &format!("{restored}.partial"),
+        "no space is left for it",
+    );
+    for (path, cause) in [
+        (named("nowhere"), "is not there"),
+        (folder.path().to_str().unwrap().to_owned(), "is no file"),
+        // A file that nobody can read, not even an administrator.
+        ("/proc/self/mem".to_owned(), "cannot be read"),
+        (named("text"), "is no backup of this program"),
+        (named("short"), "damaged"),
+        (file(&cell).to_str().unwrap().to_owned(), "is no backup of this program"),
+    ] {
+        told(restore(&path).output().unwrap(), &path, cause);
+        told(feedwright(&other, &["check", "--backup", &path]).output().unwrap(), &path, cause);
+    }
+    let left = names(&other.path().join("data"));
+    assert!(left.iter().all(|name| !name.to_str().unwrap().contains("sqlite3")), "{left:?}");
+    succeed(restore(&good).output().unwrap());
+    succeed(feedwright(&other, &["check"]).output().unwrap());
 }

@@ -1,16 +1,19 @@
 //! Backups: one SQLite file with a sum of every table in it, of either engine, under load.
 //!
 //! SQLite makes its own consistent copy (`VACUUM INTO`) beside the writer; of PostgreSQL one snapshot is copied into
-//! the same form, so that a backup of either is checked by the same sums and restored into either.
+//! the same form, so that a backup of either is checked by the same sums and restored into either. What fails is told of the
+//! file that it failed with, and leaves nothing half made behind.
 
 use super::copy::{Address, copy, transfer};
 use super::digest::of_table;
+use super::failure::{file, io, of_backup, of_source, of_target};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
 use super::{Side, TableSum, TransferError};
 use crate::store::Store;
 use crate::{SqliteOptions, SqliteStore};
 use feedwright_core::units::Timestamp;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 /// What a backup holds.
@@ -22,10 +25,6 @@ pub struct BackupReport {
     pub bytes: u64,
 }
 
-fn file(path: &Path, why: impl std::fmt::Display) -> TransferError {
-    TransferError::File { path: path.display().to_string(), why: why.to_string() }
-}
-
 /// The name under which a file is made until it is whole.
 fn partial(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
@@ -34,22 +33,25 @@ fn partial(path: &Path) -> PathBuf {
 }
 
 /// A fresh, empty file for its owner only.
-fn create(path: &Path) -> Result<(), TransferError> {
+fn create(path: &Path) -> Result<std::fs::File, TransferError> {
     let mut options = std::fs::OpenOptions::new();
     options.write(true).create_new(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options.open(path).map(|_| ()).map_err(|error| file(path, error))
+    options.open(path).map_err(|error| io(path, "cannot be made", &error))
 }
 
 /// Makes a whole file durable under its name.
 fn settle(from: &Path, to: &Path) -> Result<u64, TransferError> {
-    let made = std::fs::File::open(from).map_err(|error| file(from, error))?;
-    made.sync_all().map_err(|error| file(from, error))?;
-    let bytes = made.metadata().map_err(|error| file(from, error))?.len();
-    std::fs::rename(from, to).map_err(|error| file(to, error))?;
+    let synced = std::fs::File::open(from).and_then(|made| {
+        made.sync_all()?;
+        made.metadata()
+    });
+    let bytes = synced.map_err(|error| io(to, "cannot be written", &error))?.len();
+    std::fs::rename(from, to).map_err(|error| io(to, "cannot be made", &error))?;
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| file(folder, error))?;
+    let synced = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
+    synced.map_err(|error| io(folder, "cannot be written", &error))?;
     Ok(bytes)
 }
 
@@ -57,34 +59,70 @@ fn absent(path: &Path) -> Result<(), TransferError> {
     if path.exists() { Err(file(path, "is there already; nothing was written")) } else { Ok(()) }
 }
 
-/// Backs a SQLite database up while a server may be writing it.
-pub async fn back_up_sqlite(from: &Path, to: &Path, now: Timestamp) -> Result<BackupReport, TransferError> {
+/// Removes a file that was being made, and what SQLite keeps beside it.
+fn discard(making: &Path) {
+    for beside in ["", "-journal", "-wal", "-shm"] {
+        let mut name = making.as_os_str().to_owned();
+        name.push(beside);
+        match std::fs::remove_file(&name) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                tracing::warn!(%error, file = %Path::new(&name).display(), "what was half made stays behind");
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Makes a file under another name, and gives it its own when it is whole; removes it where that fails.
+async fn whole<T>(
+    to: &Path,
+    make: impl AsyncFnOnce(&Path) -> Result<T, TransferError>,
+) -> Result<(T, u64), TransferError> {
     absent(to)?;
     let making = partial(to);
-    let _ = std::fs::remove_file(&making);
-    create(&making)?;
-    let mut source = SqliteSide::read(from).await?;
-    let target = making.to_str().ok_or_else(|| file(&making, "must be UTF-8"))?;
-    sqlx::query("VACUUM INTO $1").bind(target).execute(source.conn()).await?;
-    Box::new(source).close().await;
-    let tables = seal(&making, now, None).await?;
-    Ok(BackupReport { tables, bytes: settle(&making, to)? })
+    discard(&making);
+    let made = match make(&making).await {
+        Ok(made) => settle(&making, to).map(|bytes| (made, bytes)),
+        Err(error) => Err(error),
+    };
+    if made.is_err() {
+        discard(&making);
+    }
+    made
+}
+
+/// Backs a SQLite database up while a server may be writing it.
+pub async fn back_up_sqlite(from: &Path, to: &Path, now: Timestamp) -> Result<BackupReport, TransferError> {
+    let (tables, bytes) = whole(to, async |making| {
+        create(making)?;
+        let target = making.to_str().ok_or_else(|| file(to, "must be UTF-8"))?;
+        let mut source = SqliteSide::read(from).await.map_err(|error| of_source(from, error))?;
+        let copied = sqlx::query("VACUUM INTO $1").bind(target).execute(source.conn()).await;
+        Box::new(source).close().await;
+        copied.map_err(|error| of_target(to, of_source(from, error)))?;
+        seal(making, now, None).await.map_err(|error| of_target(to, error))
+    })
+    .await?;
+    Ok(BackupReport { tables, bytes })
 }
 
 /// Backs a PostgreSQL database up: one snapshot, while servers write. `from` is the server itself, not a pooler.
 pub async fn back_up_postgres(from: &str, to: &Path, now: Timestamp) -> Result<BackupReport, TransferError> {
-    absent(to)?;
-    let making = partial(to);
-    let _ = std::fs::remove_file(&making);
-    let store = SqliteStore::open(&making, SqliteOptions::default()).await?;
-    store.close().await;
-    let mut source = PostgresSide::connect(from).await?;
-    let mut target = SqliteSide::write(&making).await?;
-    let sums = transfer(&mut source, &mut target, &mut |_, _, _| {}).await;
-    Box::new(source).close().await;
-    Box::new(target).close().await;
-    let tables = seal(&making, now, Some(sums?)).await?;
-    Ok(BackupReport { tables, bytes: settle(&making, to)? })
+    let (tables, bytes) = whole(to, async |making| {
+        create(making)?;
+        let store = SqliteStore::open(making, SqliteOptions::default());
+        store.await.map_err(|error| of_target(to, error))?.close().await;
+        let mut source = PostgresSide::connect(from).await?;
+        let mut target = SqliteSide::write(making).await.map_err(|error| of_target(to, error))?;
+        let sums = transfer(&mut source, &mut target, &mut |_, _, _| {}).await;
+        Box::new(source).close().await;
+        Box::new(target).close().await;
+        // Only the target is SQLite's.
+        let sums = sums.map_err(|error| of_target(to, error))?;
+        seal(making, now, Some(sums)).await.map_err(|error| of_target(to, error))
+    })
+    .await?;
+    Ok(BackupReport { tables, bytes })
 }
 
 /// What remembers the last backup; a second one replaces the first.
@@ -159,23 +197,42 @@ async fn sums_of(side: &mut SqliteSide) -> Result<Vec<(String, TableSum)>, Trans
     Ok(sums)
 }
 
-/// Copies a backup to a place of its own, checks the copy by its sums, and makes a database of it.
-async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
+/// Bytes that are copied at a time.
+const CHUNK: usize = 1 << 20;
+
+/// Copies a backup to a place of its own. It is told which of the two files fails.
+fn unpack(backup: &Path, at: &Path) -> Result<(), TransferError> {
     if !backup.is_file() {
-        return Err(file(backup, "is no file"));
+        return Err(file(backup, if backup.exists() { "is no file" } else { "is not there" }));
     }
-    let _ = std::fs::remove_file(at);
-    create(at)?;
-    std::fs::copy(backup, at).map_err(|error| file(at, error))?;
-    std::fs::set_permissions(at, std::os::unix::fs::PermissionsExt::from_mode(0o600))
-        .map_err(|error| file(at, error))?;
-    let mut side = SqliteSide::write(at).await?;
-    let written: Result<Vec<(String, i64, Vec<u8>)>, _> =
+    let unreadable = |error| io(backup, "cannot be read", &error);
+    let mut from = std::fs::File::open(backup).map_err(unreadable)?;
+    let mut to = create(at)?;
+    let mut chunk = vec![0; CHUNK];
+    loop {
+        match from.read(&mut chunk) {
+            Ok(0) => return Ok(()),
+            Ok(read) => {
+                to.write_all(&chunk[..read]).map_err(|error| io(at, "cannot be written", &error))?;
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(unreadable(error)),
+        }
+    }
+}
+
+/// The sums of a backup, checked against its tables, in a copy of it that may be written.
+async fn checked(backup: &Path, side: &mut SqliteSide) -> Result<Vec<(String, TableSum)>, TransferError> {
+    let written: Vec<(String, i64, Vec<u8>)> =
         sqlx::query_as("SELECT table_name, row_count, digest FROM backup_sums ORDER BY table_name")
             .fetch_all(side.conn())
-            .await;
-    let written = written.map_err(|_| file(backup, "is no backup of this program, or damaged"))?;
-    let sums = sums_of(&mut side).await.map_err(|error| match error {
+            .await
+            .map_err(|error| match of_backup(backup, error) {
+                // The table is not there.
+                TransferError::Store(_) => file(backup, "is no backup of this program"),
+                told => told,
+            })?;
+    let sums = sums_of(side).await.map_err(|error| match of_backup(backup, error) {
         TransferError::Store(error) => file(backup, format!("is damaged: {error}")),
         other => other,
     })?;
@@ -190,26 +247,43 @@ async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, Tran
     if written.len() != sums.len() {
         return Err(file(backup, "is damaged: a table is there that was not backed up"));
     }
-    for statement in ["DROP TABLE backup_sums", "DROP TABLE backup_made"] {
-        sqlx::query(statement).execute(side.conn()).await?;
+    Ok(sums)
+}
+
+/// Copies a backup to a place of its own, checks the copy by its sums, and makes a database of it.
+async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
+    unpack(backup, at)?;
+    let mut side = SqliteSide::write(at).await.map_err(|error| of_backup(backup, error))?;
+    let sums = checked(backup, &mut side).await;
+    let sums = match sums {
+        Ok(sums) => sums,
+        Err(error) => {
+            Box::new(side).close().await;
+            return Err(error);
+        }
+    };
+    let made: Result<(), TransferError> = async {
+        for statement in ["DROP TABLE backup_sums", "DROP TABLE backup_made"] {
+            sqlx::query(statement).execute(side.conn()).await?;
+        }
+        Box::new(side).close().await;
+        // Brings a backup of an older version up to this one's.
+        let store = SqliteStore::open(at, SqliteOptions::default()).await?;
+        store.close().await;
+        // The copy that it was before had backups; the database that it becomes has none yet.
+        let mut side = SqliteSide::write(at).await?;
+        sqlx::query("DELETE FROM last_backup").execute(side.conn()).await?;
+        Box::new(side).close().await;
+        Ok(())
     }
-    Box::new(side).close().await;
-    // Brings a backup of an older version up to this one's.
-    let store = SqliteStore::open(at, SqliteOptions::default()).await?;
-    store.close().await;
-    // The copy that it was before had backups; the database that it becomes has none yet.
-    let mut side = SqliteSide::write(at).await?;
-    sqlx::query("DELETE FROM last_backup").execute(side.conn()).await?;
-    Box::new(side).close().await;
+    .await;
+    made.map_err(|error| of_target(at, error))?;
     Ok(sums)
 }
 
 /// Restores a backup into a SQLite file that is not there yet.
 pub async fn restore_to_sqlite(backup: &Path, to: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
-    absent(to)?;
-    let making = partial(to);
-    let sums = stage(backup, &making).await?;
-    settle(&making, to)?;
+    let (sums, _) = whole(to, async |making| stage(backup, making).await).await?;
     Ok(sums)
 }
 
@@ -221,9 +295,12 @@ pub async fn restore_to_postgres(
     folder: &Path,
 ) -> Result<Vec<(String, TableSum)>, TransferError> {
     let staged = folder.join(format!("feedwright-restore-{}.sqlite3", uuid::Uuid::now_v7()));
-    stage(backup, &staged).await?;
-    let (from, to) = (Address::Sqlite(staged.clone()), Address::Postgres(to.to_owned()));
-    let copied = copy(&from, &to, &mut |_, _, _| {}).await;
-    std::fs::remove_file(&staged).map_err(|error| file(&staged, error))?;
-    copied
+    let outcome = async {
+        stage(backup, &staged).await?;
+        let (from, to) = (Address::Sqlite(staged.clone()), Address::Postgres(to.to_owned()));
+        copy(&from, &to, &mut |_, _, _| {}).await
+    }
+    .await;
+    discard(&staged);
+    outcome
 }
