@@ -12,6 +12,7 @@ crate::engines::on_both!(
     cycles_of_one_moment_stand_in_the_order_of_the_machines_count,
     what_cannot_be_read_says_why,
     buckets_hold_every_cycle_once_and_gaps_are_no_zeros,
+    a_range_without_cycles_has_empty_buckets_of_every_measure,
     the_last_cycles_of_a_tool_and_how_worn_it_was_after_each,
 );
 
@@ -270,6 +271,30 @@ async fn buckets_hold_every_cycle_once_and_gaps_are_no_zeros() {
         let answer = app.get(&format!("{path}&by={by}&measures=duration_ms")).await.json();
         assert_eq!(answer["series"][0]["points"][0]["count"], 3, "{by}");
     }
+}
+
+async fn a_range_without_cycles_has_empty_buckets_of_every_measure() {
+    let app = shop().await;
+    sampled(&app).await;
+    let range = "bucket=1h&from=2026-05-01T00:00:00Z&to=2026-05-01T03:00:00Z";
+    let empty = |time: &str| json!({"time": time, "count": 0, "mean": null, "min": null, "max": null, "p50": null, "p95": null});
+    let hours = ["2026-05-01T00:00:00Z", "2026-05-01T01:00:00Z", "2026-05-01T02:00:00Z"].map(empty);
+    for of in ["tool=T1", "machine=M1", "operation=O1", "by=fleet"] {
+        let path = format!("/v1/series?{of}&{range}&measures=energy_joules,duration_ms,wear_level_ratio");
+        let answer = app.get(&path).await.json();
+        let series = answer["series"].as_array().unwrap();
+        let names: Vec<_> = series.iter().map(|one| one["measure"].as_str().unwrap()).collect();
+        assert_eq!(names, ["energy_joules", "duration_ms", "wear_level_ratio"], "{of}");
+        for one in series {
+            assert_eq!(one["points"].as_array().unwrap()[..], hours, "{of}: {one}");
+            assert!(one.get("basis").is_none() && one.get("idle_power").is_none(), "{one}");
+        }
+        let rows = app.get(&format!("/v1/series?{of}&{range}&layout=rows")).await.json();
+        assert_eq!(rows["items"].as_array().unwrap().len(), 3, "{of}");
+    }
+    let csv = text(get_as(&app, &format!("/v1/series?tool=T1&{range}"), "text/csv").await);
+    let lines: Vec<_> = csv.split("\r\n").collect();
+    assert_eq!(lines[1], "2026-05-01T00:00:00.000000Z,T1,energy_joules,J,,,0,,,,,");
 }
 
 async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {

@@ -58,7 +58,8 @@ pub(super) struct SeriesQuery {
 /// What cycles amounted to over time. JSON, CSV, Apache Arrow (IPC stream) or Parquet, as `Accept` says.
 ///
 /// Every bucket of the range is answered: one without cycles has count 0 and nulls. Energies of different bases, and
-/// with idle power in or out of them, are different series. Percentiles are exact, by linear interpolation.
+/// with idle power in or out of them, are different series; where the range has none, one without a basis stands for
+/// them. Percentiles are exact, by linear interpolation.
 #[utoipa::path(
     get, path = "/v1/series", tag = "series", params(SeriesQuery),
     responses(

@@ -157,6 +157,12 @@ pub async fn bucketed(
             collecting.add(&SeriesKey::plain(Measure::WearLevel, &group), bucket(at), level)?;
         }
     }
+    // So is energy, under no basis: which ones there would have been only cycles tell.
+    if let Some(group) = named.filter(|_| measures.contains(&Measure::Energy))
+        && collecting.series.keys().all(|key| key.measure != Measure::Energy)
+    {
+        collecting.open(SeriesKey::plain(Measure::Energy, group))?;
+    }
     let mut series = collecting.series;
     series.values_mut().for_each(Bucketed::settle);
     Ok((buckets, series, seen))

@@ -51,7 +51,7 @@ pub struct SeriesName {
     /// The unit in symbols.
     #[schema(example = "J")]
     pub unit: &'static str,
-    /// For an energy its basis.
+    /// For an energy its basis; left out where the range has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(example = "rated_power")]
     pub basis: Option<&'static str>,
