@@ -84,7 +84,7 @@ async fn go(store: &dyn Store, step: Step, version: u32, who: &Actor) -> StoreRe
 }
 
 /// Drafts and brings into force; returns its number.
-async fn activated(store: &dyn Store, end_feed: f64) -> u32 {
+pub(crate) async fn activated(store: &dyn Store, end_feed: f64) -> u32 {
     let version = draft(store, "P1", end_feed).await;
     go(store, Step::Shadow, version, &engineer()).await.unwrap();
     go(store, Step::Approve, version, &approver()).await.unwrap();
