@@ -274,7 +274,8 @@ pub struct NewCycle {
     /// Generation of the registry that the summary rests on: where another one is in force at the commit, the summary
     /// is made again. `None` where it stands as it is.
     pub generation: Option<i64>,
-    /// Whether its end never came in: it is flagged incomplete, whatever its summary says.
+    /// Whether only a part of it was kept, or its end never came in: it is flagged `incomplete` and `cut_short`, whatever its
+    /// summary says, and does not count for wear.
     pub cut_short: bool,
 }
 

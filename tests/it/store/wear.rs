@@ -5,9 +5,10 @@ use super::given::{
 };
 use feedwright_core::cycle::Flag;
 use feedwright_core::operation::WearSettings;
+use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
-use feedwright_core::wear::{CycleFacts, FoldSettings, ToolFold, ToolState, Verdict};
-use feedwright_store::{Committed, Precondition, Repair, Store};
+use feedwright_core::wear::{CycleFacts, Exclusion, FoldSettings, ToolFold, ToolState, Verdict};
+use feedwright_store::{Committed, NewCycle, Precondition, Repair, Store};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
@@ -23,6 +24,7 @@ stories!(
     an_event_after_the_last_cycle_acts_at_once,
     changed_settings_are_judged_again,
     a_beginning_that_is_told_late_is_the_beginning,
+    cycles_that_were_cut_short_do_not_count_however_they_arrive,
 );
 
 mod tables {
@@ -249,6 +251,57 @@ async fn changed_settings_are_judged_again(store: Arc<dyn Store>) {
     let after = store.verdict(&id).await.unwrap();
     assert_eq!(after, naive(&runs, true, wear));
     assert_ne!(after.level, before.level);
+    assert_clean(&*store).await;
+}
+
+async fn cycles_that_were_cut_short_do_not_count_however_they_arrive(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    // A tenth less than a whole one, which a baseline would take for its scatter.
+    let is_cut = |n: u32| n % 4 == 1;
+    let new = |n: u32, tool: &str| NewCycle {
+        cut_short: is_cut(n),
+        ..Run {
+            tool: tool.to_owned(),
+            id: format!("{tool}-{n}"),
+            load: if is_cut(n) { 27.0 } else { 30.0 },
+            ..Run::nth(n)
+        }
+        .new_cycle()
+    };
+    let mut verdicts = Vec::new();
+    for (tool_id, order) in [("T1", (1..=20).collect::<Vec<_>>()), ("T2", (1..=20).rev().collect())] {
+        store.put_tool(tool(tool_id), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+        mounted(&*store, tool_id, -10).await;
+        for numbers in order.chunks(3) {
+            // Each comes twice, as from a machine that did not hear the first answer.
+            let group = numbers.iter().chain(numbers).map(|n| new(*n, tool_id)).collect();
+            for outcome in store.commit_cycles(group, at(100_000), RecommendSettings::default()).await {
+                assert!(matches!(outcome, Ok(Committed::Stored(_) | Committed::Known(_))), "{outcome:?}");
+            }
+        }
+        let verdict = store.verdict(&tool_id.try_into().unwrap()).await.unwrap();
+        assert_eq!((verdict.state, verdict.cycles, verdict.counted), (ToolState::Good, 20, 15));
+        assert_eq!(verdict.excluded[Exclusion::CutShort as usize], 5, "{verdict:?}");
+        let level = verdict.level.unwrap();
+        assert!((level.lowest, level.highest) == (1.0, 1.0), "{level:?}");
+        verdicts.push((verdict.level, verdict.excluded, verdict.counted));
+    }
+    assert_eq!(verdicts[0], verdicts[1], "late or not");
+    assert_clean(&*store).await;
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.checked, checked.faults), (40, vec![]));
+
+    // A tool of which nothing else is known: nothing can be told, and the feed stays as it is.
+    store.put_tool(tool("T3"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    for n in [1, 5, 9, 13, 17, 21] {
+        let cut = new(n, "T3");
+        let outcome = store.commit_cycles(vec![cut], at(100_000), RecommendSettings::default()).await.pop();
+        let Some(Ok(Committed::Stored(answer))) = outcome else { panic!("{outcome:?}") };
+        assert_eq!(answer.verdict.state, ToolState::Unknown);
+        let advice = &answer.recommendation.recommendation;
+        assert!(advice.reasons.iter().any(|(code, _)| code == "cut_short"), "{:?}", advice.reasons);
+        assert_eq!(advice.override_percent.to_bits(), 100.0_f64.to_bits());
+    }
     assert_clean(&*store).await;
 }
 

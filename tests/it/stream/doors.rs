@@ -119,6 +119,15 @@ async fn a_cycle_longer_or_larger_than_permitted_is_neutral_and_ends_incomplete(
     let stored = machine.end(25).await;
     assert_eq!((&stored["status"], &stored["answer"]["summary"]["sample_count"]), (&json!(201), &json!(20)));
     let flags = stored["answer"]["summary"]["flags"].to_string();
-    assert!(flags.contains("incomplete"), "{flags}");
+    assert!(flags.contains("incomplete") && flags.contains("cut_short"), "{flags}");
+    // What was kept of it says nothing of the tool, and that is why nothing is known of it.
+    let wear = served.get("/v1/tools/T1/wear").await;
+    assert_eq!((&wear["state"], &wear["counted"]), (&json!("unknown"), &json!(0)), "{wear}");
+    assert_eq!(wear["excluded"], json!({"cut_short": 1}));
+    assert_eq!(wear["reasons"][0]["code"], "cut_short", "{wear}");
+    let advice = &stored["answer"]["recommendation"];
+    let told = advice["reasons"].as_array().unwrap();
+    assert!(told.iter().any(|reason| reason["code"] == "cut_short"), "{advice}");
+    assert_eq!(advice["override_percent"], 100.0);
     served.server.shutdown().await.unwrap();
 }

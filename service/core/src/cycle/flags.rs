@@ -40,7 +40,7 @@ flags! {
     Gaps = 6, "gaps";
     /// The machine says it was aborted.
     Aborted = 7, "aborted";
-    /// It did not reach the operation's depth.
+    /// It did not reach the operation's depth as that was on receipt, or was cut short.
     Incomplete = 8, "incomplete";
     /// It began before its tool was mounted, or before any machine of this kind existed.
     ClockSuspect = 9, "clock_suspect";
@@ -59,6 +59,8 @@ flags! {
     ReferenceCycle = 15, "reference_cycle";
     /// The machine says that it is no reference cycle, whatever advice it names.
     NoReferenceCycle = 16, "no_reference_cycle";
+    /// The server kept only a part of it: it had more samples or lasted longer than is kept, or its end never came in.
+    CutShort = 17, "cut_short";
 }
 
 /// A set of quality flags.

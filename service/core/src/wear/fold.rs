@@ -17,7 +17,7 @@ use crate::tool::ToolEventKind;
 use crate::units::{Process, Strategy};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 3;
+pub const FOLD_VERSION: u16 = 4;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
@@ -240,6 +240,11 @@ impl ToolFold {
         }
         if facts.flags.contains(Flag::Aborted) {
             return Err(Exclusion::Aborted);
+        }
+        // Told before anything that could be mended: of this cycle nobody will ever know more. Its `Incomplete` says
+        // nothing here, as that is also told of a depth that the operation may no longer ask for.
+        if facts.flags.contains(Flag::CutShort) {
+            return Err(Exclusion::CutShort);
         }
         let settings = settings.ok_or(Exclusion::OperationUnregistered)?;
         let compared = facts.compared(settings.is_friction).ok_or(Exclusion::NoEnergy)?;

@@ -15,6 +15,9 @@ use crate::units::{Strategy, Timestamp};
 /// A level with so many cycles since, or four windows, is outdated: nothing can be said of the tool as it is now.
 const OUTDATED_CYCLES: u64 = 20;
 
+/// What a cycle that is cut short wants somebody to know.
+const CUT_SHORT: &str = "the server cut it short, as it has more samples or lasts longer than is kept";
+
 /// Shift of the spindle load's falling edge, mm, that may be wear; the paper's worn tool moves the maximum by 2 mm.
 const FALL_SHIFT_MM: f64 = 1.0;
 
@@ -156,7 +159,13 @@ impl ToolFold {
         }
         let age = self.cycles - self.last_counted;
         if age > OUTDATED_CYCLES.max(4 * u64::from(self.window)) {
-            say("level_outdated", format!("none of the last {age} cycles could be counted"));
+            let last = self.last_excluded.last().map(|(_, _, why)| *why);
+            let cut = if last == Some(Exclusion::CutShort) {
+                format!("; the last: {CUT_SHORT}")
+            } else {
+                String::new()
+            };
+            say("level_outdated", format!("none of the last {age} cycles could be counted{cut}"));
             return ToolState::Unknown;
         }
         if !self.unworn {
@@ -215,6 +224,10 @@ impl ToolFold {
             .into_iter()
             .max_by_key(|why| (self.excluded[*why as usize], std::cmp::Reverse(*why)));
         match most.filter(|why| self.excluded[*why as usize] > 0) {
+            Some(Exclusion::CutShort) => (
+                Exclusion::CutShort.as_str(),
+                format!("no cycle of this life could be compared: {CUT_SHORT}"),
+            ),
             Some(why) => (why.as_str(), format!("no cycle of this life could be compared: {}", why.as_str())),
             None => ("no_cycles", "no cycle since the tool was mounted".into()),
         }

@@ -167,6 +167,62 @@ fn aborted_and_incomplete_cycles_are_neither_baselined_nor_counted() {
 }
 
 #[test]
+fn cycles_that_the_server_cut_short_are_neither_baselined_nor_counted() {
+    // A little less energy than a whole one, and the time and depth of one: nothing else tells them apart.
+    let cut = |cycle: &mut CycleFacts| {
+        cycle.flags.insert(Flag::Incomplete);
+        cycle.flags.insert(Flag::CutShort);
+        cycle.energy = Some((EnergyBasis::Dynamometer, false, 0.9 * NEW));
+    };
+    let mut life = Life::new();
+    (0..2).for_each(|_| drop(life.with(cut)));
+    let verdict = life.ratios(&[1.0; 5]);
+    assert_eq!((verdict.state, verdict.counted), (ToolState::Good, 5), "{verdict:?}");
+    assert_eq!(verdict.baselines[0].baseline_joules, Some(NEW));
+    assert_eq!((excluded(&verdict, Exclusion::CutShort), excluded(&verdict, Exclusion::Incomplete)), (2, 0));
+    let level = verdict.level;
+    let verdict = life.with(cut);
+    assert_eq!((verdict.level, verdict.counted, verdict.age_cycles), (level, 5, 1));
+    let (_, cycle, reason) = verdict.last_excluded.last().unwrap();
+    assert_eq!((cycle.as_str(), *reason), ("c8", Exclusion::CutShort));
+    // A tool whose cycles are all cut from now on is no good tool, and why is said.
+    for _ in 0..20 {
+        life.with(cut);
+    }
+    let verdict = life.fold.verdict();
+    assert_eq!((verdict.state, why(&verdict)), (ToolState::Unknown, vec!["level_outdated"]));
+    assert!(verdict.reasons[0].1.contains("cut it short"), "{:?}", verdict.reasons);
+
+    // Flagged incomplete alone: the operation asked for more when it came in, and whether it still does is asked again.
+    let mut shallow = Life::learnt();
+    let verdict = shallow.with(|cycle| cycle.flags.insert(Flag::Incomplete));
+    assert_eq!((verdict.state, verdict.counted), (ToolState::Good, 6));
+    // Aborted by its machine is what it is told as, cut or not.
+    let verdict = shallow.with(|cycle| {
+        cut(cycle);
+        cycle.flags.insert(Flag::Aborted);
+    });
+    assert_eq!((excluded(&verdict, Exclusion::Aborted), excluded(&verdict, Exclusion::CutShort)), (1, 0));
+}
+
+#[test]
+fn a_tool_whose_cycles_are_all_cut_short_is_unknown_and_not_new_afterwards() {
+    let mut life = Life::new();
+    for _ in 0..10 {
+        let verdict = life.with(|cycle| cycle.flags.insert(Flag::CutShort));
+        assert_eq!((verdict.state, why(&verdict)), (ToolState::Unknown, vec!["cut_short"]));
+        assert_eq!((verdict.level, verdict.counted), (None, 0));
+    }
+    let mut fold = ToolFold::default();
+    let mut cycle = facts(1, NEW);
+    cycle.flags.insert(Flag::CutShort);
+    fold.cycle(&cycle, None);
+    assert_eq!(why(&fold.verdict()), ["cut_short"], "registering its operation would not make it count");
+    // They wore it all the same: the first whole cycles are no new tool's.
+    assert!(why(&life.ratios(&[1.0; 6])).contains(&"no_new_tool_baseline"));
+}
+
+#[test]
 fn an_undercut_after_good_cycles_is_suspected_until_a_normal_one_follows() {
     let mut life = Life::learnt();
     let verdict = life.ratio(0.1);
@@ -421,6 +477,7 @@ fn any_cycle() -> impl proptest::strategy::Strategy<Value = CycleFacts> {
                 1 => cycle.energy = None,
                 2 => cycle.coverage = 0.5,
                 3 => cycle.flags.insert(Flag::ClockSuspect),
+                4 => cycle.flags.insert(Flag::CutShort),
                 _ => {}
             }
             cycle

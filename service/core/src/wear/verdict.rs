@@ -83,11 +83,13 @@ pub enum Exclusion {
     ConditionsChanged = 9,
     /// Far off the other cycles that a baseline is learnt from.
     BaselineOutlier = 10,
+    /// The server kept only a part of it, so that nobody knows what the whole took.
+    CutShort = 11,
 }
 
 impl Exclusion {
     /// Every reason, in the order of the codes.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Aborted,
         Self::Incomplete,
         Self::AirCut,
@@ -99,6 +101,7 @@ impl Exclusion {
         Self::OperatorOverride,
         Self::ConditionsChanged,
         Self::BaselineOutlier,
+        Self::CutShort,
     ];
 
     /// The word used in the API.
@@ -115,6 +118,7 @@ impl Exclusion {
             Self::OperatorOverride => "operator_override",
             Self::ConditionsChanged => "conditions_changed",
             Self::BaselineOutlier => "baseline_outlier",
+            Self::CutShort => "cut_short",
         }
     }
 

@@ -320,7 +320,8 @@ impl CycleIntake {
         result
     }
 
-    /// Takes what there is of a cycle whose end never came in: as [`CycleIntake::accept`], flagged incomplete.
+    /// Takes what there is of a cycle that was cut short, or whose end never came in: as [`CycleIntake::accept`], flagged
+    /// `incomplete` and `cut_short`.
     pub async fn accept_incomplete(
         &self,
         machine: &MachineId,

@@ -97,7 +97,7 @@ async fn keep_overrides(
 }
 
 /// Stores what there is of a cycle whose end never came. It has an id of its own, so that the whole cycle, from its
-/// machine's buffer, is stored under the right one later; it is flagged incomplete and does not count.
+/// machine's buffer, is stored under the right one later; it is flagged `incomplete` and `cut_short`, and does not count.
 pub async fn store_incomplete(state: &AppState, machine: &MachineId, cycle: StreamedCycle) {
     let (came, whole) = cycle.running.record().counts();
     if whole == 0 {

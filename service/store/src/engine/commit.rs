@@ -214,6 +214,7 @@ fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> StoreResult<CycleSumm
     };
     summary.flags.insert_if(!registry.tools.contains(&cycle.tool), Flag::ToolUnregistered);
     summary.flags.insert_if(new.cut_short, Flag::Incomplete);
+    summary.flags.insert_if(new.cut_short, Flag::CutShort);
     Ok(summary)
 }
 

@@ -490,8 +490,10 @@ impl CycleRow {
                 differ(name, text(stored), text(anew));
             }
         }
-        // An end that never came and a tool that was not registered are not seen in the samples.
-        let unseen = Flag::ToolUnregistered as i64 | (self.flags & Flag::Incomplete as i64);
+        // What was cut off and a tool that was not registered are not seen in the samples. Cycles that an earlier version cut
+        // short are flagged incomplete alone.
+        let unseen =
+            Flag::ToolUnregistered as i64 | Flag::CutShort as i64 | (self.flags & Flag::Incomplete as i64);
         let held =
             if same_context { !unseen } else { OF_SAMPLES.iter().fold(0, |bits, flag| bits | *flag as i64) };
         if (self.flags ^ again.flags) & held != 0 {

@@ -13,7 +13,7 @@ import { t, told } from "../text.js";
 const asked = new URLSearchParams(location.search);
 const BEAT_MS = 20_000, MOST_CYCLES = 20_000, MOST_TOOLS = 2000;
 /** Each reason has its own shape; there are more reasons than shapes, so the rest share the circle with a dot. */
-const shapes = { aborted: "cross", incomplete: "square", air_cut: "circle", broken_suspected: "octagon", clock_suspect: "dot", no_energy: "dot", low_coverage: "diamond", operation_unregistered: "dot", operator_override: "triangle", conditions_changed: "bar", baseline_outlier: "down" };
+const shapes = { aborted: "cross", incomplete: "square", air_cut: "circle", broken_suspected: "octagon", clock_suspect: "dot", no_energy: "dot", low_coverage: "diamond", operation_unregistered: "dot", operator_override: "triangle", conditions_changed: "bar", baseline_outlier: "down", cut_short: "dot" };
 const glyphs = { square: '<rect x="3" y="3" width="8" height="8"/>', diamond: '<path d="M7 1.5 12.5 7 7 12.5 1.5 7z"/>', triangle: '<path d="M7 2 12 11.5H2z"/>', down: '<path d="M7 12 2 2.5h10z"/>', cross: '<path d="M3 3l8 8M3 11l8-8"/>', circle: '<circle cx="7" cy="7" r="4.5"/>', dot: '<circle cx="7" cy="7" r="4.5"/><circle cx="7" cy="7" r="1" fill="currentColor"/>', octagon: '<path d="M5 2h4l3 3v4l-3 3H5L2 9V5z"/>', bar: '<rect x="2" y="5.5" width="10" height="3"/>' };
 
 let life = null, tool = null, events = [], plots = [], hover = null, who = null;
