@@ -1,18 +1,24 @@
 //! Databases of before: opened by this version, they hold what they held, to the bit.
 
 use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored, tool};
+use feedwright_core::cycle::Flag;
 use feedwright_core::ids::RecommendationId;
+use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
+use feedwright_core::wear::{Exclusion, FOLD_VERSION, ToolState};
 use feedwright_store::transfer::{TableSum, back_up_postgres, back_up_sqlite};
 use feedwright_store::{
-    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Repair, SqliteOptions,
-    SqliteStore, Store,
+    Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Repair,
+    SqliteOptions, SqliteStore, Store,
 };
 use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, SqliteConnection};
 use std::path::{Path, PathBuf};
 
-super::given::stories!(with tables: what_a_database_of_before_holds_is_all_there_and_goes_on);
+super::given::stories!(with tables:
+    what_a_database_of_before_holds_is_all_there_and_goes_on,
+    folds_of_other_rules_are_folded_again,
+);
 
 /// The version before recommendations stood by their machine, and SQLite's folds in an ordinary table; advice was kept
 /// for each machine and tool by itself.
@@ -316,5 +322,75 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
         assert_eq!(answer.verdict.cycles, counted + new, "{:?}", answer.verdict);
         assert!(store.recommendation(&answer.recommendation.id).await.unwrap().is_some());
     }
+    store.close().await;
+}
+
+async fn folds_of_other_rules_are_folded_again(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    // Beyond a checkpoint; the other machine ran the tool for a while, and never again.
+    let new = |n: u32| {
+        let cut_short = n % 9 == 4;
+        let machine = if (20..30).contains(&n) { "M2" } else { "M1" };
+        let load = if cut_short { 27.0 } else { 30.0 };
+        NewCycle { cut_short, ..Run { machine, sampled: false, load, ..Run::nth(n) }.new_cycle() }
+    };
+    let commit = async |store: &dyn Store, numbers: std::ops::RangeInclusive<u32>| {
+        let group = numbers.map(new).collect();
+        for outcome in store.commit_cycles(group, at(100_000), RecommendSettings::default()).await {
+            assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+        }
+    };
+    commit(&*store, 1..=300).await;
+    let id = "T1".try_into().unwrap();
+    let verdict = store.verdict(&id).await.unwrap();
+    assert_eq!((verdict.state, verdict.counted), (ToolState::Good, 267));
+    assert_eq!(verdict.excluded[Exclusion::CutShort as usize], 33);
+    let good = given.wear_states().await;
+    store.close().await;
+
+    // What an earlier version of the rules made of the same cycles says something else, in another form.
+    let of_before = async || {
+        for (table, rows) in [("tool_wear", 2), ("tool_wear_checkpoints", 1)] {
+            let nonsense = if given.is_postgres() { "'\\x0300'::BYTEA" } else { "x'0300'" };
+            let sql = format!(
+                "UPDATE {table} SET fold_version = {}, state = {nonsense}",
+                i32::from(FOLD_VERSION) - 1
+            );
+            assert_eq!(given.raw(AssertSqlSafe(sql)).await.unwrap(), rows, "{table}");
+        }
+    };
+    of_before().await;
+    let store = open(given).await;
+    assert_eq!(store.verdict(&id).await.unwrap(), verdict, "asked for before any cycle comes");
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, [], "and no fault");
+    let repaired = store.check_wear(Repair::AllBut(&std::collections::BTreeSet::new())).await.unwrap();
+    assert_eq!(repaired.different.len(), 2, "a repair makes them at once");
+    assert_eq!(given.wear_states().await, good);
+
+    // A replica of the version before writes them by its own rules while both run: the next cycle here folds them by these.
+    of_before().await;
+    commit(&*store, 302..=302).await;
+    let rest =
+        format!("UPDATE tool_wear SET fold_version = fold_version WHERE fold_version = {FOLD_VERSION}");
+    assert_eq!(
+        given.raw(AssertSqlSafe(rest)).await.unwrap(),
+        2,
+        "also of the machine that does not run it any more"
+    );
+    assert_eq!(given.wear_states().await[1], good[1]);
+    let after = store.verdict(&id).await.unwrap();
+    assert_eq!((after.counted, after.excluded), (268, verdict.excluded));
+    // A late one begins at the checkpoint, which is of these rules again.
+    let late = Run { seconds: 299 * 60 + 30, id: "late".to_owned(), sampled: false, ..Run::nth(303) };
+    assert_eq!(stored(&*store, &late).await.verdict.counted, 269);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+
+    // A cycle that was cut short by the version before is flagged incomplete alone, and is no fault of its samples.
+    let flags =
+        format!("UPDATE cycles SET flags = flags - {} WHERE cycle_id = 'c00004'", Flag::CutShort as u32);
+    assert_eq!(given.raw(AssertSqlSafe(flags)).await.unwrap(), 1);
+    assert_eq!(store.check_cycles(None, 400).await.unwrap().faults, []);
     store.close().await;
 }

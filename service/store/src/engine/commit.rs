@@ -342,6 +342,9 @@ async fn count_tool(
             wear.refold(transaction.conn().await?, &machine, moved).await?;
         }
     }
+    if wear.is_unreadable() {
+        wear.refold_unreadable(transaction.conn().await?).await?;
+    }
     match wear.known_verdict() {
         Some(verdict) => Ok(verdict),
         None => wear.verdict(transaction.conn().await?).await,

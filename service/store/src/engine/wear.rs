@@ -355,6 +355,22 @@ impl ToolWear {
         Ok(())
     }
 
+    /// Folds anew what another version of the fold wrote, or what is damaged, of machines that ran none of the new cycles: the
+    /// tool would otherwise be folded over all of its cycles with every group, until each of them runs it again.
+    pub(super) async fn refold_unreadable(&mut self, conn: &mut Conn) -> StoreResult<()> {
+        for machine in self.machines() {
+            if self.machines.get(&machine).is_some_and(|cached| cached.fold.is_none()) {
+                self.refold(conn, &machine, &BEGINNING).await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a state of some machine cannot be read.
+    pub(super) fn is_unreadable(&self) -> bool {
+        self.machines.values().any(|cached| cached.fold.is_none())
+    }
+
     /// The verdict over all machines, where no cycle has to be read for it: of one machine it is that one's fold.
     pub(super) fn known_verdict(&self) -> Option<Verdict> {
         let mut caches = self.machines.values();
