@@ -22,8 +22,13 @@ stories!(
 );
 
 mod tables {
-    use super::a_group_that_fails_at_its_end_leaves_nothing_open;
-    super::stories!(with tables: a_group_that_fails_at_its_end_leaves_nothing_open);
+    use super::{
+        a_group_that_fails_at_its_end_leaves_nothing_open, what_has_a_hash_of_the_first_version_is_known,
+    };
+    super::stories!(with tables:
+        a_group_that_fails_at_its_end_leaves_nothing_open,
+        what_has_a_hash_of_the_first_version_is_known,
+    );
 }
 
 async fn a_cycle_is_found_again_to_the_bit(store: Arc<dyn Store>) {
@@ -71,6 +76,34 @@ async fn a_cycle_is_new_then_known_then_a_conflict(store: Arc<dyn Store>) {
     );
     let kept = store.cycle(&"M1".try_into().unwrap(), &"c00001".try_into().unwrap()).await.unwrap().unwrap();
     assert_eq!(kept.summary, first.summary);
+}
+
+/// As an earlier version stored it.
+async fn what_has_a_hash_of_the_first_version_is_known(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    stored(&*store, &Run::nth(1)).await;
+    let first = if given.is_postgres() {
+        "UPDATE cycles SET content_hash = decode('450ce43029e1c9ad33eff7b0bed237527799e1002d7802c2104052be0a0cac5b', 'hex')"
+    } else {
+        "UPDATE cycles SET content_hash = x'450ce43029e1c9ad33eff7b0bed237527799e1002d7802c2104052be0a0cac5b'"
+    };
+    assert_eq!(given.raw(first).await.unwrap(), 1);
+    let again = commit(&*store, &[Run::nth(1)]).await;
+    assert!(matches!(&again[..], [Ok(Committed::Known(_))]), "{again:?}");
+    let other = commit(&*store, &[Run { load: 31.0, ..Run::nth(1) }]).await;
+    assert!(matches!(&other[..], [Ok(Committed::Conflict { .. })]), "{other:?}");
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.checked, checked.faults.as_slice()), (1, [].as_slice()));
+    // A hash of neither version is of another content.
+    let damaged = if given.is_postgres() {
+        "UPDATE cycles SET content_hash = decode(repeat('00', 32), 'hex')"
+    } else {
+        "UPDATE cycles SET content_hash = zeroblob(32)"
+    };
+    assert_eq!(given.raw(damaged).await.unwrap(), 1);
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!(checked.faults.iter().map(|fault| fault.kind).collect::<Vec<_>>(), ["hash"]);
 }
 
 async fn duplicates_inside_a_group_are_seen(store: Arc<dyn Store>) {
