@@ -1,7 +1,7 @@
 //! The content hash, as the module above lays it out.
 //!
-//! The first version hashed each value of a column as eight bytes, most of them zeros, which took longer than to put a
-//! body's numbers into columns. Cycles that were stored under it keep it: [`is_hash_of`] knows both.
+//! The first version hashed each value of a column as eight bytes, most of them zeros. Cycles that were
+//! stored under it keep it: [`is_hash_of`] knows both.
 
 use super::column::{Column, Columns, Time};
 use crate::record::ContentHash;
