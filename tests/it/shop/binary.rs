@@ -134,7 +134,7 @@ async fn frames_that_are_too_large_torn_or_foreign_are_refused_and_not_kept() {
     let mut changed = good.clone();
     changed[20] ^= 1;
     let (torn, longer) = (good[..good.len() - 1].to_vec(), [good.as_slice(), &[0]].concat());
-    for bytes in [torn, longer, changed, b"FWD\x01".to_vec(), b"FWC\x02".to_vec()] {
+    for bytes in [torn, longer, changed, b"FWD\x01".to_vec(), b"FWC\x02".to_vec(), Vec::new()] {
         assert_eq!(refused(&post(&shop, bytes).await), (400, "malformed_cycle".to_owned()));
     }
     let as_json = shop.post_raw(CYCLES, "application/json", good).await;

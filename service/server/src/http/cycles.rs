@@ -52,7 +52,11 @@ pub async fn post_cycle(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let (_, json) = decoded_body(&state, request, "application/json").await?;
+    let (form, json) = decoded_body(&state, request, "application/json").await?;
+    // A batch may be of none, a cycle is none without a frame.
+    if form == Form::Binary && json.is_empty() {
+        return Err(no_frame());
+    }
     // The client may hang up; what was taken in goes on to its commit all the same.
     let intake = state.intake.clone();
     let accepting = async move { intake.accept(&machine, json, Refused::ToQuarantine).await };

@@ -2,6 +2,7 @@
 
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
+use std::borrow::Cow;
 use std::cell::RefCell;
 use std::fmt::Write;
 
@@ -103,16 +104,30 @@ pub fn after_ms(at: Timestamp, millis: f64) -> Timestamp {
     Timestamp::from_micros(at.micros().saturating_add((millis * 1000.0).round() as i64))
 }
 
-/// Reads RFC 3339 with any offset, from the year 1 on; digits finer than a microsecond are cut off.
+/// Digits of a second that the library reads.
+const FRACTION_DIGITS: usize = 9;
+
+/// Reads RFC 3339 with any offset, from the year 1 on; a time finer than a microsecond is the last whole one before it.
 pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
     let invalid = |message| Violation::new(path, "invalid_timestamp", message);
     if !is_rfc3339(text) {
         return Err(invalid("must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z"));
     }
-    let at = text.parse::<jiff::Timestamp>().ok().map(jiff::Timestamp::as_microsecond);
+    let nanos = within_digits(text).parse::<jiff::Timestamp>().ok().map(jiff::Timestamp::as_nanosecond);
+    let at = nanos.and_then(|nanos| i64::try_from(nanos.div_euclid(1000)).ok());
     at.filter(|micros| *micros >= FIRST_US).map(Timestamp::from_micros).ok_or_else(|| {
         invalid("must be a time that there is, from 0001-01-01T00:00:00Z to 9999-12-30T22:00:00Z")
     })
+}
+
+/// The same without digits of the second that are finer than [`FRACTION_DIGITS`]: RFC 3339 allows any number of them.
+fn within_digits(text: &str) -> Cow<'_, str> {
+    let Some((seconds, fraction)) = text.split_once('.') else { return Cow::Borrowed(text) };
+    let offset = fraction.trim_start_matches(|digit: char| digit.is_ascii_digit());
+    match fraction[..fraction.len() - offset.len()].get(..FRACTION_DIGITS) {
+        Some(digits) => Cow::Owned(format!("{seconds}.{digits}{offset}")),
+        None => Cow::Borrowed(text),
+    }
 }
 
 /// Whether a text has the form of RFC 3339: the library reads more (years of six digits, shorter offsets, offsets of more
@@ -221,6 +236,10 @@ mod tests {
             ("2026-05-05t06:00:00.5z", "2026-05-05T06:00:00.5Z"),
             ("2026-05-05 06:00:00-23:59", "2026-05-06T05:59:00Z"),
             ("9999-12-30T22:00:00Z", "9999-12-30T22:00:00Z"),
+            ("2026-05-05T06:00:00.1234569Z", "2026-05-05T06:00:00.123456Z"),
+            ("2026-05-05T06:00:00.12345678999999999+02:00", "2026-05-05T04:00:00.123456Z"),
+            ("1969-12-31T23:59:59.9999999Z", "1969-12-31T23:59:59.999999Z"),
+            ("1969-12-31T23:59:59.9999990Z", "1969-12-31T23:59:59.999999Z"),
         ] {
             assert_eq!(read("at", text).map(show).as_deref(), Ok(shown), "{text}");
         }
