@@ -7,7 +7,7 @@ use super::extract::{PathId, Query};
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
 use crate::ingest::body::{cycle_id_of, is_frame};
-use crate::ingest::content::{ContentError, Encoding, decompress};
+use crate::ingest::content::{ContentError, Encoding, Unpacked};
 use crate::ingest::intake::{Accepted, Refused};
 use crate::state::AppState;
 use axum::Json;
@@ -52,14 +52,18 @@ pub async fn post_cycle(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let (form, json) = decoded_body(&state, request, "application/json").await?;
+    let (form, Unpacked { bytes: json, place }) = decoded_body(&state, request, "application/json").await?;
     // A batch may be of none, a cycle is none without a frame.
     if form == Form::Binary && json.is_empty() {
         return Err(no_frame());
     }
     // The client may hang up; what was taken in goes on to its commit all the same.
     let intake = state.intake.clone();
-    let accepting = async move { intake.accept(&machine, json, Refused::ToQuarantine).await };
+    let accepting = async move {
+        let accepted = intake.accept(&machine, json, Refused::ToQuarantine).await;
+        drop(place);
+        accepted
+    };
     let accepted =
         state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))??;
     let status = if accepted.new { StatusCode::CREATED } else { StatusCode::OK };
@@ -92,7 +96,8 @@ pub async fn post_batch(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let (form, body) = decoded_body(&state, request, "application/x-ndjson").await?;
+    // The place is kept until all of it is answered.
+    let (form, Unpacked { bytes: body, place: _place }) = decoded_body(&state, request, LINES).await?;
     if state.store.machine(&machine).await?.is_none() {
         let detail = format!("there is no machine `{machine}`");
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
@@ -227,18 +232,24 @@ enum Form {
     Binary,
 }
 
+/// Media type of a batch of JSON.
+const LINES: &str = "application/x-ndjson";
+
 /// Reads a body of that media type or the binary one, decompressed within its bounds.
 async fn decoded_body(
     state: &AppState,
     request: Request,
     kind: &'static str,
-) -> Result<(Form, Bytes), Problem> {
+) -> Result<(Form, Unpacked), Problem> {
     let (form, encoding) = encoding_of(request.headers(), kind)?;
     let bytes = read(request, state).await?;
-    let body = if encoding == Encoding::Identity { bytes } else { decoded(state, encoding, bytes).await? };
+    let body = match encoding {
+        Encoding::Identity => Unpacked { bytes, place: None },
+        _ => unpacked(state, encoding, bytes, kind == LINES).await?,
+    };
     // The body itself says which form it has; a header that says otherwise is a mistake to be told.
-    match (form, is_frame(&body)) {
-        (Form::Binary, false) if !body.is_empty() => Err(no_frame()),
+    match (form, is_frame(&body.bytes)) {
+        (Form::Binary, false) if !body.bytes.is_empty() => Err(no_frame()),
         (Form::Json, true) => Err(Problem::bad_request(
             "malformed_json",
             format!("the body is no JSON but binary: send it as {}", wire::MEDIA_TYPE),
@@ -251,16 +262,20 @@ fn no_frame() -> Problem {
     Problem::bad_request("malformed_cycle", "the body is no cycle: it does not begin with FWC")
 }
 
-async fn decoded(state: &AppState, encoding: Encoding, bytes: Bytes) -> Result<Bytes, Problem> {
-    let limits = state.config.limits;
-    let unpack = move || decompress(encoding, bytes.to_vec(), limits.decoded_bytes);
-    let unpacked =
-        tokio::task::spawn_blocking(unpack).await.map_err(|error| Problem::internal(error.to_string()))?;
-    unpacked.map(Bytes::from).map_err(|error| match error {
+async fn unpacked(
+    state: &AppState,
+    encoding: Encoding,
+    bytes: Bytes,
+    of_batch: bool,
+) -> Result<Unpacked, Problem> {
+    let bound = state.config.limits.decoded_bytes;
+    let unpacked = state.intake.unpacker(of_batch).unpack(encoding, bytes, bound).await;
+    let unpacked = unpacked.ok_or_else(|| Problem::internal("decompressing a body was given up"))?;
+    unpacked.map_err(|error| match error {
         ContentError::TooLarge => Problem::new(
             StatusCode::PAYLOAD_TOO_LARGE,
             "decoded_body_too_large",
-            format!("the body grows beyond {} bytes when it is decompressed", limits.decoded_bytes),
+            format!("the body grows beyond {bound} bytes when it is decompressed"),
         ),
         ContentError::Malformed(why) => {
             Problem::bad_request("malformed_encoding", format!("the body cannot be decompressed: {why}"))
@@ -272,10 +287,7 @@ fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encodin
     let form = match (media_type(headers).as_deref(), kind) {
         (Some(wire::MEDIA_TYPE), _) => Form::Binary,
         (Some(given), wanted) if given == wanted => Form::Json,
-        (
-            Some("application/jsonl" | "application/jsonlines" | "application/ndjson"),
-            "application/x-ndjson",
-        ) => Form::Json,
+        (Some("application/jsonl" | "application/jsonlines" | "application/ndjson"), LINES) => Form::Json,
         (_, "application/json") => {
             return Err(unsupported("send a cycle as application/json or application/vnd.feedwright.cycle"));
         }

@@ -18,7 +18,7 @@ use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, Recommend
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_store::wire;
-use serde::de::{Error as _, MapAccess, Visitor};
+use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
 
@@ -177,7 +177,7 @@ pub fn decode(
     max_samples: usize,
     now: Timestamp,
 ) -> Result<Cycle, BodyError> {
-    let body = if is_frame(body) { frame::read(body, max_samples)? } else { parse(body)? };
+    let body = if is_frame(body) { frame::read(body, max_samples)? } else { parse(body, max_samples)? };
     checked(machine, body, max_samples, now)
 }
 
@@ -193,6 +193,7 @@ pub fn decode_by_serde(
     max_samples: usize,
     now: Timestamp,
 ) -> Result<Cycle, BodyError> {
+    bear(json, max_samples)?;
     checked(machine, parse_by_serde(json)?, max_samples, now)
 }
 
@@ -228,15 +229,35 @@ fn any_cycle_id_of(body: &[u8]) -> Option<String> {
     serde_json::from_slice::<OnlyId>(body).ok().map(|body| body.cycle_id)
 }
 
-fn parse(json: &[u8]) -> Result<Body, BodyError> {
+fn parse(json: &[u8], max_samples: usize) -> Result<Body, BodyError> {
+    bear(json, max_samples)?;
     reader::read(json).map_or_else(|| parse_by_serde(json), Ok)
 }
 
 fn parse_by_serde(json: &[u8]) -> Result<Body, BodyError> {
-    json::read(json).map_err(|wrong| match wrong {
+    json::read(json).map_err(|wrong| refusal(json, wrong))
+}
+
+fn refusal(json: &[u8], wrong: Wrong) -> BodyError {
+    match wrong {
         Wrong::Malformed(why) => BodyError::Malformed(why),
         Wrong::Field(violation) => BodyError::Invalid(vec![told(json, violation)]),
-    })
+    }
+}
+
+/// Refuses a body with more values than all columns of a cycle together, before any of them is kept: a compressed body of
+/// some hundred kilobytes may hold tens of millions, which take eight bytes each.
+fn bear(json: &[u8], max_samples: usize) -> Result<(), BodyError> {
+    // Times are a column too. One value more than a column may have is told by the column.
+    let most = (max_samples.saturating_add(1)).saturating_mul(Channel::ALL.len() + 1);
+    // A value takes a digit and a comma at the least, so that a usual body is not looked through.
+    if json.len() / 2 <= most || json.iter().filter(|byte| **byte == b',').count() <= most {
+        return Ok(());
+    }
+    json::read::<IgnoredAny>(json).map_err(|wrong| refusal(json, wrong))?;
+    let message =
+        format!("may hold at most {max_samples} samples, has more values than so many of all channels");
+    Err(BodyError::Invalid(vec![Violation::new("samples", "too_many_samples", message)]))
 }
 
 /// What a cycle's body tells in words of its own: null, and a number beyond every other, which is told like NaN.

@@ -1,6 +1,9 @@
 //! Content encodings: gzip and zstd, with a bound on what comes out.
 
+use bytes::Bytes;
 use std::io::Read;
+use std::sync::Arc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// How a body is compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,6 +38,54 @@ pub enum ContentError {
     TooLarge,
     /// It is not of that encoding, or torn.
     Malformed(String),
+}
+
+/// Decompressed bodies up to this are kept as many as there are, bytes.
+const SMALL_BYTES: usize = 256 * 1024;
+/// Larger ones that one unpacker keeps at once: each may be a thousand times what was sent.
+const LARGE_AT_ONCE: usize = 4;
+
+/// Decompresses bodies, few at a time.
+#[derive(Debug)]
+pub struct Unpacker {
+    places: Arc<Semaphore>,
+}
+
+/// A decompressed body.
+#[derive(Debug)]
+pub struct Unpacked {
+    /// The body.
+    pub bytes: Bytes,
+    /// The place of a large one among the few there are, given back where this is dropped: with the body itself.
+    pub place: Option<OwnedSemaphorePermit>,
+}
+
+impl Default for Unpacker {
+    fn default() -> Self {
+        Self { places: Arc::new(Semaphore::new(LARGE_AT_ONCE)) }
+    }
+}
+
+impl Unpacker {
+    /// As [`decompress`], off the threads that serve connections. Waits until there is a place.
+    ///
+    /// # Errors
+    ///
+    /// `None` where the process ends.
+    pub async fn unpack(
+        &self,
+        encoding: Encoding,
+        bytes: Bytes,
+        bound: usize,
+    ) -> Option<Result<Unpacked, ContentError>> {
+        let place = self.places.clone().acquire_owned().await.ok()?;
+        let unpack = move || decompress(encoding, bytes.to_vec(), bound);
+        let unpacked = tokio::task::spawn_blocking(unpack).await.ok()?;
+        Some(unpacked.map(|bytes| {
+            let place = (bytes.len() > SMALL_BYTES).then_some(place);
+            Unpacked { bytes: bytes.into(), place }
+        }))
+    }
 }
 
 /// Decompresses `bytes`, never holding more than `bound` bytes of output.
@@ -90,6 +141,28 @@ mod tests {
             assert!(bomb.len() < 100_000);
             assert_eq!(decompress(encoding, bomb, 1 << 20), Err(ContentError::TooLarge), "{encoding:?}");
         }
+    }
+
+    #[tokio::test]
+    async fn few_large_bodies_are_kept_at_once() {
+        let unpacker = Unpacker::default();
+        let unpack = async |bytes: usize| {
+            let packed = Bytes::from(gzip(&vec![b' '; bytes]));
+            unpacker.unpack(Encoding::Gzip, packed, 1 << 20).await.unwrap()
+        };
+        let mut kept = Vec::new();
+        for _ in 0..LARGE_AT_ONCE {
+            kept.push(unpack(SMALL_BYTES + 1).await.unwrap());
+        }
+        let mut next = Box::pin(unpack(SMALL_BYTES));
+        assert!(futures_util::poll!(&mut next).is_pending());
+        assert_eq!(unpacker.places.available_permits(), 0, "it waits for a place");
+        kept.pop();
+        assert_eq!(next.await.unwrap().bytes.len(), SMALL_BYTES);
+        let small = unpack(SMALL_BYTES).await.unwrap();
+        assert!(small.place.is_none(), "small ones need none once they are decompressed");
+        assert_eq!(unpack(2 << 20).await.unwrap_err(), ContentError::TooLarge);
+        assert_eq!(unpacker.places.available_permits(), 1, "refused ones keep none");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The intake: one way for every cycle, whether posted, in a batch or out of quarantine.
 
 use super::body::{self, BodyError};
+use super::content::Unpacker;
 use super::writer::{self, Answered, Bounds, WriteError, WriterHandle, WriterObserver};
 use crate::clock::Clock;
 use crate::config::Config;
@@ -83,6 +84,8 @@ pub struct CycleIntake {
     writer: RwLock<Option<WriterHandle>>,
     writing: Mutex<Option<JoinHandle<()>>>,
     preparing: Semaphore,
+    singles: Unpacker,
+    batches: Unpacker,
 }
 
 /// What the writer tells metrics and the life of the process.
@@ -129,7 +132,14 @@ impl CycleIntake {
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
             preparing: Semaphore::new(BATCHES_PREPARED),
+            singles: Unpacker::default(),
+            batches: Unpacker::default(),
         }
+    }
+
+    /// Where bodies of single cycles are decompressed, or of batches: those take long, and nobody else waits for them.
+    pub(crate) const fn unpacker(&self, of_batches: bool) -> &Unpacker {
+        if of_batches { &self.batches } else { &self.singles }
     }
 
     /// Machines that were heard of since the watch's last round.

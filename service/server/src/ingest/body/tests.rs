@@ -154,6 +154,33 @@ fn values_out_of_their_words_and_ranges_are_named() {
 }
 
 #[test]
+fn more_values_than_any_cycle_has_are_refused_before_they_are_kept() {
+    let most = 1001 * (Channel::ALL.len() + 1);
+    let values = |count: usize| vec!["1"; count].join(",");
+    let of_many = |count| samples(&format!(r#""depth_mm":[{}]"#, values(count)));
+    let told = |json: &str| match of(json) {
+        Err(BodyError::Invalid(wrong)) => wrong[0].message.contains("of all channels"),
+        other => panic!("{other:?}"),
+    };
+    assert!(!told(&of_many(1001)), "so few are told by how many they are");
+    for count in [most + 1, 10 * most] {
+        let json = of_many(count);
+        assert_eq!(refusal(&json), (String::from("samples"), "too_many_samples"));
+        assert!(told(&json));
+        let slow = decode_by_serde(&MachineId::try_from("M1").unwrap(), json.as_bytes(), 1000, NOW);
+        assert_eq!(slow, of(&json));
+        let torn = &json[..json.len() - 1];
+        assert!(matches!(of(torn), Err(BodyError::Malformed(_))), "whether it is JSON at all comes first");
+        let not_finite = json.replacen("[1", "[NaN", 1);
+        assert_eq!(refusal(&not_finite), (String::from("samples.depth_mm[0]"), "not_finite"));
+    }
+    // As many as there may be, in as long a body.
+    let all = Channel::ALL.iter().map(|channel| format!(r#""{}":[{}]"#, channel.as_str(), values(1000)));
+    let all = samples(&all.collect::<Vec<_>>().join(", ")) + &" ".repeat(4 * most);
+    assert!(of(&all).is_ok(), "{:?}", of(&all));
+}
+
+#[test]
 fn every_violation_is_told_at_once() {
     let json = r#"{"cycle_id":"-","tool":"","operation":"O 1","started_at":"now",
         "samples":{"period_ms":10,"depth_mm":[1,2],"spindle_load_percent":[1]}}"#;
