@@ -549,7 +549,7 @@ impl Store for Engine {
             };
             let tool = next.clone();
             let found: StoreResult<_> = if repair.folds(&tool) {
-                register!(self, |conn| check::tool(conn, &tool, true).await)
+                write!(self, |conn| check::tool(conn, &tool, true).await)
             } else {
                 snapshot!(self, |conn| check::tool(conn, &tool, false).await)
             };
