@@ -40,6 +40,10 @@ pub trait Store: Send + Sync + 'static {
         settings: RecommendSettings,
     ) -> Vec<StoreResult<Committed>>;
 
+    /// Asks the database for a word: it waits for no lock and for no disk, so that only a database that is away, or whose
+    /// connections are all taken, does not answer.
+    async fn answers(&self) -> StoreResult<()>;
+
     /// Proves that the database takes writes, by one.
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
 

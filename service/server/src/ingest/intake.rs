@@ -1,6 +1,7 @@
 //! The intake: one way for every cycle, whether posted, in a batch or out of quarantine.
 
 use super::body::{self, BodyError};
+use super::pulse::Pulse;
 use super::writer::{self, Answered, Bounds, WriteError, WriterHandle, WriterObserver};
 use crate::clock::Clock;
 use crate::config::Config;
@@ -83,6 +84,7 @@ pub struct CycleIntake {
     writer: RwLock<Option<WriterHandle>>,
     writing: Mutex<Option<JoinHandle<()>>>,
     preparing: Semaphore,
+    pulse: Pulse,
 }
 
 /// What the writer tells metrics and the life of the process.
@@ -129,6 +131,7 @@ impl CycleIntake {
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
             preparing: Semaphore::new(BATCHES_PREPARED),
+            pulse: Pulse::of(store.clone()),
         }
     }
 
@@ -190,7 +193,7 @@ impl CycleIntake {
     /// Everything after the queue: what the commit came to.
     async fn settle(&self, queued: Queued, refused: Refused) -> Result<Accepted, Problem> {
         let Queued { cycle, json, answered } = queued;
-        let outcome = answered.await.map_err(|_| closing())?;
+        let outcome = self.pulse.wait(answered).await.ok_or_else(closing)?;
         match outcome? {
             Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
             Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),

@@ -79,14 +79,15 @@ macro_rules! snapshot {
 
 impl Engine {
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
-    /// all is found by its key and answered as known.
+    /// all is found by its key and answered as known. Not again where the server could not be reached in all of a
+    /// connection's patience: machines wait, and send again what is not acknowledged.
     async fn commit_group(
         &self,
         group: &Arc<[NewCycle]>,
         now: Timestamp,
         settings: RecommendSettings,
     ) -> StoreResult<Vec<Committed>> {
-        let mut attempt = 1;
+        let (mut attempt, mut unknown) = (1, false);
         loop {
             let cycles = Arc::clone(group);
             let registry = Arc::clone(self.registry());
@@ -106,10 +107,15 @@ impl Engine {
                     self.memory().put(memory);
                     return Ok(answers);
                 }
-                Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))
-                    if attempt < dialect::COMMIT_ATTEMPTS =>
+                Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_)))
+                    if attempt < dialect::COMMIT_ATTEMPTS && !self.is_away(&error) =>
                 {
                     attempt += 1;
+                    unknown |= matches!(error, StoreError::OutcomeUnknown(_));
+                }
+                // What an attempt before this one may have committed is not undone by this one.
+                Err(StoreError::Unavailable(error)) if unknown => {
+                    return Err(StoreError::OutcomeUnknown(error));
                 }
                 Err(error) => return Err(error),
             }
@@ -145,6 +151,12 @@ impl Store for Engine {
             }));
         }
         outcomes
+    }
+
+    async fn answers(&self) -> StoreResult<()> {
+        read!(self, |conn| {
+            sqlx::query::<Db>("SELECT 1").execute(&mut *conn).await.map(|_| ()).map_err(StoreError::from)
+        })
     }
 
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()> {
