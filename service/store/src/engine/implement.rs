@@ -10,6 +10,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
 };
+use crate::locks::Locks;
 use crate::notice::Notices;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::Group;
@@ -548,6 +549,22 @@ impl Store for Engine {
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife> {
         let tool = tool.clone();
         snapshot!(self, |conn| life::of(conn, &tool, most).await)
+    }
+
+    async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
+        read!(self, |conn| wear::next_outdated(conn, after).await)
+    }
+
+    async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool> {
+        let tool = tool.clone();
+        write!(self, |conn| {
+            dialect::lock(conn, &Locks::tool(&tool)).await?;
+            let Some(verdict) = wear::renew(conn, &tool, now).await? else {
+                return Ok(false);
+            };
+            alarms::follow_verdict(conn, &tool, &verdict, now).await?;
+            Ok(true)
+        })
     }
 
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck> {
