@@ -98,7 +98,7 @@ mod tests {
         Pulse { ask: Box::new(ask), late: moment, patience: moment, asked: Mutex::default() }
     }
 
-    fn unknown(answer: Option<StoreResult<Committed>>) -> bool {
+    fn unknown(answer: &Option<StoreResult<Committed>>) -> bool {
         matches!(answer, Some(Err(StoreError::OutcomeUnknown(_))))
     }
 
@@ -121,7 +121,7 @@ mod tests {
     #[tokio::test]
     async fn a_database_that_refuses_or_says_nothing_is_not_waited_for() {
         let (_held, answered) = oneshot::channel();
-        assert!(unknown(pulse(|| Box::pin(async { false })).wait(answered).await));
+        assert!(unknown(&pulse(|| Box::pin(async { false })).wait(answered).await));
 
         // One question stands for all who wait, also for those who come when it is an old one.
         let asked = Arc::new(AtomicU32::new(0));
@@ -132,7 +132,7 @@ mod tests {
         });
         for _ in 0..3 {
             let (_held, answered) = oneshot::channel();
-            assert!(unknown(silent.wait(answered).await));
+            assert!(unknown(&silent.wait(answered).await));
         }
         assert_eq!(asked.load(Ordering::Relaxed), 1);
     }
