@@ -15,6 +15,7 @@ use feedwright_server::server::{RunningServer, Server};
 use feedwright_store::{PostgresOptions, PostgresStore, SqliteOptions, SqliteStore, Store};
 use secrecy::ExposeSecret;
 use serde_json::{Value, json};
+use sqlx::{ConnectOptions, Connection};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -64,7 +65,9 @@ impl Shop {
 
     /// Shuts the server down and starts another one on the same data.
     pub(crate) async fn restart(mut self) -> Self {
-        self.server.take().unwrap().shutdown().await.unwrap();
+        if self.server.is_some() {
+            self.stop().await;
+        }
         Self::start(self.dir.take().unwrap(), self.database.take(), &self.admin).await
     }
 
@@ -99,6 +102,47 @@ impl Shop {
 
     pub(crate) async fn cycle(&self, machine: &str, body: &Value) -> Answer {
         self.post(&format!("/v1/machines/{machine}/cycles"), body).await
+    }
+
+    /// Flags a stored cycle as one of which the server kept a part, as a stream's is that is too long.
+    pub(crate) async fn cut_short(&self, cycle: &str) {
+        let flag = feedwright_core::cycle::Flag::CutShort as u32;
+        let sql = format!("UPDATE cycles SET flags = flags + {flag} WHERE cycle_id = '{cycle}'");
+        assert_eq!(self.tables(&sql).await, 1);
+    }
+
+    /// Runs a statement on the tables themselves; says how many rows it changed.
+    pub(crate) async fn tables(&self, sql: &str) -> u64 {
+        let query = sqlx::AssertSqlSafe(sql.to_owned());
+        match &self.database {
+            None => sqlx::query(query).execute(&mut self.file().await).await.unwrap().rows_affected(),
+            Some(address) => {
+                let mut conn = sqlx::PgConnection::connect(address).await.unwrap();
+                sqlx::query(query).execute(&mut conn).await.unwrap().rows_affected()
+            }
+        }
+    }
+
+    /// Rows of a table of which something holds.
+    pub(crate) async fn count(&self, table: &str, holds: &str) -> i64 {
+        let query = sqlx::AssertSqlSafe(format!("SELECT COUNT(*) FROM {table} WHERE {holds}"));
+        match &self.database {
+            None => sqlx::query_scalar(query).fetch_one(&mut self.file().await).await.unwrap(),
+            Some(address) => {
+                let mut conn = sqlx::PgConnection::connect(address).await.unwrap();
+                sqlx::query_scalar(query).fetch_one(&mut conn).await.unwrap()
+            }
+        }
+    }
+
+    async fn file(&self) -> sqlx::SqliteConnection {
+        let file = self.dir.as_ref().unwrap().path().join("feedwright.sqlite3");
+        sqlx::sqlite::SqliteConnectOptions::new().filename(file).connect().await.unwrap()
+    }
+
+    /// Shuts the server down.
+    async fn stop(&mut self) {
+        self.server.take().unwrap().shutdown().await.unwrap();
     }
 
     pub(crate) fn url(&self, path: &str) -> String {

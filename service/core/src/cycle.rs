@@ -47,6 +47,28 @@ impl Outcome {
     }
 }
 
+/// How much of a cycle was recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// All of it, to its programmed end.
+    Whole,
+    /// Until its machine stopped it.
+    Aborted,
+    /// Until the server kept no more of it.
+    CutShort,
+}
+
+impl Extent {
+    /// Of a cycle that ended so and is flagged so; what was aborted is told first, as by wear.
+    pub const fn of(outcome: Outcome, flags: Flags) -> Self {
+        match outcome {
+            Outcome::Aborted => Self::Aborted,
+            Outcome::Completed if flags.contains(Flag::CutShort) => Self::CutShort,
+            Outcome::Completed => Self::Whole,
+        }
+    }
+}
+
 /// The version of a feed profile that a cycle ran.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ProfileVersion {

@@ -6,5 +6,6 @@ pub mod body;
 pub mod content;
 pub mod intake;
 mod number;
+mod pulse;
 pub(crate) mod scan;
 pub mod writer;

@@ -19,6 +19,7 @@ pub mod lifecycle;
 pub mod live;
 pub mod metrics;
 mod readiness;
+mod refold;
 pub mod replay;
 pub mod retention;
 pub mod series;

@@ -94,6 +94,7 @@ impl Server {
             _ => None,
         };
         crate::retention::start(&state);
+        crate::refold::start(&state);
         crate::live::start(&state);
         crate::stream::start(&state);
         crate::watch::start(&state);

@@ -112,6 +112,14 @@ impl PostgresStore {
         false
     }
 
+    /// Whether nobody connected in time, and not for want of a connection that others have.
+    fn is_away(&self, error: &StoreError) -> bool {
+        let StoreError::Unavailable(source) = error else { return false };
+        let pool = &self.inner.pool;
+        let all_lent = pool.size() >= pool.options().get_max_connections() && pool.num_idle() == 0;
+        matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) && !all_lent
+    }
+
     async fn measure(&self) -> StoreResult<DatabaseUsage> {
         let bytes: i64 = sqlx::query_scalar("SELECT pg_database_size(current_database())")
             .fetch_one(&mut *self.reader().await?)

@@ -101,6 +101,12 @@ impl SqliteStore {
         self.inner.alone
     }
 
+    /// A file is there.
+    #[expect(clippy::unused_self, reason = "the other engine's server may be away")]
+    const fn is_away(&self, _error: &StoreError) -> bool {
+        false
+    }
+
     async fn measure(&self) -> StoreResult<DatabaseUsage> {
         let mut reader = self.reader().await?;
         let pages: i64 = sqlx::query_scalar("PRAGMA page_count").fetch_one(&mut *reader).await?;

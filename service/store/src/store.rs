@@ -40,6 +40,10 @@ pub trait Store: Send + Sync + 'static {
         settings: RecommendSettings,
     ) -> Vec<StoreResult<Committed>>;
 
+    /// Asks the database for a word: it waits for no lock and for no disk, so that only a database that is away, or whose
+    /// connections are all taken, does not answer.
+    async fn answers(&self) -> StoreResult<()>;
+
     /// Proves that the database takes writes, by one.
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()>;
 
@@ -283,6 +287,10 @@ pub trait Store: Send + Sync + 'static {
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
     /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
+    /// The next registered tool after `after` with a fold that an earlier version of the rules made.
+    async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>>;
+    /// Makes a tool's folds of earlier rules anew, durably, and has its alarms follow; `false` where there are none any more.
+    async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair` says so. A tool whose
     /// cycles cannot be read is named.
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck>;

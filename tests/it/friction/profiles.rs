@@ -343,6 +343,38 @@ async fn a_profile_is_learnt_from_cycles_and_its_prediction_held_against_the_nex
     assert!(number(&outcome.body["within_share"]) >= 0.5, "{}", outcome.text);
     // How the prediction turned out is what the next one is trusted by.
     let scale = number(&outcome.body["spread_scale"]);
+    assert_eq!(outcome.body["skipped_cycles"], json!([]));
+    // Of half a hole nothing is held against the prediction of one, whoever stopped it.
+    for number in [56, 57] {
+        let mut cycle = drilled(number, &strategy, "f_lin", false);
+        cycle["profile"] = json!({"id": "bushing", "version": version});
+        if number == 56 {
+            cycle["outcome"] = json!("aborted");
+        }
+        for (_, column) in cycle["samples"].as_object_mut().unwrap() {
+            if let Some(column) = column.as_array_mut() {
+                column.truncate(column.len() / 2);
+            }
+        }
+        assert_eq!(story.shop.cycle("F1", &cycle).await.status, 201);
+        if number == 57 {
+            story.shop.cut_short(cycle["cycle_id"].as_str().unwrap()).await;
+        }
+    }
+    let again = story.shop.get(&format!("{HERE}/outcome")).await;
+    assert_eq!(again.body["cycles"], outcome.body["cycles"], "{}", again.text);
+    assert_eq!(again.body["spread_scale"], outcome.body["spread_scale"]);
+    let left_out = again.body["skipped_cycles"].as_array().unwrap();
+    let reasons: Vec<_> = left_out.iter().map(|one| one["reason"].as_str().unwrap()).collect();
+    assert_eq!(
+        (&again.body["skipped"], reasons),
+        (&json!(2), vec!["aborted", "cut_short"]),
+        "{}",
+        again.text
+    );
+    let compared = story.shop.get(&format!("{HERE}/comparison?before={version}&after={version}")).await;
+    assert_eq!(compared.body["duration_s"]["before"]["cycles"], 6, "{}", compared.text);
+    assert_eq!((&compared.body["aborted"], &compared.body["cut_short"]), (&json!([1, 1]), &json!([1, 1])));
     assert!((0.7..=4.0).contains(&scale) && (scale - 1.0).abs() > 1e-9, "{scale}");
     let mut next = question.clone();
     next["profile"] = json!("bushing");

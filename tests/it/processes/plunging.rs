@@ -63,4 +63,12 @@ async fn savings_follow_the_paper_and_recorded_cycles_show_the_real_ones() {
     let answer = shop.get("/v1/plunge/recorded?operation=P1").await;
     assert!((answer.body["saved_s"].as_f64().unwrap() - 1.7).abs() < 1e-9, "{}", answer.text);
     assert_eq!(shop.get("/v1/plunge/recorded?operation=P9").await.status, 404);
+    // Of one that stopped half-way the length says nothing, whoever stopped it.
+    for (number, outcome) in [(5, "completed"), (6, "aborted")] {
+        let cycle = json!({"cycle_id": format!("p{number}"), "tool": "T1", "operation": "P1", "started_at": at(number),
+            "process": "plunge", "outcome": outcome, "reported": {"duration_ms": 100.0}});
+        assert_eq!(shop.cycle("M1", &cycle).await.status, 201);
+    }
+    shop.cut_short("p5").await;
+    assert_eq!(shop.get("/v1/plunge/recorded?operation=P1").await.text, answer.text);
 }

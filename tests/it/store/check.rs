@@ -14,6 +14,7 @@ stories!(with tables:
     a_summary_that_is_not_its_cycles_is_named_with_its_columns,
     what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same,
     wear_is_not_folded_over_doubtful_cycles,
+    a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered,
     a_course_that_cannot_be_read_is_named_and_the_rest_is_checked,
     a_course_that_cannot_be_read_costs_its_cycle_alone,
 );
@@ -187,6 +188,67 @@ async fn wear_is_not_folded_over_doubtful_cycles(given: &Given) {
     assert_eq!(given.wear_states().await, good, "T1 was left as it was");
     given.raw("UPDATE cycles SET energy_scale = energy_scale - 1 WHERE cycle_id = 'c00003'").await.unwrap();
     assert_eq!(told(&checked(&*store).await), []);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+}
+
+/// Of one tool, in the order of their machines.
+async fn versions(given: &Given) -> Vec<i64> {
+    given.numbers("SELECT version FROM tool_wear WHERE tool_id = 'T1' ORDER BY machine_id").await
+}
+
+async fn generation(given: &Given) -> i64 {
+    given.numbers("SELECT CAST(SUM(changes) AS BIGINT) FROM registry_generation").await[0]
+}
+
+async fn a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered(given: &Given) {
+    let (store, none) = (given.store(), BTreeSet::new());
+    shop(&*store).await;
+    store.put_tool(super::given::tool("T2"), Precondition::Unstated, &engineer(), at(1)).await.unwrap();
+    let first = Run::nth(1);
+    let other = Run { tool: "T2".to_owned(), load: 60.0, ..Run::nth(2) };
+    for run in [&first, &other] {
+        super::given::stored(&*store, run).await;
+    }
+    assert_eq!(versions(given).await, [1]);
+    // The fold of another tool stands where its own was. Who then meets a cycle of it again remembers that, as version 1.
+    given
+        .raw("UPDATE tool_wear SET state = (SELECT state FROM tool_wear WHERE tool_id = 'T2') WHERE tool_id = 'T1'")
+        .await
+        .unwrap();
+    store.put_tool(super::given::tool("T3"), Precondition::Absent, &engineer(), at(3)).await.unwrap();
+    let again = commit(&*store, std::slice::from_ref(&first)).await.pop().unwrap();
+    assert!(matches!(again, Ok(Committed::Known(_))), "{again:?}");
+
+    let repaired = store.check_wear(Repair::AllBut(&none)).await.unwrap();
+    assert_eq!(repaired.different, [("M1".try_into().unwrap(), "T1".try_into().unwrap())]);
+    assert_eq!(versions(given).await, [2], "it counts on");
+    super::given::stored(&*store, &Run::nth(3)).await;
+    assert_eq!(
+        store.check_wear(Repair::No).await.unwrap().different,
+        [],
+        "the next cycle is counted on the good one"
+    );
+    assert_eq!(store.verdict(&"T1".try_into().unwrap()).await.unwrap().cycles, 2);
+
+    // A repair that finds nothing makes no server forget what it knows.
+    let before = (generation(given).await, versions(given).await);
+    assert_eq!(store.check_wear(Repair::AllBut(&none)).await.unwrap().different, []);
+    assert_eq!((generation(given).await, versions(given).await), before);
+
+    // A fold of a machine that never ran the tool goes.
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(4)).await.unwrap();
+    given
+        .raw(
+            "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
+             SELECT 'M2', tool_id, folded, fold_version, state, version, updated_at_us FROM tool_wear WHERE tool_id = 'T1'",
+        )
+        .await
+        .unwrap();
+    let repaired = store.check_wear(Repair::AllBut(&none)).await.unwrap();
+    assert_eq!(repaired.different, [("M2".try_into().unwrap(), "T1".try_into().unwrap())]);
+    assert_eq!(versions(given).await, [4]);
+    assert_eq!(generation(given).await, before.0 + 2, "what servers remember is asked for again");
+    super::given::stored(&*store, &Run::nth(4)).await;
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
 }
 

@@ -118,6 +118,19 @@ impl Given {
         }
     }
 
+    /// One column of numbers from the tables themselves.
+    pub(crate) async fn numbers(&self, sql: &'static str) -> Vec<i64> {
+        match &self.place {
+            Place::File(_) => {
+                sqlx::query_scalar(sql).fetch_all(&mut self.sqlite_tables().await).await.unwrap()
+            }
+            Place::Database { .. } => {
+                let mut conn = PgConnection::connect(&self.address()).await.unwrap();
+                sqlx::query_scalar(sql).fetch_all(&mut conn).await.unwrap()
+            }
+        }
+    }
+
     /// The cached folds as they are stored: machine, tool, cycles folded, state.
     pub(crate) async fn wear_states(&self) -> Vec<(String, String, i64, Vec<u8>)> {
         const SQL: &str =

@@ -99,8 +99,37 @@ impl Cluster {
         format!("postgres://feedwright@127.0.0.1:{}/postgres", self.port)
     }
 
+    /// Has every process of the server stand still, until what is returned is dropped.
+    pub(crate) async fn frozen(&self) -> Frozen {
+        let mut conn = PgConnection::connect(&self.url()).await.unwrap();
+        let mut processes: Vec<i32> =
+            sqlx::query_scalar("SELECT pid FROM pg_stat_activity").fetch_all(&mut conn).await.unwrap();
+        let postmaster = std::fs::read_to_string(self.data().join("postmaster.pid")).unwrap();
+        processes.push(postmaster.lines().next().unwrap().parse().unwrap());
+        let frozen = Frozen(processes.iter().map(i32::to_string).collect());
+        frozen.signal("-STOP");
+        frozen
+    }
+
     pub(crate) async fn run(&self, sql: &'static str) {
         PgConnection::connect(&self.url()).await.unwrap().execute(sql).await.unwrap();
+    }
+}
+
+/// A server whose processes stand still.
+pub(crate) struct Frozen(Vec<String>);
+
+impl Frozen {
+    fn signal(&self, signal: &str) {
+        let told = Command::new("kill").arg(signal).args(&self.0).stderr(Stdio::null()).status();
+        // A process that has ended since needs no signal.
+        assert!(told.is_ok());
+    }
+}
+
+impl Drop for Frozen {
+    fn drop(&mut self) {
+        self.signal("-CONT");
     }
 }
 

@@ -369,6 +369,17 @@ async fn folds_of_other_rules_are_folded_again(given: &Given) {
     assert_eq!(repaired.different.len(), 2, "a repair makes them at once");
     assert_eq!(given.wear_states().await, good);
 
+    // Or one tool after the other, as a server does when it starts. One that a newer server wrote is left to it.
+    of_before().await;
+    let tool_after = async |after| store.next_outdated_fold(after).await.unwrap();
+    assert_eq!((tool_after(None).await.as_ref(), tool_after(Some(&id)).await), (Some(&id), None));
+    assert!(store.renew_fold(&id, at(200_000)).await.unwrap());
+    assert_eq!(given.wear_states().await, good);
+    assert_eq!((tool_after(None).await, store.renew_fold(&id, at(200_000)).await.unwrap()), (None, false));
+    let newer = format!("UPDATE tool_wear SET fold_version = {}", u32::from(FOLD_VERSION) + 1);
+    assert_eq!(given.raw(AssertSqlSafe(newer)).await.unwrap(), 2);
+    assert_eq!((tool_after(None).await, store.renew_fold(&id, at(200_000)).await.unwrap()), (None, false));
+
     // A replica of the version before writes them by its own rules while both run: the next cycle here folds them by these.
     of_before().await;
     commit(&*store, 302..=302).await;

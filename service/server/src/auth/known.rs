@@ -25,8 +25,18 @@ pub(crate) struct KnownTokens {
 
 #[derive(Debug, Default)]
 struct Known {
-    tokens: HashMap<[u8; 32], (TokenRecord, Instant)>,
-    /// Counts what was forgotten: a look-up that began before is not kept.
+    tokens: HashMap<[u8; 32], Good>,
+    /// Counts revocations: a look-up that began before one is not kept, and what was kept before is looked up again.
+    epoch: u64,
+}
+
+/// A token that was good.
+#[derive(Debug)]
+struct Good {
+    record: TokenRecord,
+    /// When its look-up began.
+    at: Instant,
+    /// Revocations before that.
     epoch: u64,
 }
 
@@ -39,7 +49,9 @@ impl KnownTokens {
     pub(crate) fn get(&self, hash: &[u8; 32], now: Instant) -> Result<TokenRecord, Epoch> {
         let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         match known.tokens.get(hash) {
-            Some((record, at)) if now.saturating_duration_since(*at) < LIFE => Ok(record.clone()),
+            Some(good) if good.epoch == known.epoch && now.saturating_duration_since(good.at) < LIFE => {
+                Ok(good.record.clone())
+            }
             _ => Err(Epoch(known.epoch)),
         }
     }
@@ -47,8 +59,8 @@ impl KnownTokens {
     /// The token of that hash, where the last look-up, not long before `now`, found it good: for `/metrics` alone.
     pub(super) fn lately(&self, hash: &[u8; 32], now: Instant) -> Option<TokenRecord> {
         let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        let (record, at) = known.tokens.get(hash)?;
-        (now.saturating_duration_since(*at) < OUTAGE_LIFE).then(|| record.clone())
+        let good = known.tokens.get(hash)?;
+        (now.saturating_duration_since(good.at) < OUTAGE_LIFE).then(|| good.record.clone())
     }
 
     /// A look-up has found no good token of that hash.
@@ -67,14 +79,15 @@ impl KnownTokens {
         if known.tokens.len() >= MOST {
             known.tokens.clear();
         }
-        known.tokens.insert(record.hash, (record.clone(), now));
+        known.tokens.insert(record.hash, Good { record: record.clone(), at: now, epoch: began.0 });
     }
 
-    /// Forgets every token: one of them was revoked.
-    pub(crate) fn forget(&self) {
+    /// The token of that id was revoked, or may have been. It is forgotten, in an outage too; every other one is looked up
+    /// again where the database can be asked.
+    pub(crate) fn revoked(&self, id: &str) {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         known.epoch += 1;
-        known.tokens.clear();
+        known.tokens.retain(|_, good| good.record.id != id);
     }
 }
 
@@ -107,10 +120,13 @@ mod tests {
 
         // This look-up read the database before the revocation and returns after it.
         let slow = tokens.get(&[2; 32], now).unwrap_err();
-        tokens.forget();
+        tokens.revoked("t2");
         tokens.keep(&record(2, false), slow, now);
         assert!(tokens.get(&[2; 32], now).is_err());
-        assert!(tokens.get(&[1; 32], now).is_err());
+        assert_eq!(tokens.lately(&[2; 32], now), None);
+        let again = tokens.get(&[1; 32], now).unwrap_err();
+        tokens.keep(&record(1, false), again, now);
+        assert_eq!(tokens.get(&[1; 32], now).unwrap(), record(1, false));
 
         let later = tokens.get(&[3; 32], now).unwrap_err();
         tokens.keep(&record(3, true), later, now);
@@ -135,8 +151,13 @@ mod tests {
             (tokens.lately(&[2; 32], later), tokens.lately(&[3; 32], later)),
             (None, Some(record(3, false)))
         );
-        tokens.forget();
-        assert_eq!(tokens.lately(&[3; 32], later), None, "something was revoked here");
+        // Revoked here: the others are looked up anew, and remembered where they cannot be.
+        tokens.revoked("t3");
+        assert_eq!(
+            (tokens.lately(&[1; 32], later), tokens.lately(&[3; 32], later)),
+            (Some(record(1, false)), None)
+        );
+        assert!(tokens.get(&[1; 32], now).is_err());
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::library::material;
 use super::problem::Problem;
 use crate::state::AppState;
 use axum::extract::State;
-use feedwright_core::cycle::Outcome;
+use feedwright_core::cycle::Extent;
 use feedwright_core::field_error::FieldError;
 use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
@@ -80,7 +80,7 @@ pub(super) async fn recorded(
     let filter = CycleFilter { operation: Some(id), ..CycleFilter::default() };
     let rows = state.store.cycles(&filter, Page { after: None, limit: MAX_RECORDED }).await?;
     let (mut with, mut without) = (Vec::new(), Vec::new());
-    for row in rows.iter().filter(|row| row.cycle.outcome == Outcome::Completed) {
+    for row in rows.iter().filter(|row| Extent::of(row.cycle.outcome, row.summary.flags) == Extent::Whole) {
         let lengths = match row.cycle.process.unwrap_or(operation.process) {
             Process::Plunge => &mut with,
             Process::Drilling => &mut without,

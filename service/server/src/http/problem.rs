@@ -222,7 +222,7 @@ impl From<StoreError> for Problem {
             ),
             StoreError::OutcomeUnknown(_) => Self::unavailable(
                 "outcome_unknown",
-                "the connection broke while committing; send the same again to find out",
+                "the database was lost while committing; send the same again to find out",
                 2,
             ),
             StoreError::NotWritable(_) => {

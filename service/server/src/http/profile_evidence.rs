@@ -12,7 +12,7 @@ use super::what_if::run_all;
 use crate::state::AppState;
 use crate::what_if::Asked;
 use axum::extract::State;
-use feedwright_core::cycle::Outcome;
+use feedwright_core::cycle::Extent;
 use feedwright_core::feed::comparison::{AtWear, MOST_CYCLES, compare, compare_at_same_wear, wear_rate};
 use feedwright_core::friction::twin::AxisLimits;
 use feedwright_core::friction::whatif::LoadLimits;
@@ -102,6 +102,7 @@ struct Ran {
     stored: StoredProfileVersion,
     cycles: Vec<StoredCycle>,
     aborted: usize,
+    cut_short: usize,
     /// Level of wear of each cycle's tool then, where it is known.
     levels: Vec<Option<f64>>,
 }
@@ -139,10 +140,12 @@ async fn side(state: &AppState, id: &ProfileId, version: u32) -> Result<Ran, Pro
     let stored = version_of(state, id, version).await?;
     let most = u32::try_from(MOST_CYCLES).unwrap_or(u32::MAX);
     let mut cycles = state.store.cycles_of_profile(&stored.version, most).await?;
-    let all = cycles.len();
-    cycles.retain(|row| row.cycle.outcome == Outcome::Completed);
+    let extent = |row: &StoredCycle| Extent::of(row.cycle.outcome, row.summary.flags);
+    let count = |wanted: Extent| cycles.iter().filter(|row| extent(row) == wanted).count();
+    let (aborted, cut_short) = (count(Extent::Aborted), count(Extent::CutShort));
+    cycles.retain(|row| extent(row) == Extent::Whole);
     let levels = levels(state, &cycles).await?;
-    Ok(Ran { stored, aborted: all - cycles.len(), cycles, levels })
+    Ok(Ran { stored, aborted, cut_short, cycles, levels })
 }
 
 fn answer(id: &ProfileId, sides: &[Ran; 2]) -> ComparisonAnswer {
@@ -182,6 +185,7 @@ fn answer(id: &ProfileId, sides: &[Ran; 2]) -> ComparisonAnswer {
             row.summary.max_feed_drive_load_percent.map(|peak| peak.value)
         }),
         aborted: [before.aborted, after.aborted],
+        cut_short: [before.cut_short, after.cut_short],
     }
 }
 

@@ -14,7 +14,7 @@ use crate::jobs::{INLINE_STEPS, Question, Stage};
 use crate::state::AppState;
 use axum::extract::State;
 use axum::response::Response;
-use feedwright_core::cycle::{Channel, Outcome, Samples};
+use feedwright_core::cycle::{Channel, Extent, Samples};
 use feedwright_core::feed::optimise::{
     Actual, Knots, LoadSignal, Prediction, Proposal, RecordedCycle, Settings, WearBand, calibrate, compare,
     coverage, optimise, wear_bands,
@@ -36,6 +36,8 @@ use std::collections::HashMap;
 
 /// Kind of these jobs.
 const KIND: &str = "feed_profile_optimize";
+/// Why a cycle is left out whose depth or loads were not sampled, or are gone.
+const NO_SAMPLES: &str = "no_samples";
 /// Overrides that differ by more were chosen by a law or an operator, points.
 const VARIED_OVERRIDE: f64 = 1.0;
 
@@ -207,7 +209,7 @@ async fn recorded(state: &AppState, rows: Vec<StoredCycle>) -> Result<Recorded, 
         let wear = level.filter(|level| *count <= level.window).map(|level| level.as_run);
         match recording(state, row, wear).await? {
             Some(cycle) => found.cycles.push(cycle),
-            None => found.skipped.push(SkippedBody { cycle: name(row), reason: "no_samples" }),
+            None => found.skipped.push(SkippedBody { cycle: name(row), reason: NO_SAMPLES }),
         }
     }
     found.cycles.reverse();
@@ -246,7 +248,7 @@ async fn recording(
         id: name(row),
         operation: meta.operation.to_string(),
         order: meta.started_at.micros(),
-        completed: meta.outcome == Outcome::Completed,
+        extent: Extent::of(meta.outcome, row.summary.flags),
         source: if controlled { FeedSource::Controlled } else { FeedSource::Programmed },
         wear_ratio,
         signal: LoadSignal::Raw,
@@ -430,14 +432,20 @@ impl Predicted {
             spread_scale: self.report.spread_scale,
             overloaded: 0,
             skipped: 0,
+            skipped_cycles: Vec::new(),
         };
         for row in state.store.cycles_of_profile(&stored.version, most).await? {
-            let cycle = recording(state, &row, None).await?.filter(|cycle| cycle.completed);
+            let cycle = recording(state, &row, None).await?.ok_or(NO_SAMPLES);
             let idle = self.report.idle_percent[1];
-            let actual = cycle.and_then(|cycle| Actual::of(&cycle, &self.settings, idle).ok());
-            let Some(actual) = actual else {
-                answer.skipped += 1;
-                continue;
+            let actual = cycle
+                .and_then(|cycle| Actual::of(&cycle, &self.settings, idle).map_err(|reason| reason.as_str()));
+            let actual = match actual {
+                Ok(actual) => actual,
+                Err(reason) => {
+                    answer.skipped += 1;
+                    answer.skipped_cycles.push(SkippedBody { cycle: name(&row), reason });
+                    continue;
+                }
             };
             let one = compare(&prediction, &actual, &self.settings);
             answer.overloaded += usize::from(one.overloaded);

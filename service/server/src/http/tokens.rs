@@ -55,11 +55,14 @@ pub(super) async fn revoke(
     PathId(id): PathId<String>,
 ) -> Result<axum::Json<TokenView>, Problem> {
     let (actor, now) = (caller.actor(), state.clock.now());
-    let wanted = id.clone();
-    let revoked = state.commit(|store| async move { store.revoke_token(&wanted, &actor, now).await }).await;
-    // Whatever the outcome: where it is not known, the token may be revoked.
-    state.known_tokens.forget();
-    state.live.look_at_sessions();
-    let revoked = revoked?;
+    let (wanted, here) = (id.clone(), state.clone());
+    let revoked = state.commit(|store| async move {
+        let revoked = store.revoke_token(&wanted, &actor, now).await;
+        // Here, as whoever asked may have hung up; and whatever the outcome: where it is not known, the token may be revoked.
+        here.known_tokens.revoked(&wanted);
+        here.live.look_at_sessions();
+        revoked
+    });
+    let revoked = revoked.await?;
     revoked.map(|token| axum::Json(token.into())).ok_or_else(|| Problem::not_found("token", &id))
 }

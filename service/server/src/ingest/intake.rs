@@ -2,6 +2,7 @@
 
 use super::body::{self, BodyError};
 use super::content::Unpacker;
+use super::pulse::Pulse;
 use super::writer::{self, Answered, Bounds, WriteError, WriterHandle, WriterObserver};
 use crate::clock::Clock;
 use crate::config::Config;
@@ -86,6 +87,7 @@ pub struct CycleIntake {
     preparing: Semaphore,
     singles: Unpacker,
     batches: Unpacker,
+    pulse: Pulse,
 }
 
 /// What the writer tells metrics and the life of the process.
@@ -134,6 +136,7 @@ impl CycleIntake {
             preparing: Semaphore::new(BATCHES_PREPARED),
             singles: Unpacker::default(),
             batches: Unpacker::default(),
+            pulse: Pulse::of(store.clone()),
         }
     }
 
@@ -200,7 +203,7 @@ impl CycleIntake {
     /// Everything after the queue: what the commit came to.
     async fn settle(&self, queued: Queued, refused: Refused) -> Result<Accepted, Problem> {
         let Queued { cycle, json, answered } = queued;
-        let outcome = answered.await.map_err(|_| closing())?;
+        let outcome = self.pulse.wait(answered).await.ok_or_else(closing)?;
         match outcome? {
             Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
             Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),

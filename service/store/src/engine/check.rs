@@ -1,7 +1,7 @@
 //! The check of the cached folds against folds from scratch, one tool at a time.
 
 use super::wear::{self, ToolWear};
-use super::{Conn, Db, alarms, dialect};
+use super::{Conn, Db, alarms, dialect, registry};
 use crate::error::StoreResult;
 use crate::history::Walk;
 use crate::locks::Locks;
@@ -124,8 +124,10 @@ pub(super) async fn tool(conn: &mut Conn, tool: &ToolId, repair: bool) -> StoreR
     Ok((machines.len() as u64, different))
 }
 
-/// Folds the named caches anew. The check is given no clock: the newest receipt of a cycle
-/// stands for now.
+/// Folds the named caches anew. The check is given no clock: the newest receipt of a cycle stands for now.
+///
+/// Versions of folds count on, and another generation of the registry begins: no server takes what it remembers of the folds
+/// before for those that are made here.
 async fn mend(conn: &mut Conn, tool: &ToolId, machines: &[MachineId]) -> StoreResult<()> {
     let newest: Option<i64> =
         sqlx::query_scalar::<Db, _>("SELECT MAX(received_at_us) FROM cycles WHERE tool_id = $1")
@@ -133,21 +135,26 @@ async fn mend(conn: &mut Conn, tool: &ToolId, machines: &[MachineId]) -> StoreRe
             .fetch_one(&mut *conn)
             .await?;
     let now = Timestamp::from_micros(newest.unwrap_or(0));
+    let registered = wear::is_registered(conn, tool).await?;
+    let folded = if registered { wear::machines_of(conn, tool).await? } else { Vec::new() };
     for machine in machines {
         sqlx::query::<Db>("DELETE FROM tool_wear_checkpoints WHERE machine_id = $1 AND tool_id = $2")
             .bind(machine.as_str())
             .bind(tool.as_str())
             .execute(&mut *conn)
             .await?;
-        sqlx::query::<Db>("DELETE FROM tool_wear WHERE machine_id = $1 AND tool_id = $2")
-            .bind(machine.as_str())
-            .bind(tool.as_str())
-            .execute(&mut *conn)
-            .await?;
+        // What is folded again is written over its row.
+        if !folded.contains(machine) {
+            sqlx::query::<Db>("DELETE FROM tool_wear WHERE machine_id = $1 AND tool_id = $2")
+                .bind(machine.as_str())
+                .bind(tool.as_str())
+                .execute(&mut *conn)
+                .await?;
+        }
     }
-    if wear::is_registered(conn, tool).await? {
+    if registered {
         let verdict = wear::count_all(conn, tool, now).await?;
         alarms::follow_verdict(conn, tool, &verdict, now).await?;
     }
-    Ok(())
+    registry::changed(conn).await
 }

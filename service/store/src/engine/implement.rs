@@ -10,6 +10,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
 };
+use crate::locks::Locks;
 use crate::notice::Notices;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::Group;
@@ -79,14 +80,15 @@ macro_rules! snapshot {
 
 impl Engine {
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
-    /// all is found by its key and answered as known.
+    /// all is found by its key and answered as known. Not again where the server could not be reached in all of a
+    /// connection's patience: machines wait, and send again what is not acknowledged.
     async fn commit_group(
         &self,
         group: &Arc<[NewCycle]>,
         now: Timestamp,
         settings: RecommendSettings,
     ) -> StoreResult<Vec<Committed>> {
-        let mut attempt = 1;
+        let (mut attempt, mut unknown) = (1, false);
         loop {
             let cycles = Arc::clone(group);
             let registry = Arc::clone(self.registry());
@@ -106,10 +108,15 @@ impl Engine {
                     self.memory().put(memory);
                     return Ok(answers);
                 }
-                Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))
-                    if attempt < dialect::COMMIT_ATTEMPTS =>
+                Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_)))
+                    if attempt < dialect::COMMIT_ATTEMPTS && !self.is_away(&error) =>
                 {
                     attempt += 1;
+                    unknown |= matches!(error, StoreError::OutcomeUnknown(_));
+                }
+                // What an attempt before this one may have committed is not undone by this one.
+                Err(StoreError::Unavailable(error)) if unknown => {
+                    return Err(StoreError::OutcomeUnknown(error));
                 }
                 Err(error) => return Err(error),
             }
@@ -145,6 +152,12 @@ impl Store for Engine {
             }));
         }
         outcomes
+    }
+
+    async fn answers(&self) -> StoreResult<()> {
+        read!(self, |conn| {
+            sqlx::query::<Db>("SELECT 1").execute(&mut *conn).await.map(|_| ()).map_err(StoreError::from)
+        })
     }
 
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()> {
@@ -538,6 +551,22 @@ impl Store for Engine {
         snapshot!(self, |conn| life::of(conn, &tool, most).await)
     }
 
+    async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
+        read!(self, |conn| wear::next_outdated(conn, after).await)
+    }
+
+    async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool> {
+        let tool = tool.clone();
+        write!(self, |conn| {
+            dialect::lock(conn, &Locks::tool(&tool)).await?;
+            let Some(verdict) = wear::renew(conn, &tool, now).await? else {
+                return Ok(false);
+            };
+            alarms::follow_verdict(conn, &tool, &verdict, now).await?;
+            Ok(true)
+        })
+    }
+
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck> {
         let mut checked = WearCheck::default();
         let mut after = None;
@@ -549,7 +578,7 @@ impl Store for Engine {
             };
             let tool = next.clone();
             let found: StoreResult<_> = if repair.folds(&tool) {
-                register!(self, |conn| check::tool(conn, &tool, true).await)
+                write!(self, |conn| check::tool(conn, &tool, true).await)
             } else {
                 snapshot!(self, |conn| check::tool(conn, &tool, false).await)
             };

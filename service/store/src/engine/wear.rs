@@ -503,6 +503,40 @@ pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) ->
     wear.verdict(conn).await
 }
 
+/// The next registered tool after `after` with a fold that an earlier version of the rules made. One of a later version is
+/// a newer server's, which judges by it.
+pub(super) async fn next_outdated(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
+    let next: Option<String> = sqlx::query_scalar::<Db, _>(
+        "SELECT MIN(w.tool_id) FROM tool_wear w JOIN tools t ON t.tool_id = w.tool_id
+         WHERE w.fold_version < $1 AND w.tool_id > $2",
+    )
+    .bind(i64::from(FOLD_VERSION))
+    .bind(after.map_or("", ToolId::as_str))
+    .fetch_one(&mut *conn)
+    .await?;
+    next.as_deref().map(|tool| id("tool_id", tool)).transpose()
+}
+
+/// Makes a tool's folds of earlier versions anew; the tool's name is locked by then. `None` where there are none.
+pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Option<Verdict>> {
+    let outdated: Vec<String> = sqlx::query_scalar::<Db, _>(
+        "SELECT machine_id FROM tool_wear WHERE tool_id = $1 AND fold_version < $2 ORDER BY machine_id",
+    )
+    .bind(tool.as_str())
+    .bind(i64::from(FOLD_VERSION))
+    .fetch_all(&mut *conn)
+    .await?;
+    if outdated.is_empty() {
+        return Ok(None);
+    }
+    let mut wear = ToolWear::load_locked(conn, tool).await?;
+    for machine in &outdated {
+        wear.refold(conn, &id("machine_id", machine)?, &BEGINNING).await?;
+    }
+    wear.save(conn, now).await?;
+    wear.verdict(conn).await.map(Some)
+}
+
 /// Machines that stored a cycle of a tool.
 pub(super) async fn machines_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<MachineId>> {
     let found: Vec<String> = sqlx::query_scalar::<Db, _>(

@@ -1,9 +1,9 @@
 //! Prediction against actual, and what it says about the next prediction.
 
 use super::predict::{BAND, Band, Prediction};
-use super::recording::{LoadSignal, RecordedCycle};
+use super::recording::{LoadSignal, RecordedCycle, SkipReason};
 use super::settings::Settings;
-use crate::friction::error::{Invalid, InvalidCode};
+use crate::cycle::Extent;
 use crate::friction::filter::{FilterWeights, LoadFilter};
 
 /// Weight of "the spread is as told" in comparisons.
@@ -31,15 +31,18 @@ impl Actual {
     /// Measures a cycle; loads pass Stryczek & Błaszczak 2020, Eq. 1, unless they were recorded filtered.
     ///
     /// # Errors
-    /// When the columns differ in length or fewer than two samples are in contact.
+    /// When it is not a whole cycle, its columns differ in length or fewer than two samples are in contact.
     pub fn of(
         cycle: &RecordedCycle,
         settings: &Settings,
         idle_spindle_percent: f64,
-    ) -> Result<Self, Invalid> {
-        cycle.check(&cycle.operation).map_err(|reason| {
-            Invalid::new("cycle", InvalidCode::LengthMismatch, format!("unusable: {}", reason.as_str()))
-        })?;
+    ) -> Result<Self, SkipReason> {
+        match cycle.extent {
+            Extent::Whole => {}
+            Extent::Aborted => return Err(SkipReason::Aborted),
+            Extent::CutShort => return Err(SkipReason::CutShort),
+        }
+        cycle.check(&cycle.operation)?;
         let filtered = matches!(cycle.signal, LoadSignal::Filtered(_));
         let weights = FilterWeights::default();
         let mut filters = [LoadFilter::new(), LoadFilter::new()];
@@ -73,8 +76,7 @@ impl Actual {
             }
         }
         if actual.time_s <= 0.0 {
-            let text = "fewer than two usable samples in contact";
-            return Err(Invalid::new("cycle", InvalidCode::NotIdentifiable, text));
+            return Err(SkipReason::TooShort);
         }
         Ok(actual)
     }

@@ -1,5 +1,6 @@
 //! Recorded cycles as the optimiser takes them, and why one is not used.
 
+use crate::cycle::Extent;
 use crate::friction::error::{Invalid, InvalidCode};
 use crate::friction::filter::FilterWeights;
 use crate::friction::relation::FeedSource;
@@ -30,8 +31,8 @@ pub struct RecordedCycle {
     pub operation: String,
     /// Place in the order of time; the cycle with the largest is the latest. Equal ones are ordered by id.
     pub order: i64,
-    /// Whether it ran to its end; of one that did not, the way it made is used.
-    pub completed: bool,
+    /// How much of it there is: what is there is learned from, and only a whole one is held against a prediction.
+    pub extent: Extent,
     /// Who chose the feed: where a law did, load and feed are tied by the law and the slope is not learned.
     pub source: FeedSource,
     /// Wear when it ran, as energy over that of the new tool; `None` where nobody knows.
@@ -50,7 +51,7 @@ pub struct RecordedCycle {
     pub spindle_percent: Vec<f64>,
 }
 
-/// Why a cycle was not learned from.
+/// Why a cycle was not learned from, or not held against a prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SkipReason {
     /// It drilled another operation.
@@ -71,6 +72,10 @@ pub enum SkipReason {
     TooOld,
     /// The same cycle again.
     Duplicate,
+    /// It was aborted: its time, peaks and work are not those of a hole.
+    Aborted,
+    /// The server kept only a part of it, of which the same holds.
+    CutShort,
 }
 
 impl SkipReason {
@@ -87,11 +92,13 @@ impl SkipReason {
             Self::Outlier => "outlier",
             Self::TooOld => "too_old",
             Self::Duplicate => "duplicate",
+            Self::Aborted => "aborted",
+            Self::CutShort => "cut_short",
         }
     }
 }
 
-/// A cycle that was not learned from.
+/// A cycle that was left out.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Skipped {
     /// Which cycle.
@@ -117,6 +124,16 @@ impl RecordedCycle {
             return Err(SkipReason::TooManySamples);
         }
         Ok(())
+    }
+}
+
+impl From<SkipReason> for Invalid {
+    fn from(reason: SkipReason) -> Self {
+        let code = match reason {
+            SkipReason::LengthMismatch => InvalidCode::LengthMismatch,
+            _ => InvalidCode::NotIdentifiable,
+        };
+        Self::new("cycle", code, format!("unusable: {}", reason.as_str()))
     }
 }
 

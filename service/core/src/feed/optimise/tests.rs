@@ -1,4 +1,5 @@
 use super::*;
+use crate::cycle::Extent;
 use crate::feed::study::{AnyPlant, Case, Model, Plant, draw, recorded, settings};
 use crate::friction::error::InvalidCode;
 use crate::friction::noise::Noise;
@@ -129,9 +130,15 @@ fn beyond_the_depth_of_an_aborted_cycle_the_feed_is_not_raised() {
         column.truncate(keep);
     }
     cycle.feed_mm_min.iter_mut().for_each(|feed| feed.truncate(keep));
-    cycle.completed = false;
     let last = first(&case);
+    for (extent, reason) in [(Extent::Aborted, SkipReason::Aborted), (Extent::CutShort, SkipReason::CutShort)]
+    {
+        cycle.extent = extent;
+        // Its time and its work are those of half a hole.
+        assert_eq!(Actual::of(&cycle, &settings, 5.0), Err(reason));
+    }
     let proposal = optimise(&[cycle], &settings, Some(&last)).unwrap();
+    assert_eq!((proposal.learned_from, proposal.skipped.len()), (1, 0), "the way it made is learned from");
     assert!(proposal.warnings.contains(&Warning::DepthUnknown));
     let mut depth = half + 0.3;
     while depth < settings.depth_mm {

@@ -20,6 +20,7 @@ pub use paper::{PaperRow, paper_rows};
 pub use plant::{Plant, Run, TwinPlant};
 pub use reference::{Limits, Reference, reference};
 
+use crate::cycle::Extent;
 use crate::feed::optimise::{
     Actual, Bushing, Comparison, Heating, Knots, LoadSignal, RecordedCycle, Settings, SettingsParams,
     compare, optimise,
@@ -120,7 +121,7 @@ pub fn recorded(run: &Run, order: i64) -> RecordedCycle {
         id: format!("cycle-{order}"),
         operation: "study".to_owned(),
         order,
-        completed: true,
+        extent: Extent::Whole,
         source: FeedSource::Programmed,
         wear_ratio: None,
         signal: LoadSignal::Raw,

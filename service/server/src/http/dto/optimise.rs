@@ -339,7 +339,7 @@ impl From<&Identified> for IdentifiedBody {
     }
 }
 
-/// A cycle that was not learned from.
+/// A cycle that was left out.
 #[derive(Debug, Clone, Serialize, ToSchema)]
 pub struct SkippedBody {
     /// Which, as `machine/cycle`.
@@ -373,7 +373,7 @@ pub struct ProposalReport {
     pub spread_scale: f64,
     /// Cycles that were learned from.
     pub learned_from: usize,
-    /// Cycles that were not.
+    /// Cycles that were not, and why. One that was aborted or cut short is learned from as far as it went.
     pub skipped: Vec<SkippedBody>,
     /// What else to know.
     pub warnings: Vec<&'static str>,
@@ -539,6 +539,9 @@ pub struct OutcomeAnswer {
     pub spread_scale: f64,
     /// Cycles with more overload than tolerated.
     pub overloaded: usize,
-    /// Cycles that tell too little.
+    /// Cycles that ran it and are not compared.
     pub skipped: usize,
+    /// Which they are, and why: `aborted`, `cut_short` (the server kept only a part), `no_samples`, `too_short`,
+    /// `too_many_samples`.
+    pub skipped_cycles: Vec<SkippedBody>,
 }

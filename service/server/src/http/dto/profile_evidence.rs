@@ -153,4 +153,6 @@ pub struct ComparisonAnswer {
     pub peak_feed_drive_load_percent: ComparedBody,
     /// Aborted cycles, which are left out everywhere above: of the earlier and of the later version.
     pub aborted: [usize; 2],
+    /// Cycles of which the server kept only a part, likewise left out.
+    pub cut_short: [usize; 2],
 }

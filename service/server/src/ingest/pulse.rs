@@ -1,0 +1,146 @@
+//! Whether the database still answers, asked where a commit is late: a slow one is waited for, one that is away is not.
+//!
+//! What is given up is the wait, never the commit: that goes on, and whoever sends the cycle again is told what came of it.
+
+use super::writer::Answered;
+use feedwright_store::{Committed, Store, StoreError, StoreResult};
+use futures_util::future::BoxFuture;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::time::timeout;
+
+/// After this long a commit is late, and the database is asked whether it is there.
+const LATE: Duration = Duration::from_secs(3);
+/// A database that says nothing for this long, asked for nothing but a word, is away.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Asks the database for a word; `false` where it refuses.
+type Ask = Box<dyn Fn() -> BoxFuture<'static, bool> + Send + Sync>;
+
+/// Feels for the database on behalf of every post that waits for its commit.
+pub(super) struct Pulse {
+    ask: Ask,
+    late: Duration,
+    patience: Duration,
+    /// The question that is being asked, or was last: `None` until it is answered.
+    asked: Mutex<Option<watch::Receiver<Option<bool>>>>,
+}
+
+impl Pulse {
+    /// Of a store's database.
+    pub(super) fn of(store: Arc<dyn Store>) -> Self {
+        let ask = move || -> BoxFuture<'static, bool> {
+            let store = Arc::clone(&store);
+            Box::pin(async move { store.answers().await.is_ok() })
+        };
+        Self { ask: Box::new(ask), late: LATE, patience: PATIENCE, asked: Mutex::default() }
+    }
+
+    /// Waits for the answer to a queued cycle as long as the database is there.
+    ///
+    /// # Errors
+    /// `OutcomeUnknown` where the database no longer answers: the cycle may be committed yet. The commit's own errors.
+    /// `None` where the writer has ended.
+    pub(super) async fn wait(&self, mut answered: Answered) -> Option<StoreResult<Committed>> {
+        loop {
+            if let Ok(answer) = timeout(self.late, &mut answered).await {
+                return answer.ok();
+            }
+            tokio::select! {
+                biased;
+                answer = &mut answered => return answer.ok(),
+                beats = self.beats() => if !beats {
+                    let why = "the database does not answer, and a commit is under way";
+                    return Some(Err(StoreError::OutcomeUnknown(why.into())));
+                },
+            }
+        }
+    }
+
+    /// Whether the database answers; one question at a time, for all who ask.
+    async fn beats(&self) -> bool {
+        let mut answer = self.question();
+        // The limit is on waiting, not on the task that asks.
+        match timeout(self.patience, answer.wait_for(Option::is_some)).await {
+            Ok(Ok(answer)) => *answer == Some(true),
+            Ok(Err(_)) | Err(_) => false,
+        }
+    }
+
+    fn question(&self) -> watch::Receiver<Option<bool>> {
+        let mut asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(running) = asked.as_ref()
+            && running.borrow().is_none()
+            && running.has_changed().is_ok()
+        {
+            return running.clone();
+        }
+        let (tell, answer) = watch::channel(None);
+        *asked = Some(answer.clone());
+        let ask = (self.ask)();
+        tokio::spawn(async move {
+            let beats = ask.await;
+            tell.send_replace(Some(beats));
+        });
+        answer
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicU32, Ordering};
+    use tokio::sync::oneshot;
+
+    fn pulse(ask: impl Fn() -> BoxFuture<'static, bool> + Send + Sync + 'static) -> Pulse {
+        let moment = Duration::from_millis(5);
+        Pulse { ask: Box::new(ask), late: moment, patience: moment, asked: Mutex::default() }
+    }
+
+    fn unknown(answer: &Option<StoreResult<Committed>>) -> bool {
+        matches!(answer, Some(Err(StoreError::OutcomeUnknown(_))))
+    }
+
+    #[tokio::test]
+    async fn a_slow_commit_is_waited_for_as_long_as_the_database_answers() {
+        let (tell, answered) = oneshot::channel();
+        let (tell, asked) = (Mutex::new(Some(tell)), Arc::new(AtomicU32::new(0)));
+        let count = Arc::clone(&asked);
+        let pulse = pulse(move || {
+            // The commit ends while the database is asked for the fourth time.
+            if count.fetch_add(1, Ordering::Relaxed) == 3 {
+                tell.lock().unwrap().take().unwrap().send(Ok(Committed::UnknownMachine)).unwrap();
+            }
+            Box::pin(async { true })
+        });
+        assert!(matches!(pulse.wait(answered).await, Some(Ok(Committed::UnknownMachine))));
+        assert_eq!(asked.load(Ordering::Relaxed), 4);
+    }
+
+    #[tokio::test]
+    async fn a_database_that_refuses_or_says_nothing_is_not_waited_for() {
+        let (_held, answered) = oneshot::channel();
+        assert!(unknown(&pulse(|| Box::pin(async { false })).wait(answered).await));
+
+        // One question stands for all who wait, also for those who come when it is an old one.
+        let asked = Arc::new(AtomicU32::new(0));
+        let count = Arc::clone(&asked);
+        let silent = pulse(move || {
+            count.fetch_add(1, Ordering::Relaxed);
+            Box::pin(std::future::pending())
+        });
+        for _ in 0..3 {
+            let (_held, answered) = oneshot::channel();
+            assert!(unknown(&silent.wait(answered).await));
+        }
+        assert_eq!(asked.load(Ordering::Relaxed), 1);
+    }
+
+    #[tokio::test]
+    async fn a_writer_that_ended_answers_nobody() {
+        let (tell, answered) = oneshot::channel();
+        drop(tell);
+        assert!(pulse(|| Box::pin(async { true })).wait(answered).await.is_none());
+    }
+}

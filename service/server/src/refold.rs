@@ -1,0 +1,70 @@
+//! After an upgrade that changed the rules of wear: the folds that earlier rules made are made anew, once, in the background.
+//!
+//! A tool that runs is folded again by its next cycle; one that lies idle would be folded over its whole history each time
+//! somebody asks for it. Each is made anew by itself, through the same writer and under the same lock as its cycles, and
+//! the pause after it leaves live posts most of the time. Where several servers start on one database, the second finds
+//! nothing left to do of a tool.
+
+use crate::state::AppState;
+use feedwright_core::ids::ToolId;
+use feedwright_store::{StoreError, StoreResult};
+use std::time::{Duration, Instant};
+
+/// Pauses are so many times as long as what was done before them.
+const PAUSES: u32 = 4;
+/// The shortest pause.
+const LEAST_PAUSE: Duration = Duration::from_millis(10);
+/// Pause before a tool is tried again where the database was away.
+const AWAY: Duration = Duration::from_secs(10);
+
+/// Goes once through the tools, until the shutdown begins.
+pub(crate) fn start(state: &AppState) {
+    let state = state.clone();
+    state.lifecycle.clone().spawn(async move {
+        let (mut after, mut made) = (None, 0_u64);
+        while !state.lifecycle.is_stopping() {
+            let begun = Instant::now();
+            let pause = match one(&state, after.as_ref()).await {
+                Ok(Some((tool, anew))) => {
+                    made += u64::from(anew);
+                    after = Some(tool);
+                    (begun.elapsed() * PAUSES).max(LEAST_PAUSE)
+                }
+                Ok(None) => break,
+                Err(error) => {
+                    tracing::warn!(%error, "folds of earlier rules are not made anew for now");
+                    AWAY
+                }
+            };
+            // Only the waiting is cut short, never a statement.
+            tokio::select! {
+                () = tokio::time::sleep(pause) => {}
+                () = state.lifecycle.stopping() => break,
+            }
+        }
+        if made > 0 {
+            tracing::info!(tools = made, "folds of earlier rules were made anew");
+        }
+    });
+}
+
+/// Makes the next tool's folds anew; says which it was, and whether there was anything to do. `None` behind the last.
+///
+/// # Errors
+/// Where the database does not answer: the same tool is next again. What is wrong with one tool alone is logged.
+async fn one(state: &AppState, after: Option<&ToolId>) -> StoreResult<Option<(ToolId, bool)>> {
+    let Some(tool) = state.store.next_outdated_fold(after).await? else {
+        return Ok(None);
+    };
+    let (asked, now) = (tool.clone(), state.clock.now());
+    match state.commit(|store| async move { store.renew_fold(&asked, now).await }).await {
+        Ok(anew) => Ok(Some((tool, anew))),
+        Err(
+            error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_) | StoreError::NotWritable(_)),
+        ) => Err(error),
+        Err(error) => {
+            tracing::error!(%error, %tool, "the tool's fold is of earlier rules and cannot be made anew");
+            Ok(Some((tool, false)))
+        }
+    }
+}
