@@ -2,6 +2,7 @@
 
 mod app;
 pub(crate) mod commands;
+mod database_full;
 mod demoted;
 mod feed_profiles;
 mod full_disk;

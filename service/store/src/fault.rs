@@ -90,13 +90,14 @@ impl Fault {
     /// Appendix A of PostgreSQL's manual.
     fn of_sqlstate(code: &str) -> Self {
         match code {
-            // disk full, I/O error, data or index corrupted
-            "53100" | "58030" | "XX001" | "XX002" => Self::NotWritable,
+            // I/O error, data or index corrupted
+            "58030" | "XX001" | "XX002" => Self::NotWritable,
             // read-only transaction (a demoted server: another one takes over), serialisation, deadlock, lock not
             // available, statement or session timed out
             "25006" | "40001" | "40P01" | "55P03" | "57014" | "25P03" => Self::Unavailable,
             _ if code.starts_with("22") || code.starts_with("23") => Self::Refused,
-            // connection, resources, operator intervention (shutdown, restart)
+            // connection, resources (a full disk among them: the server undid the change, and goes on once there is room),
+            // operator intervention (shutdown, restart)
             _ if ["08", "53", "57"].iter().any(|class| code.starts_with(class)) => Self::Unavailable,
             _ => Self::Other,
         }

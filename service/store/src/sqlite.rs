@@ -9,6 +9,7 @@ mod dialect;
 #[path = "engine/mod.rs"]
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
+mod files;
 mod group_thread;
 mod group_writer;
 mod open;
@@ -28,6 +29,7 @@ use crate::work::{Work, Written};
 use block_reader::BlockReader;
 use checkpoint::Checkpoints;
 use feedwright_core::ids::{CycleId, MachineId};
+use files::Files;
 use group_thread::GroupThread;
 use group_writer::GroupWriter;
 use readers::{Lent, Readers};
@@ -62,6 +64,7 @@ pub struct SqliteStore {
 struct Inner {
     /// `None` once closed.
     writer: Mutex<Option<Writer>>,
+    files: Files,
     group_thread: GroupThread,
     /// A group's statements begin and end its transaction: set while one may be open.
     in_group: AtomicBool,
@@ -266,7 +269,8 @@ impl Inner {
     {
         let mut writer = self.writer().await?;
         let conn = &mut self.settled(writer.as_mut()).await?.asked;
-        let outcome = Self::attempt(conn, work).await;
+        let outcome =
+            Self::attempt(conn, work).await.and_then(|value| self.files.are_there().map(|()| value));
         self.heed(&outcome);
         outcome
     }
@@ -303,7 +307,7 @@ impl Inner {
         let outcome = match work(writer).await {
             Ok((value, Written { .. })) => {
                 self.in_group.store(false, Ordering::Relaxed);
-                Ok(value)
+                self.files.are_there().map(|()| value)
             }
             Err(error) => {
                 self.settled(Some(writer)).await?;

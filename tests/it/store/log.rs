@@ -1,6 +1,8 @@
-//! SQLite's write-ahead log, beside the store.
+//! SQLite's file and its write-ahead log, beside the store.
 
-use super::given::{Given, Run, shop, stored};
+use super::given::{Given, Run, commit, shop, stored};
+use feedwright_core::units::Timestamp;
+use feedwright_store::StoreError;
 use std::time::Duration;
 
 /// What stays of a log that was made longer, bytes.
@@ -27,4 +29,30 @@ async fn a_log_that_was_made_long_is_cut_once_it_is_in_the_file() {
         tokio::time::sleep(BETWEEN).await;
     }
     given.done().await;
+}
+
+/// SQLite itself would go on, and everything that it commits would be gone with the process.
+#[tokio::test]
+async fn nothing_is_acknowledged_of_files_that_are_no_longer_there() {
+    for (ending, replaced) in [("sqlite3", false), ("sqlite3-wal", false), ("sqlite3", true)] {
+        let given = Given::sqlite().await;
+        let store = given.store();
+        shop(&*store).await;
+        stored(&*store, &Run::nth(1)).await;
+        let file = given.file().with_extension(ending);
+        if replaced {
+            let copy = file.with_extension("copy");
+            std::fs::copy(&file, &copy).unwrap();
+            std::fs::rename(&copy, &file).unwrap();
+        } else {
+            std::fs::remove_file(&file).unwrap();
+        }
+        let Some(Err(StoreError::NotWritable(why))) = commit(&*store, &[Run::nth(2)]).await.pop() else {
+            panic!("{ending} is missed");
+        };
+        let said = if replaced { "was replaced while it was open" } else { "was removed while it was open" };
+        assert_eq!(why.to_string(), format!("{} {said}", file.display()));
+        let other = store.probe_write(Timestamp::from_micros(1)).await;
+        assert!(matches!(other, Err(StoreError::NotWritable(_))), "{other:?}");
+    }
 }

@@ -217,7 +217,7 @@ impl From<StoreError> for Problem {
         let problem = match error {
             StoreError::Unavailable(_) => Self::unavailable(
                 "database_unavailable",
-                "the database does not answer; nothing was changed",
+                "the database does not answer, or has no room; nothing was changed",
                 2,
             ),
             StoreError::OutcomeUnknown(_) => Self::unavailable(

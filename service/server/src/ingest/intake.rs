@@ -21,6 +21,7 @@ use feedwright_store::{
 };
 use futures_util::future::join_all;
 use http::StatusCode;
+use std::error::Error;
 use std::sync::{Arc, RwLock};
 use tokio::sync::{Mutex, Semaphore};
 use tokio::task::JoinHandle;
@@ -103,8 +104,8 @@ impl WriterObserver for Watch {
         self.metrics.commit_group_size.observe(cycles as f64);
     }
 
-    fn not_writable(&self, error: &StoreError) {
-        self.lifecycle.fail(&format!("the database does not take writes: {error}"));
+    fn not_writable(&self, why: &(dyn Error + 'static)) {
+        self.lifecycle.fail(&format!("the database does not take writes: {why}"));
     }
 }
 

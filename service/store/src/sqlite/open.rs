@@ -2,6 +2,7 @@
 
 use super::block_reader::BlockReader;
 use super::checkpoint::Checkpoints;
+use super::files::Files;
 use super::group_thread::GroupThread;
 use super::group_writer::GroupWriter;
 use super::readers::Readers;
@@ -92,6 +93,7 @@ impl SqliteStore {
         assert_durable(&mut writer).await?;
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
         let groups = GroupWriter::open(path, options.patience)?;
+        let files = Files::of(path)?;
         let readers = SqlitePoolOptions::new()
             .max_connections(options.readers.max(1))
             .acquire_timeout(options.patience)
@@ -110,6 +112,7 @@ impl SqliteStore {
         Ok(Self {
             inner: Arc::new(Inner {
                 writer: Mutex::new(Some(Writer { groups, asked: writer })),
+                files,
                 group_thread: GroupThread::start()?,
                 in_group: AtomicBool::new(false),
                 readers: Readers::of(readers),

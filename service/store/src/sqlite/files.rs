@@ -1,0 +1,68 @@
+//! Whether the files that are written are those that stand under the database's name.
+//!
+//! SQLite goes on with a file that somebody removes or replaces under it, and all it commits is gone with the process.
+
+use crate::error::{StoreError, StoreResult};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A file by what the file system calls it, which no other one is called as long as it is open.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Identity {
+    device: u64,
+    inode: u64,
+}
+
+/// The database's file and its log, as they were when they were opened.
+#[derive(Debug)]
+pub(super) struct Files([(PathBuf, Identity); 2]);
+
+impl Files {
+    /// Of a database that is open, and has its log.
+    pub(super) fn of(path: &Path) -> StoreResult<Self> {
+        let identified = |path: PathBuf| match identity(&path) {
+            Ok(identity) => Ok((path, identity)),
+            Err(error) => Err(missing(&path, &error)),
+        };
+        let mut log = path.as_os_str().to_owned();
+        log.push("-wal");
+        Ok(Self([identified(path.to_owned())?, identified(log.into())?]))
+    }
+
+    /// Nothing that was committed may be acknowledged where this fails.
+    ///
+    /// # Errors
+    ///
+    /// `NotWritable` where one of them is no longer there, or is another one.
+    pub(super) fn are_there(&self) -> StoreResult<()> {
+        for (path, opened) in &self.0 {
+            let found = identity(path).map_err(|error| missing(path, &error))?;
+            if found != *opened {
+                let what = format!("{} was replaced while it was open", path.display());
+                return Err(StoreError::NotWritable(what.into()));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn missing(path: &Path, error: &io::Error) -> StoreError {
+    let what = match error.kind() {
+        io::ErrorKind::NotFound => format!("{} was removed while it was open", path.display()),
+        _ => format!("{} cannot be found: {error}", path.display()),
+    };
+    StoreError::NotWritable(what.into())
+}
+
+#[cfg(unix)]
+fn identity(path: &Path) -> io::Result<Identity> {
+    use std::os::unix::fs::MetadataExt;
+    let found = std::fs::metadata(path)?;
+    Ok(Identity { device: found.dev(), inode: found.ino() })
+}
+
+/// Elsewhere a file that is open is neither removed nor replaced.
+#[cfg(not(unix))]
+fn identity(path: &Path) -> io::Result<Identity> {
+    std::fs::metadata(path).map(|_| Identity { device: 0, inode: 0 })
+}
