@@ -5,6 +5,7 @@ use crate::config::{Config, Engine};
 use crate::data_dir::{DataDirError, DataDirLock};
 use feedwright_store::{PostgresOptions, PostgresStore, SqliteOptions, SqliteStore, Store, StoreError};
 use secrecy::ExposeSecret;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// A store that is open, with what has to be held as long as it is.
@@ -21,7 +22,16 @@ pub enum OpenError {
     /// The data directory cannot be used.
     #[error(transparent)]
     DataDir(#[from] DataDirError),
-    /// The database does not open.
+    /// SQLite's file does not open.
+    #[error("cannot open the database {}", file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        #[source]
+        why: StoreError,
+    },
+    /// PostgreSQL's database does not open.
     #[error("cannot open the database")]
     Store(#[from] StoreError),
 }
@@ -43,7 +53,8 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
                 alone: true,
                 ..SqliteOptions::default()
             };
-            let store = Arc::new(SqliteStore::open(path, options).await?);
+            let opened = SqliteStore::open(&path, options).await;
+            let store = Arc::new(opened.map_err(|why| OpenError::File { file: path, why })?);
             Ok(Database { store, lock: Some(lock) })
         }
         Engine::Postgres(url) => {

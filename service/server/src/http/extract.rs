@@ -1,11 +1,13 @@
 //! What handlers take out of paths and queries.
 
 use super::problem::Problem;
+use axum::extract::rejection::QueryRejection;
 use axum::extract::{FromRequestParts, RawPathParams};
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
 use http::request::Parts;
 use serde::de::DeserializeOwned;
+use std::error::Error;
 
 /// An identifier that stands in the path under its own name.
 pub trait InPath: Sized {
@@ -96,17 +98,40 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
         let read = axum::extract::Query::<T>::from_request_parts(parts, state).await;
-        read.map(|query| Self(query.0))
-            .map_err(|rejection| Problem::bad_request("invalid_query", rejection.body_text()))
+        read.map(|query| Self(query.0)).map_err(|rejection| match violation(&rejection) {
+            Some(violation) => Problem::invalid_query(violation),
+            None => Problem::bad_request("invalid_query", rejection.body_text()),
+        })
     }
+}
+
+/// Which parameter is wrong, and how; `None` where the query is none at all.
+fn violation(rejection: &QueryRejection) -> Option<Violation> {
+    let mut cause = rejection.source();
+    let error = loop {
+        let error = cause?;
+        match error.downcast_ref::<serde_path_to_error::Error<serde::de::value::Error>>() {
+            Some(found) => break found,
+            None => cause = error.source(),
+        }
+    };
+    let sentence = error.inner().to_string();
+    let named = |prefix: &str| Some(sentence.strip_prefix(prefix)?.split_once('`')?.0.to_owned());
+    for (prefix, code) in [
+        ("unknown field `", "unknown_field"),
+        ("missing field `", "missing_field"),
+        ("duplicate field `", "duplicate_field"),
+    ] {
+        if let Some(name) = named(prefix) {
+            return Some(Violation::new(name, code, sentence));
+        }
+    }
+    Some(Violation::new(error.path().to_string(), "invalid_value", sentence))
 }
 
 /// Reads an identifier of the query: 400 with its name.
 pub fn query_id<T: for<'a> TryFrom<&'a str, Error = Violation>>(
     text: Option<&str>,
 ) -> Result<Option<T>, Problem> {
-    text.map(T::try_from).transpose().map_err(|violation| {
-        let detail = violation.to_string();
-        Problem { errors: vec![violation], ..Problem::bad_request("invalid_query", detail) }
-    })
+    text.map(T::try_from).transpose().map_err(Problem::invalid_query)
 }

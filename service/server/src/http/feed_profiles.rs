@@ -197,7 +197,11 @@ pub(super) async fn compare(
     let line = line_of(&state, &id).await?;
     let to = query.to.unwrap_or(line.newest);
     let from = query.from.or(line.active).ok_or_else(|| {
-        Problem::bad_request("invalid_query", "no version is active: name the earlier one with `from`")
+        Problem::invalid_query(Violation::new(
+            "from",
+            "missing_field",
+            "no version is active: name the earlier one",
+        ))
     })?;
     let (before, after) = (version_of(&state, &id, from).await?, version_of(&state, &id, to).await?);
     Ok(axum::Json(DiffBody::new(from, to, diff(&before.content, &after.content))))

@@ -9,6 +9,7 @@ use crate::state::AppState;
 use axum::Json;
 use axum::extract::State;
 use feedwright_core::ids::MachineId;
+use feedwright_core::invalid::Violation;
 
 /// Most cycles looked back at for each machine.
 const MOST_RECENT: u32 = 200;
@@ -63,6 +64,6 @@ fn checked(recent: Option<u32>) -> Result<u32, Problem> {
     if (1..=MOST_RECENT).contains(&recent) {
         return Ok(recent);
     }
-    let detail = format!("recent must be within 1 to {MOST_RECENT}");
-    Err(Problem::bad_request("invalid_query", detail))
+    let message = format!("must be within 1 to {MOST_RECENT}, is {recent}");
+    Err(Problem::invalid_query(Violation::new("recent", "out_of_range", message)))
 }

@@ -7,6 +7,7 @@ use crate::state::AppState;
 use axum::Json;
 use axum::extract::State;
 use feedwright_core::ids::ToolId;
+use feedwright_core::invalid::Violation;
 
 /// Most cycles of one answer.
 const MOST_CYCLES: u32 = 20_000;
@@ -32,8 +33,8 @@ pub(super) async fn get(
 ) -> Result<Json<LifeBody>, Problem> {
     let last = query.last.unwrap_or(USUAL_CYCLES);
     if !(1..=MOST_CYCLES).contains(&last) {
-        let detail = format!("last must be within 1 to {MOST_CYCLES}");
-        return Err(Problem::bad_request("invalid_query", detail));
+        let message = format!("must be within 1 to {MOST_CYCLES}, is {last}");
+        return Err(Problem::invalid_query(Violation::new("last", "out_of_range", message)));
     }
     if state.store.tool(&tool).await?.is_none() {
         return Err(Problem::not_found("tool", tool.as_str()));

@@ -94,6 +94,12 @@ impl Problem {
         Self::new(StatusCode::BAD_REQUEST, code, detail)
     }
 
+    /// 400 with the parameter of the query that is wrong.
+    pub fn invalid_query(violation: Violation) -> Self {
+        let detail = violation.to_string();
+        Self { errors: vec![violation], ..Self::bad_request("invalid_query", detail) }
+    }
+
     /// 404: there is no such thing.
     pub fn not_found(what: &str, id: &str) -> Self {
         Self::new(StatusCode::NOT_FOUND, "not_found", format!("there is no {what} `{id}`"))

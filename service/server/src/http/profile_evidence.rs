@@ -91,7 +91,11 @@ pub(super) async fn comparison(
 ) -> Result<axum::Json<ComparisonAnswer>, Problem> {
     let line = line_of(&state, &id).await?;
     let after = query.after.or(line.active).ok_or_else(|| {
-        Problem::bad_request("invalid_query", "no version is active: name the later one with `after`")
+        Problem::invalid_query(Violation::new(
+            "after",
+            "missing_field",
+            "no version is active: name the later one",
+        ))
     })?;
     let sides = [side(&state, &id, query.before).await?, side(&state, &id, after).await?];
     compute(move || Ok(axum::Json(answer(&id, &sides)))).await
