@@ -752,6 +752,15 @@ pub struct SampleDrop {
     pub bytes: u64,
 }
 
+/// That a cycle's samples were dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SamplesGone {
+    /// When; of the decisions of one day (UTC) for one reason the last.
+    pub dropped_at: Timestamp,
+    /// Why.
+    pub reason: DropReason,
+}
+
 /// What one step of dropping did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Dropped {

@@ -287,6 +287,44 @@ async fn a_plant_that_goes_on_is_copied_to_a_cell_again() {
     plant.done().await;
 }
 
+/// The first copy was made before a clock that was ahead dropped what it had received, the second one after.
+#[tokio::test]
+async fn what_a_clock_that_was_ahead_dropped_goes_from_an_earlier_copy_too() {
+    const DAY: i64 = 86_400;
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    let store = cell.store();
+    shop(&*store).await;
+    for n in 0..6 {
+        stored(&*store, &Run { seconds: 40 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    copied(&from, &to).await.unwrap();
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    assert_eq!(store.decide_drops(none, at(41 * DAY)).await.unwrap().len(), 1);
+    while store.drop_some(10, at(41 * DAY)).await.unwrap().more {}
+    assert_eq!(store.decide_drops(none, at(DAY)).await.unwrap(), [], "taken back");
+    let (second, _) = copied(&from, &to).await.unwrap();
+    let rows = |table| second.iter().find(|(name, _)| name == table).unwrap().1.rows;
+    assert_eq!((rows("cycle_samples"), rows("cycle_sample_drops")), (0, 6));
+    let copy = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap();
+    sound(&copy).await;
+    assert_eq!(copy.check_cycles(None, 100).await.unwrap().dropped, 6);
+    copy.close().await;
+    // A backup takes them along.
+    let folder = tempfile::tempdir().unwrap();
+    let (backup, restored) = (folder.path().join("backup"), folder.path().join("restored.sqlite3"));
+    back_up_postgres(&plant.address(), &backup, at(1)).await.unwrap();
+    restore_to_sqlite(&backup, &restored).await.unwrap();
+    let restored = sqlite(&restored).await;
+    sound(&restored).await;
+    restored.close().await;
+    cell.done().await;
+    plant.done().await;
+}
+
 #[tokio::test]
 async fn a_target_that_somebody_else_wrote_is_refused_by_table_and_key() {
     let source = Given::sqlite().await;
