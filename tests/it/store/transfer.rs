@@ -287,9 +287,10 @@ async fn a_plant_that_goes_on_is_copied_to_a_cell_again() {
     plant.done().await;
 }
 
-/// The first copy was made before a clock that was ahead dropped what it had received, the second one after.
+/// The first copy was made before a clock that was ahead dropped what it had received, the second one after; and when the
+/// machine was last heard of has gone back since.
 #[tokio::test]
-async fn what_a_clock_that_was_ahead_dropped_goes_from_an_earlier_copy_too() {
+async fn what_a_clock_that_was_ahead_left_goes_from_an_earlier_copy_too() {
     const DAY: i64 = 86_400;
     let Some(plant) = Given::postgres().await else {
         return;
@@ -300,12 +301,19 @@ async fn what_a_clock_that_was_ahead_dropped_goes_from_an_earlier_copy_too() {
     for n in 0..6 {
         stored(&*store, &Run { seconds: 40 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
     }
+    let settings = watched();
+    let heard = async |seconds, heard| {
+        store.watch(heard, &settings, at(seconds)).await.unwrap().machines[0].last_cycle_at
+    };
+    let contact = vec![("M1".try_into().unwrap(), at(40 * DAY))];
+    assert_eq!(heard(40 * DAY, contact).await, Some(at(40 * DAY)));
     let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
     copied(&from, &to).await.unwrap();
     let none = SampleRetention { days: None, bytes: Some(1) };
     assert_eq!(store.decide_drops(none, at(41 * DAY)).await.unwrap().len(), 1);
     while store.drop_some(10, at(41 * DAY)).await.unwrap().more {}
     assert_eq!(store.decide_drops(none, at(DAY)).await.unwrap(), [], "taken back");
+    assert_eq!(heard(DAY, vec![]).await, Some(at(DAY)), "brought back");
     let (second, _) = copied(&from, &to).await.unwrap();
     let rows = |table| second.iter().find(|(name, _)| name == table).unwrap().1.rows;
     assert_eq!((rows("cycle_samples"), rows("cycle_sample_drops")), (0, 6));
@@ -474,14 +482,17 @@ async fn a_backup_of_the_plant_restores_into_either_engine() {
     other.done().await;
 }
 
-async fn last_backup(store: &dyn Store) -> Option<Timestamp> {
-    let settings = WatchSettings {
+fn watched() -> WatchSettings {
+    WatchSettings {
         silent_after_ms: None,
         silent_after_ms_by_machine: std::collections::BTreeMap::new(),
         quarantine: QuarantineBounds { entries: 10, bytes: 1000 },
         quarantine_warning_ratio: 0.8,
-    };
-    store.watch(vec![], &settings, at(9)).await.unwrap().last_backup_at
+    }
+}
+
+async fn last_backup(store: &dyn Store) -> Option<Timestamp> {
+    store.watch(vec![], &watched(), at(9)).await.unwrap().last_backup_at
 }
 
 #[tokio::test]

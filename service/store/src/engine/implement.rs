@@ -92,8 +92,7 @@ impl Engine {
             let mut after = ahead.has_dropped().then(String::new);
             while let Some(from) = after {
                 let (id, ahead) = (machine.clone(), ahead.clone());
-                after =
-                    write!(self, |conn| { retention::gone::name_page(conn, &id, &ahead, &from, now).await })?;
+                after = write!(self, |conn| retention::gone::name_page(conn, &id, &ahead, &from, now).await)?;
             }
             let id = machine.clone();
             if write!(self, |conn| retention::gone::take_back(conn, &id, &ahead, now).await)? {
