@@ -432,6 +432,8 @@ pub struct StoredToolEvent {
     pub actor: String,
     /// When it was told.
     pub recorded_at: Timestamp,
+    /// By whom and when it was revoked: it holds no more.
+    pub revoked: Option<(String, Timestamp)>,
 }
 
 /// Kinds of alarm.

@@ -103,6 +103,15 @@ pub trait Store: Send + Sync + 'static {
         actor: &Actor,
         now: Timestamp,
     ) -> StoreResult<Option<StoredToolEvent>>;
+    /// Revokes an event: it stays, with who revoked it and when, and the tool is judged as if it had not been told. `None` where
+    /// the tool has no such event; one that is revoked already stays as it is.
+    async fn revoke_tool_event(
+        &self,
+        tool: &ToolId,
+        event: RowNumber,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<StoredToolEvent>>;
     /// A tool's events in the order of arrival.
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>>;
 

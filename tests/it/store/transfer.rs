@@ -193,7 +193,13 @@ async fn week(store: &dyn Store) {
     let renamed = feedwright_core::machine::Machine { name: "another name".to_owned(), ..machine("M1") };
     store.put_machine(renamed, Precondition::Version(1), &who, at(9500)).await.unwrap();
     let changed = event(ToolEventKind::Changed, at(120 * 60));
-    store.add_tool_event(&"T1".try_into().unwrap(), changed, &who, at(9501)).await.unwrap();
+    let tool = "T1".try_into().unwrap();
+    store.add_tool_event(&tool, changed, &who, at(9501)).await.unwrap();
+    // The change that was there before.
+    let events = store.tool_events(&tool, Page { after: None, limit: 9 }).await.unwrap();
+    let before = events.iter().find(|told| told.event.at == at(80 * 60)).unwrap();
+    assert_eq!(before.revoked, None);
+    store.revoke_tool_event(&tool, before.id, &who, at(9501)).await.unwrap().unwrap();
     assert!(store.settle_quarantine("q1", "discarded", &who, at(9502)).await.unwrap());
     for alarm in store.alarms(&Default::default(), Page { after: None, limit: 99 }).await.unwrap() {
         store.acknowledge_alarm(alarm.id, &who, at(9503)).await.unwrap();

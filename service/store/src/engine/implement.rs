@@ -269,6 +269,17 @@ impl Store for Engine {
         register!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
     }
 
+    async fn revoke_tool_event(
+        &self,
+        tool: &ToolId,
+        event: RowNumber,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<StoredToolEvent>> {
+        let (tool, actor) = (tool.clone(), actor.clone());
+        register!(self, |conn| tools::revoke_event(conn, &tool, event, &actor, now).await)
+    }
+
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
         read!(self, |conn| tools::events(conn, tool, &page).await)
     }
