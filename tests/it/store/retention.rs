@@ -18,6 +18,7 @@ stories!(
     what_a_clock_that_was_ahead_has_decided_is_taken_back,
     what_was_decided_but_not_dropped_yet_stays,
     what_a_clock_that_was_ahead_received_pushes_nothing_out,
+    what_goes_while_a_decision_is_taken_back_is_told_too,
 );
 
 const DAY: i64 = 86_400;
@@ -309,6 +310,37 @@ async fn what_a_clock_ran_further_and_further_ahead_dropped_is_named(given: &Giv
     assert_eq!(told_drops(store).await, 4);
     let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
     assert!(drops.iter().all(|drop| drop.before <= at(DAY)), "{drops:?}");
+}
+
+/// Another server still drops by the decision: however the two come between each other, every cycle has its samples or is told.
+async fn what_goes_while_a_decision_is_taken_back_is_told_too(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let runs: Vec<Run> =
+        (0..40).map(|n| Run { seconds: 40 * DAY + i64::from(n) * 60, ..Run::nth(n) }).collect();
+    super::given::commit(&*store, &runs).await;
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    assert_eq!(store.decide_drops(none, at(41 * DAY)).await.unwrap().len(), 1);
+    assert_eq!(store.drop_some(3, at(41 * DAY)).await.unwrap().cycles, 3);
+    let dropping = async {
+        let mut dropped = 3;
+        loop {
+            let step = store.drop_some(2, at(41 * DAY)).await.unwrap();
+            dropped += step.cycles;
+            if !step.more {
+                return dropped;
+            }
+        }
+    };
+    let (decided, dropped) = tokio::join!(store.decide_drops(FOR_EVER, at(DAY)), dropping);
+    assert_eq!(decided.unwrap(), []);
+    // Where too much went meanwhile, the next run takes it back.
+    assert_eq!(run(&*store, FOR_EVER, DAY + 60).await, (0, Dropped::default()));
+    let left = kept(&*store).await.iter().filter(|kept| **kept).count() as u64;
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.dropped, checked.faults.as_slice()), (dropped, [].as_slice()));
+    assert_eq!((dropped + left, told_drops(&*store).await), (40, dropped));
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    assert!(drops.iter().all(|drop| drop.before <= at(DAY + 60)), "{drops:?}");
 }
 
 /// What the check must find, told on the tables themselves.
