@@ -29,6 +29,7 @@ SELECT create_distributed_table('tool_wear_checkpoints', 'machine_id', colocate_
 SELECT create_distributed_table('calibrations', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('retention', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('sample_drops', 'machine_id', colocate_with => 'cycles');
+SELECT create_distributed_table('cycle_sample_drops', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('cycle_overrides', 'machine_id', colocate_with => 'cycles');
 -- Asked for by their own id alone, which each worker then looks for.
 SELECT create_distributed_table('recommendations', 'machine_id', colocate_with => 'cycles');

@@ -409,6 +409,8 @@ await check("tool: who may records an event, who may not is told why", async () 
     assert.match(await record.getAttribute("title"), /viewer.*process engineer/);
     await record.click({ force: true });
     assert.equal(await page.locator("dialog[open]").count(), 0);
+    assert.ok(await page.locator("#events tr").count() > 0);
+    assert.equal(await page.locator("#events button").count(), 0);
   });
   await withPage({ role: "engineer", expects: ["422"] }, async (page) => {
     await page.go("/tool?id=sim-tool-5");
@@ -421,7 +423,15 @@ await check("tool: who may records an event, who may not is told why", async () 
     assert.deepEqual(await violations(page), []);
     await page.locator("#event-form button[type=submit]").click();
     await page.getByText("Recorded. It holds from the next cycle on.").waitFor();
-    await page.locator("#events", { hasText: "ground at the maker's" }).waitFor();
+    const ground = page.locator("#events tr", { hasText: "ground at the maker's" });
+    await ground.waitFor();
+    const before = await page.locator("#say").textContent();
+    await ground.locator("button", { hasText: "Take back" }).click();
+    assert.deepEqual(await violations(page), []);
+    await page.locator("dialog[open] button[type=submit]").click();
+    await ground.filter({ hasText: "taken back on" }).waitFor();
+    assert.equal(await ground.locator("button").count(), 0);
+    assert.notEqual(await page.locator("#say").textContent(), before, "it is judged as if nothing had been recorded");
   });
 });
 

@@ -432,6 +432,8 @@ pub struct StoredToolEvent {
     pub actor: String,
     /// When it was told.
     pub recorded_at: Timestamp,
+    /// By whom and when it was revoked: it holds no more.
+    pub revoked: Option<(String, Timestamp)>,
 }
 
 /// Kinds of alarm.
@@ -750,6 +752,15 @@ pub struct SampleDrop {
     pub cycles: u64,
     /// Bytes that have gone so far.
     pub bytes: u64,
+}
+
+/// That a cycle's samples were dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SamplesGone {
+    /// When; of the decisions of one day (UTC) for one reason the last.
+    pub dropped_at: Timestamp,
+    /// Why.
+    pub reason: DropReason,
 }
 
 /// What one step of dropping did.

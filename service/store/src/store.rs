@@ -11,8 +11,8 @@ use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
     DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
     Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
-    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings,
-    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    SampleRetention, SamplesGone, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
+    Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::{ProfileVersion, Samples};
@@ -24,6 +24,7 @@ use feedwright_core::recommend::{Knowledge, RecommendSettings};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The store. Every method that changes something returns after its durable commit, and writes its audit line
@@ -103,6 +104,15 @@ pub trait Store: Send + Sync + 'static {
         &self,
         tool: &ToolId,
         event: ToolEvent,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<StoredToolEvent>>;
+    /// Revokes an event: it stays, with who revoked it and when, and the tool is judged as if it had not been told. `None` where
+    /// the tool has no such event; one that is revoked already stays as it is.
+    async fn revoke_tool_event(
+        &self,
+        tool: &ToolId,
+        event: RowNumber,
         actor: &Actor,
         now: Timestamp,
     ) -> StoreResult<Option<StoredToolEvent>>;
@@ -271,6 +281,13 @@ pub trait Store: Send + Sync + 'static {
     ) -> StoreResult<Option<PutOutcome>>;
     /// What was decided to drop of a machine's samples, oldest decision first.
     async fn sample_drops(&self, machine: &MachineId) -> StoreResult<Vec<SampleDrop>>;
+    /// When and why samples of these cycles of a machine were dropped, each told with its receipt. A cycle that is not in
+    /// the answer was dropped by nobody.
+    async fn samples_gone(
+        &self,
+        machine: &MachineId,
+        cycles: &[(CycleId, Timestamp)],
+    ) -> StoreResult<BTreeMap<CycleId, SamplesGone>>;
     /// Decides for every machine which samples are to go; `otherwise` holds where a machine has no say of its own.
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>>;
     /// Drops some of the samples that decisions name, `most` cycles in one short transaction, or one whole partition.

@@ -111,6 +111,28 @@ async fn a_reset_needs_a_reason_and_goes_into_the_audit() {
     let kinds: Vec<_> =
         events["items"].as_array().unwrap().iter().map(|event| event["kind"].clone()).collect();
     assert_eq!(kinds, [json!("mounted_new"), json!("reset")]);
+    // Told by mistake: it stays in the list, and holds no more.
+    assert_eq!(app.get("/v1/tools/T1/wear").await.json()["life"], 2);
+    let reset = events["items"][1]["id"].as_i64().unwrap();
+    let revoked = app.post(&format!("/v1/tools/T1/events/{reset}/revoke"), json!({})).await;
+    assert_eq!(revoked.status, StatusCode::OK, "{revoked:?}");
+    let after = app.get("/v1/tools/T1/events").await.json();
+    assert_eq!(after["items"][1], revoked.json());
+    assert_eq!(after["items"][0], events["items"][0]);
+    assert_eq!(
+        (&after["items"][1]["revoked_at"], &after["items"][0]["revoked_at"]),
+        (&json!("2026-05-04T06:00:00Z"), &json!(null))
+    );
+    assert_eq!(after["items"][1]["revoked_by"], after["items"][1]["actor"]);
+    assert_eq!(app.get("/v1/tools/T1/wear").await.json()["life"], 1);
+    for nothing in ["T1/events/9999", "T9/events/1"] {
+        let answer = app.post(&format!("/v1/tools/{nothing}/revoke"), json!({})).await;
+        assert_eq!(
+            (answer.status, answer.code().as_str()),
+            (StatusCode::NOT_FOUND, "not_found"),
+            "{nothing}"
+        );
+    }
     assert_eq!(app.get("/v1/tools/T9/events").await.status, StatusCode::NOT_FOUND);
 
     let audit = app.get("/v1/audit?limit=1000").await.json().to_string();

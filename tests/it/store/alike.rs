@@ -38,7 +38,11 @@ async fn story(store: &dyn Store) -> Vec<String> {
     mounted(store, "T2", 0).await;
     store.put_operation(operation("O2"), Precondition::Absent, &engineer(), at(9001)).await.unwrap();
     let changed = event(ToolEventKind::Changed, at(80 * 60));
-    store.add_tool_event(&"T1".try_into().unwrap(), changed, &engineer(), at(9002)).await.unwrap();
+    let tool = "T1".try_into().unwrap();
+    store.add_tool_event(&tool, changed, &engineer(), at(9002)).await.unwrap();
+    let mistaken = event(ToolEventKind::Reground, at(40 * 60));
+    let mistaken = store.add_tool_event(&tool, mistaken, &engineer(), at(9003)).await.unwrap().unwrap();
+    store.revoke_tool_event(&tool, mistaken.id, &engineer(), at(9004)).await.unwrap().unwrap();
     told
 }
 

@@ -131,6 +131,27 @@ async fn a_read_only_server_is_refused() {
     given.done().await;
 }
 
+/// No fold changes by an event after the last cycle: what this server remembers of the tool has to be forgotten all the same.
+#[tokio::test]
+async fn an_event_that_one_server_revokes_holds_no_more_at_another() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let (store, other) = (given.store(), replica(&given).await);
+    shop(&*store).await;
+    let id = "T1".try_into().unwrap();
+    stored(&*store, &Run::nth(1)).await;
+    let ahead = event(ToolEventKind::Changed, at(40 * 86_400));
+    let told = other.add_tool_event(&id, ahead, &engineer(), at(100)).await.unwrap().unwrap();
+    assert_eq!(stored(&*store, &Run::nth(2)).await.verdict.cycles, 0);
+    other.revoke_tool_event(&id, told.id, &engineer(), at(200)).await.unwrap().unwrap();
+    let answer = stored(&*store, &Run::nth(3)).await;
+    assert_eq!((answer.verdict.life, answer.verdict.cycles), (1, 3));
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, vec![]);
+    other.close().await;
+    given.done().await;
+}
+
 #[tokio::test]
 async fn a_change_at_one_server_is_in_force_at_the_next_commit_of_another() {
     let Some(given) = Given::postgres().await else {

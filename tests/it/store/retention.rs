@@ -3,7 +3,8 @@
 use super::given::{Given, Run, at, commit, engineer, shop, stored, stories};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_store::{
-    CycleFilter, DropReason, Dropped, Page, Precondition, PutOutcome, SampleRetention, Store, StoreError,
+    CycleFilter, DropReason, Dropped, Page, Precondition, PutOutcome, SampleRetention, SamplesGone, Store,
+    StoreError,
 };
 use std::sync::Arc;
 
@@ -17,6 +18,7 @@ stories!(
     what_a_clock_that_was_ahead_has_decided_is_taken_back,
     what_was_decided_but_not_dropped_yet_stays,
     what_a_clock_that_was_ahead_received_pushes_nothing_out,
+    what_goes_while_a_decision_is_taken_back_is_told_too,
 );
 
 const DAY: i64 = 86_400;
@@ -223,6 +225,124 @@ async fn what_a_clock_that_was_ahead_received_pushes_nothing_out(store: Arc<dyn 
     assert_eq!(run(&*store, some, 303 * DAY).await, (0, Dropped::default()));
 }
 
+/// As many bytes as that many blocks of these cycles, and half a block.
+fn bytes_of(blocks: u64, dropped: Dropped) -> SampleRetention {
+    let block = dropped.bytes / dropped.cycles;
+    SampleRetention { days: None, bytes: Some(block * blocks + block / 2) }
+}
+
+/// Every cycle that has no samples any more, with when and why they went.
+async fn gone(store: &dyn Store) -> Vec<(String, Option<SamplesGone>)> {
+    let machine = MachineId::try_from("M1").unwrap();
+    let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 100 }).await.unwrap();
+    let without: Vec<_> = cycles.iter().filter(|cycle| cycle.samples_are_gone()).collect();
+    let asked: Vec<_> = without.iter().map(|cycle| (cycle.cycle.id.clone(), cycle.received_at)).collect();
+    let told = store.samples_gone(&machine, &asked).await.unwrap();
+    asked.into_iter().map(|(cycle, _)| (cycle.to_string(), told.get(&cycle).copied())).collect()
+}
+
+async fn told_drops(store: &dyn Store) -> u64 {
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    drops.iter().map(|drop| drop.cycles).sum()
+}
+
+/// By bytes: what the clock received last stays, what it received before that went with what had been there.
+async fn what_a_clock_that_was_ahead_received_and_dropped_itself_is_named(given: &Given) {
+    let store = given.store();
+    let store = &*store;
+    shop(store).await;
+    stored(store, &Run { seconds: 0, ..Run::nth(99) }).await;
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    let two = bytes_of(2, run(store, none, 60).await.1);
+    for n in 0..5 {
+        stored(store, &Run { seconds: 3600 + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    for n in 5..11 {
+        stored(store, &Run { seconds: 40 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    assert_eq!(run(store, two, 40 * DAY + 3600).await.1.cycles, 9);
+    // The clock is right again: all of them are told, and none that is yet to come.
+    for seconds in [DAY, DAY + 3600] {
+        assert_eq!(run(store, two, seconds).await, (0, Dropped::default()));
+        let told = gone(store).await;
+        let since = |at| Some(SamplesGone { dropped_at: at, reason: DropReason::Size });
+        let expected = [("c00099".to_owned(), since(at(60)))].into_iter();
+        let expected = expected.chain((0..9).map(|n| (format!("c{n:05}"), since(at(DAY)))));
+        assert_eq!(told, expected.collect::<Vec<_>>());
+        let checked = store.check_cycles(None, 100).await.unwrap();
+        assert_eq!((checked.dropped, checked.faults.as_slice()), (10, [].as_slice()));
+        assert_eq!(told_drops(store).await, 10, "counts stay with what they count");
+    }
+    // Their time has come, and what is received between them is kept: where its samples are missing, nobody dropped them.
+    for n in 20..22 {
+        stored(store, &Run { seconds: 40 * DAY + i64::from(n - 15) * 60 + 1, ..Run::nth(n) }).await;
+    }
+    let lost = "DELETE FROM cycle_samples WHERE cycle_id = 'c00021'";
+    assert_eq!(given.raw(lost).await.unwrap(), 1);
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    let faults: Vec<_> = checked.faults.iter().map(|fault| fault.key.as_str()).collect();
+    assert_eq!((checked.dropped, faults.as_slice()), (10, ["M1/c00021"].as_slice()));
+    assert_eq!(gone(store).await.iter().filter(|(_, told)| told.is_none()).count(), 1);
+    // A later decision tells of their receipts too; it is not what dropped them.
+    let (_, dropped) = run(store, none, 41 * DAY).await;
+    assert_eq!(dropped.cycles, 3, "two that the clock had received, and one between them");
+    let of_name = gone(store).await.into_iter().find(|(id, _)| id == "c00005").unwrap().1;
+    assert_eq!(of_name.unwrap().dropped_at, at(DAY));
+}
+
+/// By days: ahead by forty days, and then by eighty.
+async fn what_a_clock_ran_further_and_further_ahead_dropped_is_named(given: &Given) {
+    let store = given.store();
+    let store = &*store;
+    shop(store).await;
+    for (n, day) in [(1, 0), (2, 40), (3, 40), (4, 80)] {
+        stored(store, &Run { seconds: day * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    // Up to the fifth of February, or by months up to the first, and then up to the second of April, or the first.
+    assert_eq!(run(store, days(30), 61 * DAY).await.1.cycles, 1);
+    assert_eq!(run(store, days(30), 117 * DAY).await.1.cycles, 3);
+    assert_eq!(run(store, days(30), DAY).await, (0, Dropped::default()));
+    let since = Some(SamplesGone { dropped_at: at(DAY), reason: DropReason::Age });
+    let expected = (1..5).map(|n| (format!("c{n:05}"), since));
+    assert_eq!(gone(store).await, expected.collect::<Vec<_>>());
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.dropped, checked.faults.as_slice()), (4, [].as_slice()));
+    assert_eq!(told_drops(store).await, 4);
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    assert!(drops.iter().all(|drop| drop.before <= at(DAY)), "{drops:?}");
+}
+
+/// Another server still drops by the decision: however the two come between each other, every cycle has its samples or is told.
+async fn what_goes_while_a_decision_is_taken_back_is_told_too(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let runs: Vec<Run> =
+        (0..40).map(|n| Run { seconds: 40 * DAY + i64::from(n) * 60, ..Run::nth(n) }).collect();
+    super::given::commit(&*store, &runs).await;
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    assert_eq!(store.decide_drops(none, at(41 * DAY)).await.unwrap().len(), 1);
+    assert_eq!(store.drop_some(3, at(41 * DAY)).await.unwrap().cycles, 3);
+    let dropping = async {
+        let mut dropped = 3;
+        loop {
+            let step = store.drop_some(2, at(41 * DAY)).await.unwrap();
+            dropped += step.cycles;
+            if !step.more {
+                return dropped;
+            }
+        }
+    };
+    let (decided, dropped) = tokio::join!(store.decide_drops(FOR_EVER, at(DAY)), dropping);
+    assert_eq!(decided.unwrap(), []);
+    // Where too much went meanwhile, the next run takes it back.
+    assert_eq!(run(&*store, FOR_EVER, DAY + 60).await, (0, Dropped::default()));
+    let left = kept(&*store).await.iter().filter(|kept| **kept).count() as u64;
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.dropped, checked.faults.as_slice()), (dropped, [].as_slice()));
+    assert_eq!((dropped + left, told_drops(&*store).await), (40, dropped));
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    assert!(drops.iter().all(|drop| drop.before <= at(DAY + 60)), "{drops:?}");
+}
+
 /// What the check must find, told on the tables themselves.
 async fn damage_is_named_by_its_key(given: &Given) {
     let store = given.store();
@@ -270,7 +390,19 @@ async fn damage_is_named_by_its_key(given: &Given) {
 
 mod damage {
     use super::damage_is_named_by_its_key;
-    crate::store::given::stories!(with tables: damage_is_named);
+    crate::store::given::stories!(with tables:
+        damage_is_named,
+        what_it_received_and_dropped_itself_is_named,
+        what_it_dropped_further_and_further_ahead_is_named,
+    );
+
+    async fn what_it_received_and_dropped_itself_is_named(given: &super::Given) {
+        super::what_a_clock_that_was_ahead_received_and_dropped_itself_is_named(given).await;
+    }
+
+    async fn what_it_dropped_further_and_further_ahead_is_named(given: &super::Given) {
+        super::what_a_clock_ran_further_and_further_ahead_dropped_is_named(given).await;
+    }
 
     async fn damage_is_named(given: &super::Given) {
         damage_is_named_by_its_key(given).await;

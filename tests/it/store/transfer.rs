@@ -193,7 +193,13 @@ async fn week(store: &dyn Store) {
     let renamed = feedwright_core::machine::Machine { name: "another name".to_owned(), ..machine("M1") };
     store.put_machine(renamed, Precondition::Version(1), &who, at(9500)).await.unwrap();
     let changed = event(ToolEventKind::Changed, at(120 * 60));
-    store.add_tool_event(&"T1".try_into().unwrap(), changed, &who, at(9501)).await.unwrap();
+    let tool = "T1".try_into().unwrap();
+    store.add_tool_event(&tool, changed, &who, at(9501)).await.unwrap();
+    // The change that was there before.
+    let events = store.tool_events(&tool, Page { after: None, limit: 9 }).await.unwrap();
+    let before = events.iter().find(|told| told.event.at == at(80 * 60)).unwrap();
+    assert_eq!(before.revoked, None);
+    store.revoke_tool_event(&tool, before.id, &who, at(9501)).await.unwrap().unwrap();
     assert!(store.settle_quarantine("q1", "discarded", &who, at(9502)).await.unwrap());
     for alarm in store.alarms(&Default::default(), Page { after: None, limit: 99 }).await.unwrap() {
         store.acknowledge_alarm(alarm.id, &who, at(9503)).await.unwrap();
@@ -284,6 +290,52 @@ async fn a_plant_that_goes_on_is_copied_to_a_cell_again() {
     // What the backup finds is what the copy said.
     let backup = back_up_sqlite(&file, &folder.path().join("backup"), at(1)).await.unwrap();
     assert_eq!(backup.tables, sums);
+    plant.done().await;
+}
+
+/// The first copy was made before a clock that was ahead dropped what it had received, the second one after; and when the
+/// machine was last heard of has gone back since.
+#[tokio::test]
+async fn what_a_clock_that_was_ahead_left_goes_from_an_earlier_copy_too() {
+    const DAY: i64 = 86_400;
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    let store = cell.store();
+    shop(&*store).await;
+    for n in 0..6 {
+        stored(&*store, &Run { seconds: 40 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
+    }
+    let settings = watched();
+    let heard = async |seconds, heard| {
+        store.watch(heard, &settings, at(seconds)).await.unwrap().machines[0].last_cycle_at
+    };
+    let contact = vec![("M1".try_into().unwrap(), at(40 * DAY))];
+    assert_eq!(heard(40 * DAY, contact).await, Some(at(40 * DAY)));
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    copied(&from, &to).await.unwrap();
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    assert_eq!(store.decide_drops(none, at(41 * DAY)).await.unwrap().len(), 1);
+    while store.drop_some(10, at(41 * DAY)).await.unwrap().more {}
+    assert_eq!(store.decide_drops(none, at(DAY)).await.unwrap(), [], "taken back");
+    assert_eq!(heard(DAY, vec![]).await, Some(at(DAY)), "brought back");
+    let (second, _) = copied(&from, &to).await.unwrap();
+    let rows = |table| second.iter().find(|(name, _)| name == table).unwrap().1.rows;
+    assert_eq!((rows("cycle_samples"), rows("cycle_sample_drops")), (0, 6));
+    let copy = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap();
+    sound(&copy).await;
+    assert_eq!(copy.check_cycles(None, 100).await.unwrap().dropped, 6);
+    copy.close().await;
+    // A backup takes them along.
+    let folder = tempfile::tempdir().unwrap();
+    let (backup, restored) = (folder.path().join("backup"), folder.path().join("restored.sqlite3"));
+    back_up_postgres(&plant.address(), &backup, at(1)).await.unwrap();
+    restore_to_sqlite(&backup, &restored).await.unwrap();
+    let restored = sqlite(&restored).await;
+    sound(&restored).await;
+    restored.close().await;
+    cell.done().await;
     plant.done().await;
 }
 
@@ -436,14 +488,17 @@ async fn a_backup_of_the_plant_restores_into_either_engine() {
     other.done().await;
 }
 
-async fn last_backup(store: &dyn Store) -> Option<Timestamp> {
-    let settings = WatchSettings {
+fn watched() -> WatchSettings {
+    WatchSettings {
         silent_after_ms: None,
         silent_after_ms_by_machine: std::collections::BTreeMap::new(),
         quarantine: QuarantineBounds { entries: 10, bytes: 1000 },
         quarantine_warning_ratio: 0.8,
-    };
-    store.watch(vec![], &settings, at(9)).await.unwrap().last_backup_at
+    }
+}
+
+async fn last_backup(store: &dyn Store) -> Option<Timestamp> {
+    store.watch(vec![], &watched(), at(9)).await.unwrap().last_backup_at
 }
 
 #[tokio::test]

@@ -13,6 +13,7 @@ use std::sync::Arc;
 
 stories!(
     a_machine_that_falls_silent_alarms_until_it_posts_again,
+    a_machine_that_a_clock_which_was_ahead_heard_of_falls_silent_all_the_same,
     a_quarantine_that_fills_up_alarms_before_it_is_full,
     usage_tells_sizes_and_connections
 );
@@ -82,6 +83,33 @@ async fn a_machine_that_falls_silent_alarms_until_it_posts_again(store: Arc<dyn 
     store.watch(vec![], &off, at(1_000_730)).await.unwrap();
     assert_eq!(open(&*store).await, [], "a machine that is not watched any more is not silent");
     stored(&*store, &Run::nth(1)).await;
+}
+
+/// Its last contact stood at a time yet to come, up to which nothing was later.
+async fn a_machine_that_a_clock_which_was_ahead_heard_of_falls_silent_all_the_same(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    for name in ["M2", "M3"] {
+        store.put_machine(machine(name), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+    }
+    let never: [String; 0] = [];
+    let last = async |now| -> Vec<Option<Timestamp>> {
+        let round = store.watch(vec![], &settings(), now).await.unwrap();
+        round.machines.into_iter().map(|contact| contact.last_cycle_at).collect()
+    };
+    let ahead = 40 * 86_400;
+    let heard = [("M1", at(ahead)), ("M2", at(ahead))];
+    assert_eq!(silent(&*store, &heard, at(ahead)).await, never);
+    // Servers are apart by some minutes: that is not brought back.
+    assert_eq!(last(at(ahead - 600)).await, [Some(at(ahead)), Some(at(ahead)), None]);
+    // The clock is right again: heard of now at the latest, and silent from then on.
+    assert_eq!(last(at(1000)).await, [Some(at(1000)), Some(at(1000)), None]);
+    assert_eq!(silent(&*store, &[], at(1060)).await, never);
+    assert_eq!(silent(&*store, &[], at(1061)).await, ["M2"]);
+    // It posts, and is heard of again; what was heard before the clock was put back is not of the future.
+    let heard = [("M2", at(1090)), ("M1", at(ahead))];
+    assert_eq!(silent(&*store, &heard, at(1100)).await, never);
+    assert_eq!(last(at(1101)).await, [Some(at(1100)), Some(at(1090)), None]);
+    assert_eq!(silent(&*store, &[], at(1701)).await, ["M1", "M2"]);
 }
 
 fn entry(n: usize) -> QuarantineEntry {

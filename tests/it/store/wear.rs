@@ -6,9 +6,9 @@ use super::given::{
 use feedwright_core::cycle::Flag;
 use feedwright_core::operation::WearSettings;
 use feedwright_core::recommend::RecommendSettings;
-use feedwright_core::tool::ToolEventKind;
+use feedwright_core::tool::{ToolEvent, ToolEventKind};
 use feedwright_core::wear::{CycleFacts, Exclusion, FoldSettings, ToolFold, ToolState, Verdict};
-use feedwright_store::{Committed, NewCycle, Precondition, Repair, Store};
+use feedwright_store::{Actor, Committed, NewCycle, Precondition, Repair, Store, StoredToolEvent};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
@@ -24,6 +24,8 @@ stories!(
     an_event_after_the_last_cycle_acts_at_once,
     changed_settings_are_judged_again,
     a_beginning_that_is_told_late_is_the_beginning,
+    an_event_that_a_clock_which_was_ahead_told_is_revoked_and_told_again,
+    wherever_an_event_stands_it_is_as_if_it_had_not_been_told_once_it_is_revoked,
     cycles_that_were_cut_short_do_not_count_however_they_arrive,
 );
 
@@ -235,6 +237,95 @@ async fn a_beginning_that_is_told_late_is_the_beginning(store: Arc<dyn Store>) {
     tell(ToolEventKind::MountedUsed, Some("c00003"), at(150 * 60)).await;
     let answer = stored(&*store, &Run { sampled: false, ..Run::nth(3) }).await;
     assert_eq!((answer.verdict.life, answer.verdict.cycles), (4, 61), "cycles 200 to 260");
+    assert_clean(&*store).await;
+}
+
+/// What the newest audit lines say, oldest first.
+async fn revocations(store: &dyn Store) -> Vec<(String, String, String)> {
+    let audit = store.audit(feedwright_store::Page { after: None, limit: 100 }).await.unwrap();
+    let lines = audit.into_iter().filter(|line| line.action == "tool.event_revoke");
+    lines.map(|line| (line.actor, line.subject, line.detail)).collect()
+}
+
+async fn an_event_that_a_clock_which_was_ahead_told_is_revoked_and_told_again(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let (id, who) = ("T1".try_into().unwrap(), engineer());
+    let runs: Vec<Run> = (1..=12).map(Run::nth).collect();
+    commit(&*store, &runs[..9]).await;
+    let ahead = event(ToolEventKind::Changed, at(40 * 86_400));
+    let told = store.add_tool_event(&id, ahead, &who, at(40 * 86_400)).await.unwrap().unwrap();
+    // Whatever is run until then belongs to the old tool, and nothing is known of the new one.
+    for run in &runs[9..] {
+        assert_eq!(stored(&*store, run).await.verdict.cycles, 0);
+    }
+    let revoked = store.revoke_tool_event(&id, told.id, &who, at(1000)).await.unwrap().unwrap();
+    assert_eq!(revoked, StoredToolEvent { revoked: Some((who.token.clone(), at(1000))), ..told.clone() });
+    assert_eq!(store.verdict(&id).await.unwrap(), naive(&runs, true, WearSettings::default()));
+    assert_clean(&*store).await;
+    // Told again by the right clock, it holds from then on, for what is in memory too.
+    let changed = event(ToolEventKind::Changed, at(10 * 60 + 30));
+    store.add_tool_event(&id, changed, &who, at(1100)).await.unwrap().unwrap();
+    let verdict = store.verdict(&id).await.unwrap();
+    assert_eq!((verdict.life, verdict.cycles), (2, 2), "cycles 11 and 12");
+    assert_eq!(stored(&*store, &Run::nth(13)).await.verdict.cycles, 3);
+    assert_clean(&*store).await;
+    // Once more, by another: it stays as it was revoked.
+    let another = Actor { token: "another".to_owned(), ..who };
+    let again = store.revoke_tool_event(&id, told.id, &another, at(2000)).await.unwrap();
+    assert_eq!(again, Some(revoked.clone()));
+    assert_eq!(store.verdict(&id).await.unwrap().cycles, 3);
+    let page = feedwright_store::Page { after: None, limit: 10 };
+    let events = store.tool_events(&id, page).await.unwrap();
+    assert_eq!((events.len(), &events[1]), (3, &revoked), "it is seen where it was told");
+    let other = "T2".try_into().unwrap();
+    assert_eq!(store.revoke_tool_event(&other, told.id, &another, at(2000)).await.unwrap(), None);
+    assert_eq!(store.revoke_tool_event(&id, 9_999, &another, at(2000)).await.unwrap(), None);
+    let lines = revocations(&*store).await;
+    assert_eq!(lines.len(), 1, "{lines:?}");
+    assert_eq!((lines[0].0.as_str(), lines[0].1.as_str()), (engineer().token.as_str(), "tool/T1"));
+    assert!(lines[0].2.contains(&format!("\"event\":{}", told.id)), "{lines:?}");
+}
+
+/// A checkpoint stands before the place and after it, the named cycle comes late, and the first life begins otherwise.
+async fn wherever_an_event_stands_it_is_as_if_it_had_not_been_told_once_it_is_revoked(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let (id, who) = ("T1".try_into().unwrap(), engineer());
+    store.put_machine(machine("M2"), Precondition::Absent, &who, at(0)).await.unwrap();
+    let run = |n: u32| Run {
+        machine: if n.is_multiple_of(3) { "M2" } else { "M1" },
+        sampled: false,
+        load: 30.0 + f64::from(n) * 0.002,
+        ..Run::nth(n)
+    };
+    let runs: Vec<Run> = (1..=600).map(run).collect();
+    commit(&*store, &runs[..100]).await;
+    commit(&*store, &runs[101..]).await;
+    let naming = |kind, n: u32, when| {
+        let first_cycle = Some(("M1".try_into().unwrap(), format!("c{n:05}").as_str().try_into().unwrap()));
+        ToolEvent { first_cycle, ..event(kind, at(when)) }
+    };
+    let mut told = Vec::new();
+    for one in [
+        event(ToolEventKind::Changed, at(400 * 60)),
+        naming(ToolEventKind::Reground, 101, 500 * 60),
+        event(ToolEventKind::Reset, at(-20)),
+        event(ToolEventKind::Changed, at(4_000_000)),
+    ] {
+        told.push(store.add_tool_event(&id, one, &who, at(5_000_000)).await.unwrap().unwrap().id);
+    }
+    stored(&*store, &runs[100]).await;
+    assert_clean(&*store).await;
+    for (event, life) in told.into_iter().zip([4, 3, 2, 1]) {
+        store.revoke_tool_event(&id, event, &who, at(6_000_000)).await.unwrap().unwrap();
+        assert_eq!(store.verdict(&id).await.unwrap().life, life);
+        assert_clean(&*store).await;
+    }
+    assert_eq!(store.verdict(&id).await.unwrap(), naive(&runs, true, WearSettings::default()));
+    // Nothing mounts it any more.
+    let page = feedwright_store::Page { after: None, limit: 1 };
+    let mounting = store.tool_events(&id, page).await.unwrap()[0].id;
+    store.revoke_tool_event(&id, mounting, &who, at(6_000_001)).await.unwrap().unwrap();
+    assert_eq!(store.verdict(&id).await.unwrap(), naive(&runs, false, WearSettings::default()));
     assert_clean(&*store).await;
 }
 

@@ -149,8 +149,8 @@ pub async fn get_cycle(
     if !stored.samples_are_gone() {
         return Ok(Json(body));
     }
-    let drops = state.store.sample_drops(&machine).await?;
-    Ok(Json(body.tell_drops(&stored, &drops)))
+    let gone = state.store.samples_gone(&machine, &[(id.clone(), stored.received_at)]).await?;
+    Ok(Json(body.tell_drop(gone.get(&id))))
 }
 
 /// Filters of a list of cycles.
@@ -195,16 +195,17 @@ pub async fn list_cycles(
     let paging = Paging::new(&state, scope, query.limit, query.cursor.as_deref())?;
     let rows = state.store.cycles(&filter, paging.page()).await?;
     // One question per machine, and only where something is gone.
-    let mut drops = BTreeMap::new();
+    let mut without = BTreeMap::<_, Vec<_>>::new();
     for row in rows.iter().filter(|row| row.samples_are_gone()) {
-        let machine = &row.cycle.machine;
-        if !drops.contains_key(machine) {
-            drops.insert(machine.clone(), state.store.sample_drops(machine).await?);
-        }
+        without.entry(&row.cycle.machine).or_default().push((row.cycle.id.clone(), row.received_at));
+    }
+    let mut gone = BTreeMap::new();
+    for (machine, cycles) in without {
+        gone.insert(machine.clone(), state.store.samples_gone(machine, &cycles).await?);
     }
     let view = |row: feedwright_store::StoredCycle| {
-        let drops = drops.get(&row.cycle.machine).map(Vec::as_slice).unwrap_or_default();
-        CycleBody::from(&row).tell_drops(&row, drops)
+        let of_machine = gone.get(&row.cycle.machine);
+        CycleBody::from(&row).tell_drop(of_machine.and_then(|gone| gone.get(&row.cycle.id)))
     };
     let key = |row: &feedwright_store::StoredCycle| {
         (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone())

@@ -190,6 +190,7 @@ pub fn table() -> Vec<Route> {
         route!(tools::get, READ),
         route!(tools::list, READ),
         route!(tool_events::add, ENGINEER),
+        route!(tool_events::revoke, ENGINEER),
         route!(tool_events::list, READ),
         route!(operations::put, ENGINEER),
         route!(operations::get, READ),

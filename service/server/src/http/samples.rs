@@ -113,10 +113,10 @@ pub(super) async fn no_samples(
     }
     let detail = "the samples of this cycle were dropped by retention; its summary is kept";
     let mut problem = Problem::new(StatusCode::GONE, "samples_dropped", detail);
-    let drops = state.store.sample_drops(machine).await?;
-    if let Some(drop) = drops.iter().find(|drop| drop.before > cycle.received_at) {
-        problem.members.insert("dropped_at".to_owned(), time::show(drop.dropped_at).into());
-        problem.members.insert("reason".to_owned(), drop.reason.as_str().into());
+    let gone = state.store.samples_gone(machine, &[(id.clone(), cycle.received_at)]).await?;
+    if let Some(gone) = gone.get(id) {
+        problem.members.insert("dropped_at".to_owned(), time::show(gone.dropped_at).into());
+        problem.members.insert("reason".to_owned(), gone.reason.as_str().into());
     }
     Ok(problem)
 }

@@ -115,7 +115,7 @@ impl Library {
             let page = Page { after: None, limit: MOST_EVENTS };
             let mut begun = Vec::new();
             for stored in self.store.tool_events(&meta.tool, page).await? {
-                if !stored.event.kind.begins_life() {
+                if stored.revoked.is_some() || !stored.event.kind.begins_life() {
                     continue;
                 }
                 let first = match &stored.event.first_cycle {

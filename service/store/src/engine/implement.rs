@@ -18,8 +18,8 @@ use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
     DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
     Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
-    SampleRetention, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease, Surroundings,
-    TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    SampleRetention, SamplesGone, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
+    Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -32,8 +32,11 @@ use feedwright_core::recommend::{Knowledge, RecommendSettings};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// How often it is tried to take a decision back by which more and more goes meanwhile; the next run tries again.
+const TAKE_BACK_ATTEMPTS: u32 = 3;
 /// Machines that are read at a time.
 const MACHINES_PAGE: u32 = 100;
 
@@ -79,6 +82,28 @@ macro_rules! snapshot {
 }
 
 impl Engine {
+    /// Takes back what a clock that was ahead has decided on a machine's samples. What is gone by it stays told: its
+    /// cycles are named first, some at a time, which the writer can bear; where more goes meanwhile, again.
+    async fn take_back(&self, machine: &MachineId, now: Timestamp) -> StoreResult<()> {
+        for _ in 0..TAKE_BACK_ATTEMPTS {
+            let id = machine.clone();
+            let Some(ahead) = snapshot!(self, |conn| retention::gone::ahead(conn, &id, now).await)? else {
+                return Ok(());
+            };
+            let mut after = ahead.has_dropped().then(String::new);
+            while let Some(from) = after {
+                let (id, ahead) = (machine.clone(), ahead.clone());
+                after = write!(self, |conn| retention::gone::name_page(conn, &id, &ahead, &from, now).await)?;
+            }
+            let id = machine.clone();
+            if write!(self, |conn| retention::gone::take_back(conn, &id, &ahead, now).await)? {
+                return Ok(());
+            }
+        }
+        tracing::warn!(%machine, "samples go by the decision of a clock that was ahead while it is taken back");
+        Ok(())
+    }
+
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
     /// all is found by its key and answered as known. Not again where the server could not be reached in all of a
     /// connection's patience: machines wait, and send again what is not acknowledged.
@@ -255,6 +280,17 @@ impl Store for Engine {
     ) -> StoreResult<Option<StoredToolEvent>> {
         let (tool, actor) = (tool.clone(), actor.clone());
         register!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
+    }
+
+    async fn revoke_tool_event(
+        &self,
+        tool: &ToolId,
+        event: RowNumber,
+        actor: &Actor,
+        now: Timestamp,
+    ) -> StoreResult<Option<StoredToolEvent>> {
+        let (tool, actor) = (tool.clone(), actor.clone());
+        register!(self, |conn| tools::revoke_event(conn, &tool, event, &actor, now).await)
     }
 
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
@@ -489,17 +525,22 @@ impl Store for Engine {
         read!(self, |conn| retention::drops(conn, machine).await)
     }
 
+    async fn samples_gone(
+        &self,
+        machine: &MachineId,
+        cycles: &[(CycleId, Timestamp)],
+    ) -> StoreResult<BTreeMap<CycleId, SamplesGone>> {
+        let (machine, cycles) = (machine.clone(), cycles.to_vec());
+        snapshot!(self, |conn| retention::gone::of(conn, &machine, &cycles).await)
+    }
+
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>> {
         let (mut decided, mut after) = (Vec::new(), None);
         loop {
             let page = self.machines(Page { after: after.take(), limit: MACHINES_PAGE }).await?;
             for machine in &page {
                 let id = machine.value.id.clone();
-                if snapshot!(self, |conn| retention::is_ahead(conn, &id, now).await)? {
-                    let id = machine.value.id.clone();
-                    write!(self, |conn| retention::take_back(conn, &id, now).await)?;
-                }
-                let id = machine.value.id.clone();
+                self.take_back(&id, now).await?;
                 let horizon = snapshot!(self, |conn| {
                     let said = retention::get(conn, &id).await?;
                     let kept = said.map_or(otherwise, |said| said.value);

@@ -36,3 +36,7 @@ pub(super) use memory::Memory;
 pub(super) use wear::Heads;
 
 use super::{Conn, Db, Engine, Writer, dialect};
+
+/// What stands for later than this from now was noted by a clock that was ahead, µs: those of several servers are apart by
+/// less.
+const CLOCK_AHEAD_US: i64 = 600_000_000;

@@ -1,6 +1,8 @@
 //! How long samples are kept. A decision is a row with an audit line; what it names goes afterwards, in small steps.
 
-use super::{Conn, Db, audit, dialect, machines};
+pub(super) mod gone;
+
+use super::{CLOCK_AHEAD_US, Conn, Db, audit, dialect, machines};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
@@ -15,9 +17,6 @@ use serde_json::json;
 const DAY_US: i64 = 86_400_000_000;
 /// Rows that are looked at a time when sizes are added up.
 const SIZES_PAGE: i64 = 2_000;
-/// What was decided or received later than this from now was so by a clock that was ahead, µs: those of several servers are
-/// apart by less.
-const CLOCK_AHEAD_US: i64 = 600_000_000;
 /// Decisions of one machine that are read: 27 years of one a day.
 const MOST_DROPS: i64 = 10_000;
 
@@ -132,65 +131,6 @@ async fn dropped_before(conn: &mut Conn, machine: &MachineId) -> StoreResult<i64
             .fetch_one(&mut *conn)
             .await?;
     Ok(before.unwrap_or(i64::MIN))
-}
-
-/// Whether decisions on a machine's samples were made by a clock that was ahead.
-pub(super) async fn is_ahead(conn: &mut Conn, machine: &MachineId, now: Timestamp) -> StoreResult<bool> {
-    let found: i64 = sqlx::query_scalar::<Db, _>(
-        "SELECT COUNT(*) FROM sample_drops WHERE machine_id = $1 AND dropped_at_us > $2",
-    )
-    .bind(machine.as_str())
-    .bind(now.micros().saturating_add(CLOCK_AHEAD_US))
-    .fetch_one(&mut *conn)
-    .await?;
-    Ok(found > 0)
-}
-
-/// Takes back what a clock that was ahead has decided: it would drop everything that comes until that time. What is gone
-/// stays told, as dropped up to the oldest samples that are left, and no later than now. In one transaction, under the lock
-/// of decisions: a second server, or a second run, finds nothing to take back.
-pub(super) async fn take_back(conn: &mut Conn, machine: &MachineId, now: Timestamp) -> StoreResult<()> {
-    dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
-    let taken: Vec<(i64, String, i64, i64)> = sqlx::query_as::<Db, _>(
-        "DELETE FROM sample_drops WHERE machine_id = $1 AND dropped_at_us > $2
-         RETURNING before_us, reason, cycles, bytes",
-    )
-    .bind(machine.as_str())
-    .bind(now.micros().saturating_add(CLOCK_AHEAD_US))
-    .fetch_all(&mut *conn)
-    .await?;
-    let Some((before, reason, ..)) = taken.iter().max_by_key(|(before, ..)| *before) else { return Ok(()) };
-    let cycles = taken.iter().map(|(_, _, cycles, _)| cycles).sum::<i64>();
-    let oldest: Option<i64> =
-        sqlx::query_scalar::<Db, _>("SELECT MIN(received_at_us) FROM cycle_samples WHERE machine_id = $1")
-            .bind(machine.as_str())
-            .fetch_one(&mut *conn)
-            .await?;
-    let stands = oldest.unwrap_or(i64::MAX).min(now.micros()).min(*before);
-    let stands = stands.max(dropped_before(conn, machine).await?);
-    // Counts are kept with what they count: of none, nothing went.
-    if cycles > 0 {
-        sqlx::query::<Db>(
-            "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
-             VALUES ($1, $2, $3, $4, $5, $6)
-             ON CONFLICT (machine_id, before_us) DO UPDATE SET
-                 cycles = sample_drops.cycles + excluded.cycles, bytes = sample_drops.bytes + excluded.bytes",
-        )
-        .bind(machine.as_str())
-        .bind(stands)
-        .bind(now.micros())
-        .bind(reason)
-        .bind(cycles)
-        .bind(taken.iter().map(|(_, _, _, bytes)| bytes).sum::<i64>())
-        .execute(&mut *conn)
-        .await?;
-    }
-    tracing::warn!(%machine, "a clock was ahead when it was decided to drop samples; the decision is taken back");
-    let actor = Actor { token: "retention".to_owned(), role: Role::Admin };
-    let instead = (cycles > 0).then_some(stands);
-    let detail = json!({"received_before_us": before, "instead_us": instead, "why": "the clock was ahead"});
-    audit::add(conn, &actor, now, "samples.drop_taken_back", format!("machine/{machine}/samples"), &detail)
-        .await
 }
 
 /// Up to where a machine's samples are to go, and why, where anything is to go.

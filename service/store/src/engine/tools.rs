@@ -82,19 +82,21 @@ pub(super) async fn put(
 macro_rules! select_events {
     ($tail:literal) => {
         concat!(
-            "SELECT event_id, kind, at_us, first_machine_id, first_cycle_id, reason, actor, recorded_at_us
+            "SELECT event_id, kind, at_us, first_machine_id, first_cycle_id, reason, actor, recorded_at_us,
+                    revoked_at_us, revoked_by
              FROM tool_events ",
             $tail
         )
     };
 }
 
-/// All events of a tool where they take effect, in that order, and whether one names a cycle that is not stored.
+/// All events of a tool that hold, where they take effect, in that order, and whether one names a cycle that is not stored.
 pub(super) async fn placed_events(conn: &mut Conn, tool: &ToolId) -> StoreResult<(Vec<PlacedEvent>, bool)> {
-    let rows: Vec<EventRow> = sqlx::query_as::<Db, _>(select_events!("WHERE tool_id = $1"))
-        .bind(tool.as_str())
-        .fetch_all(&mut *conn)
-        .await?;
+    let rows: Vec<EventRow> =
+        sqlx::query_as::<Db, _>(select_events!("WHERE tool_id = $1 AND revoked_at_us IS NULL"))
+            .bind(tool.as_str())
+            .fetch_all(&mut *conn)
+            .await?;
     let naming = rows.iter().filter(|row| row.names_a_cycle()).count();
     let first = if naming > 0 { first_cycles(conn, tool).await? } else { BTreeMap::new() };
     let placed = rows.iter().map(|row| row.placed(first.get(&row.event_id).copied()));
@@ -103,7 +105,7 @@ pub(super) async fn placed_events(conn: &mut Conn, tool: &ToolId) -> StoreResult
     Ok((events, first.len() < naming))
 }
 
-/// Time and number of the cycles that events of a tool name, by event. A named cycle counts only where the same tool ran
+/// Time and number of the cycles that events of a tool which hold name, by event. A named cycle counts only where the same tool ran
 /// it: under another tool it is not one that the event covers. A statement of its own: events beside the cycles that some
 /// of them name would be an outer join, for which a database of several nodes reads all that the tool ever ran.
 async fn first_cycles(conn: &mut Conn, tool: &ToolId) -> StoreResult<BTreeMap<i64, (i64, Option<i64>)>> {
@@ -111,7 +113,7 @@ async fn first_cycles(conn: &mut Conn, tool: &ToolId) -> StoreResult<BTreeMap<i6
         "SELECT e.event_id, c.started_at_us, c.seq FROM tool_events e
          JOIN cycles c ON c.machine_id = e.first_machine_id AND c.cycle_id = e.first_cycle_id
              AND c.tool_id = e.tool_id
-         WHERE e.tool_id = $1",
+         WHERE e.tool_id = $1 AND e.revoked_at_us IS NULL",
     )
     .bind(tool.as_str())
     .fetch_all(&mut *conn)
@@ -172,5 +174,39 @@ pub(super) async fn add_event(
     audit::add(conn, actor, now, "tool.event", format!("tool/{tool}"), &detail).await?;
     let verdict = wear::count_event(conn, tool, id, now).await?;
     alarms::follow_verdict(conn, tool, &verdict, now).await?;
-    Ok(Some(StoredToolEvent { id, event, actor: actor.token.clone(), recorded_at: now }))
+    Ok(Some(StoredToolEvent { id, event, actor: actor.token.clone(), recorded_at: now, revoked: None }))
+}
+
+/// Revokes an event of a tool, and judges the tool as if it had not been told; `None` where the tool has no such event. One
+/// that is revoked already stays as it is.
+pub(super) async fn revoke_event(
+    conn: &mut Conn,
+    tool: &ToolId,
+    event: RowNumber,
+    actor: &Actor,
+    now: Timestamp,
+) -> StoreResult<Option<StoredToolEvent>> {
+    dialect::lock(conn, &Locks::tool(tool)).await?;
+    let row: Option<EventRow> =
+        sqlx::query_as::<Db, _>(select_events!("WHERE tool_id = $1 AND event_id = $2"))
+            .bind(tool.as_str())
+            .bind(event)
+            .fetch_optional(&mut *conn)
+            .await?;
+    let Some(told) = row.map(|row| row.stored()).transpose()? else { return Ok(None) };
+    if told.revoked.is_some() {
+        return Ok(Some(told));
+    }
+    let (before, _) = placed_events(conn, tool).await?;
+    sqlx::query::<Db>("UPDATE tool_events SET revoked_at_us = $2, revoked_by = $3 WHERE event_id = $1")
+        .bind(event)
+        .bind(now.micros())
+        .bind(&actor.token)
+        .execute(&mut *conn)
+        .await?;
+    let detail = json!({"event": event, "kind": told.event.kind.as_str(), "at_us": told.event.at.micros()});
+    audit::add(conn, actor, now, "tool.event_revoke", format!("tool/{tool}"), &detail).await?;
+    let verdict = wear::count_without_event(conn, tool, (event, &before), now).await?;
+    alarms::follow_verdict(conn, tool, &verdict, now).await?;
+    Ok(Some(StoredToolEvent { revoked: Some((actor.token.clone(), now)), ..told }))
 }

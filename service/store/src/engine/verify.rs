@@ -62,8 +62,9 @@ pub(super) async fn page(
         let block = cycles::block(conn, &machine, &cycle).await?;
         let dropped = block.is_none() && row.sample_count > 0;
         if dropped {
-            let drops = retention::drops(conn, &machine).await?;
-            if drops.last().is_some_and(|last| last.before.micros() > row.received_at_us) {
+            let received = Timestamp::from_micros(row.received_at_us);
+            let gone = retention::gone::of(conn, &machine, &[(cycle.clone(), received)]).await?;
+            if gone.contains_key(&cycle) {
                 page.dropped += 1;
             } else {
                 fault("samples", "they are missing, and no retention dropped them".to_owned());

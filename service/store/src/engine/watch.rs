@@ -3,7 +3,7 @@
 //! A round is one transaction. Silence and a quarantine that fills up are the two alarms that no event raises, so the
 //! round raises and clears them.
 
-use super::{Conn, Db, alarms, dialect};
+use super::{CLOCK_AHEAD_US, Conn, Db, alarms, dialect};
 use crate::error::StoreResult;
 use crate::record::{
     AlarmKind, MachineContact, OpenAlarms, QuarantineBounds, QuarantineFill, Round, WatchSettings,
@@ -31,7 +31,8 @@ pub(super) async fn round(
     settings: &WatchSettings,
     now: Timestamp,
 ) -> StoreResult<Round> {
-    note(conn, heard).await?;
+    bring_back(conn, now).await?;
+    note(conn, heard, now).await?;
     let machines = silence(conn, settings, now).await?;
     let quarantine = quarantine(conn, settings, now).await?;
     let alarms = open_alarms(conn).await?;
@@ -44,11 +45,24 @@ async fn last_backup(conn: &mut Conn) -> StoreResult<Option<Timestamp>> {
     Ok(made_at.map(Timestamp::from_micros))
 }
 
-async fn note(conn: &mut Conn, heard: &[(MachineId, Timestamp)]) -> StoreResult<()> {
+/// Brings back what a clock that was ahead has noted: the machine would not be silent until that time has come. When it was
+/// last heard of is not known any more, but not later than now.
+async fn bring_back(conn: &mut Conn, now: Timestamp) -> StoreResult<()> {
+    sqlx::query::<Db>("UPDATE machine_contacts SET last_cycle_at_us = $1 WHERE last_cycle_at_us > $2")
+        .bind(now.micros())
+        .bind(now.micros().saturating_add(CLOCK_AHEAD_US))
+        .execute(&mut *conn)
+        .await?;
+    Ok(())
+}
+
+/// What this server heard before its clock was put back was heard now at the latest.
+async fn note(conn: &mut Conn, heard: &[(MachineId, Timestamp)], now: Timestamp) -> StoreResult<()> {
     if heard.is_empty() {
         return Ok(());
     }
-    let heard: Vec<_> = heard.iter().map(|(machine, at)| (machine.as_str(), at.micros())).collect();
+    let at = |at: &Timestamp| at.micros().min(now.micros());
+    let heard: Vec<_> = heard.iter().map(|(machine, heard)| (machine.as_str(), at(heard))).collect();
     sqlx::query::<Db>(dialect::NOTE_CONTACTS).bind(json!(heard).to_string()).execute(&mut *conn).await?;
     Ok(())
 }

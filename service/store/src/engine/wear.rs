@@ -555,16 +555,39 @@ pub(super) async fn count_event(
     event: i64,
     now: Timestamp,
 ) -> StoreResult<Verdict> {
-    let mut wear = ToolWear::load_locked(conn, tool).await?;
-    let (mut before, mut place) = (wear.events.clone(), BEGINNING);
-    if let Some(at) = before.iter().position(|placed| placed.id == event) {
-        place = before.remove(at).place;
-    }
-    if beginning(&before) != beginning(&wear.events) {
-        place = BEGINNING;
-    }
+    let wear = ToolWear::load_locked(conn, tool).await?;
+    let from = place_of(event, &wear.events);
+    count_from(conn, wear, from, now).await
+}
+
+/// Refolds a tool from where an event that was just revoked took effect; `before` are the events with it.
+pub(super) async fn count_without_event(
+    conn: &mut Conn,
+    tool: &ToolId,
+    (event, before): (i64, &[PlacedEvent]),
+    now: Timestamp,
+) -> StoreResult<Verdict> {
+    let wear = ToolWear::load_locked(conn, tool).await?;
+    count_from(conn, wear, place_of(event, before), now).await
+}
+
+/// From where on the fold is another one with an event than without it; `events` are those with it.
+fn place_of(event: i64, events: &[PlacedEvent]) -> Place {
+    let mut without = events.to_vec();
+    let Some(at) = without.iter().position(|placed| placed.id == event) else { return BEGINNING };
+    let place = without.remove(at).place;
+    if beginning(&without) == beginning(events) { place } else { BEGINNING }
+}
+
+/// Refolds all machines of a tool from a place on.
+async fn count_from(
+    conn: &mut Conn,
+    mut wear: ToolWear,
+    from: Place,
+    now: Timestamp,
+) -> StoreResult<Verdict> {
     for machine in wear.machines() {
-        wear.refold(conn, &machine, &place).await?;
+        wear.refold(conn, &machine, &from).await?;
     }
     wear.save(conn, now).await?;
     wear.verdict(conn).await

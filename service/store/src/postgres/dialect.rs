@@ -106,6 +106,10 @@ pub(super) const HEADS: &str =
      FROM (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL LIMIT 1) AS active
      UNION ALL SELECT tool_id, machine_id, version FROM tool_wear WHERE tool_id = ANY($1)";
 
+/// Those of a list of a machine's cycles whose samples were dropped by name.
+pub(super) const NAMED_DROPS: &str = "SELECT cycle_id, dropped_at_us, reason FROM cycle_sample_drops
+     WHERE machine_id = $1 AND cycle_id = ANY($2)";
+
 /// A list of ids as one parameter.
 pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<String> {
     ids.map(str::to_owned).collect()

@@ -269,6 +269,8 @@ pub(crate) struct EventRow {
     pub(crate) reason: Option<String>,
     pub(crate) actor: String,
     pub(crate) recorded_at_us: i64,
+    pub(crate) revoked_at_us: Option<i64>,
+    pub(crate) revoked_by: Option<String>,
 }
 
 impl EventRow {
@@ -312,6 +314,7 @@ impl EventRow {
             },
             actor: self.actor.clone(),
             recorded_at: Timestamp::from_micros(self.recorded_at_us),
+            revoked: self.revoked_by.clone().zip(self.revoked_at_us.map(Timestamp::from_micros)),
         })
     }
 }

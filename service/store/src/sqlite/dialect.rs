@@ -67,6 +67,10 @@ pub(super) const HEADS: &str = "BEGIN IMMEDIATE;
      UNION ALL SELECT tool_id, machine_id, version FROM tool_wear
      WHERE tool_id IN (SELECT value FROM json_each($1))";
 
+/// Those of a list of a machine's cycles whose samples were dropped by name.
+pub(super) const NAMED_DROPS: &str = "SELECT cycle_id, dropped_at_us, reason FROM cycle_sample_drops
+     WHERE machine_id = $1 AND cycle_id IN (SELECT value FROM json_each($2))";
+
 /// A list of ids as one parameter. Ids hold nothing that JSON would have to escape.
 pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     let mut out = String::from("[");

@@ -6,12 +6,15 @@
 //! its rows can change; what changed otherwise is refused.
 
 use super::{Row, Side, Table, TransferError, Value};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Why a row is refused.
 const OTHER: &str = "is there with other content";
 const SURPLUS: &str = "is not in the source";
 const NEWER: &str = "is newer than in the source";
+
+/// Tables of what retention decided to drop, by receipt and by cycle.
+const DECISIONS: [&str; 2] = ["sample_drops", "cycle_sample_drops"];
 
 /// How the rows of a table change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +40,8 @@ fn kind(table: &str) -> Kind {
         "feed_profiles" => Kind::Counted("revision"),
         // A cycle that was sent again after its stream broke.
         "cycle_overrides" => Kind::Counted("stored_at_us"),
-        "machine_contacts" => Kind::Counted("last_cycle_at_us"),
+        // Not only later: what a clock that was ahead has noted is brought back.
+        "machine_contacts" => Kind::Within(&["last_cycle_at_us"]),
         "feed_profile_versions" => Kind::Within(&[
             "state",
             "shadowed_by",
@@ -53,6 +57,7 @@ fn kind(table: &str) -> Kind {
         "alarms" => Kind::Filled(&["cleared_at_us", "acknowledged_by", "acknowledged_at_us"]),
         "quarantine" => Kind::Filled(&["settled_at_us", "settled_how"]),
         "tokens" => Kind::Filled(&["revoked_at_us"]),
+        "tool_events" => Kind::Filled(&["revoked_at_us", "revoked_by"]),
         // Folds are caches, leases and sessions end, decisions of a day are put together.
         "tool_wear" | "tool_wear_checkpoints" | "stream_leases" | "sessions" | "sample_drops" => Kind::Anyhow,
         "cycle_samples" => Kind::Dropped,
@@ -72,7 +77,7 @@ impl<'a> Moves<'a> {
         let named = match moves.kind {
             Kind::Counted(column) => vec![column],
             Kind::Filled(columns) | Kind::Within(columns) => columns.to_vec(),
-            Kind::Dropped => vec!["machine_id", "received_at_us"],
+            Kind::Dropped => vec!["machine_id", "received_at_us", "cycle_id"],
             Kind::Never | Kind::Anyhow => Vec::new(),
         };
         match named.into_iter().find(|column| table.place(column).is_none()) {
@@ -106,8 +111,14 @@ impl<'a> Moves<'a> {
     pub(super) fn goes(&self, found: &Row, drops: &Drops) -> Result<(), &'static str> {
         let may = match self.kind {
             Kind::Anyhow => true,
-            Kind::Dropped => match (self.value(found, "machine_id"), self.whole(found, "received_at_us")) {
-                (Some(Value::Text(machine)), Some(received)) => drops.name(machine, received),
+            Kind::Dropped => match (
+                self.value(found, "machine_id"),
+                self.whole(found, "received_at_us"),
+                self.value(found, "cycle_id"),
+            ) {
+                (Some(Value::Text(machine)), Some(received), Some(Value::Text(cycle))) => {
+                    drops.name(machine, received, cycle)
+                }
                 _ => false,
             },
             Kind::Never | Kind::Counted(_) | Kind::Filled(_) | Kind::Within(_) => false,
@@ -127,34 +138,43 @@ impl<'a> Moves<'a> {
     }
 }
 
-/// Up to which receipt a source's samples are dropped, by machine, µs.
-pub(super) struct Drops(BTreeMap<String, i64>);
+/// Which samples of a source are dropped.
+pub(super) struct Drops {
+    /// All that were received before this, by machine, µs.
+    before: BTreeMap<String, i64>,
+    /// Those of these cycles, by machine: of a clock that was ahead, as many as it received and dropped itself.
+    named: BTreeMap<String, BTreeSet<String>>,
+}
 
 impl Drops {
     pub(super) async fn of(source: &mut dyn Side, tables: &[Table]) -> Result<Self, TransferError> {
-        let mut before = BTreeMap::new();
-        let Some(table) = tables.iter().find(|table| table.name == "sample_drops") else {
-            return Ok(Self(before));
-        };
-        let mut after = None;
-        loop {
-            let page = source.rows(table, after.as_ref(), None, super::PAGE_ROWS).await?;
-            for row in &page {
-                let value = |column: &str| table.place(column).and_then(|at| row.get(at));
-                if let (Some(Value::Text(machine)), Some(Value::Whole(until))) =
-                    (value("machine_id"), value("before_us"))
-                {
-                    let latest = before.entry(machine.clone()).or_insert(*until);
-                    *latest = (*latest).max(*until);
-                }
+        let mut drops = Self { before: BTreeMap::new(), named: BTreeMap::new() };
+        let mut tell = |of: &Table, row: &Row| {
+            let value = |column: &str| of.place(column).and_then(|at| row.get(at));
+            let Some(Value::Text(machine)) = value("machine_id") else { return };
+            if let Some(Value::Whole(until)) = value("before_us") {
+                let latest = drops.before.entry(machine.clone()).or_insert(*until);
+                *latest = (*latest).max(*until);
             }
-            let Some(last) = page.last() else { return Ok(Self(before)) };
-            after = Some(table.key_of(last));
+            if let Some(Value::Text(cycle)) = value("cycle_id") {
+                drops.named.entry(machine.clone()).or_default().insert(cycle.clone());
+            }
+        };
+        for table in tables.iter().filter(|table| DECISIONS.contains(&table.name.as_str())) {
+            let mut after = None;
+            loop {
+                let page = source.rows(table, after.as_ref(), None, super::PAGE_ROWS).await?;
+                page.iter().for_each(|row| tell(table, row));
+                let Some(last) = page.last() else { break };
+                after = Some(table.key_of(last));
+            }
         }
+        Ok(drops)
     }
 
-    fn name(&self, machine: &str, received_us: i64) -> bool {
-        self.0.get(machine).is_some_and(|before| received_us < *before)
+    fn name(&self, machine: &str, received_us: i64, cycle: &str) -> bool {
+        self.before.get(machine).is_some_and(|before| received_us < *before)
+            || self.named.get(machine).is_some_and(|cycles| cycles.contains(cycle))
     }
 }
 
@@ -172,6 +192,6 @@ mod tests {
             Moves::of(table).unwrap();
         }
         let changing = tables.iter().filter(|table| kind(&table.name) != Kind::Never).count();
-        assert_eq!(changing, 19, "a table that is named in `kind` is gone, or has another name");
+        assert_eq!(changing, 20, "a table that is named in `kind` is gone, or has another name");
     }
 }

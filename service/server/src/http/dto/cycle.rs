@@ -5,7 +5,7 @@ use super::wear::WearBody;
 use crate::http::dto::time;
 use crate::ingest::intake::Accepted;
 use feedwright_core::summary::{CycleSummary, Energy, IdlePower, Peak};
-use feedwright_store::{SampleDrop, StoredCycle};
+use feedwright_store::{SamplesGone, StoredCycle};
 use serde::Serialize;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -408,11 +408,9 @@ impl From<&StoredCycle> for CycleBody {
 }
 
 impl CycleBody {
-    /// Says when the samples of these cycles were dropped, by the decisions on their machines.
-    pub fn tell_drops(self, stored: &StoredCycle, drops: &[SampleDrop]) -> Self {
-        let dropped = drops.iter().find(|drop| drop.before > stored.received_at);
-        let gone = stored.samples_are_gone().then_some(dropped).flatten();
-        Self { samples_dropped_at: gone.map(|drop| time::show(drop.dropped_at)), ..self }
+    /// Says when the samples of this cycle were dropped, where they were.
+    pub fn tell_drop(self, gone: Option<&SamplesGone>) -> Self {
+        Self { samples_dropped_at: gone.map(|gone| time::show(gone.dropped_at)), ..self }
     }
 }
 

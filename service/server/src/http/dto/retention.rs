@@ -71,7 +71,8 @@ pub struct SampleDropBody {
     pub dropped_at: String,
     /// `age` or `size`.
     pub reason: &'static str,
-    /// Cycles whose samples have gone so far.
+    /// Cycles whose samples have gone so far. Of a decision that a clock which was ahead had made, also those that were
+    /// received at times yet to come; each of them says itself when its samples went.
     pub cycles: u64,
     /// Bytes that have gone so far.
     pub bytes: u64,

@@ -133,6 +133,10 @@ pub struct ToolEventView {
     pub actor: String,
     /// When it was told, RFC 3339.
     pub recorded_at: String,
+    /// When it was revoked, RFC 3339: it holds no more.
+    pub revoked_at: Option<String>,
+    /// The token that revoked it.
+    pub revoked_by: Option<String>,
 }
 
 impl From<StoredToolEvent> for ToolEventView {
@@ -142,6 +146,7 @@ impl From<StoredToolEvent> for ToolEventView {
             machine: machine.as_str().to_owned(),
             cycle_id: cycle.as_str().to_owned(),
         });
+        let (revoked_by, revoked_at) = stored.revoked.unzip();
         Self {
             id: stored.id,
             kind: ToolEventKindWord(kind),
@@ -150,6 +155,8 @@ impl From<StoredToolEvent> for ToolEventView {
             reason,
             actor: stored.actor,
             recorded_at: time::show(stored.recorded_at),
+            revoked_at: revoked_at.map(time::show),
+            revoked_by,
         }
     }
 }

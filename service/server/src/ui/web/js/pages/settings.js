@@ -1,6 +1,6 @@
 import { $, $$, element, fill, html, put } from "../html.js";
 import { icon } from "../icons.js";
-import { action, closed, shell } from "../shell.js";
+import { action, closed, confirm_, shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
 import { ApiError, all, ask, get, may, post, segment, session } from "../api.js";
 import { date, moment, num, unit } from "../format.js";
@@ -118,14 +118,6 @@ async function audit() {
   fill($("#panel"), html`<div class="set-head"><p class="muted">${t("set.auditWhat")}</p></div><div id="said"></div><div class="scroll" tabindex="0" role="region" aria-label="${t("app.table")}"><table class="set"><thead><tr><th scope="col">${t("set.when")}</th><th scope="col">${t("set.who")}</th><th scope="col">${t("set.role")}</th><th scope="col">${t("set.did")}</th><th scope="col">${t("set.of")}</th><th scope="col">${t("set.detail")}</th></tr></thead><tbody id="lines"></tbody></table></div><div class="knot-tools"><button class="btn" id="older" hidden>${t("set.auditOlder")}</button><span class="muted small" id="shown" role="status"></span></div>`);
   $("#older").addEventListener("click", () => doing(older));
   await older();
-}
-function confirm_(title, text, label, work, withReason = false) {
-  const dialog = element(html`<dialog aria-labelledby="c-h"><form method="dialog"><h2 id="c-h">${title}</h2><p class="muted">${text}</p>${withReason ? html`<label for="c-reason">${t("tool.reason")}</label><textarea id="c-reason" rows="2" required></textarea>` : ""}<div id="c-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${label}</button><button class="btn" type="button" id="c-cancel">${t("cancel")}</button></div></form></dialog>`);
-  document.body.append(dialog);
-  dialog.showModal();
-  dialog.addEventListener("close", () => dialog.remove());
-  $("#c-cancel", dialog).addEventListener("click", () => dialog.close());
-  $("form", dialog).addEventListener("submit", async (event) => { event.preventDefault(); try { await work($("#c-reason", dialog)?.value.trim()); dialog.close(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#c-said", dialog), failure(error)); } });
 }
 async function doing(work) { try { await work(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#said"), failure(error)); } }
 

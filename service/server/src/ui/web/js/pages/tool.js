@@ -1,8 +1,8 @@
 import { $, fill, html, put, trusted } from "../html.js";
 import { icon } from "../icons.js";
-import { action, closed, shell } from "../shell.js";
+import { action, closed, confirm_, shell } from "../shell.js";
 import { empty, failure, notice, progress, skeleton } from "../states.js";
-import { ApiError, all, get, post, segment, session } from "../api.js";
+import { ApiError, all, get, may, post, segment, session } from "../api.js";
 import { NB, age, dayMonth, num, rounded, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, clip, dpr, halo, limit, line, phone, ready, splits, token, vline } from "../charts.js";
 import { Track } from "../track.js";
@@ -11,6 +11,7 @@ import { keep, listen } from "../live.js";
 import { t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
+const REVOKE = "POST /v1/tools/{tool}/events/{id}/revoke";
 const BEAT_MS = 20_000, MOST_CYCLES = 20_000, MOST_TOOLS = 2000;
 /** Each reason has its own shape; there are more reasons than shapes, so the rest share the circle with a dot. */
 const shapes = { aborted: "cross", incomplete: "square", air_cut: "circle", broken_suspected: "octagon", clock_suspect: "dot", no_energy: "dot", low_coverage: "diamond", operation_unregistered: "dot", operator_override: "triangle", conditions_changed: "bar", baseline_outlier: "down", cut_short: "dot" };
@@ -67,7 +68,7 @@ function build() {
   const values = [...counted.map((one) => one[1]), ...points.map((one) => one[1]).filter((value) => value != null)];
   const outside = life.excluded.map((why, i) => why && life.energy_ratio[i] != null ? [numberOf(i), (life.energy_ratio[i] - 1) * 100, why] : null).filter(Boolean);
   const low = Math.min(-3.6, Math.floor(Math.min(0, ...values.length ? [quantile(values, 0.002)] : [0])) - 1), high = Math.max(12.8, Math.ceil(Math.max(0, ...values.length ? [quantile(values, 0.998)] : [0])) + 1);
-  const begins = events.findLastIndex((event) => event.kind !== "conditions_confirmed"), marks = events.map((event, i) => ({ ...event, n: i + 1, at: cycleAt(event.at) })).filter((event, i) => i >= begins && event.at >= first);
+  const begins = events.findLastIndex((event) => event.kind !== "conditions_confirmed" && !event.revoked_at), marks = events.map((event, i) => ({ ...event, n: i + 1, at: cycleAt(event.at) })).filter((event, i) => i >= begins && event.at >= first && !event.revoked_at);
   const pinned = (u, c) => { for (const one of marks) vline(u, c, one.at, { color: "--ink-3", dash: [1, 3] }); vline(u, c, now, { color: "--ink-2" }); };
   const right = phone() ? 12 : 128;
   if (counted.length || outside.length) plots.push(chart($("#energy"), {
@@ -170,7 +171,7 @@ function head() {
   $("#out").textContent = excluded ? num(excluded) : "";
   put($("#excluded"), html`${counts.map(([why, count]) => html`<tr tabindex="0" data-why="${why}"><td><svg viewBox="0 0 14 14" width="14" height="14" fill="var(--surface)" stroke="var(--ink-2)" stroke-width="1.4" aria-hidden="true">${trusted(glyphs[shapes[why] ?? "dot"])}</svg></td><th scope="row">${told("exclusion", why)}</th><td class="num">${num(count)}</td></tr>`)}`);
   $("#excluded-none").hidden = counts.length > 0;
-  put($("#events"), html`${[...events].map((event, i) => ({ ...event, n: i + 1 })).reverse().map((event) => html`<tr><td class="faint">${event.n}</td><th scope="row">${told("event", event.kind)}${event.reason ? html`<span class="w">${event.reason}</span>` : ""}</th><td class="num faint">${dayMonth(event.at)}</td></tr>`)}`);
+  put($("#events"), html`${[...events].map((event, i) => ({ ...event, n: i + 1 })).reverse().map((event) => html`<tr class="${event.revoked_at ? "gone" : ""}"><td class="faint">${event.n}</td><th scope="row">${event.revoked_at ? html`<s>${told("event", event.kind)}</s>` : told("event", event.kind)}${event.reason ? html`<span class="w">${event.reason}</span>` : ""}${event.revoked_at ? html`<span class="w">${t("tool.revoked", { day: dayMonth(event.revoked_at), who: event.revoked_by })}</span>` : may(who, REVOKE) ? html`<button class="btn quiet" data-revoke="${event.id}">${t("tool.revoke")}<span class="sr"> ${event.n}</span></button>` : ""}</th><td class="num faint">${dayMonth(event.at)}</td></tr>`)}`);
   $("#events-none").hidden = events.length > 0;
   const last = life.cycle_id.length - 1;
   $("#next").href = last < 0 ? "/next" : `/next?machine=${segment(life.machine[last])}&operation=${segment(life.operation[last])}&tool=${segment(tool.id)}`;
@@ -203,6 +204,10 @@ function frame() {
   for (const kind of ["pointerover", "focusin"]) $("#excluded").addEventListener(kind, point);
   for (const kind of ["pointerleave", "focusout"]) $("#excluded").addEventListener(kind, () => { hover = null; plots[0]?.redraw(false); });
   $("#pick").addEventListener("change", (event) => location.assign(`/tool?id=${segment(event.target.value)}`));
+  $("#events").addEventListener("click", (event) => {
+    const number = event.target.closest("[data-revoke]")?.dataset.revoke;
+    if (number) confirm_(t("tool.revokeTitle"), t("tool.revokeText"), t("tool.revoke"), async () => { await post(`/v1/tools/${segment(tool.id)}/events/${number}/revoke`, undefined); await refresh(); head(); build(); });
+  });
   const dialog = $("#event");
   $("#record").addEventListener("click", () => { if (!closed($("#record"))) dialog.showModal(); });
   $("#event-cancel").addEventListener("click", () => dialog.close());
@@ -219,6 +224,7 @@ function frame() {
   });
 }
 let drawn = "";
+const holding = () => events.filter((event) => !event.revoked_at).map((event) => event.id).join();
 async function refresh() {
   const id = asked.get("id") ?? tool.id;
   const [newest, told_] = await Promise.all([get(`/v1/tools/${segment(id)}/life?last=${MOST_CYCLES}`), all(`/v1/tools/${segment(id)}/events`, 1000)]);
@@ -250,9 +256,9 @@ try {
     pickList();
     head();
     build();
-    drawn = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${events.length}`;
+    drawn = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${holding()}`;
     const kept = keep(async () => {
-      if (drawn) { const first = drawn; await refresh(); head(); const now = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${events.length}`; if (now !== first) { drawn = now; build(); } }
+      if (drawn) { const first = drawn; await refresh(); head(); const now = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${holding()}`; if (now !== first) { drawn = now; build(); } }
     }, BEAT_MS, 5000);
     listen("", { cycle: (event) => { if (event.tool === id) kept.nudge(); }, gap: kept.nudge });
   }
