@@ -30,6 +30,9 @@ use reader::Reader;
 use sqlx::PgPool;
 use sqlx::postgres::PgConnectOptions;
 use std::sync::Arc;
+use std::time::Duration;
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
 
 type Db = sqlx::Postgres;
 type Conn = sqlx::PgConnection;
@@ -68,6 +71,7 @@ struct Inner {
     /// The server itself, past any pooler.
     direct: PgConnectOptions,
     gate: Gate,
+    lost_after: Duration,
     max_samples: usize,
     pooled: bool,
     registry: Arc<Registry>,
@@ -173,23 +177,40 @@ impl PostgresStore {
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
+        self.begun(work).await?.await.map_err(panicked)?
+    }
+
+    async fn begun<T, F>(&self, work: F) -> StoreResult<JoinHandle<StoreResult<T>>>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
         let pass = self.inner.gate.enter().await?;
         let inner = Arc::clone(&self.inner);
-        let task = tokio::spawn(async move {
+        Ok(tokio::spawn(async move {
             let outcome = inner.transaction(work).await;
             drop(pass);
             outcome
-        });
-        task.await.map_err(panicked)?
+        }))
     }
 
-    /// Runs a group of cycles in one transaction, in a task that nobody can cancel.
+    /// Runs a group of cycles in one transaction, in a task that nobody can cancel. All groups wait for one another, so that
+    /// one whose connection leads nowhere is no longer waited for; if it is committed after all, it is as if another server
+    /// had.
     async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
     {
-        self.write(work).await.map(|(value, _)| value)
+        let task = self.begun(work).await?;
+        match timeout(self.inner.lost_after, task).await {
+            Ok(ended) => ended.map_err(panicked)?.map(|(value, _)| value),
+            Err(_) => {
+                let why = format!("a transaction got no answer for {} s", self.inner.lost_after.as_secs());
+                tracing::warn!("{why}: its connection is taken to be lost");
+                Err(StoreError::OutcomeUnknown(why.into()))
+            }
+        }
     }
 
     /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.

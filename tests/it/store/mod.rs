@@ -23,5 +23,6 @@ mod service;
 mod streams;
 mod transfer;
 mod upgrades;
+mod vanished;
 mod watch;
 mod wear;

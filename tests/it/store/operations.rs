@@ -95,6 +95,10 @@ impl Cluster {
         assert!(command.stdout(Stdio::null()).status().unwrap().success(), "pg_ctl {arguments:?}");
     }
 
+    pub(crate) const fn port(&self) -> u16 {
+        self.port
+    }
+
     pub(crate) fn url(&self) -> String {
         format!("postgres://feedwright@127.0.0.1:{}/postgres", self.port)
     }

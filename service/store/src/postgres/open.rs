@@ -19,6 +19,9 @@ pub struct PostgresOptions {
     pub connections: u32,
     /// How long one waits for a connection.
     pub patience: Duration,
+    /// How long a group of cycles waits for its transaction; then its connection is taken to lead nowhere, as where a host
+    /// vanished without closing it. Longer than the server lets a statement take.
+    pub lost_after: Duration,
     /// Samples that one cycle may hold when it is read.
     pub max_samples: usize,
     /// Whether the address is a pooler's: then nothing is set for a whole session.
@@ -32,6 +35,7 @@ impl Default for PostgresOptions {
         Self {
             connections: 8,
             patience: Duration::from_secs(5),
+            lost_after: Duration::from_secs(60),
             max_samples: DEFAULT_MAX_SAMPLES,
             pooled: false,
             direct: None,
@@ -61,12 +65,18 @@ impl PostgresStore {
                 .options([("statement_timeout", "30s"), ("idle_in_transaction_session_timeout", "30s")]);
         }
         let pooled = options.pooled;
+        // One that leads nowhere leaves time for another.
+        let asked_for = options.patience / 2;
         let pool = PgPoolOptions::new()
             .max_connections(options.connections.max(1))
             .acquire_timeout(options.patience)
             // The check below is a ping as well.
             .test_before_acquire(false)
-            .before_acquire(|conn, _| Box::pin(usable(conn)))
+            .before_acquire(move |conn, _| {
+                Box::pin(
+                    async move { tokio::time::timeout(asked_for, usable(conn)).await.unwrap_or(Ok(false)) },
+                )
+            })
             // A server that was demoted, or is not promoted yet, is asked again until patience ends.
             .after_connect(|conn, _| {
                 Box::pin(async move {
@@ -83,6 +93,7 @@ impl PostgresStore {
             pool,
             direct,
             gate: Gate::default(),
+            lost_after: options.lost_after,
             max_samples: options.max_samples,
             pooled,
             registry: Arc::default(),
