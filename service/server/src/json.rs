@@ -53,19 +53,23 @@ fn located<'de, T: Deserialize<'de>>(json: &'de [u8], error: &serde_json::Error)
     }
 }
 
+/// The field that Serde names where it is unknown, missing or given twice, with the code for it.
+pub(crate) fn named_field(sentence: &str) -> Option<(&str, &'static str)> {
+    [
+        ("unknown field `", "unknown_field"),
+        ("missing field `", "missing_field"),
+        ("duplicate field `", "duplicate_field"),
+    ]
+    .into_iter()
+    .find_map(|(prefix, code)| Some((sentence.strip_prefix(prefix)?.split_once('`')?.0, code)))
+}
+
 /// What is wrong and where; `None` where it is no JSON after all, as a lone surrogate in a text.
 fn explained(path: &str, error: &serde_json::Error) -> Option<Violation> {
     let message = error.to_string();
     let sentence = message.rsplit_once(" at line ").map_or(message.as_str(), |(sentence, _)| sentence);
     let path = if path == "." { "" } else { path };
-    for (prefix, code) in [
-        ("unknown field `", "unknown_field"),
-        ("missing field `", "missing_field"),
-        ("duplicate field `", "duplicate_field"),
-    ] {
-        let Some((name, _)) = sentence.strip_prefix(prefix).and_then(|rest| rest.split_once('`')) else {
-            continue;
-        };
+    if let Some((name, code)) = named_field(sentence) {
         // The path ends in the field itself where Serde was already inside it.
         let at = match path {
             "" => name.to_owned(),

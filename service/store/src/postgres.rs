@@ -27,8 +27,8 @@ use crate::work::{Work, Written};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
 use reader::Reader;
-use sqlx::PgPool;
 use sqlx::postgres::PgConnectOptions;
+use sqlx::{ConnectOptions, Connection, Executor, PgPool};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -36,6 +36,9 @@ use tokio::time::timeout;
 
 type Db = sqlx::Postgres;
 type Conn = sqlx::PgConnection;
+/// Time for a new connection and an answer to a question that waits for nothing.
+const WORD: Duration = Duration::from_secs(2);
+
 /// What writes a group.
 type Writer = Conn;
 type Engine = PostgresStore;
@@ -68,6 +71,8 @@ pub struct PostgresStore {
 #[derive(Debug)]
 struct Inner {
     pool: PgPool,
+    /// What the pool connects with.
+    connect: PgConnectOptions,
     /// The server itself, past any pooler.
     direct: PgConnectOptions,
     gate: Gate,
@@ -117,11 +122,22 @@ impl PostgresStore {
     }
 
     /// Whether nobody connected in time, and not for want of a connection that others have.
-    fn is_away(&self, error: &StoreError) -> bool {
+    async fn is_away(&self, error: &StoreError) -> bool {
         let StoreError::Unavailable(source) = error else { return false };
-        let pool = &self.inner.pool;
-        let all_lent = pool.size() >= pool.options().get_max_connections() && pool.num_idle() == 0;
-        matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) && !all_lent
+        matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) && self.word().await.is_err()
+    }
+
+    /// Asks over a connection of its own: those of the pool may all be lent, or lead nowhere.
+    async fn word(&self) -> StoreResult<()> {
+        let asked = async {
+            let mut conn = self.inner.connect.connect().await?;
+            conn.execute("SELECT 1").await?;
+            conn.close().await
+        };
+        match timeout(WORD, asked).await {
+            Ok(answered) => Ok(answered?),
+            Err(_) => Err(StoreError::Unavailable("the database says nothing".into())),
+        }
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {

@@ -104,10 +104,16 @@ impl SqliteStore {
         self.inner.alone
     }
 
-    /// A file is there.
-    #[expect(clippy::unused_self, reason = "the other engine's server may be away")]
-    const fn is_away(&self, _error: &StoreError) -> bool {
+    /// A file is there, however slow it is.
+    #[expect(clippy::unused_async, reason = "the other engine asks its server")]
+    async fn is_away(&self, _error: &StoreError) -> bool {
         false
+    }
+
+    /// As [`Self::is_away`].
+    #[expect(clippy::unused_async, reason = "the other engine asks its server")]
+    async fn word(&self) -> StoreResult<()> {
+        Ok(())
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {

@@ -41,8 +41,8 @@ pub trait Store: Send + Sync + 'static {
         settings: RecommendSettings,
     ) -> Vec<StoreResult<Committed>>;
 
-    /// Asks the database for a word: it waits for no lock and for no disk, so that only a database that is away, or whose
-    /// connections are all taken, does not answer.
+    /// Asks the database for a word, for two seconds at the most: it waits for no lock, no disk and no connection that others
+    /// have, so that only a database that is away does not answer. A file is never away.
     async fn answers(&self) -> StoreResult<()>;
 
     /// Proves that the database takes writes, by one.

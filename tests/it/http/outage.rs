@@ -96,10 +96,15 @@ const CONTROL: Duration = Duration::from_secs(8);
 fn cycle(number: usize) -> Value {
     json!({
         "cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1",
-        "started_at": format!("2026-05-04T05:00:{number:02}Z"),
+        "started_at": format!("2026-05-04T05:{:02}:{:02}Z", number / 60, number % 60),
         "samples": {"period_ms": 10, "spindle_load_percent": vec![20.0 + number as f64; 200]},
     })
 }
+
+/// Cycles of a batch that is under way, of several windows.
+const BATCH: std::ops::Range<usize> = 10..210;
+/// Lines of a batch that are under way at once.
+const WINDOW: usize = 64;
 
 /// What happens to the server of the database.
 enum Away {
@@ -150,16 +155,24 @@ async fn posts_are_answered_while_it_is(away: Away) {
     }
     assert_eq!(waits, 1, "the first post meets the lock");
     let second = post(2);
-    let mut queued = false;
-    for _ in 0..LOOKS {
-        let scrape = client.get(format!("{address}/metrics")).bearer_auth(&admin).send().await.unwrap();
-        queued = scrape.text().await.unwrap().lines().any(|line| line == "feedwright_ingest_queue_depth 1");
-        if queued {
-            break;
+    let until = async |wanted: &str| {
+        for _ in 0..LOOKS {
+            let scrape = client.get(format!("{address}/metrics")).bearer_auth(&admin).send().await.unwrap();
+            if scrape.text().await.unwrap().lines().any(|line| line == wanted) {
+                return;
+            }
+            tokio::time::sleep(BETWEEN).await;
         }
-        tokio::time::sleep(BETWEEN).await;
-    }
-    assert!(queued, "the second post waits for the first one's group");
+        panic!("never {wanted}");
+    };
+    until("feedwright_ingest_queue_depth 1").await;
+    let batch = {
+        let lines: Vec<_> = BATCH.map(|number| cycle(number).to_string()).collect();
+        let batch = client.post(format!("{address}/v1/machines/M1/cycles/batch")).bearer_auth(&admin);
+        let batch = batch.header("content-type", "application/x-ndjson").body(lines.join("\n")).send();
+        tokio::spawn(async move { batch.await.expect("an answer before the control has lost its patience") })
+    };
+    until(&format!("feedwright_ingest_queue_depth {}", 1 + WINDOW)).await;
 
     let gone = Instant::now();
     let frozen: Option<Frozen> = match away {
@@ -175,6 +188,11 @@ async fn posts_are_answered_while_it_is(away: Away) {
         assert!(answer.headers().contains_key("retry-after"), "{number}");
         assert!(gone.elapsed() < CONTROL, "{number} was answered after {:?}", gone.elapsed());
     }
+    let outcomes = batch.await.unwrap().text().await.unwrap();
+    assert!(gone.elapsed() < CONTROL, "the batch was answered after {:?}", gone.elapsed());
+    let outcomes: Vec<Value> = outcomes.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(outcomes.len(), BATCH.len());
+    assert!(outcomes.iter().all(|outcome| outcome["status"] == 503), "{outcomes:?}");
     let begun = Instant::now();
     let refused = post(3).await.unwrap();
     assert_eq!(refused.status().as_u16(), 503);
@@ -187,7 +205,7 @@ async fn posts_are_answered_while_it_is(away: Away) {
     }
     drop(holder);
     // Each is sent until it is acknowledged, as by a machine's buffer; what was committed after all is known.
-    for number in 0..=3 {
+    for number in (0..=3).chain(BATCH) {
         let mut status = 503;
         for _ in 0..LOOKS {
             status = post(number).await.unwrap().status().as_u16();
@@ -196,11 +214,14 @@ async fn posts_are_answered_while_it_is(away: Away) {
             }
             tokio::time::sleep(BETWEEN).await;
         }
-        assert!(matches!((number, status), (0, 200) | (1..=3, 200 | 201)), "c{number}: {status}");
+        assert!(matches!((number, status), (0, 200) | (1.., 200 | 201)), "c{number}: {status}");
     }
-    let all = client.get(format!("{address}/v1/cycles?machine=M1")).bearer_auth(&admin).send().await.unwrap();
-    let all: Value = all.json().await.unwrap();
-    assert_eq!(all["items"].as_array().unwrap().len(), 4, "each once");
+    let all = client.get(format!("{address}/v1/cycles?machine=M1&limit=1000")).bearer_auth(&admin);
+    let all: Value = all.send().await.unwrap().json().await.unwrap();
+    assert_eq!(all["items"].as_array().unwrap().len(), 4 + BATCH.len(), "each once");
+    // Told once, also of those whose commit came when nobody waited for it any more.
+    until(&format!("feedwright_cycles_total{{outcome=\"accepted\"}} {}", 4 + BATCH.len()))
+        .await;
     let wear = store.check_wear(Repair::No).await.unwrap();
     assert_eq!((wear.rows, wear.different), (1, vec![]));
     server.shutdown().await.unwrap();

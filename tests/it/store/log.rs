@@ -2,7 +2,7 @@
 
 use super::given::{Given, Run, commit, shop, stored};
 use feedwright_core::units::Timestamp;
-use feedwright_store::StoreError;
+use feedwright_store::{SqliteOptions, SqliteStore, Store, StoreError};
 use std::time::Duration;
 
 /// What stays of a log that was made longer, bytes.
@@ -55,4 +55,19 @@ async fn nothing_is_acknowledged_of_files_that_are_no_longer_there() {
         let other = store.probe_write(Timestamp::from_micros(1)).await;
         assert!(matches!(other, Err(StoreError::NotWritable(_))), "{other:?}");
     }
+}
+
+#[tokio::test]
+async fn a_link_leads_to_the_file_and_its_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, link) = (folder.path().join("disk.sqlite3"), folder.path().join("linked.sqlite3"));
+    let stays = SqliteStore::open(&file, SqliteOptions::default()).await.unwrap();
+    shop(&stays).await;
+    stays.close().await;
+    std::os::unix::fs::symlink(&file, &link).unwrap();
+    let store = SqliteStore::open(&link, SqliteOptions::default()).await.unwrap();
+    stored(&store, &Run::nth(1)).await;
+    std::fs::remove_file(&link).unwrap();
+    let lost = commit(&store, &[Run::nth(2)]).await.pop().unwrap();
+    assert!(matches!(lost, Err(StoreError::NotWritable(_))), "{lost:?}");
 }

@@ -110,13 +110,23 @@ pub async fn post_batch(
     // What follows a torn frame may be anything, but no JSON.
     let stray = lines.pop_if(|(_, bytes)| form == Form::Binary && !is_frame(bytes));
     let mut answer = Vec::with_capacity(128 * lines.len());
+    let mut away: Option<Problem> = None;
     for window in lines.chunks(BATCH_WINDOW) {
+        // Each window waits in vain as long as a post does; what comes behind one is answered as it was.
+        if let Some(problem) = &away {
+            for line in window {
+                state.metrics.cycle_rejected(problem.code);
+                put_outcome(&mut answer, line, Err(problem.clone()))?;
+            }
+            continue;
+        }
         let bodies = window.iter().map(|(_, line)| line.clone()).collect();
         let (intake, machine) = (state.intake.clone(), machine.clone());
         // The client may hang up; the window that was taken in goes on to its commits all the same.
         let accepting = async move { intake.accept_all(&machine, bodies).await };
         let results =
             state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))?;
+        away = none_of(&results);
         for (line, result) in window.iter().zip(results) {
             put_outcome(&mut answer, line, result)?;
         }
@@ -127,6 +137,13 @@ pub async fn post_batch(
         put_outcome(&mut answer, &line, Err(problem))?;
     }
     Ok(([(header::CONTENT_TYPE, "application/x-ndjson")], answer).into_response())
+}
+
+/// Why none of them was committed, where the database was away for all of them. Those that come later are not sent to it,
+/// so that of them nothing is unknown.
+fn none_of(results: &[Result<Accepted, Problem>]) -> Option<Problem> {
+    let is_away = |result: &Result<Accepted, Problem>| matches!(result, Err(problem) if matches!(problem.code, "database_unavailable" | "outcome_unknown"));
+    (!results.is_empty() && results.iter().all(is_away)).then(Problem::database_unavailable)
 }
 
 /// One stored cycle with its summary.
@@ -271,7 +288,6 @@ async fn unpacked(
 ) -> Result<Unpacked, Problem> {
     let bound = state.config.limits.decoded_bytes;
     let unpacked = state.intake.unpacker(of_batch).unpack(encoding, bytes, bound).await;
-    let unpacked = unpacked.ok_or_else(|| Problem::internal("decompressing a body was given up"))?;
     unpacked.map_err(|error| match error {
         ContentError::TooLarge => Problem::new(
             StatusCode::PAYLOAD_TOO_LARGE,
@@ -280,6 +296,9 @@ async fn unpacked(
         ),
         ContentError::Malformed(why) => {
             Problem::bad_request("malformed_encoding", format!("the body cannot be decompressed: {why}"))
+        }
+        ContentError::Busy => {
+            Problem::unavailable("too_many_large_bodies", "other large bodies are being taken in", 2)
         }
     })
 }

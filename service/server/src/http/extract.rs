@@ -1,6 +1,7 @@
 //! What handlers take out of paths and queries.
 
 use super::problem::Problem;
+use crate::json::named_field;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{FromRequestParts, RawPathParams};
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
@@ -116,15 +117,8 @@ fn violation(rejection: &QueryRejection) -> Option<Violation> {
         }
     };
     let sentence = error.inner().to_string();
-    let named = |prefix: &str| Some(sentence.strip_prefix(prefix)?.split_once('`')?.0.to_owned());
-    for (prefix, code) in [
-        ("unknown field `", "unknown_field"),
-        ("missing field `", "missing_field"),
-        ("duplicate field `", "duplicate_field"),
-    ] {
-        if let Some(name) = named(prefix) {
-            return Some(Violation::new(name, code, sentence));
-        }
+    if let Some((name, code)) = named_field(&sentence) {
+        return Some(Violation::new(name, code, sentence.clone()));
     }
     Some(Violation::new(error.path().to_string(), "invalid_value", sentence))
 }

@@ -137,6 +137,15 @@ impl Problem {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, code, detail).retry_after(Duration::from_secs(seconds))
     }
 
+    /// 503: the database is away.
+    pub fn database_unavailable() -> Self {
+        Self::unavailable(
+            "database_unavailable",
+            "the database does not answer, or has no room; nothing was changed",
+            2,
+        )
+    }
+
     /// Says when to try again, in whole seconds, at least one.
     #[must_use]
     pub fn retry_after(self, wait: Duration) -> Self {
@@ -221,11 +230,7 @@ impl From<StoreError> for Problem {
         let private = private(&error);
         let etag = |version: u64| HeaderValue::try_from(format!("\"{version}\""));
         let problem = match error {
-            StoreError::Unavailable(_) => Self::unavailable(
-                "database_unavailable",
-                "the database does not answer, or has no room; nothing was changed",
-                2,
-            ),
+            StoreError::Unavailable(_) => Self::database_unavailable(),
             StoreError::OutcomeUnknown(_) => Self::unavailable(
                 "outcome_unknown",
                 "the database was lost while committing; send the same again to find out",

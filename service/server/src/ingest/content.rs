@@ -3,7 +3,9 @@
 use bytes::Bytes;
 use std::io::Read;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::timeout;
 
 /// How a body is compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,17 +40,22 @@ pub enum ContentError {
     TooLarge,
     /// It is not of that encoding, or torn.
     Malformed(String),
+    /// It is large, and others that are have all places: try again.
+    Busy,
 }
 
-/// Decompressed bodies up to this are kept as many as there are, bytes.
+/// Decompressed bodies up to this need no place, bytes.
 const SMALL_BYTES: usize = 256 * 1024;
 /// Larger ones that one unpacker keeps at once: each may be a thousand times what was sent.
 const LARGE_AT_ONCE: usize = 4;
+/// How long a large one waits for its place.
+const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Decompresses bodies, few at a time.
+/// Decompresses bodies, few large ones at a time.
 #[derive(Debug)]
 pub struct Unpacker {
     places: Arc<Semaphore>,
+    patience: Duration,
 }
 
 /// A decompressed body.
@@ -62,30 +69,42 @@ pub struct Unpacked {
 
 impl Default for Unpacker {
     fn default() -> Self {
-        Self { places: Arc::new(Semaphore::new(LARGE_AT_ONCE)) }
+        Self { places: Arc::new(Semaphore::new(LARGE_AT_ONCE)), patience: PATIENCE }
     }
 }
 
 impl Unpacker {
-    /// As [`decompress`], off the threads that serve connections. Waits until there is a place.
-    ///
-    /// # Errors
-    ///
-    /// `None` where the process ends.
+    /// As [`decompress`], off the threads that serve connections. What proves to be large waits for a place.
     pub async fn unpack(
         &self,
         encoding: Encoding,
         bytes: Bytes,
         bound: usize,
-    ) -> Option<Result<Unpacked, ContentError>> {
-        let place = self.places.clone().acquire_owned().await.ok()?;
-        let unpack = move || decompress(encoding, bytes.to_vec(), bound);
-        let unpacked = tokio::task::spawn_blocking(unpack).await.ok()?;
-        Some(unpacked.map(|bytes| {
-            let place = (bytes.len() > SMALL_BYTES).then_some(place);
-            Unpacked { bytes: bytes.into(), place }
-        }))
+    ) -> Result<Unpacked, ContentError> {
+        let small = bound.min(SMALL_BYTES);
+        match run(encoding, bytes.clone(), small, None).await {
+            Err(ContentError::TooLarge) if bound > small => {}
+            done => return done,
+        }
+        let place = timeout(self.patience, self.places.clone().acquire_owned()).await;
+        let Ok(Ok(place)) = place else { return Err(ContentError::Busy) };
+        run(encoding, bytes, bound, Some(place)).await
     }
+}
+
+/// The place is held by what decompresses: that goes on where nobody waits for it any more.
+async fn run(
+    encoding: Encoding,
+    bytes: Bytes,
+    bound: usize,
+    place: Option<OwnedSemaphorePermit>,
+) -> Result<Unpacked, ContentError> {
+    let unpack = move || {
+        let bytes = decompress(encoding, bytes.to_vec(), bound)?.into();
+        Ok(Unpacked { bytes, place })
+    };
+    // It is cancelled only where the process ends.
+    tokio::task::spawn_blocking(unpack).await.unwrap_or(Err(ContentError::Busy))
 }
 
 /// Decompresses `bytes`, never holding more than `bound` bytes of output.
@@ -145,24 +164,22 @@ mod tests {
 
     #[tokio::test]
     async fn few_large_bodies_are_kept_at_once() {
-        let unpacker = Unpacker::default();
+        let unpacker = Unpacker { patience: Duration::from_millis(5), ..Unpacker::default() };
         let unpack = async |bytes: usize| {
             let packed = Bytes::from(gzip(&vec![b' '; bytes]));
-            unpacker.unpack(Encoding::Gzip, packed, 1 << 20).await.unwrap()
+            unpacker.unpack(Encoding::Gzip, packed, 1 << 20).await
         };
         let mut kept = Vec::new();
         for _ in 0..LARGE_AT_ONCE {
             kept.push(unpack(SMALL_BYTES + 1).await.unwrap());
         }
-        let mut next = Box::pin(unpack(SMALL_BYTES));
-        assert!(futures_util::poll!(&mut next).is_pending());
-        assert_eq!(unpacker.places.available_permits(), 0, "it waits for a place");
-        kept.pop();
-        assert_eq!(next.await.unwrap().bytes.len(), SMALL_BYTES);
+        assert_eq!(unpack(SMALL_BYTES + 1).await.unwrap_err(), ContentError::Busy);
         let small = unpack(SMALL_BYTES).await.unwrap();
-        assert!(small.place.is_none(), "small ones need none once they are decompressed");
+        assert!(small.place.is_none() && small.bytes.len() == SMALL_BYTES, "small ones pass by");
+        kept.pop();
         assert_eq!(unpack(2 << 20).await.unwrap_err(), ContentError::TooLarge);
         assert_eq!(unpacker.places.available_permits(), 1, "refused ones keep none");
+        assert_eq!(unpack(1 << 20).await.unwrap().bytes.len(), 1 << 20);
     }
 
     #[test]

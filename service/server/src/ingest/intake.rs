@@ -2,7 +2,7 @@
 
 use super::body::{self, BodyError};
 use super::content::Unpacker;
-use super::pulse::Pulse;
+use super::pulse::{Pulse, Waited};
 use super::writer::{self, Answered, Bounds, WriteError, WriterHandle, WriterObserver};
 use crate::clock::Clock;
 use crate::config::Config;
@@ -79,16 +79,60 @@ pub struct CycleIntake {
     store: Arc<dyn Store>,
     clock: Clock,
     metrics: Arc<Metrics>,
-    live: Arc<Live>,
+    told: Arc<Told>,
     max_samples: usize,
     bounds: QuarantineBounds,
-    heard: Heard,
     writer: RwLock<Option<WriterHandle>>,
     writing: Mutex<Option<JoinHandle<()>>>,
     preparing: Semaphore,
     singles: Unpacker,
     batches: Unpacker,
     pulse: Pulse,
+}
+
+/// Who is told of what came of a cycle.
+struct Told {
+    clock: Clock,
+    metrics: Arc<Metrics>,
+    live: Arc<Live>,
+    heard: Heard,
+}
+
+impl Told {
+    fn observe(&self, machine: &MachineId, refused: Refused, result: &Result<Accepted, Problem>) {
+        // What an engineer takes out of quarantine says nothing about the machine.
+        let heard = refused == Refused::ToQuarantine;
+        let accepted = match result {
+            Ok(accepted) => accepted,
+            Err(problem) if problem.members.contains_key("quarantine_id") => {
+                self.live.alarms_may_have_changed();
+                self.heard.note(machine, self.clock.now());
+                self.metrics.cycle_quarantined(machine, problem.code);
+                return;
+            }
+            Err(problem) => {
+                self.metrics.cycle_rejected(problem.code);
+                return;
+            }
+        };
+        let Accepted { cycle, new, answer } = accepted;
+        if heard {
+            self.heard.note(machine, self.clock.now());
+        }
+        self.metrics.recommendation(&answer.recommendation.recommendation);
+        if !new {
+            self.metrics.cycle(machine, CycleOutcome::Duplicate);
+            return;
+        }
+        self.metrics.cycle(machine, CycleOutcome::Accepted);
+        self.live.publish(Event::cycle(accepted));
+        self.live.alarms_may_have_changed();
+        if let Some(energy) = answer.summary.best_energy() {
+            let process = cycle.process.or(answer.recommendation.recommendation.process);
+            self.metrics.cycle_energy(process, energy.total_joules);
+        }
+        self.metrics.verdict(machine, &answer.verdict);
+    }
 }
 
 /// What the writer tells metrics and the life of the process.
@@ -128,10 +172,14 @@ impl CycleIntake {
             store: store.clone(),
             clock: clock.clone(),
             metrics: metrics.clone(),
-            live: Live::new(&config.live),
+            told: Arc::new(Told {
+                clock: clock.clone(),
+                metrics: metrics.clone(),
+                live: Live::new(&config.live),
+                heard: Heard::default(),
+            }),
             max_samples: config.limits.samples_per_cycle,
             bounds: config.quarantine.bounds(),
-            heard: Heard::default(),
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
             preparing: Semaphore::new(BATCHES_PREPARED),
@@ -147,8 +195,8 @@ impl CycleIntake {
     }
 
     /// Machines that were heard of since the watch's last round.
-    pub(crate) const fn heard(&self) -> &Heard {
-        &self.heard
+    pub(crate) fn heard(&self) -> &Heard {
+        &self.told.heard
     }
 
     /// Sets the metric of the queue to what waits now.
@@ -158,8 +206,8 @@ impl CycleIntake {
     }
 
     /// The view that is told of every cycle stored here.
-    pub(crate) const fn live(&self) -> &Arc<Live> {
-        &self.live
+    pub(crate) fn live(&self) -> &Arc<Live> {
+        &self.told.live
     }
 
     /// Everything before the queue: reading, summary, blocks and hash.
@@ -203,8 +251,23 @@ impl CycleIntake {
 
     /// Everything after the queue: what the commit came to.
     async fn settle(&self, queued: Queued, refused: Refused) -> Result<Accepted, Problem> {
-        let Queued { cycle, json, answered } = queued;
-        let outcome = self.pulse.wait(answered).await.ok_or_else(closing)?;
+        let Queued { cycle, json, mut answered } = queued;
+        let outcome = match self.pulse.wait(&mut answered).await {
+            Waited::Answered(outcome) => outcome,
+            Waited::Closed => return Err(closing()),
+            Waited::GivenUp => {
+                // Sent again it will be known, and then nobody is told that it is new.
+                let told = Arc::clone(&self.told);
+                tokio::spawn(async move {
+                    if let Ok(Ok(Committed::Stored(answer))) = answered.await {
+                        let machine = cycle.machine.clone();
+                        told.observe(&machine, refused, &Ok(Accepted { cycle, new: true, answer }));
+                    }
+                });
+                let why = "the database does not answer, and a commit is under way";
+                return Err(StoreError::OutcomeUnknown(why.into()).into());
+            }
+        };
         match outcome? {
             Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
             Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),
@@ -242,41 +305,6 @@ impl CycleIntake {
         tokio::task::spawn_blocking(move || body::decode(&machine, &json, max_samples, now))
             .await
             .map_err(|error| Problem::internal(format!("parsing a cycle failed: {error}")))
-    }
-
-    fn observe(&self, machine: &MachineId, refused: Refused, result: &Result<Accepted, Problem>) {
-        // What an engineer takes out of quarantine says nothing about the machine.
-        let heard = refused == Refused::ToQuarantine;
-        let accepted = match result {
-            Ok(accepted) => accepted,
-            Err(problem) if problem.members.contains_key("quarantine_id") => {
-                self.live.alarms_may_have_changed();
-                self.heard.note(machine, self.clock.now());
-                self.metrics.cycle_quarantined(machine, problem.code);
-                return;
-            }
-            Err(problem) => {
-                self.metrics.cycle_rejected(problem.code);
-                return;
-            }
-        };
-        let Accepted { cycle, new, answer } = accepted;
-        if heard {
-            self.heard.note(machine, self.clock.now());
-        }
-        self.metrics.recommendation(&answer.recommendation.recommendation);
-        if !new {
-            self.metrics.cycle(machine, CycleOutcome::Duplicate);
-            return;
-        }
-        self.metrics.cycle(machine, CycleOutcome::Accepted);
-        self.live.publish(Event::cycle(accepted));
-        self.live.alarms_may_have_changed();
-        if let Some(energy) = answer.summary.best_energy() {
-            let process = cycle.process.or(answer.recommendation.recommendation.process);
-            self.metrics.cycle_energy(process, energy.total_joules);
-        }
-        self.metrics.verdict(machine, &answer.verdict);
     }
 
     /// Keeps a refused body in quarantine, so that its machine may forget it, and names it in the problem.
@@ -330,7 +358,7 @@ impl CycleIntake {
             }
             Err(problem) => Err(problem),
         };
-        self.observe(machine, refused, &result);
+        self.told.observe(machine, refused, &result);
         result
     }
 
@@ -352,7 +380,7 @@ impl CycleIntake {
             }
             Err(problem) => Err(problem),
         };
-        self.observe(machine, refused, &result);
+        self.told.observe(machine, refused, &result);
         result
     }
 
@@ -377,7 +405,7 @@ impl CycleIntake {
         }
         let settled = waiting.into_iter().map(|queued| async move { self.settle(queued?, refused).await });
         let results = join_all(settled).await;
-        results.iter().for_each(|result| self.observe(machine, refused, result));
+        results.iter().for_each(|result| self.told.observe(machine, refused, result));
         results
     }
 

@@ -3,7 +3,7 @@
 //! What is given up is the wait, never the commit: that goes on, and whoever sends the cycle again is told what came of it.
 
 use super::writer::Answered;
-use feedwright_store::{Committed, Store, StoreError, StoreResult};
+use feedwright_store::{Committed, Store, StoreResult};
 use futures_util::future::BoxFuture;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -17,6 +17,17 @@ const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Asks the database for a word; `false` where it refuses.
 type Ask = Box<dyn Fn() -> BoxFuture<'static, bool> + Send + Sync>;
+
+/// What came of waiting.
+#[derive(Debug)]
+pub(super) enum Waited {
+    /// The commit's answer.
+    Answered(StoreResult<Committed>),
+    /// The database no longer answers; the commit may come yet.
+    GivenUp,
+    /// The writer has ended.
+    Closed,
+}
 
 /// Feels for the database on behalf of every post that waits for its commit.
 pub(super) struct Pulse {
@@ -32,27 +43,24 @@ impl Pulse {
     pub(super) fn of(store: Arc<dyn Store>) -> Self {
         let ask = move || -> BoxFuture<'static, bool> {
             let store = Arc::clone(&store);
-            Box::pin(async move { store.answers().await.is_ok() })
+            // A question that is never answered would stand for all that come later.
+            Box::pin(async move { matches!(timeout(PATIENCE, store.answers()).await, Ok(Ok(()))) })
         };
         Self { ask: Box::new(ask), late: LATE, patience: PATIENCE, asked: Mutex::default() }
     }
 
     /// Waits for the answer to a queued cycle as long as the database is there.
-    ///
-    /// # Errors
-    /// `OutcomeUnknown` where the database no longer answers: the cycle may be committed yet. The commit's own errors.
-    /// `None` where the writer has ended.
-    pub(super) async fn wait(&self, mut answered: Answered) -> Option<StoreResult<Committed>> {
+    pub(super) async fn wait(&self, answered: &mut Answered) -> Waited {
+        let of = |answer: Result<_, _>| answer.map_or(Waited::Closed, Waited::Answered);
         loop {
-            if let Ok(answer) = timeout(self.late, &mut answered).await {
-                return answer.ok();
+            if let Ok(answer) = timeout(self.late, &mut *answered).await {
+                return of(answer);
             }
             tokio::select! {
                 biased;
-                answer = &mut answered => return answer.ok(),
+                answer = &mut *answered => return of(answer),
                 beats = self.beats() => if !beats {
-                    let why = "the database does not answer, and a commit is under way";
-                    return Some(Err(StoreError::OutcomeUnknown(why.into())));
+                    return Waited::GivenUp;
                 },
             }
         }
@@ -98,13 +106,9 @@ mod tests {
         Pulse { ask: Box::new(ask), late: moment, patience: moment, asked: Mutex::default() }
     }
 
-    fn unknown(answer: &Option<StoreResult<Committed>>) -> bool {
-        matches!(answer, Some(Err(StoreError::OutcomeUnknown(_))))
-    }
-
     #[tokio::test]
     async fn a_slow_commit_is_waited_for_as_long_as_the_database_answers() {
-        let (tell, answered) = oneshot::channel();
+        let (tell, mut answered) = oneshot::channel();
         let (tell, asked) = (Mutex::new(Some(tell)), Arc::new(AtomicU32::new(0)));
         let count = Arc::clone(&asked);
         let pulse = pulse(move || {
@@ -114,14 +118,16 @@ mod tests {
             }
             Box::pin(async { true })
         });
-        assert!(matches!(pulse.wait(answered).await, Some(Ok(Committed::UnknownMachine))));
+        let waited = pulse.wait(&mut answered).await;
+        assert!(matches!(waited, Waited::Answered(Ok(Committed::UnknownMachine))), "{waited:?}");
         assert_eq!(asked.load(Ordering::Relaxed), 4);
     }
 
     #[tokio::test]
     async fn a_database_that_refuses_or_says_nothing_is_not_waited_for() {
-        let (_held, answered) = oneshot::channel();
-        assert!(unknown(&pulse(|| Box::pin(async { false })).wait(answered).await));
+        let (_held, mut answered) = oneshot::channel();
+        let waited = pulse(|| Box::pin(async { false })).wait(&mut answered).await;
+        assert!(matches!(waited, Waited::GivenUp), "{waited:?}");
 
         // One question stands for all who wait, also for those who come when it is an old one.
         let asked = Arc::new(AtomicU32::new(0));
@@ -131,16 +137,18 @@ mod tests {
             Box::pin(std::future::pending())
         });
         for _ in 0..3 {
-            let (_held, answered) = oneshot::channel();
-            assert!(unknown(&silent.wait(answered).await));
+            let (_held, mut answered) = oneshot::channel();
+            let waited = silent.wait(&mut answered).await;
+            assert!(matches!(waited, Waited::GivenUp), "{waited:?}");
         }
         assert_eq!(asked.load(Ordering::Relaxed), 1);
     }
 
     #[tokio::test]
     async fn a_writer_that_ended_answers_nobody() {
-        let (tell, answered) = oneshot::channel();
+        let (tell, mut answered) = oneshot::channel();
         drop(tell);
-        assert!(pulse(|| Box::pin(async { true })).wait(answered).await.is_none());
+        let waited = pulse(|| Box::pin(async { true })).wait(&mut answered).await;
+        assert!(matches!(waited, Waited::Closed), "{waited:?}");
     }
 }

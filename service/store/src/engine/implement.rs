@@ -134,7 +134,7 @@ impl Engine {
                     return Ok(answers);
                 }
                 Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_)))
-                    if attempt < dialect::COMMIT_ATTEMPTS && !self.is_away(&error) =>
+                    if attempt < dialect::COMMIT_ATTEMPTS && !self.is_away(&error).await =>
                 {
                     attempt += 1;
                     unknown |= matches!(error, StoreError::OutcomeUnknown(_));
@@ -180,9 +180,7 @@ impl Store for Engine {
     }
 
     async fn answers(&self) -> StoreResult<()> {
-        read!(self, |conn| {
-            sqlx::query::<Db>("SELECT 1").execute(&mut *conn).await.map(|_| ()).map_err(StoreError::from)
-        })
+        self.word().await
     }
 
     async fn probe_write(&self, now: Timestamp) -> StoreResult<()> {

@@ -86,11 +86,12 @@ impl PostgresStore {
                     Err(sqlx::Error::Protocol("the server is in recovery or read-only".to_owned()))
                 })
             })
-            .connect_with(connect)
+            .connect_with(connect.clone())
             .await?;
         // In a transaction, as a pooler bears it.
         let inner = Inner {
             pool,
+            connect,
             direct,
             gate: Gate::default(),
             lost_after: options.lost_after,

@@ -24,7 +24,8 @@ impl Files {
             Ok(identity) => Ok((path, identity)),
             Err(error) => Err(missing(&path, &error)),
         };
-        let mut log = path.as_os_str().to_owned();
+        // SQLite follows a link, and keeps its log beside what the link leads to.
+        let mut log = path.canonicalize().map_err(|error| missing(path, &error))?.into_os_string();
         log.push("-wal");
         Ok(Self([identified(path.to_owned())?, identified(log.into())?]))
     }
