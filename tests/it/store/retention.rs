@@ -19,6 +19,7 @@ stories!(
     what_was_decided_but_not_dropped_yet_stays,
     what_a_clock_that_was_ahead_received_pushes_nothing_out,
     what_goes_while_a_decision_is_taken_back_is_told_too,
+    what_is_committed_after_a_decision_was_taken_back_is_kept,
 );
 
 const DAY: i64 = 86_400;
@@ -341,6 +342,31 @@ async fn what_goes_while_a_decision_is_taken_back_is_told_too(store: Arc<dyn Sto
     assert_eq!((dropped + left, told_drops(&*store).await), (40, dropped));
     let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
     assert!(drops.iter().all(|drop| drop.before <= at(DAY + 60)), "{drops:?}");
+}
+
+/// The clock of another server is behind by minutes, and a post is received before it waits to be committed.
+async fn what_is_committed_after_a_decision_was_taken_back_is_kept(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let now = 300 * DAY;
+    let received = |n: u32, before: i64| Run { seconds: now - before, ..Run::nth(n) };
+    for run in [received(1, DAY), received(2, 1000), received(3, 120)] {
+        stored(&*store, &run).await;
+    }
+    assert_eq!(run(&*store, days(30), 1000 * DAY).await.1.cycles, 3);
+    assert_eq!(run(&*store, days(30), now).await, (0, Dropped::default()));
+    for run in [received(4, 63), received(5, 4)] {
+        stored(&*store, &run).await;
+    }
+    for seconds in [now + 1, now + 3600] {
+        assert_eq!(run(&*store, days(30), seconds).await, (0, Dropped::default()));
+    }
+    assert_eq!(kept(&*store).await, [false, false, false, true, true]);
+    let since = Some(SamplesGone { dropped_at: at(now), reason: DropReason::Age });
+    let expected = (1..4).map(|n| (format!("c{n:05}"), since));
+    assert_eq!(gone(&*store).await, expected.collect::<Vec<_>>());
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.dropped, checked.faults.as_slice()), (3, [].as_slice()));
+    assert_eq!(told_drops(&*store).await, 3);
 }
 
 /// What the check must find, told on the tables themselves.
