@@ -3,10 +3,12 @@
 use super::given::{Given, Run, at, commit, engineer, shop, stored, stories};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_store::{
-    CycleFilter, DropReason, Dropped, Page, Precondition, PutOutcome, SampleRetention, SamplesGone, Store,
-    StoreError,
+    CycleFilter, DropReason, Dropped, Page, Precondition, PutOutcome, SampleRetention, SamplesGone,
+    Store, StoreError,
 };
+use sqlx::{Connection, PgConnection};
 use std::sync::Arc;
+use std::time::Duration;
 
 stories!(
     without_a_limit_nothing_goes,
@@ -433,6 +435,46 @@ mod damage {
     async fn damage_is_named(given: &super::Given) {
         damage_is_named_by_its_key(given).await;
     }
+}
+
+/// The key of a name that servers lock, as `locks` makes it.
+fn key(name: &str) -> i64 {
+    let mut first = [0; 8];
+    first.copy_from_slice(&blake3::hash(name.as_bytes()).as_bytes()[..8]);
+    i64::from_le_bytes(first)
+}
+
+/// Another server takes the decision back while this one waits to delete by it.
+#[tokio::test]
+async fn postgres_deletes_nothing_by_a_decision_that_was_taken_back_meanwhile() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    stored(&*store, &Run::nth(1)).await;
+    assert_eq!(store.decide_drops(days(30), at(1000 * DAY)).await.unwrap().len(), 1);
+    let mut other = PgConnection::connect(&given.address()).await.unwrap();
+    let mut taking_back = other.begin().await.unwrap();
+    let lock = sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(key("retention/M1"));
+    lock.execute(&mut *taking_back).await.unwrap();
+    let dropping = async {
+        let step = store.drop_some(3, at(DAY)).await.unwrap();
+        assert_eq!((step.cycles, step.bytes), (0, 0));
+    };
+    let taken_back = async {
+        let waiting = "SELECT EXISTS (SELECT 1 FROM pg_locks l JOIN pg_database d ON d.oid = l.database
+                       WHERE d.datname = current_database() AND l.locktype = 'advisory' AND NOT l.granted)";
+        while !sqlx::query_scalar::<_, bool>(waiting).fetch_one(&mut *taking_back).await.unwrap() {}
+        sqlx::query("DELETE FROM sample_drops").execute(&mut *taking_back).await.unwrap();
+        taking_back.commit().await.unwrap();
+    };
+    let both = async { tokio::join!(dropping, taken_back) };
+    tokio::time::timeout(Duration::from_secs(60), both).await.expect("whoever deletes asks for the name");
+    assert_eq!(kept(&*store).await, [true]);
+    assert_eq!(run(&*store, FOR_EVER, DAY).await, (0, Dropped::default()));
+    other.close().await.unwrap();
+    given.done().await;
 }
 
 #[tokio::test]
