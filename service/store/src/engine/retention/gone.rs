@@ -158,6 +158,7 @@ pub(in super::super) async fn take_back(
     expected: &Ahead,
     now: Timestamp,
 ) -> StoreResult<bool> {
+    // Not in ascending order: see `locks`.
     dialect::lock(conn, &Locks::subject("partitions", "")).await?;
     dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
     match ahead(conn, machine, now).await? {
