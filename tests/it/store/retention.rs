@@ -3,7 +3,7 @@
 use super::given::{Given, Run, at, commit, engineer, shop, stored, stories};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_store::{
-    CycleFilter, DropReason, Dropped, Page, Precondition, PutOutcome, SampleRetention, SamplesGone,
+    CycleFilter, DropReason, Dropped, PAST, Page, Precondition, PutOutcome, SampleRetention, SamplesGone,
     Store, StoreError,
 };
 use sqlx::{Connection, PgConnection};
@@ -22,6 +22,7 @@ stories!(
     what_a_clock_that_was_ahead_received_pushes_nothing_out,
     what_goes_while_a_decision_is_taken_back_is_told_too,
     what_is_committed_after_a_decision_was_taken_back_is_kept,
+    a_clock_that_is_not_set_yet_takes_nothing_back,
 );
 
 const DAY: i64 = 86_400;
@@ -369,6 +370,23 @@ async fn what_is_committed_after_a_decision_was_taken_back_is_kept(store: Arc<dy
     let checked = store.check_cycles(None, 100).await.unwrap();
     assert_eq!((checked.dropped, checked.faults.as_slice()), (3, [].as_slice()));
     assert_eq!(told_drops(&*store).await, 3);
+}
+
+/// A computer without a clock of its own starts years ago, and the right time comes a minute later.
+async fn a_clock_that_is_not_set_yet_takes_nothing_back(store: Arc<dyn Store>) {
+    let started = -2200 * DAY;
+    assert!(at(started) < PAST && PAST <= at(-10), "stories begin after what is past beyond doubt");
+    year(&*store).await;
+    run(&*store, days(100), 150 * DAY).await;
+    run(&*store, days(100), 270 * DAY).await;
+    let machine = MachineId::try_from("M1").unwrap();
+    let (drops, told) = (store.sample_drops(&machine).await.unwrap(), gone(&*store).await);
+    assert!(drops.len() == 2 && !told.is_empty(), "{drops:?} {told:?}");
+    for seconds in [started, 270 * DAY + 60] {
+        assert_eq!(run(&*store, days(100), seconds).await, (0, Dropped::default()));
+        assert_eq!(store.sample_drops(&machine).await.unwrap(), drops);
+        assert_eq!(gone(&*store).await, told);
+    }
 }
 
 /// What the check must find, told on the tables themselves.

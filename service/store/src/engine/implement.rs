@@ -12,6 +12,7 @@ use crate::feed_profile::{
 };
 use crate::locks::Locks;
 use crate::notice::Notices;
+use crate::past;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::Group;
 use crate::record::{
@@ -85,6 +86,9 @@ impl Engine {
     /// Takes back what a clock that was ahead has decided on a machine's samples. What is gone by it stays told: its
     /// cycles are named first, some at a time, which the writer can bear; where more goes meanwhile, again.
     async fn take_back(&self, machine: &MachineId, now: Timestamp) -> StoreResult<()> {
+        if !past::may_be_right(now) {
+            return Ok(());
+        }
         for _ in 0..TAKE_BACK_ATTEMPTS {
             let id = machine.clone();
             let Some(ahead) = snapshot!(self, |conn| retention::gone::ahead(conn, &id, now).await)? else {
