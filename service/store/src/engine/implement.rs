@@ -35,11 +35,14 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// How often it is tried to take a decision back by which more and more goes meanwhile; the next run tries again.
 const TAKE_BACK_ATTEMPTS: u32 = 3;
 /// Machines that are read at a time.
 const MACHINES_PAGE: u32 = 100;
+/// Between two pages of cycles whose drops are named.
+const NAMES_PAUSE: Duration = Duration::from_millis(20);
 
 /// One change in one transaction, in a task that nobody can cancel.
 macro_rules! write {
@@ -98,6 +101,8 @@ impl Engine {
             while let Some(from) = after {
                 let (id, ahead) = (machine.clone(), ahead.clone());
                 after = write!(self, |conn| retention::gone::name_page(conn, &id, &ahead, &from, now).await)?;
+                // Live posts have the writer between two pages.
+                tokio::time::sleep(NAMES_PAUSE).await;
             }
             let id = machine.clone();
             if write!(self, |conn| retention::gone::take_back(conn, &id, &ahead, now).await)? {
