@@ -198,6 +198,9 @@ pub(crate) trait Side: Send {
         limit: usize,
     ) -> StoreResult<Vec<Row>>;
 
+    /// Which of these keys are there, in any order: no more of them than rows of a page, and one.
+    async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>>;
+
     /// Gets ready to take rows, whose receipt lies within that range.
     async fn prepare(&mut self, received_us: Option<(i64, i64)>) -> StoreResult<()>;
 

@@ -3,10 +3,12 @@
 use super::given::{Given, Run, at, commit, engineer, shop, stored, stories};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_store::{
-    CycleFilter, DropReason, Dropped, Page, Precondition, PutOutcome, SampleRetention, SamplesGone, Store,
-    StoreError,
+    CycleFilter, DropReason, Dropped, PAST, Page, Precondition, PutOutcome, SampleRetention, SamplesGone,
+    Store, StoreError,
 };
+use sqlx::{Connection, PgConnection};
 use std::sync::Arc;
+use std::time::Duration;
 
 stories!(
     without_a_limit_nothing_goes,
@@ -19,6 +21,8 @@ stories!(
     what_was_decided_but_not_dropped_yet_stays,
     what_a_clock_that_was_ahead_received_pushes_nothing_out,
     what_goes_while_a_decision_is_taken_back_is_told_too,
+    what_is_committed_after_a_decision_was_taken_back_is_kept,
+    a_clock_that_is_not_set_yet_takes_nothing_back,
 );
 
 const DAY: i64 = 86_400;
@@ -343,6 +347,48 @@ async fn what_goes_while_a_decision_is_taken_back_is_told_too(store: Arc<dyn Sto
     assert!(drops.iter().all(|drop| drop.before <= at(DAY + 60)), "{drops:?}");
 }
 
+/// The clock of another server is behind by minutes, and a post is received before it waits to be committed.
+async fn what_is_committed_after_a_decision_was_taken_back_is_kept(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let now = 300 * DAY;
+    let received = |n: u32, before: i64| Run { seconds: now - before, ..Run::nth(n) };
+    for run in [received(1, DAY), received(2, 1000), received(3, 120)] {
+        stored(&*store, &run).await;
+    }
+    assert_eq!(run(&*store, days(30), 1000 * DAY).await.1.cycles, 3);
+    assert_eq!(run(&*store, days(30), now).await, (0, Dropped::default()));
+    for run in [received(4, 63), received(5, 4)] {
+        stored(&*store, &run).await;
+    }
+    for seconds in [now + 1, now + 3600] {
+        assert_eq!(run(&*store, days(30), seconds).await, (0, Dropped::default()));
+    }
+    assert_eq!(kept(&*store).await, [false, false, false, true, true]);
+    let since = Some(SamplesGone { dropped_at: at(now), reason: DropReason::Age });
+    let expected = (1..4).map(|n| (format!("c{n:05}"), since));
+    assert_eq!(gone(&*store).await, expected.collect::<Vec<_>>());
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.dropped, checked.faults.as_slice()), (3, [].as_slice()));
+    assert_eq!(told_drops(&*store).await, 3);
+}
+
+/// A computer without a clock of its own starts years ago, and the right time comes a minute later.
+async fn a_clock_that_is_not_set_yet_takes_nothing_back(store: Arc<dyn Store>) {
+    let started = -2200 * DAY;
+    assert!(at(started) < PAST && PAST <= at(-10), "stories begin after what is past beyond doubt");
+    year(&*store).await;
+    run(&*store, days(100), 150 * DAY).await;
+    run(&*store, days(100), 270 * DAY).await;
+    let machine = MachineId::try_from("M1").unwrap();
+    let (drops, told) = (store.sample_drops(&machine).await.unwrap(), gone(&*store).await);
+    assert!(drops.len() == 2 && !told.is_empty(), "{drops:?} {told:?}");
+    for seconds in [started, 270 * DAY + 60] {
+        assert_eq!(run(&*store, days(100), seconds).await, (0, Dropped::default()));
+        assert_eq!(store.sample_drops(&machine).await.unwrap(), drops);
+        assert_eq!(gone(&*store).await, told);
+    }
+}
+
 /// What the check must find, told on the tables themselves.
 async fn damage_is_named_by_its_key(given: &Given) {
     let store = given.store();
@@ -407,6 +453,46 @@ mod damage {
     async fn damage_is_named(given: &super::Given) {
         damage_is_named_by_its_key(given).await;
     }
+}
+
+/// The key of a name that servers lock, as `locks` makes it.
+fn key(name: &str) -> i64 {
+    let mut first = [0; 8];
+    first.copy_from_slice(&blake3::hash(name.as_bytes()).as_bytes()[..8]);
+    i64::from_le_bytes(first)
+}
+
+/// Another server takes the decision back while this one waits to delete by it.
+#[tokio::test]
+async fn postgres_deletes_nothing_by_a_decision_that_was_taken_back_meanwhile() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    stored(&*store, &Run::nth(1)).await;
+    assert_eq!(store.decide_drops(days(30), at(1000 * DAY)).await.unwrap().len(), 1);
+    let mut other = PgConnection::connect(&given.address()).await.unwrap();
+    let mut taking_back = other.begin().await.unwrap();
+    let lock = sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(key("retention/M1"));
+    lock.execute(&mut *taking_back).await.unwrap();
+    let dropping = async {
+        let step = store.drop_some(3, at(DAY)).await.unwrap();
+        assert_eq!((step.cycles, step.bytes), (0, 0));
+    };
+    let taken_back = async {
+        let waiting = "SELECT EXISTS (SELECT 1 FROM pg_locks l JOIN pg_database d ON d.oid = l.database
+                       WHERE d.datname = current_database() AND l.locktype = 'advisory' AND NOT l.granted)";
+        while !sqlx::query_scalar::<_, bool>(waiting).fetch_one(&mut *taking_back).await.unwrap() {}
+        sqlx::query("DELETE FROM sample_drops").execute(&mut *taking_back).await.unwrap();
+        taking_back.commit().await.unwrap();
+    };
+    let both = async { tokio::join!(dropping, taken_back) };
+    tokio::time::timeout(Duration::from_secs(60), both).await.expect("whoever deletes asks for the name");
+    assert_eq!(kept(&*store).await, [true]);
+    assert_eq!(run(&*store, FOR_EVER, DAY).await, (0, Dropped::default()));
+    other.close().await.unwrap();
+    given.done().await;
 }
 
 #[tokio::test]

@@ -295,14 +295,9 @@ async fn a_plant_that_goes_on_is_copied_to_a_cell_again() {
 
 /// The first copy was made before a clock that was ahead dropped what it had received, the second one after; and when the
 /// machine was last heard of has gone back since.
-#[tokio::test]
-async fn what_a_clock_that_was_ahead_left_goes_from_an_earlier_copy_too() {
+async fn copied_around_a_clock_that_was_ahead(given: &Given, from: &Address, to: &Address) {
     const DAY: i64 = 86_400;
-    let Some(plant) = Given::postgres().await else {
-        return;
-    };
-    let cell = Given::sqlite().await;
-    let store = cell.store();
+    let store = given.store();
     shop(&*store).await;
     for n in 0..6 {
         stored(&*store, &Run { seconds: 40 * DAY + i64::from(n) * 60, ..Run::nth(n) }).await;
@@ -313,16 +308,41 @@ async fn what_a_clock_that_was_ahead_left_goes_from_an_earlier_copy_too() {
     };
     let contact = vec![("M1".try_into().unwrap(), at(40 * DAY))];
     assert_eq!(heard(40 * DAY, contact).await, Some(at(40 * DAY)));
-    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
-    copied(&from, &to).await.unwrap();
+    copied(from, to).await.unwrap();
     let none = SampleRetention { days: None, bytes: Some(1) };
     assert_eq!(store.decide_drops(none, at(41 * DAY)).await.unwrap().len(), 1);
     while store.drop_some(10, at(41 * DAY)).await.unwrap().more {}
     assert_eq!(store.decide_drops(none, at(DAY)).await.unwrap(), [], "taken back");
     assert_eq!(heard(DAY, vec![]).await, Some(at(DAY)), "brought back");
-    let (second, _) = copied(&from, &to).await.unwrap();
+    let (second, _) = copied(from, to).await.unwrap();
     let rows = |table| second.iter().find(|(name, _)| name == table).unwrap().1.rows;
     assert_eq!((rows("cycle_samples"), rows("cycle_sample_drops")), (0, 6));
+}
+
+#[tokio::test]
+async fn what_a_clock_that_was_ahead_left_goes_from_an_earlier_copy_of_a_plant_too() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cell.sqlite3");
+    let (from, to) = (Address::Postgres(plant.address()), Address::Sqlite(file.clone()));
+    copied_around_a_clock_that_was_ahead(&plant, &from, &to).await;
+    let copy = sqlite(&file).await;
+    sound(&copy).await;
+    assert_eq!(copy.check_cycles(None, 100).await.unwrap().dropped, 6);
+    copy.close().await;
+    plant.done().await;
+}
+
+#[tokio::test]
+async fn what_a_clock_that_was_ahead_left_goes_from_an_earlier_copy_too() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    copied_around_a_clock_that_was_ahead(&cell, &from, &to).await;
     let copy = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap();
     sound(&copy).await;
     assert_eq!(copy.check_cycles(None, 100).await.unwrap().dropped, 6);

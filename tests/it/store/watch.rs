@@ -14,6 +14,7 @@ use std::sync::Arc;
 stories!(
     a_machine_that_falls_silent_alarms_until_it_posts_again,
     a_machine_that_a_clock_which_was_ahead_heard_of_falls_silent_all_the_same,
+    what_was_heard_before_a_clock_is_set_stays,
     a_quarantine_that_fills_up_alarms_before_it_is_full,
     usage_tells_sizes_and_connections
 );
@@ -110,6 +111,21 @@ async fn a_machine_that_a_clock_which_was_ahead_heard_of_falls_silent_all_the_sa
     assert_eq!(silent(&*store, &heard, at(1100)).await, never);
     assert_eq!(last(at(1101)).await, [Some(at(1100)), Some(at(1090)), None]);
     assert_eq!(silent(&*store, &[], at(1701)).await, ["M1", "M2"]);
+}
+
+/// A computer without a clock of its own starts years ago, and the right time comes a minute later.
+async fn what_was_heard_before_a_clock_is_set_stays(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    for name in ["M2", "M3"] {
+        store.put_machine(machine(name), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+    }
+    let never: [String; 0] = [];
+    let started = at(-2200 * 86_400);
+    assert_eq!(silent(&*store, &[("M1", at(0)), ("M2", at(0))], at(0)).await, never);
+    assert_eq!(silent(&*store, &[("M2", started)], started).await, never);
+    assert_eq!(silent(&*store, &[], at(60)).await, never, "both were heard of a minute ago");
+    assert_eq!(open(&*store).await, []);
+    assert_eq!(silent(&*store, &[], at(61)).await, ["M2"], "and fall silent as ever");
 }
 
 fn entry(n: usize) -> QuarantineEntry {

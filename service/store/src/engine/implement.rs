@@ -12,6 +12,7 @@ use crate::feed_profile::{
 };
 use crate::locks::Locks;
 use crate::notice::Notices;
+use crate::past;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::Group;
 use crate::record::{
@@ -34,11 +35,14 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// How often it is tried to take a decision back by which more and more goes meanwhile; the next run tries again.
 const TAKE_BACK_ATTEMPTS: u32 = 3;
 /// Machines that are read at a time.
 const MACHINES_PAGE: u32 = 100;
+/// Between two pages of cycles whose drops are named.
+const NAMES_PAUSE: Duration = Duration::from_millis(20);
 
 /// One change in one transaction, in a task that nobody can cancel.
 macro_rules! write {
@@ -85,6 +89,9 @@ impl Engine {
     /// Takes back what a clock that was ahead has decided on a machine's samples. What is gone by it stays told: its
     /// cycles are named first, some at a time, which the writer can bear; where more goes meanwhile, again.
     async fn take_back(&self, machine: &MachineId, now: Timestamp) -> StoreResult<()> {
+        if !past::may_be_right(now) {
+            return Ok(());
+        }
         for _ in 0..TAKE_BACK_ATTEMPTS {
             let id = machine.clone();
             let Some(ahead) = snapshot!(self, |conn| retention::gone::ahead(conn, &id, now).await)? else {
@@ -94,6 +101,8 @@ impl Engine {
             while let Some(from) = after {
                 let (id, ahead) = (machine.clone(), ahead.clone());
                 after = write!(self, |conn| retention::gone::name_page(conn, &id, &ahead, &from, now).await)?;
+                // Live posts have the writer between two pages.
+                tokio::time::sleep(NAMES_PAUSE).await;
             }
             let id = machine.clone();
             if write!(self, |conn| retention::gone::take_back(conn, &id, &ahead, now).await)? {

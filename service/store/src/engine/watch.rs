@@ -5,6 +5,7 @@
 
 use super::{CLOCK_AHEAD_US, Conn, Db, alarms, dialect};
 use crate::error::StoreResult;
+use crate::past;
 use crate::record::{
     AlarmKind, MachineContact, OpenAlarms, QuarantineBounds, QuarantineFill, Round, WatchSettings,
 };
@@ -31,7 +32,9 @@ pub(super) async fn round(
     settings: &WatchSettings,
     now: Timestamp,
 ) -> StoreResult<Round> {
-    bring_back(conn, now).await?;
+    if past::may_be_right(now) {
+        bring_back(conn, now).await?;
+    }
     note(conn, heard, now).await?;
     let machines = silence(conn, settings, now).await?;
     let quarantine = quarantine(conn, settings, now).await?;

@@ -31,17 +31,17 @@ pub(super) async fn age_horizon(conn: &mut Conn, at_us: i64) -> StoreResult<i64>
     .await?)
 }
 
-/// Drops the oldest partition of which nothing is kept; says what it held by machine: cycles and bytes. It waits for no
+/// Drops the oldest partition that had ended by then and of which nothing is kept; says what it held by machine: cycles and bytes. It waits for no
 /// more than two seconds for whoever reads.
 pub(super) async fn drop_partition(
     conn: &mut Conn,
-    now: Timestamp,
+    ended: Timestamp,
 ) -> StoreResult<Option<Vec<(String, i64, i64)>>> {
     sqlx::query("SET LOCAL lock_timeout = '2s'").execute(&mut *conn).await?;
     lock(conn, &Locks::subject("partitions", "")).await?;
     let held: Vec<(Option<String>, i64, i64)> =
         sqlx::query_as("SELECT machine_id, cycles, bytes FROM cycle_samples_drop_partition($1)")
-            .bind(now.micros())
+            .bind(ended.micros())
             .fetch_all(&mut *conn)
             .await?;
     // The row without a machine says that a partition went, which may have been empty.

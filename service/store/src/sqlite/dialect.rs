@@ -30,7 +30,7 @@ pub(super) async fn age_horizon(_conn: &mut Conn, at_us: i64) -> StoreResult<i64
 #[expect(clippy::unused_async, reason = "the other engine has partitions")]
 pub(super) async fn drop_partition(
     _conn: &mut Conn,
-    _now: Timestamp,
+    _ended: Timestamp,
 ) -> StoreResult<Option<Vec<(String, i64, i64)>>> {
     Ok(None)
 }

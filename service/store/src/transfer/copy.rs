@@ -1,10 +1,10 @@
 //! From one database into another.
 
 use super::digest::{Summing, of_table};
-use super::moves::{Drops, Moves};
+use super::moves::{Drops, Goes, Moves, SURPLUS};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
-use super::{MOST_PARAMETERS, Side, Table, TableSum, TransferError, Value};
+use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, Value};
 use std::path::PathBuf;
 
 /// Where a database is.
@@ -175,6 +175,10 @@ struct Walked {
     written: u64,
 }
 
+fn other_data(table: &Table, found: &Row, what: &'static str) -> TransferError {
+    TransferError::OtherData { table: table.name.clone(), key: table.show_key(found), what }
+}
+
 /// Walks both sides of a table in the order of its key.
 async fn walk(
     source: &mut dyn Side,
@@ -195,6 +199,7 @@ async fn walk(
         loop {
             // One row more than the page shows a surplus.
             let there = target.rows(table, at.as_ref(), until.as_ref(), page.len() + 1).await?;
+            let mut asked = Vec::new();
             for found in &there {
                 let key = table.key_of(found);
                 let beside = page[next..].iter().position(|row| table.key_of(row) == key);
@@ -208,16 +213,28 @@ async fn walk(
                             moves.follows(found, &page[place]).map(|()| true)
                         }
                     }
-                    None => moves.goes(found, drops).map(|()| true),
+                    None => match moves.goes(found, drops) {
+                        Ok(Goes::Surely) => Ok(true),
+                        Ok(Goes::IfNamed(name)) => {
+                            asked.push((name, found));
+                            Ok(false)
+                        }
+                        Err(what) => Err(what),
+                    },
                 };
                 match verdict {
                     Ok(true) => gone.push(key),
                     Ok(false) => {}
-                    Err(what) => {
-                        let (table, key) = (table.name.clone(), table.show_key(found));
-                        return Err(TransferError::OtherData { table, key, what });
-                    }
+                    Err(what) => return Err(other_data(table, found, what)),
                 }
+            }
+            let (names, surplus): (Vec<_>, Vec<_>) = asked.into_iter().unzip();
+            let named = drops.named(source, &names).await?;
+            for (name, found) in names.iter().zip(surplus) {
+                if !named.contains(name) {
+                    return Err(other_data(table, found, SURPLUS));
+                }
+                gone.push(table.key_of(found));
             }
             match there.last() {
                 Some(last) if there.len() > page.len() => at = Some(table.key_of(last)),

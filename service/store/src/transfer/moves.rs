@@ -6,15 +6,18 @@
 //! its rows can change; what changed otherwise is refused.
 
 use super::{Row, Side, Table, TransferError, Value};
+use crate::error::StoreResult;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Why a row is refused.
 const OTHER: &str = "is there with other content";
-const SURPLUS: &str = "is not in the source";
+pub(super) const SURPLUS: &str = "is not in the source";
 const NEWER: &str = "is newer than in the source";
 
-/// Tables of what retention decided to drop, by receipt and by cycle.
-const DECISIONS: [&str; 2] = ["sample_drops", "cycle_sample_drops"];
+/// What retention decided to drop by receipt.
+const DECISIONS: &str = "sample_drops";
+/// What it dropped by cycle.
+const NAMES: &str = "cycle_sample_drops";
 
 /// How the rows of a table change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,6 +68,17 @@ fn kind(table: &str) -> Kind {
     }
 }
 
+/// Why the source may have no more what the target has.
+pub(super) enum Goes {
+    /// It changes so.
+    Surely,
+    /// If retention names that cycle of that machine, which has to be asked for.
+    IfNamed(Name),
+}
+
+/// A machine and one of its cycles.
+pub(super) type Name = (String, String);
+
 /// How the rows of one table change.
 pub(super) struct Moves<'a> {
     table: &'a Table,
@@ -108,22 +122,25 @@ impl<'a> Moves<'a> {
     }
 
     /// Whether the source may have had a row of the target before; why not.
-    pub(super) fn goes(&self, found: &Row, drops: &Drops) -> Result<(), &'static str> {
-        let may = match self.kind {
-            Kind::Anyhow => true,
+    pub(super) fn goes(&self, found: &Row, drops: &Drops) -> Result<Goes, &'static str> {
+        match self.kind {
+            Kind::Anyhow => Ok(Goes::Surely),
             Kind::Dropped => match (
                 self.value(found, "machine_id"),
                 self.whole(found, "received_at_us"),
                 self.value(found, "cycle_id"),
             ) {
                 (Some(Value::Text(machine)), Some(received), Some(Value::Text(cycle))) => {
-                    drops.name(machine, received, cycle)
+                    if drops.before.get(machine).is_some_and(|before| received < *before) {
+                        Ok(Goes::Surely)
+                    } else {
+                        Ok(Goes::IfNamed((machine.clone(), cycle.clone())))
+                    }
                 }
-                _ => false,
+                _ => Err(SURPLUS),
             },
-            Kind::Never | Kind::Counted(_) | Kind::Filled(_) | Kind::Within(_) => false,
-        };
-        if may { Ok(()) } else { Err(SURPLUS) }
+            Kind::Never | Kind::Counted(_) | Kind::Filled(_) | Kind::Within(_) => Err(SURPLUS),
+        }
     }
 
     fn value<'r>(&self, row: &'r Row, column: &str) -> Option<&'r Value> {
@@ -142,13 +159,15 @@ impl<'a> Moves<'a> {
 pub(super) struct Drops {
     /// All that were received before this, by machine, µs.
     before: BTreeMap<String, i64>,
-    /// Those of these cycles, by machine: of a clock that was ahead, as many as it received and dropped itself.
-    named: BTreeMap<String, BTreeSet<String>>,
+    /// The table of those that are named by their cycles: as many as a clock that was ahead has dropped, which may be all of
+    /// them, so that they are asked for and not kept in memory.
+    names: Option<Table>,
 }
 
 impl Drops {
     pub(super) async fn of(source: &mut dyn Side, tables: &[Table]) -> Result<Self, TransferError> {
-        let mut drops = Self { before: BTreeMap::new(), named: BTreeMap::new() };
+        let find = |name| tables.iter().find(|table| table.name == name);
+        let mut drops = Self { before: BTreeMap::new(), names: find(NAMES).cloned() };
         let mut tell = |of: &Table, row: &Row| {
             let value = |column: &str| of.place(column).and_then(|at| row.get(at));
             let Some(Value::Text(machine)) = value("machine_id") else { return };
@@ -156,11 +175,8 @@ impl Drops {
                 let latest = drops.before.entry(machine.clone()).or_insert(*until);
                 *latest = (*latest).max(*until);
             }
-            if let Some(Value::Text(cycle)) = value("cycle_id") {
-                drops.named.entry(machine.clone()).or_default().insert(cycle.clone());
-            }
         };
-        for table in tables.iter().filter(|table| DECISIONS.contains(&table.name.as_str())) {
+        if let Some(table) = find(DECISIONS) {
             let mut after = None;
             loop {
                 let page = source.rows(table, after.as_ref(), None, super::PAGE_ROWS).await?;
@@ -172,9 +188,19 @@ impl Drops {
         Ok(drops)
     }
 
-    fn name(&self, machine: &str, received_us: i64, cycle: &str) -> bool {
-        self.before.get(machine).is_some_and(|before| received_us < *before)
-            || self.named.get(machine).is_some_and(|cycles| cycles.contains(cycle))
+    /// Those of a page of cycles that are named in the source.
+    pub(super) async fn named(&self, source: &mut dyn Side, asked: &[Name]) -> StoreResult<BTreeSet<Name>> {
+        let Some(table) = self.names.as_ref().filter(|_| !asked.is_empty()) else {
+            return Ok(BTreeSet::new());
+        };
+        let text = |text: &String| Value::Text(text.clone());
+        let keys: Vec<Row> = asked.iter().map(|(machine, cycle)| vec![text(machine), text(cycle)]).collect();
+        let present = source.present(table, &keys).await?.into_iter();
+        let name = |key: Row| match <[Value; 2]>::try_from(key) {
+            Ok([Value::Text(machine), Value::Text(cycle)]) => Some((machine, cycle)),
+            _ => None,
+        };
+        Ok(present.filter_map(name).collect())
     }
 }
 

@@ -164,6 +164,23 @@ impl Side for PostgresSide {
         Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
     }
 
+    async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>> {
+        let columns = || table.key.iter().map(|&at| &table.columns[at]);
+        let names = quoted(columns().map(|(name, _)| name.as_str()), "");
+        let read: Vec<_> = columns().map(|(name, kind)| read_as(name, *kind)).collect();
+        let text = format!("SELECT {} FROM \"{}\" WHERE ({names}) IN (VALUES ", read.join(", "), table.name);
+        let mut query = QueryBuilder::new(text);
+        for (at, key) in keys.iter().enumerate() {
+            if at > 0 {
+                query.push(", ");
+            }
+            tuple(&mut query, key, columns().map(|(_, kind)| *kind));
+        }
+        let rows = query.push(")").build().persistent(false).fetch_all(&mut self.conn).await?;
+        let read = |row: &PgRow| columns().enumerate().map(|(at, (_, kind))| value(row, at, *kind)).collect();
+        Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
+    }
+
     async fn prepare(&mut self, received_us: Option<(i64, i64)>) -> StoreResult<()> {
         let Some((first, last)) = received_us else { return Ok(()) };
         let mut from = first;

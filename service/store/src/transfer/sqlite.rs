@@ -143,6 +143,28 @@ impl Side for SqliteSide {
         Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
     }
 
+    async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>> {
+        let names = quoted(table.key.iter().map(|&at| table.columns[at].0.as_str()), "");
+        let text = format!("SELECT {names} FROM \"{}\" WHERE ({names}) IN (VALUES ", table.name);
+        let mut query = QueryBuilder::new(text);
+        for (at, key) in keys.iter().enumerate() {
+            if at > 0 {
+                query.push(", ");
+            }
+            tuple(&mut query, key);
+        }
+        let rows = query.push(")").build().persistent(false).fetch_all(&mut self.conn).await?;
+        let read = |row: &SqliteRow| {
+            table
+                .key
+                .iter()
+                .enumerate()
+                .map(|(at, &column)| value(row, at, table.columns[column].1))
+                .collect()
+        };
+        Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
+    }
+
     async fn prepare(&mut self, _received_us: Option<(i64, i64)>) -> StoreResult<()> {
         Ok(())
     }

@@ -1,7 +1,8 @@
 //! Which samples are gone, and by what: a decision names them by their receipt, or each by its cycle.
 //!
 //! A clock that is ahead receives cycles, and drops them, at times that are yet to come. When its decision is taken back, no
-//! receipt up to now tells of them, and one beyond it would also tell of what is yet to be received. So each is named.
+//! receipt up to now tells of them, and one beyond it would also tell of what is yet to be received. So each is named, and so
+//! are those of the last minutes: a server whose clock is behind receives in them yet, and so was what waits to be committed.
 
 use super::super::{CLOCK_AHEAD_US, Conn, Db, audit, dialect};
 use super::drops;
@@ -55,7 +56,7 @@ pub(in super::super) async fn of(
 pub(in super::super) struct Ahead {
     /// The receipt that it tells of, µs.
     before_us: i64,
-    /// The receipt that can be told of instead: all that came before it is gone, and none that is yet to come, µs.
+    /// The receipt that can be told of instead: all that came before it is gone, and none that is yet to be committed, µs.
     stands_us: i64,
     reason: String,
     cycles: i64,
@@ -97,7 +98,8 @@ pub(in super::super) async fn ahead(
             .bind(machine.as_str())
             .fetch_one(&mut *conn)
             .await?;
-    let stands_us = oldest_left.unwrap_or(i64::MAX).min(now.micros()).min(before_us);
+    let committed_us = now.micros().saturating_sub(CLOCK_AHEAD_US);
+    let stands_us = oldest_left.unwrap_or(i64::MAX).min(committed_us).min(before_us);
     Ok(Some(Ahead {
         before_us,
         stands_us: stands_us.max(honest.unwrap_or(i64::MIN)),
@@ -156,6 +158,7 @@ pub(in super::super) async fn take_back(
     expected: &Ahead,
     now: Timestamp,
 ) -> StoreResult<bool> {
+    // Not in ascending order: see `locks`.
     dialect::lock(conn, &Locks::subject("partitions", "")).await?;
     dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
     match ahead(conn, machine, now).await? {
