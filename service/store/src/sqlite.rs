@@ -34,8 +34,8 @@ use group_thread::GroupThread;
 use group_writer::GroupWriter;
 use readers::{Lent, Readers};
 use sqlx::Connection;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use tokio::sync::{Mutex, MutexGuard};
 
 type Db = sqlx::Sqlite;
@@ -71,8 +71,8 @@ struct Inner {
     readers: Arc<Readers>,
     block_reader: BlockReader,
     gate: Gate,
-    /// Set when the disk refused a write: an fsync is never retried, whatever comes later.
-    refused: AtomicBool,
+    /// Why the disk refused a write, once it did: an fsync is never retried, whatever comes later.
+    refused: OnceLock<String>,
     checkpoints: Checkpoints,
     max_samples: usize,
     registry: Arc<Registry>,
@@ -326,8 +326,8 @@ impl Inner {
 
     async fn writer(&self) -> StoreResult<MutexGuard<'_, Option<Writer>>> {
         let writer = self.writer.lock().await;
-        if self.refused.load(Ordering::Acquire) {
-            return Err(StoreError::NotWritable("the disk refused a write before".into()));
+        if let Some(why) = self.refused.get() {
+            return Err(StoreError::NotWritable(why.clone().into()));
         }
         Ok(writer)
     }
@@ -348,7 +348,8 @@ impl Inner {
     fn heed<T>(&self, outcome: &StoreResult<T>) {
         if let Err(StoreError::NotWritable(error)) = outcome {
             tracing::error!(%error, "sqlite refuses writes, nothing is acknowledged any more");
-            self.refused.store(true, Ordering::Release);
+            // The first reason stays.
+            let _ = self.refused.set(error.to_string());
         }
     }
 }

@@ -38,6 +38,7 @@ async fn limits_and_cursors_are_checked() {
         let answer = app.get(&format!("/v1/tools?limit={limit}")).await;
         assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{limit}");
         assert!(matches!(answer.code().as_str(), "invalid_limit" | "invalid_query"));
+        assert_eq!(answer.errors()[0].0, "limit");
     }
     let page = app.get("/v1/tools?limit=1").await.json();
     let cursor = page["next_cursor"].as_str().unwrap();

@@ -220,8 +220,7 @@ async fn posts_are_answered_while_it_is(away: Away) {
     let all: Value = all.send().await.unwrap().json().await.unwrap();
     assert_eq!(all["items"].as_array().unwrap().len(), 4 + BATCH.len(), "each once");
     // Told once, also of those whose commit came when nobody waited for it any more.
-    until(&format!("feedwright_cycles_total{{outcome=\"accepted\"}} {}", 4 + BATCH.len()))
-        .await;
+    until(&format!("feedwright_cycles_total{{outcome=\"accepted\"}} {}", 4 + BATCH.len())).await;
     let wear = store.check_wear(Repair::No).await.unwrap();
     assert_eq!((wear.rows, wear.different), (1, vec![]));
     server.shutdown().await.unwrap();

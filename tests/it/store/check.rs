@@ -13,6 +13,7 @@ use std::collections::BTreeSet;
 stories!(with tables:
     a_summary_that_is_not_its_cycles_is_named_with_its_columns,
     what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same,
+    whatever_clock_registered_an_operation_its_cycles_are_sound,
     wear_is_not_folded_over_doubtful_cycles,
     a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered,
     a_course_that_cannot_be_read_is_named_and_the_rest_is_checked,
@@ -171,6 +172,35 @@ async fn what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_th
         let keys: Vec<_> = told(&found).into_iter().map(|(_, key, _)| key).collect();
         assert_eq!(keys, faults, "{change}");
     }
+}
+
+async fn whatever_clock_registered_an_operation_its_cycles_are_sound(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let run = async |n: u32, operation: &'static str, seconds: i64| {
+        let run = Run { operation, seconds, ..Run::nth(n) };
+        let cycle = NewCycle { generation: Some(-1), ..run.new_cycle() };
+        let outcome = store.commit_cycles(vec![cycle], at(seconds), RecommendSettings::default()).await.pop();
+        assert!(matches!(outcome, Some(Ok(Committed::Stored(_)))), "{outcome:?}");
+    };
+    // By a clock that was a day ahead, and was put right before the cycle came.
+    store.put_operation(operation("O2"), Precondition::Absent, &engineer(), at(90_000)).await.unwrap();
+    run(1, "O2", 1000).await;
+    // By one that was behind, after the cycle had come.
+    run(2, "O3", 2000).await;
+    store.put_operation(operation("O3"), Precondition::Absent, &engineer(), at(500)).await.unwrap();
+    let found = checked(&*store).await;
+    assert_eq!((told(&found), found.unverified), (vec![], 0));
+    for (cycle, change) in [("c00001", "- 1"), ("c00002", "+ 1")] {
+        let change =
+            format!("UPDATE cycles SET max_depth_mm = max_depth_mm {change} WHERE cycle_id = '{cycle}'");
+        given.raw(AssertSqlSafe(change)).await.unwrap();
+    }
+    let found = checked(&*store).await;
+    assert_eq!(
+        told(&found).into_iter().map(|(_, key, _)| key).collect::<Vec<_>>(),
+        ["M1/c00001", "M1/c00002"]
+    );
 }
 
 async fn wear_is_not_folded_over_doubtful_cycles(given: &Given) {

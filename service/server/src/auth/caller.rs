@@ -18,6 +18,8 @@ use subtle::ConstantTimeEq;
 
 /// How long `/metrics` waits for the look-up of a token that was good lately: Prometheus gives up after ten seconds.
 const OUTAGE_PATIENCE: Duration = Duration::from_secs(1);
+/// How long the database has for saying whose a token is.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Whom a route believes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -185,7 +187,7 @@ async fn authenticate_trusting(
     };
     let hash = token.hash();
     let record = match trust {
-        Trust::Known => known_token(state, &hash).await?,
+        Trust::Known => asked_token(state, &hash, PATIENCE).await?,
         Trust::Lately => lately_known_token(state, &hash).await?,
     };
     let record = record.filter(|known| known.id == token.id());
@@ -214,19 +216,33 @@ async fn known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Option<To
     Ok(record)
 }
 
-/// The same; where the database cannot be asked, a token that was good lately.
-async fn lately_known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
-    if state.known_tokens.lately(hash, Instant::now()).is_none() {
-        return known_token(state, hash).await;
+/// The same, within so long where the database has to be asked.
+async fn asked_token(
+    state: &AppState,
+    hash: &[u8; 32],
+    patience: Duration,
+) -> StoreResult<Option<TokenRecord>> {
+    if let Ok(record) = state.known_tokens.get(hash, Instant::now()) {
+        return Ok(Some(record));
     }
     // A task of its own: what asks the database is never cut off.
     let (asking, asked) = (state.clone(), *hash);
     let asked = tokio::spawn(async move { known_token(&asking, &asked).await });
-    let error = match tokio::time::timeout(OUTAGE_PATIENCE, asked).await {
-        Ok(Ok(Err(error @ (StoreError::Unavailable(_) | StoreError::NotWritable(_))))) => error,
-        Ok(Ok(answer)) => return answer,
-        Ok(Err(lost)) => StoreError::Unavailable(Box::new(lost)),
-        Err(late) => StoreError::Unavailable(Box::new(late)),
+    match tokio::time::timeout(patience, asked).await {
+        Ok(Ok(answer)) => answer,
+        Ok(Err(lost)) => Err(StoreError::Unavailable(Box::new(lost))),
+        Err(late) => Err(StoreError::Unavailable(Box::new(late))),
+    }
+}
+
+/// The same; where the database cannot be asked, a token that was good lately.
+async fn lately_known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
+    if state.known_tokens.lately(hash, Instant::now()).is_none() {
+        return asked_token(state, hash, PATIENCE).await;
+    }
+    let error = match asked_token(state, hash, OUTAGE_PATIENCE).await {
+        Err(error @ (StoreError::Unavailable(_) | StoreError::NotWritable(_))) => error,
+        answer => return answer,
     };
     // Once more: it may have been revoked meanwhile.
     match state.known_tokens.lately(hash, Instant::now()) {

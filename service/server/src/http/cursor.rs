@@ -5,6 +5,7 @@ use crate::state::AppState;
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, ToolId};
+use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
 use feedwright_store::{CycleKey, Page};
 use serde::Serialize;
@@ -97,8 +98,9 @@ impl<K: CursorKey + Clone> Paging<K> {
         let limits = &state.config.limits;
         let limit = limit.unwrap_or(limits.default_page_size);
         if limit == 0 || limit > limits.max_page_size {
-            let detail = format!("limit must be within 1 to {}", limits.max_page_size);
-            return Err(Problem::bad_request("invalid_limit", detail));
+            let message = format!("must be within 1 to {}, is {limit}", limits.max_page_size);
+            let violation = Violation::new("limit", "out_of_range", message);
+            return Err(Problem { code: "invalid_limit", ..Problem::invalid_query(violation) });
         }
         let after = cursor.map(|cursor| decode(&scope, cursor)).transpose()?;
         Ok(Self { scope, limit, after })
@@ -144,7 +146,9 @@ fn decode<K: CursorKey>(scope: &str, cursor: &str) -> Result<K, Problem> {
         (version == VERSION && checked == check(scope, key)).then(|| K::read(key)).flatten()
     };
     read().ok_or_else(|| {
-        Problem::bad_request("invalid_cursor", "the cursor is not one that this list gave with these filters")
+        let message = "is not one that this list gave with these filters";
+        let violation = Violation::new("cursor", "invalid_cursor", message);
+        Problem { code: "invalid_cursor", ..Problem::invalid_query(violation) }
     })
 }
 

@@ -23,8 +23,10 @@ use futures_util::future::join_all;
 use http::StatusCode;
 use std::error::Error;
 use std::sync::{Arc, RwLock};
+use std::time::Duration;
 use tokio::sync::{Mutex, Semaphore};
 use tokio::task::JoinHandle;
+use tokio::time::timeout;
 
 /// Bodies larger than this are parsed off the threads that serve connections.
 const PARSED_ASIDE_BYTES: usize = 256 * 1024;
@@ -32,6 +34,9 @@ const PARSED_ASIDE_BYTES: usize = 256 * 1024;
 /// Windows of batches that are read, summed up and encoded at once. When a weekend comes back, every machine of a plant
 /// replays at the same moment: live posts must find a processor all the same.
 const BATCHES_PREPARED: usize = 2;
+
+/// How long a post waits for what the database says of its machine, tool and operation.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// A cycle that is durably stored, with what its machine is told.
 #[derive(Debug)]
@@ -228,7 +233,10 @@ impl CycleIntake {
                 return Err(self.refuse(machine, json, Problem::invalid(violations), refused).await);
             }
         };
-        let around = self.store.recent_surroundings(machine, &cycle.operation, &cycle.tool).await?;
+        // Where it has to be asked for, it is in a task of its own.
+        let around = self.store.recent_surroundings(machine, &cycle.operation, &cycle.tool);
+        let around =
+            timeout(PATIENCE, around).await.map_err(|late| StoreError::Unavailable(late.into()))??;
         let Some((around, generation)) = around else {
             return Err(unknown_machine(machine));
         };

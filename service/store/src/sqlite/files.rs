@@ -8,9 +8,16 @@ use std::path::{Path, PathBuf};
 
 /// A file by what the file system calls it, which no other one is called as long as it is open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Identity {
+pub(super) struct Identity {
     device: u64,
     inode: u64,
+}
+
+impl Identity {
+    /// Of the file that stands under a name.
+    pub(super) fn of(path: &Path) -> StoreResult<Self> {
+        identity(path).map_err(|error| missing(path, &error))
+    }
 }
 
 /// The database's file and its log, as they were when they were opened.
@@ -18,16 +25,16 @@ struct Identity {
 pub(super) struct Files([(PathBuf, Identity); 2]);
 
 impl Files {
-    /// Of a database that is open, and has its log.
-    pub(super) fn of(path: &Path) -> StoreResult<Self> {
-        let identified = |path: PathBuf| match identity(&path) {
-            Ok(identity) => Ok((path, identity)),
-            Err(error) => Err(missing(&path, &error)),
-        };
+    /// Of a database that is open, and has its log; `found` is the file before the first of its connections was.
+    pub(super) fn of(path: &Path, found: Identity) -> StoreResult<Self> {
         // SQLite follows a link, and keeps its log beside what the link leads to.
         let mut log = path.canonicalize().map_err(|error| missing(path, &error))?.into_os_string();
         log.push("-wal");
-        Ok(Self([identified(path.to_owned())?, identified(log.into())?]))
+        let log = PathBuf::from(log);
+        let opened = Identity::of(&log)?;
+        let files = Self([(path.to_owned(), found), (log, opened)]);
+        files.are_there()?;
+        Ok(files)
     }
 
     /// Nothing that was committed may be acknowledged where this fails.
@@ -37,8 +44,7 @@ impl Files {
     /// `NotWritable` where one of them is no longer there, or is another one.
     pub(super) fn are_there(&self) -> StoreResult<()> {
         for (path, opened) in &self.0 {
-            let found = identity(path).map_err(|error| missing(path, &error))?;
-            if found != *opened {
+            if Identity::of(path)? != *opened {
                 let what = format!("{} was replaced while it was open", path.display());
                 return Err(StoreError::NotWritable(what.into()));
             }

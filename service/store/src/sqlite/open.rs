@@ -2,7 +2,7 @@
 
 use super::block_reader::BlockReader;
 use super::checkpoint::Checkpoints;
-use super::files::Files;
+use super::files::{Files, Identity};
 use super::group_thread::GroupThread;
 use super::group_writer::GroupWriter;
 use super::readers::Readers;
@@ -16,8 +16,8 @@ use sqlx::sqlite::{
 };
 use sqlx::{ConnectOptions, Connection};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::Mutex;
 
@@ -87,13 +87,13 @@ impl SqliteStore {
     pub async fn open(path: impl AsRef<Path>, options: SqliteOptions) -> StoreResult<Self> {
         let path = path.as_ref();
         create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
+        let found = Identity::of(path)?;
         let connect = settings(path, options.patience);
         // Of a file that is there already it changes nothing, and readers may not ask for it.
         let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
         let groups = GroupWriter::open(path, options.patience)?;
-        let files = Files::of(path)?;
         let readers = SqlitePoolOptions::new()
             .max_connections(options.readers.max(1))
             .acquire_timeout(options.patience)
@@ -108,6 +108,8 @@ impl SqliteStore {
             .pragma("cache_size", CHECKPOINT_CACHE)
             .connect()
             .await?;
+        // The last of them is open: whichever file each of them found is the one that stands there before and after.
+        let files = Files::of(path, found)?;
         let checkpoints = Checkpoints::start(checkpointer, options.checkpoint_every);
         Ok(Self {
             inner: Arc::new(Inner {
@@ -118,7 +120,7 @@ impl SqliteStore {
                 readers: Readers::of(readers),
                 block_reader: BlockReader::open(path)?,
                 gate: Gate::default(),
-                refused: AtomicBool::new(false),
+                refused: OnceLock::new(),
                 checkpoints,
                 max_samples: options.max_samples,
                 registry: Arc::default(),

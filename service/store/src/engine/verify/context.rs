@@ -87,17 +87,13 @@ impl Contexts {
         let unregistered = row.flags & Flag::OperationUnregistered as i64 != 0;
         let operation = match operation {
             None => None,
-            Some(operation) => match (when(operation.updated_at, received), operation.version) {
-                (When::Before, _) => Some(operation),
-                (When::After, 1) => None,
-                // Registered by then or not: the flag says so. Its first version is the one that was in force.
-                (_, 1) => (!unregistered).then_some(operation),
-                (..) if unregistered => None,
-                (..) => {
-                    same = false;
-                    Some(operation)
-                }
-            },
+            // Registered by then or not: the flag says so, whatever clock told when. Its first version, and one that was there
+            // before, is the one that was in force.
+            Some(_) if unregistered => None,
+            Some(operation) => {
+                same &= operation.version == 1 || when(operation.updated_at, received) == When::Before;
+                Some(operation)
+            }
         };
         Ok(Known { around, calibration, operation, same })
     }
