@@ -28,7 +28,7 @@ use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
 use reader::Reader;
 use sqlx::postgres::PgConnectOptions;
-use sqlx::{ConnectOptions, Connection, Executor, PgPool};
+use sqlx::{ConnectOptions, Connection, PgPool};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -71,8 +71,6 @@ pub struct PostgresStore {
 #[derive(Debug)]
 struct Inner {
     pool: PgPool,
-    /// What the pool connects with.
-    connect: PgConnectOptions,
     /// The server itself, past any pooler.
     direct: PgConnectOptions,
     gate: Gate,
@@ -127,15 +125,24 @@ impl PostgresStore {
         matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) && self.word().await.is_err()
     }
 
-    /// Asks over a connection of its own: those of the pool may all be lent, or lead nowhere.
+    /// Asks the server itself over a connection of its own: those of the pool, and a pooler's, may all be lent, or lead nowhere.
     async fn word(&self) -> StoreResult<()> {
         let asked = async {
-            let mut conn = self.inner.connect.connect().await?;
-            conn.execute("SELECT 1").await?;
-            conn.close().await
+            let mut conn = self.inner.direct.connect().await?;
+            let usable = open::usable(&mut conn).await?;
+            conn.close().await?;
+            Ok(usable)
         };
         match timeout(WORD, asked).await {
-            Ok(answered) => Ok(answered?),
+            Ok(Ok(true)) => Ok(()),
+            Ok(Ok(false)) => Err(StoreError::Unavailable("the server is in recovery or read-only".into())),
+            // It has no connection left, and says so (SQLSTATE class 53).
+            Ok(Err(sqlx::Error::Database(error)))
+                if error.code().is_some_and(|code| code.starts_with("53")) =>
+            {
+                Ok(())
+            }
+            Ok(Err(error)) => Err(error.into()),
             Err(_) => Err(StoreError::Unavailable("the database says nothing".into())),
         }
     }

@@ -61,10 +61,10 @@ async fn nothing_is_acknowledged_of_files_that_are_no_longer_there() {
 async fn a_link_leads_to_the_file_and_its_log() {
     let folder = tempfile::tempdir().unwrap();
     let (file, link) = (folder.path().join("disk.sqlite3"), folder.path().join("linked.sqlite3"));
-    let stays = SqliteStore::open(&file, SqliteOptions::default()).await.unwrap();
-    shop(&stays).await;
-    stays.close().await;
     std::os::unix::fs::symlink(&file, &link).unwrap();
+    let new = SqliteStore::open(&link, SqliteOptions::default()).await.unwrap();
+    shop(&new).await;
+    new.close().await;
     let store = SqliteStore::open(&link, SqliteOptions::default()).await.unwrap();
     stored(&store, &Run::nth(1)).await;
     std::fs::remove_file(&link).unwrap();

@@ -304,6 +304,7 @@ async fn a_demoted_server_is_neither_written_nor_believed() {
         }
         assert!(n < 500, "the reload never arrives");
     }
+    assert!(store.answers().await.is_err(), "whoever waits for it is told at once");
     let group = vec![Run::nth(2).new_cycle(), Run::nth(3).new_cycle()];
     for outcome in store.commit_cycles(group, at(5), RecommendSettings::default()).await {
         assert!(matches!(outcome, Err(StoreError::Unavailable(_))), "{outcome:?}");

@@ -19,6 +19,7 @@ use feedwright_store::{CycleFilter, wire};
 use http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use utoipa::IntoParams;
 
 /// Lines of a batch that are under way at once: about one commit's worth, so that live posts find room in between.
@@ -96,9 +97,10 @@ pub async fn post_batch(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    // The place is kept until all of it is answered.
-    let (form, Unpacked { bytes: body, place: _place }) = decoded_body(&state, request, LINES).await?;
-    if state.store.machine(&machine).await?.is_none() {
+    let (form, Unpacked { bytes: body, place }) = decoded_body(&state, request, LINES).await?;
+    // Kept with what is left of the body, also where the client hangs up.
+    let place = Arc::new(place);
+    if !state.intake.knows(&machine).await? {
         let detail = format!("there is no machine `{machine}`");
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
     }
@@ -121,9 +123,13 @@ pub async fn post_batch(
             continue;
         }
         let bodies = window.iter().map(|(_, line)| line.clone()).collect();
-        let (intake, machine) = (state.intake.clone(), machine.clone());
+        let (intake, machine, place) = (state.intake.clone(), machine.clone(), Arc::clone(&place));
         // The client may hang up; the window that was taken in goes on to its commits all the same.
-        let accepting = async move { intake.accept_all(&machine, bodies).await };
+        let accepting = async move {
+            let results = intake.accept_all(&machine, bodies).await;
+            drop(place);
+            results
+        };
         let results =
             state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))?;
         away = none_of(&results);
@@ -139,11 +145,17 @@ pub async fn post_batch(
     Ok(([(header::CONTENT_TYPE, "application/x-ndjson")], answer).into_response())
 }
 
-/// Why none of them was committed, where the database was away for all of them. Those that come later are not sent to it,
-/// so that of them nothing is unknown.
+/// Why none of them was committed, where the database was away for all that reached it. Those that come later are not sent
+/// to it, so that of them nothing is unknown.
 fn none_of(results: &[Result<Accepted, Problem>]) -> Option<Problem> {
-    let is_away = |result: &Result<Accepted, Problem>| matches!(result, Err(problem) if matches!(problem.code, "database_unavailable" | "outcome_unknown"));
-    (!results.is_empty() && results.iter().all(is_away)).then(Problem::database_unavailable)
+    let mut problems = results.iter().map(|result| result.as_ref().err());
+    let is_in_vain = |problem: &Problem| {
+        // What is no cycle is told without the database.
+        problem.is_of_outage() || matches!(problem.code, "malformed_json" | "malformed_cycle")
+    };
+    let all = problems.all(|problem| problem.is_some_and(is_in_vain));
+    let any = results.iter().any(|result| result.as_ref().is_err_and(Problem::is_of_outage));
+    (all && any).then(Problem::database_unavailable)
 }
 
 /// One stored cycle with its summary.

@@ -146,6 +146,11 @@ impl Problem {
         )
     }
 
+    /// Whether it is told because the database is away.
+    pub fn is_of_outage(&self) -> bool {
+        matches!(self.code, "database_unavailable" | "outcome_unknown")
+    }
+
     /// Says when to try again, in whole seconds, at least one.
     #[must_use]
     pub fn retry_after(self, wait: Duration) -> Self {

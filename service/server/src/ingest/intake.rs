@@ -227,7 +227,7 @@ impl CycleIntake {
                 return Err(Problem::bad_request("malformed_cycle", format!("the body is no cycle: {why}")));
             }
             Err(BodyError::Invalid(violations)) => {
-                if self.store.machine(machine).await?.is_none() {
+                if !self.knows(machine).await? {
                     return Err(unknown_machine(machine));
                 }
                 return Err(self.refuse(machine, json, Problem::invalid(violations), refused).await);
@@ -255,6 +255,18 @@ impl CycleIntake {
             cycle: NewCycle { cycle, received_at: now, encoded, summary, generation, cut_short: false },
             json,
         })
+    }
+
+    /// Whether a machine is registered. Waits for the database no longer than a post does.
+    pub(crate) async fn knows(&self, machine: &MachineId) -> Result<bool, StoreError> {
+        let (store, machine) = (Arc::clone(&self.store), machine.clone());
+        // A task of its own: what asks the database is never cut off.
+        let asked = tokio::spawn(async move { store.machine(&machine).await });
+        match timeout(PATIENCE, asked).await {
+            Ok(Ok(found)) => found.map(|found| found.is_some()),
+            Ok(Err(lost)) => Err(StoreError::Unavailable(lost.into())),
+            Err(late) => Err(StoreError::Unavailable(late.into())),
+        }
     }
 
     /// Everything after the queue: what the commit came to.
@@ -399,8 +411,15 @@ impl CycleIntake {
         let mut waiting = Vec::with_capacity(lines.len());
         let mut prepared = Vec::with_capacity(lines.len());
         let turn = self.preparing.acquire().await;
+        let mut away: Option<Problem> = None;
         for json in lines {
-            prepared.push(self.prepare(machine, json, refused).await);
+            // Each that has to ask waits its own time: one is enough.
+            let ready = match &away {
+                Some(problem) => Err(problem.clone()),
+                None => self.prepare(machine, json, refused).await,
+            };
+            away = away.or_else(|| ready.as_ref().err().filter(|problem| problem.is_of_outage()).cloned());
+            prepared.push(ready);
             // Between two cycles whoever posts live may have the thread.
             tokio::task::yield_now().await;
         }
@@ -419,7 +438,11 @@ impl CycleIntake {
 
     async fn enqueue_patiently(&self, ready: Ready) -> Result<Queued, Problem> {
         let (cycle, queued) = ready.part();
-        self.writer()?.enqueue_patiently(cycle).await.map(queued).map_err(problem_of)
+        let writer = self.writer()?;
+        let coming = std::pin::pin!(writer.enqueue_patiently(cycle));
+        // What never was in the queue is not committed.
+        let answered = self.pulse.while_it_beats(coming).await.ok_or_else(Problem::database_unavailable)?;
+        answered.map(queued).map_err(problem_of)
     }
 
     /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have

@@ -6,7 +6,7 @@ use super::writer::Answered;
 use feedwright_store::{Committed, Store, StoreResult};
 use futures_util::future::BoxFuture;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
@@ -14,6 +14,9 @@ use tokio::time::timeout;
 const LATE: Duration = Duration::from_secs(3);
 /// A database that says nothing for this long, asked for nothing but a word, is away.
 const PATIENCE: Duration = Duration::from_secs(2);
+
+/// A database that has answered a question of so long ago is there: many posts wait, and each question is a connection.
+const FRESH: Duration = Duration::from_secs(1);
 
 /// Asks the database for a word; `false` where it refuses.
 type Ask = Box<dyn Fn() -> BoxFuture<'static, bool> + Send + Sync>;
@@ -34,8 +37,9 @@ pub(super) struct Pulse {
     ask: Ask,
     late: Duration,
     patience: Duration,
-    /// The question that is being asked, or was last: `None` until it is answered.
-    asked: Mutex<Option<watch::Receiver<Option<bool>>>>,
+    fresh: Duration,
+    /// The question that is being asked, or was last: since when, and `None` until it is answered.
+    asked: Mutex<Option<(Instant, watch::Receiver<Option<bool>>)>>,
 }
 
 impl Pulse {
@@ -46,21 +50,28 @@ impl Pulse {
             // A question that is never answered would stand for all that come later.
             Box::pin(async move { matches!(timeout(PATIENCE, store.answers()).await, Ok(Ok(()))) })
         };
-        Self { ask: Box::new(ask), late: LATE, patience: PATIENCE, asked: Mutex::default() }
+        Self { ask: Box::new(ask), late: LATE, patience: PATIENCE, fresh: FRESH, asked: Mutex::default() }
     }
 
     /// Waits for the answer to a queued cycle as long as the database is there.
     pub(super) async fn wait(&self, answered: &mut Answered) -> Waited {
-        let of = |answer: Result<_, _>| answer.map_or(Waited::Closed, Waited::Answered);
+        match self.while_it_beats(answered).await {
+            Some(answer) => answer.map_or(Waited::Closed, Waited::Answered),
+            None => Waited::GivenUp,
+        }
+    }
+
+    /// Waits for what comes of the database as long as that is there; `None` once it no longer answers.
+    pub(super) async fn while_it_beats<T>(&self, mut coming: impl Future<Output = T> + Unpin) -> Option<T> {
         loop {
-            if let Ok(answer) = timeout(self.late, &mut *answered).await {
-                return of(answer);
+            if let Ok(came) = timeout(self.late, &mut coming).await {
+                return Some(came);
             }
             tokio::select! {
                 biased;
-                answer = &mut *answered => return of(answer),
+                came = &mut coming => return Some(came),
                 beats = self.beats() => if !beats {
-                    return Waited::GivenUp;
+                    return None;
                 },
             }
         }
@@ -78,14 +89,15 @@ impl Pulse {
 
     fn question(&self) -> watch::Receiver<Option<bool>> {
         let mut asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(running) = asked.as_ref()
-            && running.borrow().is_none()
-            && running.has_changed().is_ok()
-        {
-            return running.clone();
+        if let Some((since, last)) = asked.as_ref() {
+            let is_running = last.borrow().is_none() && last.has_changed().is_ok();
+            let was_there = *last.borrow() == Some(true) && since.elapsed() < self.fresh;
+            if is_running || was_there {
+                return last.clone();
+            }
         }
         let (tell, answer) = watch::channel(None);
-        *asked = Some(answer.clone());
+        *asked = Some((Instant::now(), answer.clone()));
         let ask = (self.ask)();
         tokio::spawn(async move {
             let beats = ask.await;
@@ -103,7 +115,13 @@ mod tests {
 
     fn pulse(ask: impl Fn() -> BoxFuture<'static, bool> + Send + Sync + 'static) -> Pulse {
         let moment = Duration::from_millis(5);
-        Pulse { ask: Box::new(ask), late: moment, patience: moment, asked: Mutex::default() }
+        Pulse {
+            ask: Box::new(ask),
+            late: moment,
+            patience: moment,
+            fresh: Duration::ZERO,
+            asked: Mutex::default(),
+        }
     }
 
     #[tokio::test]

@@ -86,12 +86,11 @@ impl PostgresStore {
                     Err(sqlx::Error::Protocol("the server is in recovery or read-only".to_owned()))
                 })
             })
-            .connect_with(connect.clone())
+            .connect_with(connect)
             .await?;
         // In a transaction, as a pooler bears it.
         let inner = Inner {
             pool,
-            connect,
             direct,
             gate: Gate::default(),
             lost_after: options.lost_after,
@@ -112,7 +111,7 @@ impl PostgresStore {
 /// sqlx 0.9.0 may return a connection inside a transaction, whose begin was dropped half-way (sqlx issues 4385 and
 /// 4393). Inside a transaction `now()` is the time of its begin; inside a failed one the question itself fails, and
 /// the connection goes as well. Decisions are read from the primary alone, so a demoted server answers nothing.
-async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
+pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
     const ASK: &str = "SELECT now() = statement_timestamp() AS outside,
                               NOT pg_is_in_recovery() AND current_setting('transaction_read_only') = 'off' AS writable";
     // One message: with several of them the time of the statement is that of the last and always later than `now()`,

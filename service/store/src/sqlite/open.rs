@@ -108,7 +108,8 @@ impl SqliteStore {
             .pragma("cache_size", CHECKPOINT_CACHE)
             .connect()
             .await?;
-        // The last of them is open: whichever file each of them found is the one that stands there before and after.
+        let block_reader = BlockReader::open(path)?;
+        // All that write are open: whichever file each of them found is the one that stands there before and after.
         let files = Files::of(path, found)?;
         let checkpoints = Checkpoints::start(checkpointer, options.checkpoint_every);
         Ok(Self {
@@ -118,7 +119,7 @@ impl SqliteStore {
                 group_thread: GroupThread::start()?,
                 in_group: AtomicBool::new(false),
                 readers: Readers::of(readers),
-                block_reader: BlockReader::open(path)?,
+                block_reader,
                 gate: Gate::default(),
                 refused: OnceLock::new(),
                 checkpoints,
@@ -140,7 +141,10 @@ fn create_private(path: &Path) -> std::io::Result<()> {
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     match options.open(path) {
         Ok(_) => Ok(()),
-        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
+        // A link is there, and what it leads to may not be yet.
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+            options.create_new(false).create(true).open(path).map(|_| ())
+        }
         Err(error) => Err(error),
     }
 }
