@@ -6,6 +6,7 @@ mod database_full;
 mod demoted;
 mod feed_profiles;
 mod full_disk;
+mod listening;
 mod lists;
 mod matrix;
 mod openapi;

@@ -1,13 +1,9 @@
 //! A PostgreSQL whose disk is full undoes the change and goes on once there is room, and so does the service. Its server
 //! says so here as it does then (SQLSTATE 53100, `disk_full`), from a trigger.
 
-use super::app::{NOW, machine, operation, tool};
+use super::listening::Listening;
 use crate::store::operations::Cluster;
-use feedwright_server::clock::Clock;
-use feedwright_server::config::{Config, Sources};
-use feedwright_server::server::Server;
 use feedwright_store::{PostgresOptions, PostgresStore};
-use secrecy::ExposeSecret;
 use serde_json::{Value, json};
 use std::sync::Arc;
 use std::time::Duration;
@@ -29,18 +25,8 @@ async fn it_is_told_and_the_service_goes_on_once_there_is_room() {
     let Some(cluster) = Cluster::new() else {
         return;
     };
-    let dir = tempfile::tempdir().unwrap();
-    let flags = [("data_dir", dir.path().to_str().unwrap()), ("server.listen", "127.0.0.1:0")];
-    let flags = flags.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
-    let config = Config::load(&Sources { flags, ..Sources::default() }).unwrap();
     let store = PostgresStore::open(&cluster.url(), PostgresOptions::default()).await.unwrap();
-    let server = Server::start(config, Arc::new(store), Clock::fixed(NOW)).await.unwrap();
-    let admin = server.first_admin_token.as_ref().unwrap().expose_secret().to_owned();
-    let (client, address) = (reqwest::Client::new(), format!("http://{}", server.local_addr));
-    for (path, body) in [("machines/M1", machine()), ("tools/T1", tool()), ("operations/O1", operation())] {
-        let put = client.put(format!("{address}/v1/{path}")).bearer_auth(&admin).json(&body);
-        assert_eq!(put.send().await.unwrap().status().as_u16(), 201, "{path}");
-    }
+    let Listening { server, address, client, admin, dir: _dir } = Listening::before(Arc::new(store)).await;
     let post = async |number: usize| {
         let post = client.post(format!("{address}/v1/machines/M1/cycles")).bearer_auth(&admin);
         post.json(&cycle(number)).send().await.unwrap()

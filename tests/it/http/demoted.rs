@@ -1,12 +1,8 @@
 //! A PostgreSQL that is demoted to read-only under a running server, and promoted again.
 
-use super::app::{machine, operation, tool};
+use super::listening::Listening;
 use crate::store::operations::Cluster;
-use feedwright_server::clock::Clock;
-use feedwright_server::config::{Config, Sources};
-use feedwright_server::server::Server;
 use feedwright_store::{PostgresOptions, PostgresStore};
-use secrecy::ExposeSecret;
 use serde_json::{Value, json};
 use sqlx::{Connection, Executor, PgConnection};
 use std::sync::Arc;
@@ -29,19 +25,10 @@ async fn it_is_refused_clearly_and_taken_up_again() {
     let Some(cluster) = Cluster::new() else {
         return;
     };
-    let dir = tempfile::tempdir().unwrap();
-    let flags = [("data_dir", dir.path().to_str().unwrap()), ("server.listen", "127.0.0.1:0")];
-    let flags = flags.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
-    let config = Config::load(&Sources { flags, ..Sources::default() }).unwrap();
     let options = PostgresOptions { patience: Duration::from_secs(1), ..PostgresOptions::default() };
     let store = PostgresStore::open(&cluster.url(), options).await.unwrap();
-    let server = Server::start(config, Arc::new(store), Clock::fixed(super::app::NOW)).await.unwrap();
-    let token = server.first_admin_token.as_ref().unwrap().expose_secret().to_owned();
-    let (client, address) = (reqwest::Client::new(), format!("http://{}", server.local_addr));
-    for (path, body) in [("machines/M1", machine()), ("tools/T1", tool()), ("operations/O1", operation())] {
-        let put = client.put(format!("{address}/v1/{path}")).bearer_auth(&token).json(&body);
-        assert_eq!(put.send().await.unwrap().status().as_u16(), 201, "{path}");
-    }
+    let Listening { server, address, client, admin: token, dir: _dir } =
+        Listening::before(Arc::new(store)).await;
     let post = async |number: usize| {
         let post = client.post(format!("{address}/v1/machines/M1/cycles")).bearer_auth(&token);
         let answer = post.json(&cycle(number)).send().await.unwrap();

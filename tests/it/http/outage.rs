@@ -1,12 +1,8 @@
 //! A PostgreSQL that is away: who watches the service is told so, and nobody is let in who would not be otherwise.
 
-use super::app::{NOW, machine, operation, tool};
+use super::listening::Listening;
 use crate::store::operations::{Cluster, Frozen};
-use feedwright_server::clock::Clock;
-use feedwright_server::config::{Config, Sources};
-use feedwright_server::server::Server;
 use feedwright_store::{PostgresOptions, PostgresStore, Repair, Store};
-use secrecy::ExposeSecret;
 use serde_json::{Value, json};
 use sqlx::{Connection, Executor, PgConnection};
 use std::sync::Arc;
@@ -23,16 +19,8 @@ async fn prometheus_is_told_that_the_database_is_away() {
     let Some(cluster) = Cluster::new() else {
         return;
     };
-    let dir = tempfile::tempdir().unwrap();
-    let flags = [("data_dir", dir.path().to_str().unwrap()), ("server.listen", "127.0.0.1:0")];
-    let flags = flags.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
-    let config = Config::load(&Sources { flags, ..Sources::default() }).unwrap();
     let store = PostgresStore::open(&cluster.url(), PostgresOptions::default()).await.unwrap();
-    let server = Server::start(config, Arc::new(store), Clock::fixed(NOW)).await.unwrap();
-    let admin = server.first_admin_token.as_ref().unwrap().expose_secret().to_owned();
-    let (client, address) = (reqwest::Client::new(), format!("http://{}", server.local_addr));
-    let put = client.put(format!("{address}/v1/machines/M1")).bearer_auth(&admin).json(&machine());
-    assert_eq!(put.send().await.unwrap().status().as_u16(), 201);
+    let Listening { server, address, client, admin, dir: _dir } = Listening::before(Arc::new(store)).await;
     let token = async |name: &str, role: &str| {
         let made = client.post(format!("{address}/v1/tokens")).bearer_auth(&admin);
         let body = match role {
@@ -117,19 +105,8 @@ async fn posts_are_answered_while_it_is(away: Away) {
     let Some(cluster) = Cluster::new() else {
         return;
     };
-    let dir = tempfile::tempdir().unwrap();
-    let flags = [("data_dir", dir.path().to_str().unwrap()), ("server.listen", "127.0.0.1:0")];
-    let flags = flags.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
-    let config = Config::load(&Sources { flags, ..Sources::default() }).unwrap();
     let store = Arc::new(PostgresStore::open(&cluster.url(), PostgresOptions::default()).await.unwrap());
-    let server = Server::start(config, store.clone(), Clock::fixed(NOW)).await.unwrap();
-    let admin = server.first_admin_token.as_ref().unwrap().expose_secret().to_owned();
-    let client = reqwest::Client::builder().timeout(4 * CONTROL).build().unwrap();
-    let address = format!("http://{}", server.local_addr);
-    for (path, body) in [("machines/M1", machine()), ("tools/T1", tool()), ("operations/O1", operation())] {
-        let put = client.put(format!("{address}/v1/{path}")).bearer_auth(&admin).json(&body);
-        assert_eq!(put.send().await.unwrap().status().as_u16(), 201, "{path}");
-    }
+    let Listening { server, address, client, admin, dir: _dir } = Listening::before(store.clone()).await;
     let post = |number: usize| {
         let post = client.post(format!("{address}/v1/machines/M1/cycles")).bearer_auth(&admin);
         let post = post.json(&cycle(number)).send();
@@ -140,20 +117,8 @@ async fn posts_are_answered_while_it_is(away: Away) {
     // One waits within its transaction, and one for the group after it.
     let mut holder = PgConnection::connect(&cluster.url()).await.unwrap();
     holder.execute("BEGIN; LOCK TABLE cycles IN ACCESS EXCLUSIVE MODE").await.unwrap();
-    let mut admin_of_all = PgConnection::connect(&cluster.url()).await.unwrap();
     let first = post(1);
-    let mut waits = 0_i64;
-    for _ in 0..LOOKS {
-        waits = sqlx::query_scalar("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'")
-            .fetch_one(&mut admin_of_all)
-            .await
-            .unwrap();
-        if waits == 1 {
-            break;
-        }
-        tokio::time::sleep(BETWEEN).await;
-    }
-    assert_eq!(waits, 1, "the first post meets the lock");
+    cluster.one_waits_for_a_lock().await;
     let second = post(2);
     let until = async |wanted: &str| {
         for _ in 0..LOOKS {

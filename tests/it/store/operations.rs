@@ -115,6 +115,23 @@ impl Cluster {
         frozen
     }
 
+    /// Returns once a single session waits for a lock.
+    pub(crate) async fn one_waits_for_a_lock(&self) {
+        let mut conn = PgConnection::connect(&self.url()).await.unwrap();
+        for _ in 0..200 {
+            let waits: i64 =
+                sqlx::query_scalar("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'")
+                    .fetch_one(&mut conn)
+                    .await
+                    .unwrap();
+            if waits == 1 {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        panic!("no single session waits for a lock");
+    }
+
     pub(crate) async fn run(&self, sql: &'static str) {
         PgConnection::connect(&self.url()).await.unwrap().execute(sql).await.unwrap();
     }

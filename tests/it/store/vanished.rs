@@ -9,9 +9,8 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 
-/// Looks that are taken, and the time between them: what is waited for comes when a group is given up.
+/// Times that a cycle is sent again.
 const LOOKS: usize = 200;
-const BETWEEN: Duration = Duration::from_millis(50);
 
 /// What stands between a store and its server.
 struct Line {
@@ -69,23 +68,11 @@ async fn groups_go_on_with_the_one_that_took_over() {
 
     let mut holder = PgConnection::connect(&cluster.url()).await.unwrap();
     holder.execute("BEGIN; LOCK TABLE cycles IN ACCESS EXCLUSIVE MODE").await.unwrap();
-    let mut watcher = PgConnection::connect(&cluster.url()).await.unwrap();
     let waiting = {
         let store = store.clone();
         tokio::spawn(async move { commit(&store, &[Run::nth(2)]).await.pop().unwrap() })
     };
-    let mut waits = 0_i64;
-    for _ in 0..LOOKS {
-        waits = sqlx::query_scalar("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'")
-            .fetch_one(&mut watcher)
-            .await
-            .unwrap();
-        if waits == 1 {
-            break;
-        }
-        tokio::time::sleep(BETWEEN).await;
-    }
-    assert_eq!(waits, 1, "the group is in its transaction");
+    cluster.one_waits_for_a_lock().await;
     line.vanish();
     holder.execute("ROLLBACK").await.unwrap();
 

@@ -193,7 +193,7 @@ pub fn decode_by_serde(
     max_samples: usize,
     now: Timestamp,
 ) -> Result<Cycle, BodyError> {
-    bear(json, max_samples)?;
+    refuse_too_many_values(json, max_samples)?;
     checked(machine, parse_by_serde(json)?, max_samples, now)
 }
 
@@ -230,7 +230,7 @@ fn any_cycle_id_of(body: &[u8]) -> Option<String> {
 }
 
 fn parse(json: &[u8], max_samples: usize) -> Result<Body, BodyError> {
-    bear(json, max_samples)?;
+    refuse_too_many_values(json, max_samples)?;
     reader::read(json).map_or_else(|| parse_by_serde(json), Ok)
 }
 
@@ -247,7 +247,7 @@ fn refusal(json: &[u8], wrong: Wrong) -> BodyError {
 
 /// Refuses a body with more values than all columns of a cycle together, before any of them is kept: a compressed body of
 /// some hundred kilobytes may hold tens of millions, which take eight bytes each.
-fn bear(json: &[u8], max_samples: usize) -> Result<(), BodyError> {
+fn refuse_too_many_values(json: &[u8], max_samples: usize) -> Result<(), BodyError> {
     // Times are a column too. One value more than a column may have is told by the column.
     let most = (max_samples.saturating_add(1)).saturating_mul(Channel::ALL.len() + 1);
     // A value takes a digit and a comma at the least, so that a usual body is not looked through.
