@@ -1,6 +1,7 @@
 //! SQLite: one writer, many readers, a checkpoint of its own. For a cell, with nothing to install.
 //!
-//! WAL with `synchronous=FULL`: an acknowledged cycle survives a power cut. One change is made at a time, with `BEGIN
+//! WAL with `synchronous=FULL`, and before it a journal of groups ([`journal`]): an acknowledged cycle survives a power
+//! cut. One change is made at a time, with `BEGIN
 //! IMMEDIATE`, so that none fails for want of a lock that it could have waited for.
 
 mod block_reader;
@@ -12,8 +13,10 @@ mod engine;
 mod files;
 mod group_thread;
 mod group_writer;
+mod journal;
 mod open;
 mod readers;
+mod writing;
 
 pub(crate) use open::MIGRATIONS;
 pub use open::SqliteOptions;
@@ -29,26 +32,24 @@ use crate::work::{Work, Written};
 use block_reader::BlockReader;
 use checkpoint::Checkpoints;
 use feedwright_core::ids::{CycleId, MachineId};
-use files::Files;
-use group_thread::GroupThread;
-use group_writer::GroupWriter;
 use readers::{Lent, Readers};
 use sqlx::Connection;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
-use tokio::sync::{Mutex, MutexGuard};
+use std::path::Path;
+use std::sync::Arc;
+use writing::{Writer, Writing};
 
 type Db = sqlx::Sqlite;
 type Conn = sqlx::SqliteConnection;
 type Engine = SqliteStore;
 
-/// What writes: one at a time, so that neither of the two connections waits for a lock that the other holds at work.
-#[derive(Debug)]
-struct Writer {
-    /// Writes whole groups, which is most of what is written.
-    groups: GroupWriter,
-    /// Asks what groups rest on, and writes everything else.
-    asked: Conn,
+/// Commits what a process has left acknowledged beside a database that is there, or waits for whoever is at work.
+pub(crate) async fn take_up(path: &Path) -> StoreResult<()> {
+    if !path.exists() {
+        return Ok(());
+    }
+    let path = path.to_owned();
+    let task = tokio::task::spawn_blocking(move || journal::take_up_closed(&path));
+    task.await.map_err(panicked)?
 }
 
 /// Free pages (8 MiB) that are left to be used again.
@@ -62,17 +63,10 @@ pub struct SqliteStore {
 
 #[derive(Debug)]
 struct Inner {
-    /// `None` once closed.
-    writer: Mutex<Option<Writer>>,
-    files: Files,
-    group_thread: GroupThread,
-    /// A group's statements begin and end its transaction: set while one may be open.
-    in_group: AtomicBool,
+    writing: Arc<Writing>,
     readers: Arc<Readers>,
     block_reader: BlockReader,
     gate: Gate,
-    /// Why the disk refused a write, once it did: an fsync is never retried, whatever comes later.
-    refused: OnceLock<String>,
     checkpoints: Checkpoints,
     max_samples: usize,
     registry: Arc<Registry>,
@@ -153,10 +147,15 @@ impl SqliteStore {
         machine: &MachineId,
         id: &CycleId,
     ) -> Option<StoreResult<Option<Vec<u8>>>> {
+        if self.inner.writing.is_ahead() {
+            return None;
+        }
         self.inner.block_reader.read(statement, machine, id)
     }
 
+    /// A connection that reads all that was acknowledged before.
     async fn reader(&self) -> StoreResult<Lent> {
+        self.inner.writing.catch_up().await?;
         Ok(self.inner.readers.lend().await?)
     }
 
@@ -164,10 +163,10 @@ impl SqliteStore {
     /// what comes next. Says whether there are more.
     async fn give_back(&self) -> StoreResult<bool> {
         let pass = self.inner.gate.enter().await?;
-        let inner = Arc::clone(&self.inner);
+        let writing = Arc::clone(&self.inner.writing);
         let task = tokio::spawn(async move {
-            let mut writer = inner.writer().await?;
-            let conn = &mut inner.settled(writer.as_mut()).await?.asked;
+            let mut writer = writing.hold().await?;
+            let conn = writing::open(&mut writer)?.asked();
             let free: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
             if free <= PAGES_KEPT_FREE {
                 return Ok(false);
@@ -189,37 +188,24 @@ impl SqliteStore {
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
         let pass = self.inner.gate.enter().await?;
-        let inner = Arc::clone(&self.inner);
+        let writing = Arc::clone(&self.inner.writing);
         let task = tokio::spawn(async move {
-            let outcome = inner.transaction(work).await;
+            let outcome = writing.transaction(work).await;
             drop(pass);
             outcome
         });
         task.await.map_err(panicked)?
     }
 
-    /// Runs a group of cycles, which begins and ends its transaction by its own statements, on the thread of the groups in
-    /// a task that nobody can cancel.
+    /// Runs a group of cycles, which begins its transaction by its own statements, on the thread of the groups in a task
+    /// that nobody can cancel.
     async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Writer) -> Work<'c, (T, Written)> + Send + 'static,
     {
         let pass = self.inner.gate.enter().await?;
-        let inner = Arc::clone(&self.inner);
-        let task = self.inner.group_thread.spawn(async move {
-            let outcome = inner.group(work).await;
-            drop(pass);
-            outcome
-        });
-        match task.await {
-            Ok(outcome) => outcome,
-            Err(error) => {
-                let mut writer = self.inner.writer().await?;
-                self.inner.settled(writer.as_mut()).await?;
-                Err(panicked(error))
-            }
-        }
+        self.inner.writing.write_group(pass, work).await
     }
 
     /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
@@ -250,106 +236,6 @@ impl SqliteStore {
         self.inner.checkpoints.stop().await;
         self.inner.block_reader.close();
         self.inner.readers.close().await;
-        // Closing the last connection folds the log into the file.
-        if let Some(writer) = self.inner.writer.lock().await.take()
-            && let Err(error) = writer.close().await
-        {
-            tracing::warn!(%error, "sqlite did not close cleanly");
-        }
-    }
-}
-
-impl Writer {
-    async fn close(self) -> StoreResult<()> {
-        // The last one folds the log into the file, whatever became of the first.
-        let closed = self.groups.close();
-        self.asked.close().await?;
-        closed
-    }
-}
-
-impl Inner {
-    async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
-    where
-        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
-    {
-        let mut writer = self.writer().await?;
-        let conn = &mut self.settled(writer.as_mut()).await?.asked;
-        let outcome =
-            Self::attempt(conn, work).await.and_then(|value| self.files.are_there().map(|()| value));
-        self.heed(&outcome);
-        outcome
-    }
-
-    async fn attempt<T, F>(conn: &mut Conn, work: F) -> StoreResult<T>
-    where
-        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
-    {
-        let mut transaction = conn.begin_with("BEGIN IMMEDIATE").await?;
-        match work(&mut transaction).await {
-            Ok(value) => {
-                transaction.commit().await?;
-                Ok(value)
-            }
-            Err(error) => {
-                // After an error of the disk SQLite has rolled it back by itself; that error is the one to tell.
-                if let Err(rollback) = transaction.rollback().await {
-                    tracing::debug!(error = %rollback, "nothing to roll back");
-                }
-                Err(error)
-            }
-        }
-    }
-
-    /// A group that is not written as a whole begins its transaction with its first statement and ends it with its last:
-    /// each statement is a hop to the connection's thread.
-    async fn group<T, F>(&self, work: F) -> StoreResult<T>
-    where
-        F: for<'c> FnOnce(&'c mut Writer) -> Work<'c, (T, Written)> + Send + 'static,
-    {
-        let mut guard = self.writer().await?;
-        let writer = self.settled(guard.as_mut()).await?;
-        self.in_group.store(true, Ordering::Relaxed);
-        let outcome = match work(writer).await {
-            Ok((value, Written { .. })) => {
-                self.in_group.store(false, Ordering::Relaxed);
-                self.files.are_there().map(|()| value)
-            }
-            Err(error) => {
-                self.settled(Some(writer)).await?;
-                Err(error)
-            }
-        };
-        self.heed(&outcome);
-        outcome
-    }
-
-    async fn writer(&self) -> StoreResult<MutexGuard<'_, Option<Writer>>> {
-        let writer = self.writer.lock().await;
-        if let Some(why) = self.refused.get() {
-            return Err(StoreError::NotWritable(why.clone().into()));
-        }
-        Ok(writer)
-    }
-
-    /// The writer with no transaction open: what a group that failed, or panicked, has left is rolled back.
-    async fn settled<'c>(&self, writer: Option<&'c mut Writer>) -> StoreResult<&'c mut Writer> {
-        let writer = writer.ok_or_else(|| StoreError::Unavailable("the store is closed".into()))?;
-        if self.in_group.load(Ordering::Relaxed) {
-            // Where it never began, or SQLite has rolled it back by itself, there is nothing to roll back.
-            if let Err(error) = sqlx::query("ROLLBACK").execute(&mut writer.asked).await {
-                tracing::debug!(%error, "nothing to roll back");
-            }
-            self.in_group.store(false, Ordering::Relaxed);
-        }
-        Ok(writer)
-    }
-
-    fn heed<T>(&self, outcome: &StoreResult<T>) {
-        if let Err(StoreError::NotWritable(error)) = outcome {
-            tracing::error!(%error, "sqlite refuses writes, nothing is acknowledged any more");
-            // The first reason stays.
-            let _ = self.refused.set(error.to_string());
-        }
+        self.inner.writing.close().await;
     }
 }

@@ -25,7 +25,8 @@ use crate::error::{StoreError, StoreResult};
 use async_trait::async_trait;
 
 /// Tables that belong to the program and not to the data.
-const LEFT_OUT: [&str; 5] = ["_sqlx_migrations", "write_probe", "last_backup", "backup_sums", "backup_made"];
+const LEFT_OUT: [&str; 6] =
+    ["_sqlx_migrations", "write_probe", "last_backup", "backup_sums", "backup_made", "groups_journal"];
 /// A page of rows is about this large, bytes.
 const PAGE_BYTES: usize = 4 << 20;
 /// Most rows of a page.

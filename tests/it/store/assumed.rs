@@ -77,7 +77,8 @@ async fn change(store: &dyn Store, step: u32) {
 
 #[tokio::test]
 async fn who_remembers_tells_and_leaves_what_one_who_remembers_nothing_does() {
-    let (remembering, forgetful) = (Given::sqlite().await, Given::sqlite().await);
+    let (remembering, forgetful) =
+        (Given::sqlite().await, Given::sqlite_with(SqliteOptions::default()).await);
     let store = remembering.store();
     for store in [&store, &forgetful.store()] {
         shop(&**store).await;
@@ -154,7 +155,7 @@ async fn who_remembers_tells_and_leaves_what_one_who_remembers_nothing_does() {
 /// Two servers must not share a file, but nothing is lost or counted twice where they do.
 #[tokio::test]
 async fn what_another_store_changed_is_noticed() {
-    let given = Given::sqlite().await;
+    let given = Given::sqlite_with(SqliteOptions::default()).await;
     let (store, other) = (given.store(), opened(&given).await);
     shop(&*store).await;
     for n in 0..60 {
@@ -227,7 +228,7 @@ async fn a_group_that_fails_is_not_stored_and_the_next_one_asks() {
 /// what this database forbids from some moment on.
 #[tokio::test]
 async fn a_group_that_is_remembered_is_written_without_asking() {
-    let given = Given::sqlite().await;
+    let given = Given::sqlite_with(SqliteOptions::default()).await;
     let store = given.store();
     shop(&*store).await;
     stored(&*store, &Run::nth(1)).await;

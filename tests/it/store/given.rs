@@ -64,11 +64,15 @@ enum Place {
 }
 
 impl Given {
+    /// As a server has it: nobody else commits cycles.
     pub(crate) async fn sqlite() -> Self {
+        Self::sqlite_with(SqliteOptions { alone: true, ..SqliteOptions::default() }).await
+    }
+
+    pub(crate) async fn sqlite_with(options: SqliteOptions) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = SqliteStore::open(folder.path().join("cell.sqlite3"), SqliteOptions::default())
-            .await
-            .expect("a fresh store opens");
+        let file = folder.path().join("cell.sqlite3");
+        let store = SqliteStore::open(file, options).await.expect("a fresh store opens");
         Self { store: Arc::new(store), place: Place::File(folder) }
     }
 
@@ -169,6 +173,9 @@ impl Given {
 
     async fn sqlite_tables(&self) -> SqliteConnection {
         let Place::File(folder) = &self.place else { unreachable!("only a file has these") };
+        // Who reads by the store has what was acknowledged committed; who reads beside it does not. A store that is closed
+        // has nothing left to commit.
+        drop(self.store.usage().await);
         let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("cell.sqlite3"));
         options.connect().await.expect("the file opens beside the store")
     }

@@ -12,6 +12,7 @@ mod check;
 mod citus;
 mod cycles;
 mod feed_profiles;
+mod journal;
 mod log;
 mod models;
 pub(crate) mod operations;

@@ -54,7 +54,7 @@ pub(super) async fn group(
         dialect::undo(writer).await;
         memory.doubt(group);
     }
-    let conn = dialect::asked(writer);
+    let conn = dialect::asked(writer)?;
     let machines = group.iter().map(|new| &new.cycle.machine);
     let operations = group.iter().map(|new| &new.cycle.operation);
     dialect::lock(conn, &Locks::group(machines, operations, tools.iter().copied())).await?;

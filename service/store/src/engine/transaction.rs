@@ -43,9 +43,9 @@ impl<'c> GroupTransaction<'c> {
     /// As the database; also where what was assumed does not hold, see [`GroupTransaction::is_refuted`].
     pub(super) async fn conn(&mut self) -> StoreResult<&mut Conn> {
         if let State::Assumed(writer, assumption, cycles) = &mut self.state {
-            let holds = dialect::begin_assumed(dialect::asked(writer), *assumption, cycles).await?;
+            let holds = dialect::begin_assumed(dialect::asked(writer)?, *assumption, cycles).await?;
             self.state = match std::mem::replace(&mut self.state, State::Refuted) {
-                State::Assumed(writer, ..) if holds => State::Begun(dialect::asked(writer)),
+                State::Assumed(writer, ..) if holds => State::Begun(dialect::asked(writer)?),
                 _ => State::Refuted,
             };
         }

@@ -1,9 +1,10 @@
 //! Moves the write-ahead log into the database file, beside the writer and never in its way.
 
 use super::Conn;
+use super::writing::Writing;
 use sqlx::Connection;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::sync::{Mutex, Notify};
 use tokio::task::JoinHandle;
@@ -23,10 +24,10 @@ pub(super) struct Checkpoints {
 }
 
 impl Checkpoints {
-    pub(super) fn start(conn: Conn, every: Duration) -> Self {
+    pub(super) fn start(conn: Conn, every: Duration, writing: Weak<Writing>) -> Self {
         let wal_pages = Arc::new(AtomicU64::new(0));
         let stop = Arc::new(Notify::new());
-        let task = tokio::spawn(run(conn, every, Arc::clone(&wal_pages), Arc::clone(&stop)));
+        let task = tokio::spawn(run(conn, every, writing, Arc::clone(&wal_pages), Arc::clone(&stop)));
         Self { wal_pages, stop, task: Mutex::new(Some(task)) }
     }
 
@@ -50,7 +51,13 @@ impl Drop for Checkpoints {
     }
 }
 
-async fn run(mut conn: Conn, every: Duration, wal_pages: Arc<AtomicU64>, stop: Arc<Notify>) {
+async fn run(
+    mut conn: Conn,
+    every: Duration,
+    writing: Weak<Writing>,
+    wal_pages: Arc<AtomicU64>,
+    stop: Arc<Notify>,
+) {
     let mut ticks = tokio::time::interval(every);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     let mut long = false;
@@ -60,7 +67,7 @@ async fn run(mut conn: Conn, every: Duration, wal_pages: Arc<AtomicU64>, stop: A
             () = stop.notified() => break,
             _ = ticks.tick() => {}
         }
-        match checkpoint(&mut conn).await {
+        match checkpoint(&mut conn, &writing).await {
             Ok((pages, moved)) => {
                 wal_pages.store(pages, Ordering::Relaxed);
                 if pages > LONG_WAL_PAGES && !long {
@@ -78,12 +85,15 @@ async fn run(mut conn: Conn, every: Duration, wal_pages: Arc<AtomicU64>, stop: A
 
 /// Moves what can be moved without anybody waiting. Where that was much, the writer is held up for the few pages that
 /// came meanwhile, so that it can begin the log anew. Returns the pages in the log, and how many of them were moved.
-async fn checkpoint(conn: &mut Conn) -> Result<(u64, i64), sqlx::Error> {
+async fn checkpoint(conn: &mut Conn, writing: &Weak<Writing>) -> Result<(u64, i64), sqlx::Error> {
     let moved = run_checkpoint(conn, "PRAGMA wal_checkpoint(PASSIVE)").await?;
-    if moved.0 < REUSED_WAL_PAGES {
-        Ok(moved)
-    } else {
-        run_checkpoint(conn, "PRAGMA wal_checkpoint(RESTART)").await
+    let Some(writing) = writing.upgrade().filter(|_| moved.0 >= REUSED_WAL_PAGES) else {
+        return Ok(moved);
+    };
+    // A transaction that groups leave open would be waited for in vain.
+    match writing.hold().await {
+        Ok(_held) => run_checkpoint(conn, "PRAGMA wal_checkpoint(RESTART)").await,
+        Err(_) => Ok(moved),
     }
 }
 

@@ -16,8 +16,8 @@ use crate::record::StoreFault;
 use feedwright_core::units::Timestamp;
 
 /// The connection that a group asks with, and that writes what is not written as a whole.
-pub(super) const fn asked(writer: &mut Writer) -> &mut Conn {
-    &mut writer.asked
+pub(super) fn asked(writer: &mut Writer) -> StoreResult<&mut Conn> {
+    writer.asked_for_group()
 }
 
 /// Rows go one by one, so by age they go to the microsecond.

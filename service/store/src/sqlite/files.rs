@@ -20,19 +20,23 @@ impl Identity {
     }
 }
 
-/// The database's file and its log, as they were when they were opened.
+/// The database's file, its log and the groups' journal, as they were when they were opened.
 #[derive(Debug)]
-pub(super) struct Files([(PathBuf, Identity); 2]);
+pub(super) struct Files(Vec<(PathBuf, Identity)>);
 
 impl Files {
     /// Of a database that is open, and has its log; `found` is the file before the first of its connections was.
-    pub(super) fn of(path: &Path, found: Identity) -> StoreResult<Self> {
+    pub(super) fn of(path: &Path, found: Identity, journal: Option<&Path>) -> StoreResult<Self> {
         // SQLite follows a link, and keeps its log beside what the link leads to.
         let mut log = path.canonicalize().map_err(|error| missing(path, &error))?.into_os_string();
         log.push("-wal");
         let log = PathBuf::from(log);
         let opened = Identity::of(&log)?;
-        let files = Self([(path.to_owned(), found), (log, opened)]);
+        let mut files = vec![(path.to_owned(), found), (log, opened)];
+        if let Some(journal) = journal {
+            files.push((journal.to_owned(), Identity::of(journal)?));
+        }
+        let files = Self(files);
         files.are_there()?;
         Ok(files)
     }

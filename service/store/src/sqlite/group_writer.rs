@@ -6,6 +6,7 @@
 
 use super::dialect::{BLOCKS, CYCLES, RECOMMENDATIONS};
 use super::engine::Heads;
+use super::journal::Journal;
 use super::open::{SETTINGS, is_durable};
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{AlarmChange, BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
@@ -13,20 +14,37 @@ use crate::work::Written;
 use feedwright_core::ids::ToolId;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
-use rusqlite::{CachedStatement, Connection, OpenFlags, Transaction, TransactionBehavior};
+use rusqlite::{CachedStatement, Connection, OpenFlags};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// What the writer of groups keeps of the file, in KiB below zero: the pages that some hundred machines' next cycles go
 /// to. Others come from the system's cache.
 const CACHE: &str = "-2048";
 
+/// Groups of so many cycles are written in one transaction at most: what they change has room in the cache.
+const MOST_CYCLES: usize = 512;
+
 /// A connection that writes groups. Whoever calls it waits for the disk.
 #[derive(Debug)]
 pub(super) struct GroupWriter {
     conn: Connection,
+    /// Without one each group is committed by itself.
+    journal: Option<Journal>,
+    /// Groups that were acknowledged by the journal, and the cycles of them; their transaction is open, where SQLite has
+    /// not rolled it back by itself.
+    groups: u32,
+    cycles: usize,
+    /// Whether there are such groups, for who does not hold the writer. Set before anybody hears of the first of them.
+    ahead: Arc<AtomicBool>,
+    /// When a group was written last, and how long after it another one still follows it.
+    last: Option<Instant>,
+    soon: Duration,
+    /// The transaction could not be committed: no group is written before it is.
+    stuck: bool,
 }
 
 /// What a group rests on that takes these heads for granted: they are held against the database in the transaction that
@@ -54,10 +72,38 @@ impl GroupWriter {
         if number("foreign_keys")? != 1 {
             return Err(StoreError::NotWritable("foreign keys are not enforced".into()));
         }
-        Ok(Self { conn })
+        Ok(Self {
+            conn,
+            journal: None,
+            groups: 0,
+            cycles: 0,
+            ahead: Arc::default(),
+            last: None,
+            soon: Duration::ZERO,
+            stuck: false,
+        })
     }
 
-    /// Writes a whole group and commits it; `None`, with nothing written, where what was assumed does not hold.
+    /// From here on transactions may stay open for several groups, which are acknowledged by their journal.
+    ///
+    /// A group that comes `soon` after another one is expected to be followed by others as soon. Where none follows, a
+    /// journal is one write more than a commit alone.
+    pub(super) fn keep_journal(&mut self, path: &Path, soon: Duration) -> StoreResult<()> {
+        self.soon = soon;
+        self.journal = Journal::open(path, &self.conn)?;
+        if self.journal.is_none() {
+            tracing::warn!("the groups' journal is in use: each group is committed by itself");
+        }
+        Ok(())
+    }
+
+    /// Where the journal is, if there is one.
+    pub(super) fn journal_path(&self) -> Option<&Path> {
+        self.journal.as_ref().map(Journal::path)
+    }
+
+    /// Writes a whole group; it is on the disk when this returns, in the database or in the journal. `None`, with nothing
+    /// written, where what was assumed does not hold.
     ///
     /// # Errors
     ///
@@ -70,37 +116,193 @@ impl GroupWriter {
         rest: &Rest<'_>,
         now: Timestamp,
     ) -> StoreResult<Option<Written>> {
-        // Dropped before its commit, it rolls back.
-        let transaction = self.conn.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        if !holds(&transaction, assumption)? {
-            return Ok(None);
+        if self.stuck {
+            self.commit()?;
         }
-        insert_cycles(&transaction, cycles)?;
-        insert_blocks(&transaction, &rest.blocks)?;
-        save_wear(&transaction, &rest.wear, now)?;
-        change_alarms(&transaction, &rest.alarms, now)?;
-        insert_advices(&transaction, rest.with_new_advice())?;
-        insert_recommendations(&transaction, &rest.issued)?;
-        transaction.commit()?;
-        Ok(Some(Written::whole()))
+        if self.conn.is_autocommit() {
+            self.conn.execute_batch("BEGIN IMMEDIATE")?;
+        }
+        match self.run(assumption, cycles, rest, now).and_then(|holds| {
+            if holds {
+                self.keep(cycles.len())?;
+            }
+            Ok(holds)
+        }) {
+            Ok(true) => Ok(Some(Written::whole())),
+            Ok(false) => {
+                if self.groups == 0 {
+                    self.conn.execute_batch("ROLLBACK")?;
+                }
+                Ok(None)
+            }
+            Err(error) => {
+                self.take_back();
+                Err(error)
+            }
+        }
+    }
+
+    /// Runs a group's statements in the transaction that is open, and notes them for the journal; `false`, with none
+    /// run, where what was assumed does not hold.
+    fn run(
+        &mut self,
+        assumption: Assumption<'_>,
+        cycles: &[Arc<CycleRow>],
+        rest: &Rest<'_>,
+        now: Timestamp,
+    ) -> StoreResult<bool> {
+        if !holds(&self.conn, assumption)? {
+            return Ok(false);
+        }
+        let mut run = Run { conn: &self.conn, journal: self.journal.as_mut() };
+        if let Some(journal) = &mut run.journal {
+            journal.begin();
+        }
+        insert_cycles(&mut run, cycles)?;
+        insert_blocks(&mut run, &rest.blocks)?;
+        save_wear(&mut run, &rest.wear, now)?;
+        change_alarms(&mut run, &rest.alarms, now)?;
+        insert_advices(&mut run, rest.with_new_advice())?;
+        insert_recommendations(&mut run, &rest.issued)?;
+        Ok(true)
+    }
+
+    /// Makes what was run last: by the journal where others will follow soon and it has room, by a commit otherwise.
+    fn keep(&mut self, cycles: usize) -> StoreResult<()> {
+        let now = Instant::now();
+        let follows = self.last.replace(now).is_some_and(|last| now - last <= self.soon);
+        if let Some(journal) = self.journal.as_mut().filter(|journal| follows && journal.has_room()) {
+            match journal.append() {
+                Ok(()) => {
+                    self.groups += 1;
+                    self.cycles += cycles;
+                    self.ahead.store(true, Ordering::Release);
+                    return Ok(());
+                }
+                // The commit below has all of the transaction, whatever became of the record.
+                Err(error) => {
+                    tracing::warn!(%error, "the groups' journal cannot be written: a group is committed instead")
+                }
+            }
+        }
+        if let Some(journal) = &mut self.journal {
+            journal.forget();
+        }
+        self.end()
+    }
+
+    /// Rolls back what a group that failed has run, and runs again what was acknowledged before it in its transaction.
+    fn take_back(&mut self) {
+        if let Some(journal) = &mut self.journal {
+            journal.forget();
+        }
+        let rolled_back =
+            if self.conn.is_autocommit() { Ok(()) } else { self.conn.execute_batch("ROLLBACK") };
+        if let Err(error) = rolled_back.map_err(StoreError::from).and_then(|()| self.resume()) {
+            tracing::error!(%error, groups = self.groups, "acknowledged groups wait in their journal");
+            self.stuck = true;
+        }
+    }
+
+    /// Begins the transaction again, with all that it had acknowledged, where SQLite has rolled it back.
+    fn resume(&mut self) -> StoreResult<()> {
+        let Some(journal) = self.journal.as_ref().filter(|_| self.groups > 0 && self.conn.is_autocommit())
+        else {
+            return Ok(());
+        };
+        self.conn.execute_batch("BEGIN IMMEDIATE")?;
+        journal.run_again(&self.conn).inspect_err(|_| {
+            // Where SQLite has done so by itself there is nothing to roll back.
+            if !self.conn.is_autocommit() {
+                let _ = self.conn.execute_batch("ROLLBACK");
+            }
+        })
+    }
+
+    /// Commits what is acknowledged by the journal alone.
+    ///
+    /// # Errors
+    ///
+    /// As the database. It stays acknowledged: the next call tries again.
+    pub(super) fn commit(&mut self) -> StoreResult<()> {
+        if self.groups == 0 {
+            return Ok(());
+        }
+        let outcome = self.resume().and_then(|()| self.end());
+        self.stuck = outcome.is_err();
+        outcome
+    }
+
+    /// Commits the transaction that is open.
+    fn end(&mut self) -> StoreResult<()> {
+        let journal = self.journal.as_mut().filter(|_| self.groups > 0);
+        if let Some(journal) = &journal {
+            journal.note_end(&self.conn)?;
+        }
+        self.conn.execute_batch("COMMIT")?;
+        if let Some(journal) = journal {
+            journal.turn();
+        }
+        (self.groups, self.cycles) = (0, 0);
+        self.ahead.store(false, Ordering::Release);
+        Ok(())
+    }
+
+    /// Whether something is acknowledged by the journal alone, which nobody who reads the database sees.
+    pub(super) const fn is_ahead(&self) -> bool {
+        self.groups > 0
+    }
+
+    /// The same as long as it writes, for who does not hold it.
+    pub(super) fn ahead(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.ahead)
+    }
+
+    /// Whether the transaction has as much as it should.
+    pub(super) fn is_full(&self) -> bool {
+        self.cycles >= MOST_CYCLES || self.journal.as_ref().is_some_and(Journal::is_nearly_full)
     }
 
     /// Closes the connection.
-    pub(super) fn close(self) -> StoreResult<()> {
-        self.conn.close().map_err(|(_, error)| error.into())
+    pub(super) fn close(mut self) -> StoreResult<()> {
+        let committed = self.commit();
+        if let Some(journal) = self.journal.take().filter(|_| committed.is_ok())
+            && let Err(error) = journal.remove()
+        {
+            tracing::debug!(%error, "the groups' journal stays where it is");
+        }
+        self.conn.close().map_err(|(_, error)| StoreError::from(error)).and(committed)
+    }
+}
+
+/// Where a group's statements are run.
+struct Run<'c> {
+    conn: &'c Connection,
+    journal: Option<&'c mut Journal>,
+}
+
+/// A statement that is noted for the journal with each row.
+struct Noted<'c> {
+    statement: CachedStatement<'c>,
+    text: &'static str,
+}
+
+impl<'c> Run<'c> {
+    fn prepare(&self, text: &'static str) -> rusqlite::Result<Noted<'c>> {
+        Ok(Noted { statement: self.conn.prepare_cached(text)?, text })
     }
 }
 
 /// Whether the heads are those in force.
-fn holds(transaction: &Transaction<'_>, Assumption { heads, tools }: Assumption<'_>) -> StoreResult<bool> {
-    let mut in_force = transaction.prepare_cached(
+fn holds(conn: &Connection, Assumption { heads, tools }: Assumption<'_>) -> StoreResult<bool> {
+    let mut in_force = conn.prepare_cached(
         "SELECT (SELECT SUM(changes) FROM registry_generation) IS ?
             AND EXISTS (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL) IS ?",
     )?;
     if !in_force.query_row((heads.generation, heads.any_profile), |row| row.get::<_, bool>(0))? {
         return Ok(false);
     }
-    let mut versions = transaction
+    let mut versions = conn
         .prepare_cached("SELECT machine_id, version FROM tool_wear WHERE tool_id = ? ORDER BY machine_id")?;
     for tool in tools {
         // Ids are compared byte by byte there and here.
@@ -121,39 +323,48 @@ fn holds(transaction: &Transaction<'_>, Assumption { heads, tools }: Assumption<
 
 /// Runs a statement with a row's values, in the order of its parameters.
 macro_rules! run {
-    ($statement:ident, $($value:expr),* $(,)?) => {{
+    ($run:ident, $noted:expr, $($value:expr),* $(,)?) => {{
+        let noted = &mut *$noted;
         let mut place = 0;
+        if let Some(journal) = &mut $run.journal {
+            journal.run(noted.text)?;
+        }
         $(
             place += 1;
-            $statement.raw_bind_parameter(place, $value)?;
+            let value = $value;
+            if let Some(journal) = &mut $run.journal {
+                journal.value(&value)?;
+            }
+            noted.statement.raw_bind_parameter(place, value)?;
         )*
-        $statement.raw_execute()
+        noted.statement.raw_execute()
     }};
 }
 
-fn insert_cycles(transaction: &Transaction<'_>, rows: &[Arc<CycleRow>]) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(CYCLES.one())?;
+fn insert_cycles(run: &mut Run<'_>, rows: &[Arc<CycleRow>]) -> rusqlite::Result<()> {
+    let mut statement = run.prepare(CYCLES.one())?;
     for row in rows {
         macro_rules! insert_row {
-            ($($column:ident: $type:ty = $placeholder:literal,)*) => { run!(statement, $(&row.$column,)*) };
+            ($($column:ident: $type:ty = $placeholder:literal,)*) => { run!(run, &mut statement, $(&row.$column,)*) };
         }
         cycle_columns!(insert_row)?;
     }
     Ok(())
 }
 
-fn insert_blocks(transaction: &Transaction<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(BLOCKS.one())?;
+fn insert_blocks(run: &mut Run<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<()> {
+    let mut statement = run.prepare(BLOCKS.one())?;
     for row in rows {
-        run!(statement, &row.machine_id, row.received_at_us, &row.cycle_id, row.block)?;
+        run!(run, &mut statement, &row.machine_id, row.received_at_us, &row.cycle_id, row.block)?;
     }
     Ok(())
 }
 
 /// Writes folds whose versions are known to be in force.
-fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) -> StoreResult<()> {
-    let update = |statement: &mut CachedStatement<'_>, row: &SavedWear| {
+fn save_wear(run: &mut Run<'_>, rows: &[SavedWear], now: Timestamp) -> StoreResult<()> {
+    let update = |run: &mut Run<'_>, statement: &mut Noted<'_>, row: &SavedWear| {
         run!(
+            run,
             statement,
             row.folded,
             FOLD_VERSION,
@@ -164,16 +375,16 @@ fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) 
             &row.tool_id
         )
     };
-    let mut known = transaction.prepare_cached(
+    let mut known = run.prepare(
         "UPDATE tool_wear SET folded = ?, fold_version = ?, state = ?, updated_at_us = ?, version = ?
          WHERE machine_id = ? AND tool_id = ?",
     )?;
-    let mut new = transaction.prepare_cached(
+    let mut new = run.prepare(
         "INSERT INTO tool_wear (folded, fold_version, state, updated_at_us, version, machine_id, tool_id)
          VALUES (?, ?, ?, ?, ?, ?, ?)",
     )?;
     for row in rows {
-        let written = update(if row.version > 0 { &mut known } else { &mut new }, row)?;
+        let written = update(run, if row.version > 0 { &mut known } else { &mut new }, row)?;
         if written != 1 {
             // Its cycles would be stored and not counted.
             return Err(StoreError::Damaged { what: format!("the fold of tool {} is gone", row.tool_id) });
@@ -182,42 +393,36 @@ fn save_wear(transaction: &Transaction<'_>, rows: &[SavedWear], now: Timestamp) 
     Ok(())
 }
 
-fn change_alarms(
-    transaction: &Transaction<'_>,
-    changes: &[AlarmChange],
-    now: Timestamp,
-) -> rusqlite::Result<()> {
+fn change_alarms(run: &mut Run<'_>, changes: &[AlarmChange], now: Timestamp) -> rusqlite::Result<()> {
     for change in changes {
         match change {
             AlarmChange::ClearVerdicts { tool_id, but } => {
-                let mut statement = transaction.prepare_cached(AlarmChange::CLEAR_VERDICTS)?;
-                run!(statement, now.micros(), tool_id, but)?;
+                let mut statement = run.prepare(AlarmChange::CLEAR_VERDICTS)?;
+                run!(run, &mut statement, now.micros(), tool_id, but)?;
             }
             AlarmChange::Raise { kind, machine_id, tool_id, message } => {
-                let mut statement = transaction.prepare_cached(AlarmChange::RAISE)?;
-                run!(statement, kind, machine_id, tool_id, message, now.micros())?;
+                let mut statement = run.prepare(AlarmChange::RAISE)?;
+                run!(run, &mut statement, kind, machine_id, tool_id, message, now.micros())?;
             }
         }
     }
     Ok(())
 }
 
-fn insert_advices<'r>(
-    transaction: &Transaction<'_>,
-    rows: impl Iterator<Item = &'r IssuedRow>,
-) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(IssuedRow::INSERT_ADVICE)?;
+fn insert_advices<'r>(run: &mut Run<'_>, rows: impl Iterator<Item = &'r IssuedRow>) -> rusqlite::Result<()> {
+    let mut statement = run.prepare(IssuedRow::INSERT_ADVICE)?;
     for row in rows {
-        run!(statement, row.advice_hash.as_slice(), &row.advice)?;
+        run!(run, &mut statement, row.advice_hash.as_slice(), &row.advice)?;
     }
     Ok(())
 }
 
-fn insert_recommendations(transaction: &Transaction<'_>, rows: &[IssuedRow]) -> rusqlite::Result<()> {
-    let mut statement = transaction.prepare_cached(RECOMMENDATIONS.one())?;
+fn insert_recommendations(run: &mut Run<'_>, rows: &[IssuedRow]) -> rusqlite::Result<()> {
+    let mut statement = run.prepare(RECOMMENDATIONS.one())?;
     for row in rows {
         run!(
-            statement,
+            run,
+            &mut statement,
             &row.recommendation_id,
             row.advice_hash.as_slice(),
             row.issued_at_us,

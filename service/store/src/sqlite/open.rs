@@ -3,10 +3,10 @@
 use super::block_reader::BlockReader;
 use super::checkpoint::Checkpoints;
 use super::files::{Files, Identity};
-use super::group_thread::GroupThread;
 use super::group_writer::GroupWriter;
 use super::readers::Readers;
-use super::{Conn, Inner, SqliteStore, Writer};
+use super::writing::{Writer, Writing};
+use super::{Conn, Inner, SqliteStore};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
 use crate::slot::Slot;
@@ -16,10 +16,8 @@ use sqlx::sqlite::{
 };
 use sqlx::{ConnectOptions, Connection};
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::Mutex;
 
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/sqlite");
 
@@ -66,8 +64,12 @@ pub struct SqliteOptions {
     /// Time between two checkpoints.
     pub checkpoint_every: Duration,
     /// Whether somebody answers for it that no other store of this file commits cycles as long as this one is open, as
-    /// who holds the lock on the data directory does.
+    /// who holds the lock on the data directory does. Groups then have a journal.
     pub alone: bool,
+    /// Groups that come no later than this after one another share a transaction, which is committed so long after the
+    /// first of them. As many as have room in the journal come in this time where machines post as fast as they can, and
+    /// whoever else writes the file waits no longer.
+    pub commit_after: Duration,
 }
 
 impl Default for SqliteOptions {
@@ -78,6 +80,7 @@ impl Default for SqliteOptions {
             max_samples: DEFAULT_MAX_SAMPLES,
             checkpoint_every: Duration::from_millis(250),
             alone: false,
+            commit_after: Duration::from_millis(50),
         }
     }
 }
@@ -88,12 +91,17 @@ impl SqliteStore {
         let path = path.as_ref();
         create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
         let found = Identity::of(path)?;
+        // Before a migration: its statements are of the tables as they were.
+        super::take_up(path).await?;
         let connect = settings(path, options.patience);
         // Of a file that is there already it changes nothing, and readers may not ask for it.
         let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
-        let groups = GroupWriter::open(path, options.patience)?;
+        let mut groups = GroupWriter::open(path, options.patience)?;
+        if options.alone {
+            groups.keep_journal(path, options.commit_after)?;
+        }
         let readers = SqlitePoolOptions::new()
             .max_connections(options.readers.max(1))
             .acquire_timeout(options.patience)
@@ -110,18 +118,16 @@ impl SqliteStore {
             .await?;
         let block_reader = BlockReader::open(path)?;
         // All that write are open: whichever file each of them found is the one that stands there before and after.
-        let files = Files::of(path, found)?;
-        let checkpoints = Checkpoints::start(checkpointer, options.checkpoint_every);
+        let files = Files::of(path, found, groups.journal_path())?;
+        let writing = Writing::of(Writer::of(groups, writer), files, options.commit_after)?;
+        let checkpoints =
+            Checkpoints::start(checkpointer, options.checkpoint_every, Arc::downgrade(&writing));
         Ok(Self {
             inner: Arc::new(Inner {
-                writer: Mutex::new(Some(Writer { groups, asked: writer })),
-                files,
-                group_thread: GroupThread::start()?,
-                in_group: AtomicBool::new(false),
+                writing,
                 readers: Readers::of(readers),
                 block_reader,
                 gate: Gate::default(),
-                refused: OnceLock::new(),
                 checkpoints,
                 max_samples: options.max_samples,
                 registry: Arc::default(),

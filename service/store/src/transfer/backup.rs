@@ -156,6 +156,7 @@ async fn seal(
     let mut side = SqliteSide::write(path).await?;
     // A single file: whoever copies a backup copies one thing.
     sqlx::query("PRAGMA journal_mode = DELETE").fetch_all(side.conn()).await?;
+    forget_journal(&mut side).await?;
     let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(10)").fetch_all(side.conn()).await?;
     if found != ["ok"] {
         return Err(file(path, format!("SQLite finds the copy damaged: {}", found.join("; "))));
@@ -186,6 +187,16 @@ async fn seal(
     }
     Box::new(side).close().await;
     Ok(sums)
+}
+
+/// The groups' journal is the source's: whoever is restored from the copy makes one of its own.
+async fn forget_journal(side: &mut SqliteSide) -> Result<(), TransferError> {
+    let there = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'groups_journal')";
+    // A source that no server of this version has opened has none.
+    if sqlx::query_scalar(there).fetch_one(side.conn()).await? {
+        sqlx::query("DELETE FROM groups_journal").execute(side.conn()).await?;
+    }
+    Ok(())
 }
 
 async fn sums_of(side: &mut SqliteSide) -> Result<Vec<(String, TableSum)>, TransferError> {

@@ -17,8 +17,9 @@ pub(super) struct SqliteSide {
 }
 
 impl SqliteSide {
-    /// Reads a file beside whoever writes it.
+    /// Reads a file beside whoever writes it, with all that was acknowledged before.
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
+        crate::sqlite::take_up(path).await?;
         let options = SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(PATIENCE);
         Ok(Self { conn: options.connect().await? })
     }

@@ -56,7 +56,7 @@ pub(in crate::sqlite) async fn begin_assumed(
     Ok(held(begin_and_insert(conn, assumption, cycles).await)?.is_some())
 }
 
-/// Writes a whole group and commits it; `None` where what was assumed does not hold.
+/// Writes a whole group, durably; `None` where what was assumed does not hold.
 pub(in crate::sqlite) fn write_assumed(
     writer: &mut Writer,
     assumption: Assumption<'_>,
@@ -79,7 +79,7 @@ fn held<T>(outcome: StoreResult<T>) -> StoreResult<Option<T>> {
 /// Rolls back what a group has begun whose assumptions did not hold.
 pub(in crate::sqlite) async fn undo(writer: &mut Writer) {
     // Where it never began there is nothing to roll back; an error of the disk is met again by whoever begins next.
-    if let Err(error) = sqlx::query("ROLLBACK").execute(&mut writer.asked).await {
+    if let Err(error) = sqlx::query("ROLLBACK").execute(writer.asked()).await {
         tracing::debug!(%error, "nothing to roll back");
     }
 }

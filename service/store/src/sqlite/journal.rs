@@ -1,0 +1,541 @@
+//! The groups' journal: what was acknowledged and is not committed to the database yet.
+//!
+//! A commit writes every page that it changed, and a group of a few cycles changes nearly as many pages as one of
+//! hundreds. So a transaction stays open for several groups. What each of them runs is appended here, one record a group,
+//! and is on the disk before the group is acknowledged; when the transaction is committed, the next epoch begins at the
+//! front of the file. What a process leaves behind is run again by whoever opens the database next: the same statements,
+//! with the same values, on the same state, as nobody else writes while the transaction is open.
+//!
+//! | bytes | what |
+//! |---|---|
+//! | 16 | `feedwright groups` without its blank, that is `feedwrightgroups` |
+//! | 4 | version of the format, 1 |
+//! | 16 | id of the journal, as the database has it |
+//! | 4 | crc32 over the above |
+//!
+//! Records stand behind it, integers little-endian: crc32 over the rest of the record, u32 length of the body, u64 epoch, u32
+//! number within the epoch from 0 on, body. A body is a list of: `1`, u8 number of a statement, u32 length, its text; `2`, u8
+//! number of a statement, u8 number of values, values. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`,
+//! u32 length and text, or `4`, u32 length and bytes. An epoch ends where its next record is not whole: that one was
+//! never acknowledged.
+
+use super::open::SETTINGS;
+use crate::error::{StoreError, StoreResult};
+use rusqlite::types::{ToSqlOutput, ValueRef};
+use rusqlite::{Connection, OpenFlags, OptionalExtension, ToSql, TransactionBehavior};
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+const MAGIC: &[u8; 16] = b"feedwrightgroups";
+const VERSION: u32 = 1;
+/// Bytes of the head.
+const HEAD: usize = 40;
+/// Bytes of a record before its body.
+const RECORD_HEAD: usize = 20;
+/// Bytes of the file: some sixteen groups. They are written once at first, so that what comes later writes over them and
+/// need not change what the file system notes of the file.
+const CAPACITY: u64 = 4 << 20;
+/// A record of usual length is built in the memory of the one before.
+const KEPT_RECORD: usize = 512 << 10;
+
+const DEFINES: u8 = 1;
+const RUNS: u8 = 2;
+
+const NULL: u8 = 0;
+const INTEGER: u8 = 1;
+const REAL: u8 = 2;
+const TEXT: u8 = 3;
+const BYTES: u8 = 4;
+
+/// The journal of a database that is open for writing.
+#[derive(Debug)]
+pub(super) struct Journal {
+    file: File,
+    path: PathBuf,
+    /// Of the transaction that is open, or begins next.
+    epoch: u64,
+    /// Where the next record goes, and its number in the epoch.
+    at: u64,
+    number: u32,
+    /// The record that is being made, with room for its head.
+    record: Vec<u8>,
+    /// Statements by their numbers; so many of them are defined in the epoch.
+    statements: Vec<&'static str>,
+    defined: usize,
+    /// As many as were before the record.
+    defined_before: usize,
+    /// Where the values of the last statement are counted.
+    counted_at: usize,
+}
+
+/// Beside the database that the path leads to.
+pub(super) fn path_of(database: &Path) -> io::Result<PathBuf> {
+    let mut path = database.canonicalize()?.into_os_string();
+    path.push("-groups");
+    Ok(path.into())
+}
+
+impl Journal {
+    /// Opens the journal of a database, making it where there is none. What it held has been [taken up](take_up).
+    ///
+    /// `None` where another process has it.
+    pub(super) fn open(database: &Path, conn: &Connection) -> StoreResult<Option<Self>> {
+        let path = path_of(database).map_err(not_writable)?;
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(false);
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        let file = options.open(&path).map_err(not_writable)?;
+        if !lock(&file)? {
+            return Ok(None);
+        }
+        let (id, epoch) = match noted(conn)? {
+            Some(noted) => noted,
+            None => (note(conn)?, 0),
+        };
+        prepare(&file, id).map_err(not_writable)?;
+        Ok(Some(Self {
+            file,
+            path,
+            epoch: epoch + 1,
+            at: HEAD as u64,
+            number: 0,
+            record: vec![0; RECORD_HEAD],
+            statements: Vec::new(),
+            defined: 0,
+            defined_before: 0,
+            counted_at: 0,
+        }))
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Begins a record.
+    pub(super) fn begin(&mut self) {
+        self.record.truncate(RECORD_HEAD);
+        self.record.shrink_to(KEPT_RECORD);
+        self.defined_before = self.defined;
+    }
+
+    /// A statement that is run, before its values.
+    pub(super) fn run(&mut self, statement: &'static str) -> rusqlite::Result<()> {
+        let number = match self.statements.iter().position(|known| std::ptr::eq(*known, statement)) {
+            Some(number) => number,
+            None => {
+                self.statements.push(statement);
+                self.statements.len() - 1
+            }
+        };
+        // They are few, and written out in this program.
+        while self.defined <= number {
+            self.record.extend_from_slice(&[DEFINES, byte(self.defined)?]);
+            self.bytes(self.statements[self.defined].as_bytes())?;
+            self.defined += 1;
+        }
+        self.record.extend_from_slice(&[RUNS, byte(number)?, 0]);
+        self.counted_at = self.record.len() - 1;
+        Ok(())
+    }
+
+    /// The next value of the statement.
+    pub(super) fn value(&mut self, value: &(impl ToSql + ?Sized)) -> rusqlite::Result<()> {
+        match value.to_sql()? {
+            ToSqlOutput::Borrowed(value) => self.write(value)?,
+            ToSqlOutput::Owned(value) => self.write((&value).into())?,
+            _ => return Err(too_long()),
+        }
+        let count = &mut self.record[self.counted_at];
+        *count = count.checked_add(1).ok_or_else(too_long)?;
+        Ok(())
+    }
+
+    fn write(&mut self, value: ValueRef<'_>) -> rusqlite::Result<()> {
+        match value {
+            ValueRef::Null => self.record.push(NULL),
+            ValueRef::Integer(value) => {
+                self.record.push(INTEGER);
+                self.record.extend_from_slice(&value.to_le_bytes());
+            }
+            ValueRef::Real(value) => {
+                self.record.push(REAL);
+                self.record.extend_from_slice(&value.to_bits().to_le_bytes());
+            }
+            ValueRef::Text(text) => {
+                self.record.push(TEXT);
+                self.bytes(text)?;
+            }
+            ValueRef::Blob(bytes) => {
+                self.record.push(BYTES);
+                self.bytes(bytes)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn bytes(&mut self, bytes: &[u8]) -> rusqlite::Result<()> {
+        let length = u32::try_from(bytes.len()).map_err(|_| too_long())?;
+        self.record.extend_from_slice(&length.to_le_bytes());
+        self.record.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// What was begun is not kept.
+    pub(super) fn forget(&mut self) {
+        self.record.truncate(RECORD_HEAD);
+        self.defined = self.defined_before;
+    }
+
+    /// Whether the record that was begun has room behind the others of its epoch.
+    pub(super) fn has_room(&self) -> bool {
+        self.at + self.record.len() as u64 <= CAPACITY
+    }
+
+    /// Whether the next record probably has none.
+    pub(super) fn is_nearly_full(&self) -> bool {
+        self.at + 2 * self.record.len() as u64 > CAPACITY
+    }
+
+    /// Appends the record that was begun; it is on the disk when this returns.
+    pub(super) fn append(&mut self) -> io::Result<()> {
+        let length = self.record.len() - RECORD_HEAD;
+        let length = u32::try_from(length).map_err(|_| io::ErrorKind::FileTooLarge)?;
+        self.record[4..8].copy_from_slice(&length.to_le_bytes());
+        self.record[8..16].copy_from_slice(&self.epoch.to_le_bytes());
+        self.record[16..20].copy_from_slice(&self.number.to_le_bytes());
+        let sum = crc32fast::hash(&self.record[4..]);
+        self.record[..4].copy_from_slice(&sum.to_le_bytes());
+        write_at(&self.file, &self.record, self.at)?;
+        self.file.sync_data()?;
+        self.at += self.record.len() as u64;
+        self.number += 1;
+        Ok(())
+    }
+
+    /// What the transaction that ends the epoch says last.
+    pub(super) fn note_end(&self, conn: &Connection) -> StoreResult<()> {
+        note_epoch(conn, self.epoch)
+    }
+
+    /// The epoch's transaction is committed: its records are not needed any more.
+    pub(super) const fn turn(&mut self) {
+        self.epoch += 1;
+        self.at = HEAD as u64;
+        self.number = 0;
+        self.defined = 0;
+        self.defined_before = 0;
+    }
+
+    /// Runs again what the epoch has acknowledged, in a transaction that has just begun.
+    pub(super) fn run_again(&self, conn: &Connection) -> StoreResult<()> {
+        let mut bytes = vec![0; usize::try_from(self.at).unwrap_or(usize::MAX) - HEAD];
+        read_at(&self.file, &mut bytes, HEAD as u64).map_err(not_writable)?;
+        let records = Records { bytes: &bytes, epoch: self.epoch, number: 0 };
+        if run_all(conn, records)? != self.number {
+            return Err(damaged("it holds fewer groups than were acknowledged"));
+        }
+        Ok(())
+    }
+
+    /// Removes the file of a journal whose transactions are all committed.
+    pub(super) fn remove(self) -> io::Result<()> {
+        std::fs::remove_file(&self.path)
+    }
+}
+
+/// Takes up what a process has left in the journal of a database: runs again what is not in the database, and commits it.
+/// Before anything else is read or changed. Where another process is at work it commits by itself, which is waited for.
+///
+/// # Errors
+///
+/// Where the journal is of another state of the database than the one that is there, or of another database: what it
+/// holds was acknowledged, and whoever put the database there decides what becomes of it.
+pub(super) fn take_up(database: &Path, conn: &mut Connection) -> StoreResult<()> {
+    let path = path_of(database).map_err(not_writable)?;
+    let mut file = match File::options().read(true).write(true).open(&path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(not_writable(error)),
+    };
+    let begun = Instant::now();
+    loop {
+        let is_mine = lock(&file)?;
+        let Some((id, epoch, records)) = held(&mut file).map_err(not_writable)? else { return Ok(()) };
+        match noted(conn)? {
+            Some((known, committed)) if known == id && epoch <= committed => return Ok(()),
+            _ if !is_mine && begun.elapsed() < PATIENCE => std::thread::sleep(LOOK_AGAIN),
+            _ if !is_mine => return Err(StoreError::Unavailable(in_use(&path).into())),
+            Some((known, committed)) if known == id && epoch == committed + 1 => {
+                let records = Records { bytes: &records, epoch, number: 0 };
+                return take_up_records(conn, records, epoch);
+            }
+            _ => return Err(StoreError::NotWritable(of_another(&path).into())),
+        }
+    }
+}
+
+/// As [`take_up`], of a database that this process has not opened.
+pub(super) fn take_up_closed(database: &Path) -> StoreResult<()> {
+    // Most have no journal beside them, and may not be written by who reads them.
+    if !path_of(database).and_then(std::fs::exists).map_err(not_writable)? {
+        return Ok(());
+    }
+    let mut conn = Connection::open_with_flags(database, OpenFlags::SQLITE_OPEN_READ_WRITE)?;
+    for (name, value) in SETTINGS.into_iter().chain([("synchronous", "FULL")]) {
+        conn.pragma_update(None, name, value)?;
+    }
+    conn.busy_timeout(PATIENCE)?;
+    take_up(database, &mut conn)
+}
+
+/// How long a process that has the journal is given to commit what is in it, and the time between two looks.
+const PATIENCE: Duration = Duration::from_secs(10);
+const LOOK_AGAIN: Duration = Duration::from_millis(5);
+
+fn in_use(path: &Path) -> String {
+    format!("{} is in use, and what it holds is not committed", path.display())
+}
+
+fn of_another(path: &Path) -> String {
+    format!(
+        "{} holds acknowledged cycles of another state of this database: put that state back, or move the journal \
+         away to go on without them",
+        path.display()
+    )
+}
+
+/// The id of a journal, its epoch and its records; `None` where it holds none: a head that is not whole was being
+/// written when the journal was made, and a first record that is not was never acknowledged.
+fn held(file: &mut File) -> io::Result<Option<([u8; 16], u64, Vec<u8>)>> {
+    let mut bytes = Vec::new();
+    file.seek(SeekFrom::Start(0))?;
+    file.read_to_end(&mut bytes)?;
+    let Some(id) = bytes.get(..HEAD).and_then(id_of) else { return Ok(None) };
+    bytes.drain(..HEAD);
+    Ok(first_epoch(&bytes).map(|epoch| (id, epoch, bytes)))
+}
+
+fn take_up_records(conn: &mut Connection, records: Records<'_>, epoch: u64) -> StoreResult<()> {
+    let transaction = conn.transaction_with_behavior(TransactionBehavior::Immediate)?;
+    let groups = run_all(&transaction, records)?;
+    note_epoch(&transaction, epoch)?;
+    transaction.commit()?;
+    tracing::warn!(groups, "groups that were acknowledged and not committed are taken up from their journal");
+    Ok(())
+}
+
+/// The bodies of an epoch's records, in their order, up to the first that is not whole.
+struct Records<'b> {
+    bytes: &'b [u8],
+    epoch: u64,
+    number: u32,
+}
+
+impl<'b> Iterator for Records<'b> {
+    type Item = &'b [u8];
+
+    fn next(&mut self) -> Option<&'b [u8]> {
+        let (epoch, number, body, rest) = record(self.bytes)?;
+        if epoch != self.epoch || number != self.number {
+            return None;
+        }
+        self.bytes = rest;
+        self.number = number.checked_add(1)?;
+        Some(body)
+    }
+}
+
+/// The first record, where it is whole: its epoch, number and body, and what is behind it.
+fn record(bytes: &[u8]) -> Option<(u64, u32, &[u8], &[u8])> {
+    let (sum, summed) = bytes.split_first_chunk::<4>()?;
+    let (length, rest) = summed.split_first_chunk::<4>()?;
+    let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
+    let (epoch, rest) = rest.split_first_chunk::<8>()?;
+    let (number, rest) = rest.split_first_chunk::<4>()?;
+    let (body, rest) = rest.split_at_checked(length)?;
+    let whole = crc32fast::hash(&summed[..RECORD_HEAD - 4 + length]) == u32::from_le_bytes(*sum);
+    whole.then_some((u64::from_le_bytes(*epoch), u32::from_le_bytes(*number), body, rest))
+}
+
+fn first_epoch(records: &[u8]) -> Option<u64> {
+    record(records).filter(|(_, number, ..)| *number == 0).map(|(epoch, ..)| epoch)
+}
+
+/// Runs the statements of records; returns how many records they were.
+fn run_all(conn: &Connection, records: Records<'_>) -> StoreResult<u32> {
+    let mut statements = Vec::new();
+    let mut count = 0;
+    for body in records {
+        run(conn, &mut statements, body)?;
+        count += 1;
+    }
+    Ok(count)
+}
+
+fn run<'b>(conn: &Connection, statements: &mut Vec<&'b str>, body: &'b [u8]) -> StoreResult<()> {
+    let mut body = Body(body);
+    while let Some(kind) = body.next_kind() {
+        match kind {
+            DEFINES => {
+                if usize::from(body.byte()?) != statements.len() {
+                    return Err(damaged("a statement is out of its order"));
+                }
+                statements.push(body.text()?);
+            }
+            RUNS => {
+                let number = usize::from(body.byte()?);
+                let text = statements.get(number).ok_or_else(|| damaged("a statement is not defined"))?;
+                let mut statement = conn.prepare_cached(text)?;
+                for place in 1..=usize::from(body.byte()?) {
+                    statement.raw_bind_parameter(place, body.value()?)?;
+                }
+                statement.raw_execute()?;
+            }
+            _ => return Err(damaged("an entry is of no kind")),
+        }
+    }
+    Ok(())
+}
+
+/// What is left to read of a record's body.
+struct Body<'b>(&'b [u8]);
+
+impl<'b> Body<'b> {
+    fn next_kind(&mut self) -> Option<u8> {
+        let (kind, rest) = self.0.split_first()?;
+        self.0 = rest;
+        Some(*kind)
+    }
+
+    fn byte(&mut self) -> StoreResult<u8> {
+        self.next_kind().ok_or_else(short)
+    }
+
+    fn array<const N: usize>(&mut self) -> StoreResult<[u8; N]> {
+        let (array, rest) = self.0.split_first_chunk::<N>().ok_or_else(short)?;
+        self.0 = rest;
+        Ok(*array)
+    }
+
+    fn bytes(&mut self) -> StoreResult<&'b [u8]> {
+        let length = usize::try_from(u32::from_le_bytes(self.array()?)).map_err(|_| short())?;
+        let (bytes, rest) = self.0.split_at_checked(length).ok_or_else(short)?;
+        self.0 = rest;
+        Ok(bytes)
+    }
+
+    fn text(&mut self) -> StoreResult<&'b str> {
+        std::str::from_utf8(self.bytes()?).map_err(|_| damaged("a text is not UTF-8"))
+    }
+
+    fn value(&mut self) -> StoreResult<ToSqlOutput<'b>> {
+        Ok(ToSqlOutput::Borrowed(match self.byte()? {
+            NULL => ValueRef::Null,
+            INTEGER => ValueRef::Integer(i64::from_le_bytes(self.array()?)),
+            REAL => ValueRef::Real(f64::from_bits(u64::from_le_bytes(self.array()?))),
+            TEXT => ValueRef::Text(self.text()?.as_bytes()),
+            BYTES => ValueRef::Blob(self.bytes()?),
+            _ => return Err(damaged("a value is of no kind")),
+        }))
+    }
+}
+
+/// Whether this process has the file now; not where another one, or another journal of this one, has it.
+fn lock(file: &File) -> StoreResult<bool> {
+    match file.try_lock() {
+        Ok(()) => Ok(true),
+        Err(TryLockError::WouldBlock) => Ok(false),
+        Err(TryLockError::Error(error)) => Err(not_writable(error)),
+    }
+}
+
+/// Makes the file as long as it is to be, with a head, where it has not been yet.
+fn prepare(file: &File, id: [u8; 16]) -> io::Result<()> {
+    let head = head(id);
+    let mut found = [0; HEAD];
+    if file.metadata()?.len() == CAPACITY && read_at(file, &mut found, 0).is_ok() && found == head {
+        return Ok(());
+    }
+    file.set_len(0)?;
+    let zeros = vec![0; 256 << 10];
+    for at in (0..CAPACITY).step_by(zeros.len()) {
+        write_at(file, &zeros, at)?;
+    }
+    file.sync_all()?;
+    write_at(file, &head, 0)?;
+    file.sync_all()
+}
+
+fn write_at(mut file: &File, bytes: &[u8], at: u64) -> io::Result<()> {
+    file.seek(SeekFrom::Start(at))?;
+    file.write_all(bytes)
+}
+
+fn read_at(mut file: &File, bytes: &mut [u8], at: u64) -> io::Result<()> {
+    file.seek(SeekFrom::Start(at))?;
+    file.read_exact(bytes)
+}
+
+fn head(id: [u8; 16]) -> [u8; HEAD] {
+    let mut head = [0; HEAD];
+    head[..16].copy_from_slice(MAGIC);
+    head[16..20].copy_from_slice(&VERSION.to_le_bytes());
+    head[20..36].copy_from_slice(&id);
+    let sum = crc32fast::hash(&head[..36]);
+    head[36..].copy_from_slice(&sum.to_le_bytes());
+    head
+}
+
+fn id_of(bytes: &[u8]) -> Option<[u8; 16]> {
+    let id = bytes.get(20..36)?.try_into().ok()?;
+    (*bytes == head(id)).then_some(id)
+}
+
+/// The journal's id and the last epoch that was committed, as the database has them.
+fn noted(conn: &Connection) -> StoreResult<Option<([u8; 16], u64)>> {
+    let there = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'groups_journal')";
+    if !conn.query_row(there, (), |row| row.get::<_, bool>(0))? {
+        return Ok(None);
+    }
+    let row = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get::<_, i64>(1)?));
+    let found = conn.query_row("SELECT journal_id, epoch FROM groups_journal", (), row).optional()?;
+    Ok(found.map(|(id, epoch)| (id, epoch.unsigned_abs())))
+}
+
+fn note(conn: &Connection) -> StoreResult<[u8; 16]> {
+    let id = *uuid::Uuid::now_v7().as_bytes();
+    conn.execute(
+        "INSERT INTO groups_journal (only_row, journal_id, epoch) VALUES (1, ?, 0)",
+        (id.as_slice(),),
+    )?;
+    Ok(id)
+}
+
+fn note_epoch(conn: &Connection, epoch: u64) -> StoreResult<()> {
+    let epoch = i64::try_from(epoch).map_err(|_| damaged("its epoch is none"))?;
+    let noted = conn.prepare_cached("UPDATE groups_journal SET epoch = ?")?.execute((epoch,))?;
+    if noted == 1 { Ok(()) } else { Err(damaged("the database does not know it any more")) }
+}
+
+fn byte(number: usize) -> rusqlite::Result<u8> {
+    u8::try_from(number).map_err(|_| too_long())
+}
+
+fn too_long() -> rusqlite::Error {
+    rusqlite::Error::ToSqlConversionFailure("longer than a journal takes".into())
+}
+
+fn short() -> StoreError {
+    damaged("a record ends too early")
+}
+
+fn damaged(what: &str) -> StoreError {
+    StoreError::Damaged { what: format!("the groups' journal: {what}") }
+}
+
+fn not_writable(error: io::Error) -> StoreError {
+    StoreError::NotWritable(Box::new(error))
+}
