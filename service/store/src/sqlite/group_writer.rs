@@ -122,12 +122,16 @@ impl GroupWriter {
         if self.conn.is_autocommit() {
             self.conn.execute_batch("BEGIN IMMEDIATE")?;
         }
-        match self.run(assumption, cycles, rest, now).and_then(|holds| {
+        let begun = Instant::now();
+        let follows = self.last.replace(begun).is_some_and(|last| begun - last <= self.soon);
+        let holds = self.run(assumption, cycles, rest, (now, follows));
+        let written = holds.and_then(|holds| {
             if holds {
-                self.keep(cycles.len())?;
+                self.keep(cycles.len(), follows)?;
             }
             Ok(holds)
-        }) {
+        });
+        match written {
             Ok(true) => Ok(Some(Written::whole())),
             Ok(false) => {
                 if self.groups == 0 {
@@ -142,19 +146,19 @@ impl GroupWriter {
         }
     }
 
-    /// Runs a group's statements in the transaction that is open, and notes them for the journal; `false`, with none
-    /// run, where what was assumed does not hold.
+    /// Runs a group's statements in the transaction that is open, and notes them for the journal where it follows another
+    /// one; `false`, with none run, where what was assumed does not hold.
     fn run(
         &mut self,
         assumption: Assumption<'_>,
         cycles: &[Arc<CycleRow>],
         rest: &Rest<'_>,
-        now: Timestamp,
+        (now, follows): (Timestamp, bool),
     ) -> StoreResult<bool> {
         if !holds(&self.conn, assumption)? {
             return Ok(false);
         }
-        let mut run = Run { conn: &self.conn, journal: self.journal.as_mut() };
+        let mut run = Run { conn: &self.conn, journal: self.journal.as_mut().filter(|_| follows) };
         if let Some(journal) = &mut run.journal {
             journal.begin();
         }
@@ -168,9 +172,7 @@ impl GroupWriter {
     }
 
     /// Makes what was run last: by the journal where others will follow soon and it has room, by a commit otherwise.
-    fn keep(&mut self, cycles: usize) -> StoreResult<()> {
-        let now = Instant::now();
-        let follows = self.last.replace(now).is_some_and(|last| now - last <= self.soon);
+    fn keep(&mut self, cycles: usize, follows: bool) -> StoreResult<()> {
         if let Some(journal) = self.journal.as_mut().filter(|journal| follows && journal.has_room()) {
             match journal.append() {
                 Ok(()) => {
