@@ -14,7 +14,8 @@ use tokio::task::JoinSet;
 const MACHINES: usize = 12;
 /// Cycles of a machine. Together they need several times the room that there is.
 const CYCLES: i64 = 300;
-/// How much longer than the database a file may become, bytes: another write is refused with each.
+/// How much longer than the database a file may become, bytes: another write is refused with each. Only with the last there
+/// is room for a journal of groups.
 const ROOMS: [u64; 3] = [400_000, 1_100_000, 2_300_000];
 
 /// The command as on a disk with that much room for a file. A write beyond it fails, as on a full disk; left to itself it

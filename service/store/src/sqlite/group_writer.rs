@@ -16,6 +16,7 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
 use rusqlite::{CachedStatement, Connection, OpenFlags};
 use std::collections::BTreeSet;
+use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,7 +27,7 @@ use std::time::{Duration, Instant};
 const CACHE: &str = "-2048";
 
 /// Groups of so many cycles are written in one transaction at most: what they change has room in the cache.
-const MOST_CYCLES: usize = 512;
+const MOST_CYCLES: usize = 256;
 
 /// A connection that writes groups. Whoever calls it waits for the disk.
 #[derive(Debug)]
@@ -88,13 +89,15 @@ impl GroupWriter {
     ///
     /// A group that comes `soon` after another one is expected to be followed by others as soon. Where none follows, a
     /// journal is one write more than a commit alone.
-    pub(super) fn keep_journal(&mut self, path: &Path, soon: Duration) -> StoreResult<()> {
+    pub(super) fn keep_journal(&mut self, path: &Path, soon: Duration) {
         self.soon = soon;
-        self.journal = Journal::open(path, &self.conn)?;
-        if self.journal.is_none() {
-            tracing::warn!("the groups' journal is in use: each group is committed by itself");
+        match Journal::open(path, &self.conn) {
+            Ok(journal) => self.journal = Some(journal),
+            Err(error) => {
+                let why = error.source().map_or_else(|| error.to_string(), ToString::to_string);
+                tracing::warn!(why, "there is no journal of groups: each is committed by itself");
+            }
         }
-        Ok(())
     }
 
     /// Where the journal is, if there is one.

@@ -34,11 +34,11 @@ const VERSION: u32 = 1;
 const HEAD: usize = 40;
 /// Bytes of a record before its body.
 const RECORD_HEAD: usize = 20;
-/// Bytes of the file: some sixteen groups. They are written once at first, so that what comes later writes over them and
+/// Bytes of the file: some eight groups of forty machines. They are written once at first, so that what comes later writes over them and
 /// need not change what the file system notes of the file.
-const CAPACITY: u64 = 4 << 20;
+const CAPACITY: u64 = 2 << 20;
 /// A record of usual length is built in the memory of the one before.
-const KEPT_RECORD: usize = 512 << 10;
+const KEPT_RECORD: usize = 320 << 10;
 
 const DEFINES: u8 = 1;
 const RUNS: u8 = 2;
@@ -80,8 +80,10 @@ pub(super) fn path_of(database: &Path) -> io::Result<PathBuf> {
 impl Journal {
     /// Opens the journal of a database, making it where there is none. What it held has been [taken up](take_up).
     ///
-    /// `None` where another process has it.
-    pub(super) fn open(database: &Path, conn: &Connection) -> StoreResult<Option<Self>> {
+    /// # Errors
+    ///
+    /// Where another process has it, or where it cannot be made: a disk that has no room for it may have room for cycles.
+    pub(super) fn open(database: &Path, conn: &Connection) -> StoreResult<Self> {
         let path = path_of(database).map_err(not_writable)?;
         let mut options = OpenOptions::new();
         options.read(true).write(true).create(true).truncate(false);
@@ -89,14 +91,18 @@ impl Journal {
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
         let file = options.open(&path).map_err(not_writable)?;
         if !lock(&file)? {
-            return Ok(None);
+            return Err(StoreError::Unavailable(format!("{} is in use", path.display()).into()));
         }
         let (id, epoch) = match noted(conn)? {
             Some(noted) => noted,
             None => (note(conn)?, 0),
         };
-        prepare(&file, id).map_err(not_writable)?;
-        Ok(Some(Self {
+        if let Err(error) = prepare(&file, id) {
+            // Nothing is left half made: it would not be opened next time either.
+            drop(std::fs::remove_file(&path));
+            return Err(not_writable(error));
+        }
+        Ok(Self {
             file,
             path,
             epoch: epoch + 1,
@@ -107,7 +113,7 @@ impl Journal {
             defined: 0,
             defined_before: 0,
             counted_at: 0,
-        }))
+        })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -270,7 +276,13 @@ pub(super) fn take_up(database: &Path, conn: &mut Connection) -> StoreResult<()>
             _ if !is_mine => return Err(StoreError::Unavailable(in_use(&path).into())),
             Some((known, committed)) if known == id && epoch == committed + 1 => {
                 let records = Records { bytes: &records, epoch, number: 0 };
-                return take_up_records(conn, records, epoch);
+                return match take_up_records(conn, records, epoch) {
+                    // Somebody has written the database since, who did not take it up.
+                    Err(StoreError::Refused { .. } | StoreError::Damaged { .. }) => {
+                        Err(StoreError::NotWritable(of_another(&path).into()))
+                    }
+                    outcome => outcome,
+                };
             }
             _ => return Err(StoreError::NotWritable(of_another(&path).into())),
         }

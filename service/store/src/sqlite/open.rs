@@ -100,7 +100,7 @@ impl SqliteStore {
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
         let mut groups = GroupWriter::open(path, options.patience)?;
         if options.alone {
-            groups.keep_journal(path, options.commit_after)?;
+            groups.keep_journal(path, options.commit_after);
         }
         let readers = SqlitePoolOptions::new()
             .max_connections(options.readers.max(1))
