@@ -15,7 +15,7 @@ use sqlx::Connection;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
-use tokio::sync::{Mutex, OwnedMutexGuard};
+use tokio::sync::{Mutex, Notify, OwnedMutexGuard};
 
 /// A commit that failed is tried again so much later, unless somebody asks for it before.
 const COMMIT_AGAIN: Duration = Duration::from_secs(1);
@@ -43,6 +43,8 @@ pub(super) struct Writing {
     /// Whether a task waits to commit them, and how long after the first of them it does.
     awaited: AtomicBool,
     commit_after: Duration,
+    /// Wakes that task before its time.
+    full: Arc<Notify>,
     /// Why the disk refused a write, once it did: an fsync is never retried, whatever comes later.
     refused: OnceLock<String>,
 }
@@ -91,6 +93,7 @@ impl Writing {
             ahead,
             awaited: AtomicBool::new(false),
             commit_after,
+            full: Arc::default(),
             refused: OnceLock::new(),
         }))
     }
@@ -177,32 +180,36 @@ impl Writing {
                 Err(error)
             }
         };
+        if writer.groups.is_ahead() {
+            self.commit_later();
+        }
         if writer.groups.is_full() {
-            self.commit_later(Duration::ZERO);
-        } else if writer.groups.is_ahead() && !self.awaited.swap(true, Ordering::Relaxed) {
-            self.commit_later(self.commit_after);
+            self.full.notify_one();
         }
         self.heed(&outcome);
         outcome
     }
 
-    /// Commits what is acknowledged by then, a while later.
-    fn commit_later(self: &Arc<Self>, pause: Duration) {
+    /// Commits what is acknowledged by then, a while later or when the transaction is full.
+    fn commit_later(self: &Arc<Self>) {
+        if self.awaited.swap(true, Ordering::Relaxed) {
+            return;
+        }
         // A store that is gone by then leaves it to the journal.
-        let writing = Arc::downgrade(self);
+        let (writing, full) = (Arc::downgrade(self), Arc::clone(&self.full));
+        let mut pause = self.commit_after;
         self.group_thread.spawn(async move {
-            let mut pause = pause;
             loop {
-                tokio::time::sleep(pause).await;
+                // Whichever comes first.
+                let _ = tokio::time::timeout(pause, full.notified()).await;
                 let Some(writing) = writing.upgrade() else { return };
+                // A group that comes from here on has a task of its own.
                 writing.awaited.store(false, Ordering::Relaxed);
-                match writing.catch_up_here().await {
-                    Ok(()) => return,
-                    Err(error) => {
-                        tracing::error!(%error, "acknowledged cycles are in the groups' journal and cannot be committed");
-                    }
+                let Err(error) = writing.catch_up_here().await else { return };
+                tracing::error!(%error, "acknowledged cycles are in the groups' journal and cannot be committed");
+                if writing.awaited.swap(true, Ordering::Relaxed) {
+                    return;
                 }
-                writing.awaited.store(true, Ordering::Relaxed);
                 pause = COMMIT_AGAIN;
             }
         });
