@@ -1,11 +1,13 @@
 //! The server from the outside: the real router, and real sockets where sockets matter.
 
 mod app;
+mod caller;
 pub(crate) mod commands;
 mod database_full;
 mod demoted;
 mod feed_profiles;
 mod full_disk;
+mod killed;
 mod listening;
 mod lists;
 mod matrix;

@@ -170,6 +170,11 @@ impl PostgresStore {
         self.inner.max_samples
     }
 
+    /// As any other.
+    async fn reader_of_others(&self) -> StoreResult<Reader> {
+        self.reader().await
+    }
+
     async fn reader(&self) -> StoreResult<Reader> {
         Ok(if self.inner.pooled {
             Reader::Pooled(self.inner.begin_snapshot().await?)

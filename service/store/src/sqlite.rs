@@ -18,6 +18,7 @@ mod open;
 mod readers;
 mod writing;
 
+pub(crate) use journal::is_left;
 pub(crate) use open::MIGRATIONS;
 pub use open::SqliteOptions;
 
@@ -42,11 +43,8 @@ type Db = sqlx::Sqlite;
 type Conn = sqlx::SqliteConnection;
 type Engine = SqliteStore;
 
-/// Commits what a process has left acknowledged beside a database that is there, or waits for whoever is at work.
+/// Commits what a process has left acknowledged beside a database, or waits for whoever is at work.
 pub(crate) async fn take_up(path: &Path) -> StoreResult<()> {
-    if !path.exists() {
-        return Ok(());
-    }
     let path = path.to_owned();
     let task = tokio::task::spawn_blocking(move || journal::take_up_closed(&path));
     task.await.map_err(panicked)?
@@ -151,6 +149,11 @@ impl SqliteStore {
             return None;
         }
         self.inner.block_reader.read(statement, machine, id)
+    }
+
+    /// A connection that reads what groups do not write: tokens and sessions.
+    async fn reader_of_others(&self) -> StoreResult<Lent> {
+        Ok(self.inner.readers.lend().await?)
     }
 
     /// A connection that reads all that was acknowledged before.

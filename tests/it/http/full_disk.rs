@@ -1,10 +1,8 @@
 //! A disk that takes no more while groups are written: nothing that was acknowledged is lost, the server says why it ends,
 //! and once there is room again it goes on. The disk is full where a file may not become longer (`RLIMIT_FSIZE`).
 
+use super::caller::Caller;
 use super::commands::{Served, feedwright, first_token, succeed};
-use crate::shop;
-use reqwest::{Client, Method, RequestBuilder};
-use serde_json::Value;
 use std::path::PathBuf;
 use std::process::Command;
 use tempfile::TempDir;
@@ -33,37 +31,7 @@ pub(super) fn with_room(bytes: u64, command: &Command) -> Command {
     limited
 }
 
-/// A client of one server.
-#[derive(Clone)]
-struct Caller {
-    client: Client,
-    address: String,
-    token: String,
-}
-
 impl Caller {
-    fn of(served: &Served, token: &str) -> Self {
-        let client = Client::builder().no_proxy().build().unwrap();
-        Self { client, address: format!("http://{}", served.address()), token: token.to_owned() }
-    }
-
-    fn call(&self, method: Method, path: &str) -> RequestBuilder {
-        self.client.request(method, format!("{}{path}", self.address)).bearer_auth(&self.token)
-    }
-
-    async fn put(&self, path: &str, body: &Value) {
-        let answer = self.call(Method::PUT, path).json(body).send().await.unwrap();
-        assert_eq!(answer.status(), 201, "{path}");
-    }
-
-    /// Posts a cycle of a machine: the status, where there was an answer.
-    async fn post(&self, machine: usize, number: i64) -> Option<u16> {
-        let energy = 1000.0 + f64::from(i32::try_from(number % 7).unwrap());
-        let post = self.call(Method::POST, &format!("/v1/machines/M{machine}/cycles"));
-        let answer = post.json(&shop::reported(number, energy)).send().await;
-        answer.ok().map(|answer| answer.status().as_u16())
-    }
-
     /// Posts a machine's cycles until one is not acknowledged: how many were, and what was said then.
     async fn post_until_refused(self, machine: usize) -> (usize, i64, Option<u16>) {
         for number in 1..=CYCLES {
@@ -82,11 +50,7 @@ async fn fills_up(room: u64) {
     let served = Served::start(&dir, "make others");
     let token = first_token(&served.log);
     let shop = Caller::of(&served, &token);
-    for machine in 0..MACHINES {
-        shop.put(&format!("/v1/machines/M{machine}"), &shop::machine()).await;
-    }
-    shop.put("/v1/tools/T1", &serde_json::json!({"name": "drill", "tool_type": "fd"})).await;
-    shop.put("/v1/operations/O1", &shop::operation()).await;
+    shop.set_up(MACHINES).await;
     let (log, ended_well) = served.terminate();
     assert!(ended_well, "{log}");
 

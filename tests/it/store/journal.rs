@@ -89,9 +89,34 @@ async fn what_a_process_leaves_in_it_is_taken_up() {
     drop(store);
     let store = opened(&file).await;
     assert_eq!(told(&store).await, plain(20).await);
+    run(&store, 21..=24).await;
+    assert!(committed(&file).await < 24);
     store.close().await;
     assert!(!journal_of(&file).exists(), "nothing is left to take up");
-    assert_eq!(committed(&file).await, 20);
+    assert_eq!(committed(&file).await, 24);
+}
+
+/// What it acknowledged is in the open transaction as well.
+#[tokio::test]
+async fn one_that_somebody_removes_or_replaces_is_done_without() {
+    for replaced in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = file_in(&folder);
+        let store = ahead(&file, 3).await;
+        let journal = journal_of(&file);
+        if replaced {
+            std::fs::copy(&journal, folder.path().join("copy")).unwrap();
+            std::fs::rename(folder.path().join("copy"), &journal).unwrap();
+        } else {
+            std::fs::remove_file(&journal).unwrap();
+        }
+        run(&store, 6..=7).await;
+        assert_eq!(committed(&file).await, 7, "each is committed by itself from here on");
+        drop(store);
+        let store = opened(&file).await;
+        assert_eq!(told(&store).await, plain(7).await);
+        store.close().await;
+    }
 }
 
 #[tokio::test]
@@ -166,13 +191,11 @@ async fn it_ends_with_the_last_whole_record() {
     let mut places: Vec<usize> = ends.iter().flat_map(|end| [end - 1, *end, end + 1, end + 9]).collect();
     places.extend((40..ends[GROUPS]).step_by(997));
     for place in places {
-        let acknowledged = ends[1..].iter().filter(|end| **end <= place).count();
+        let groups = ends[1..].iter().filter(|end| **end <= place).count();
         let cut = whole[..place].to_vec();
         let mut torn = whole.clone();
         torn[place] ^= 0x40;
-        // Behind the last record a byte says nothing.
-        let of_torn = if place < 40 { 0 } else { acknowledged };
-        for (what, journal, groups) in [("cut", cut, acknowledged), ("torn", torn, of_torn)] {
+        for (what, journal) in [("cut", cut), ("torn", torn)] {
             let copy = folder.path().join("copy.sqlite3");
             for ending in ["sqlite3", "sqlite3-wal"] {
                 let from = file.with_extension(ending);
@@ -181,6 +204,12 @@ async fn it_ends_with_the_last_whole_record() {
                 }
             }
             std::fs::write(journal_of(&copy), journal).unwrap();
+            if (what, place) == ("torn", 39) {
+                // The head says whose it is: it is written before anything is acknowledged, and never again.
+                assert!(matches!(SqliteStore::open(&copy, patient()).await, Err(StoreError::NotWritable(_))));
+                std::fs::remove_file(journal_of(&copy)).unwrap();
+                continue;
+            }
             let store = opened(&copy).await;
             let there = FIRST + u32::try_from(groups).unwrap();
             assert_eq!(committed(&copy).await, there, "{what} at {place}");
@@ -209,89 +238,118 @@ async fn what_is_committed_is_not_run_again() {
     assert_eq!(committed(&file).await, 7);
 }
 
-/// It was acknowledged: nobody but a person throws it away.
+/// It was acknowledged: nobody but a person throws it away. The epoch may fit, as it stands still where groups are far
+/// apart, or not.
 #[tokio::test]
 async fn that_of_another_state_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = file_in(&folder);
-    let store = opened(&file).await;
-    shop(&store).await;
-    store.close().await;
-    let old = std::fs::read(&file).unwrap();
-    let store = opened(&file).await;
-    run(&store, 1..=4).await;
-    assert_eq!(told(&store).await.len(), 5);
-    run(&store, 5..=5).await;
-    let journal = std::fs::read(journal_of(&file)).unwrap();
-    for there in [Some(&old), None] {
+    for asked in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let file = file_in(&folder);
-        if let Some(there) = there {
-            std::fs::write(&file, there).unwrap();
+        let store = opened(&file).await;
+        shop(&store).await;
+        run(&store, 1..=1).await;
+        store.close().await;
+        let old = std::fs::read(&file).unwrap();
+        let store = opened(&file).await;
+        run(&store, 2..=5).await;
+        if asked {
+            assert_eq!(told(&store).await.len(), 6);
         }
-        std::fs::write(journal_of(&file), &journal).unwrap();
-        let Err(StoreError::NotWritable(why)) = SqliteStore::open(&file, patient()).await else {
-            panic!("the journal is missed");
-        };
-        let journal = journal_of(&file.canonicalize().unwrap());
-        let said = format!("{} holds acknowledged cycles of another state", journal.display());
-        assert!(why.to_string().starts_with(&said), "{why}");
-        std::fs::rename(&journal, folder.path().join("away")).unwrap();
-        opened(&file).await.close().await;
+        run(&store, 6..=6).await;
+        let journal = std::fs::read(journal_of(&file)).unwrap();
+        for there in [Some(&old), None] {
+            let folder = tempfile::tempdir().unwrap();
+            let file = file_in(&folder);
+            if let Some(there) = there {
+                std::fs::write(&file, there).unwrap();
+            }
+            std::fs::write(journal_of(&file), &journal).unwrap();
+            let Err(StoreError::NotWritable(why)) = SqliteStore::open(&file, patient()).await else {
+                panic!("the journal is missed");
+            };
+            let journal = journal_of(&file);
+            let said = format!("{} holds acknowledged cycles of another state", journal.display());
+            assert!(why.to_string().starts_with(&said), "{why}");
+            assert_eq!(file.exists(), there.is_some(), "nothing is made beside it");
+            std::fs::rename(&journal, folder.path().join("away")).unwrap();
+            opened(&file).await.close().await;
+        }
     }
 }
 
-/// More than a journal has room for, and cycles that it has no room for one by one.
+/// More groups than a journal has room for, and one that it has no room for by itself.
 #[tokio::test]
 async fn what_it_has_no_room_for_is_committed() {
     let folder = tempfile::tempdir().unwrap();
     let file = file_in(&folder);
     let store = opened(&file).await;
     shop(&store).await;
-    for n in 1..=40 {
-        let runs: Vec<Run> = (0..40).map(|k| Run { sampled: true, ..Run::nth(n * 40 + k) }).collect();
+    let group = async |cycles: std::ops::Range<u32>| {
+        let runs: Vec<Run> = cycles.map(|n| Run { sampled: true, ..Run::nth(n) }).collect();
         for outcome in commit(&store, &runs).await {
             assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
         }
+    };
+    group(0..40).await;
+    group(40..80).await;
+    assert_eq!(committed(&file).await, 80);
+    group(80..120).await;
+    assert_eq!(committed(&file).await, 80, "it is in the journal");
+    group(120..3_000).await;
+    assert_eq!(committed(&file).await, 3_000);
+    for begins in (3_000..4_000).step_by(40) {
+        group(begins..begins + 40).await;
     }
     let before = committed(&file).await;
-    assert!(before > 40, "it was full in between: {before}");
+    assert!(before > 3_000, "it was full in between");
     drop(store);
     let store = opened(&file).await;
-    assert_eq!(committed(&file).await, 1600);
+    assert_eq!(committed(&file).await, 4_000);
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
 }
 
-/// A copy of the file that others make holds all that was acknowledged before, whether its server runs or was killed.
+/// What is restored has a journal of its own.
+async fn restores(backup: &Path, folder: &tempfile::TempDir) {
+    let restored = folder.path().join("restored.sqlite3");
+    // It is of whatever stood there before.
+    std::fs::copy(journal_of(&file_in(folder)), journal_of(&restored)).unwrap();
+    let refused = restore_to_sqlite(backup, &restored).await.unwrap_err();
+    assert!(refused.to_string().contains("restored.sqlite3-groups"), "{refused}");
+    std::fs::remove_file(journal_of(&restored)).unwrap();
+    restore_to_sqlite(backup, &restored).await.unwrap();
+    let store = opened(&restored).await;
+    let before = committed(&restored).await;
+    run(&store, before + 1..=before + 4).await;
+    assert_eq!(committed(&restored).await, before + FIRST);
+    drop(store);
+    drop(opened(&restored).await);
+    assert_eq!(committed(&restored).await, before + 4);
+}
+
+/// Whoever makes a copy of the file has all that was acknowledged before.
 #[tokio::test]
-async fn a_backup_has_what_was_acknowledged_before() {
-    for killed in [true, false] {
-        let folder = tempfile::tempdir().unwrap();
-        let file = file_in(&folder);
-        let backup = folder.path().join("backup.sqlite3");
-        let running = if killed {
-            drop(ahead(&file, 4).await);
-            None
-        } else {
-            let options = SqliteOptions { alone: true, ..SqliteOptions::default() };
-            let store = SqliteStore::open(&file, options).await.unwrap();
-            shop(&store).await;
-            run(&store, 1..=6).await;
-            Some(store)
-        };
-        back_up_sqlite(&file, &backup, at(1)).await.unwrap();
-        assert_eq!(committed(&backup).await, 6, "killed: {killed}");
-        // What is restored has a journal of its own.
-        let restored = folder.path().join("restored.sqlite3");
-        restore_to_sqlite(&backup, &restored).await.unwrap();
-        let store = opened(&restored).await;
-        stored(&store, &Run::nth(7)).await;
-        stored(&store, &Run::nth(8)).await;
-        drop(store);
-        drop(opened(&restored).await);
-        assert_eq!(committed(&restored).await, 8);
-        drop(running);
-    }
+async fn a_backup_of_a_killed_server_has_what_was_acknowledged() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, backup) = (file_in(&folder), folder.path().join("backup.sqlite3"));
+    drop(ahead(&file, 4).await);
+    back_up_sqlite(&file, &backup, at(1)).await.unwrap();
+    assert_eq!(committed(&backup).await, 6);
+    restores(&backup, &folder).await;
+}
+
+#[tokio::test]
+async fn a_backup_waits_for_what_a_server_has_acknowledged() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, backup) = (file_in(&folder), folder.path().join("backup.sqlite3"));
+    let store = ahead(&file, 4).await;
+    let (from, to) = (file.clone(), backup.clone());
+    let mut copying = tokio::spawn(async move { back_up_sqlite(&from, &to, at(1)).await });
+    // It cannot end before: nothing commits by itself here.
+    tokio::time::timeout(Duration::from_millis(100), &mut copying).await.expect_err("it did not wait");
+    assert_eq!(told(&store).await.len(), 7);
+    copying.await.unwrap().unwrap();
+    assert_eq!(committed(&backup).await, 6);
+    restores(&backup, &folder).await;
 }
 
 /// Groups that come far apart are committed one by one: a journal would be one more write.

@@ -67,8 +67,11 @@ macro_rules! register {
 /// One statement that reads. Cancelled half-way it leaves a connection that may still be at work: only one that ended
 /// well is lent again without a question.
 macro_rules! read {
-    ($engine:ident, |$conn:ident| $body:expr) => {{
-        let mut lent = $engine.reader().await?;
+    ($engine:ident, |$conn:ident| $body:expr) => {
+        read!($engine.reader(), |$conn| $body)
+    };
+    ($engine:ident.$reader:ident(), |$conn:ident| $body:expr) => {{
+        let mut lent = $engine.$reader().await?;
         let $conn = &mut *lent;
         let outcome = $body;
         if outcome.is_ok() {
@@ -713,7 +716,7 @@ impl Store for Engine {
     }
 
     async fn token_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
-        read!(self, |conn| tokens::by_hash(conn, hash).await)
+        read!(self.reader_of_others(), |conn| tokens::by_hash(conn, hash).await)
     }
 
     async fn tokens(&self, page: Page<String>) -> StoreResult<Vec<TokenRecord>> {
@@ -789,7 +792,7 @@ impl Store for Engine {
     }
 
     async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>> {
-        read!(self, |conn| sessions::by_hash(conn, hash).await)
+        read!(self.reader_of_others(), |conn| sessions::by_hash(conn, hash).await)
     }
 
     async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool> {

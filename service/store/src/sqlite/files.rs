@@ -18,25 +18,32 @@ impl Identity {
     pub(super) fn of(path: &Path) -> StoreResult<Self> {
         identity(path).map_err(|error| missing(path, &error))
     }
+
+    /// # Errors
+    ///
+    /// `NotWritable` where no file stands under a name any more, or another one does.
+    pub(super) fn is_that_of(self, path: &Path) -> StoreResult<()> {
+        if Self::of(path)? == self {
+            return Ok(());
+        }
+        let what = format!("{} was replaced while it was open", path.display());
+        Err(StoreError::NotWritable(what.into()))
+    }
 }
 
-/// The database's file, its log and the groups' journal, as they were when they were opened.
+/// The database's file and its log, as they were when they were opened.
 #[derive(Debug)]
-pub(super) struct Files(Vec<(PathBuf, Identity)>);
+pub(super) struct Files([(PathBuf, Identity); 2]);
 
 impl Files {
     /// Of a database that is open, and has its log; `found` is the file before the first of its connections was.
-    pub(super) fn of(path: &Path, found: Identity, journal: Option<&Path>) -> StoreResult<Self> {
+    pub(super) fn of(path: &Path, found: Identity) -> StoreResult<Self> {
         // SQLite follows a link, and keeps its log beside what the link leads to.
         let mut log = path.canonicalize().map_err(|error| missing(path, &error))?.into_os_string();
         log.push("-wal");
         let log = PathBuf::from(log);
         let opened = Identity::of(&log)?;
-        let mut files = vec![(path.to_owned(), found), (log, opened)];
-        if let Some(journal) = journal {
-            files.push((journal.to_owned(), Identity::of(journal)?));
-        }
-        let files = Self(files);
+        let files = Self([(path.to_owned(), found), (log, opened)]);
         files.are_there()?;
         Ok(files)
     }
@@ -47,13 +54,7 @@ impl Files {
     ///
     /// `NotWritable` where one of them is no longer there, or is another one.
     pub(super) fn are_there(&self) -> StoreResult<()> {
-        for (path, opened) in &self.0 {
-            if Identity::of(path)? != *opened {
-                let what = format!("{} was replaced while it was open", path.display());
-                return Err(StoreError::NotWritable(what.into()));
-            }
-        }
-        Ok(())
+        self.0.iter().try_for_each(|(path, opened)| opened.is_that_of(path))
     }
 }
 

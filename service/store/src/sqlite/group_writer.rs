@@ -17,7 +17,7 @@ use feedwright_core::wear::FOLD_VERSION;
 use rusqlite::{CachedStatement, Connection, OpenFlags};
 use std::collections::BTreeSet;
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -33,6 +33,8 @@ const MOST_CYCLES: usize = 256;
 #[derive(Debug)]
 pub(super) struct GroupWriter {
     conn: Connection,
+    /// The database, where groups may have a journal that is not made yet.
+    planned: Option<PathBuf>,
     /// Without one each group is committed by itself.
     journal: Option<Journal>,
     /// Groups that were acknowledged by the journal, and the cycles of them; their transaction is open, where SQLite has
@@ -44,6 +46,8 @@ pub(super) struct GroupWriter {
     /// When a group was written last, and how long after it another one still follows it.
     last: Option<Instant>,
     soon: Duration,
+    /// The transaction may hold a part of a group that was not acknowledged.
+    dirty: bool,
     /// The transaction could not be committed: no group is written before it is.
     stuck: bool,
 }
@@ -75,34 +79,39 @@ impl GroupWriter {
         }
         Ok(Self {
             conn,
+            planned: None,
             journal: None,
             groups: 0,
             cycles: 0,
             ahead: Arc::default(),
             last: None,
             soon: Duration::ZERO,
+            dirty: false,
             stuck: false,
         })
     }
 
-    /// From here on transactions may stay open for several groups, which are acknowledged by their journal.
+    /// From here on transactions may stay open for several groups, which are acknowledged by a journal. It is made when
+    /// the first group follows another one.
     ///
     /// A group that comes `soon` after another one is expected to be followed by others as soon. Where none follows, a
     /// journal is one write more than a commit alone.
-    pub(super) fn keep_journal(&mut self, path: &Path, soon: Duration) {
+    pub(super) fn plan_journal(&mut self, path: &Path, soon: Duration) {
+        self.planned = Some(path.to_owned());
         self.soon = soon;
-        match Journal::open(path, &self.conn) {
+    }
+
+    /// Makes the journal that was planned; where it cannot be made, none is planned any more. The database has to know it
+    /// before it is written, so no transaction is open.
+    fn make_journal(&mut self) {
+        let Some(path) = self.planned.take() else { return };
+        match Journal::open(&path, &self.conn) {
             Ok(journal) => self.journal = Some(journal),
             Err(error) => {
                 let why = error.source().map_or_else(|| error.to_string(), ToString::to_string);
                 tracing::warn!(why, "there is no journal of groups: each is committed by itself");
             }
         }
-    }
-
-    /// Where the journal is, if there is one.
-    pub(super) fn journal_path(&self) -> Option<&Path> {
-        self.journal.as_ref().map(Journal::path)
     }
 
     /// Writes a whole group; it is on the disk when this returns, in the database or in the journal. `None`, with nothing
@@ -119,31 +128,37 @@ impl GroupWriter {
         rest: &Rest<'_>,
         now: Timestamp,
     ) -> StoreResult<Option<Written>> {
-        if self.stuck {
+        if self.dirty || self.stuck {
             self.commit()?;
-        }
-        if self.conn.is_autocommit() {
-            self.conn.execute_batch("BEGIN IMMEDIATE")?;
         }
         let begun = Instant::now();
         let follows = self.last.replace(begun).is_some_and(|last| begun - last <= self.soon);
+        if self.conn.is_autocommit() {
+            if follows {
+                self.make_journal();
+            }
+            self.conn.execute_batch("BEGIN IMMEDIATE")?;
+        }
+        // Taken back by whoever comes next, if this one panics.
+        self.dirty = true;
         let holds = self.run(assumption, cycles, rest, (now, follows));
         let written = holds.and_then(|holds| {
             if holds {
                 self.keep(cycles.len(), follows)?;
+            } else if self.groups == 0 {
+                self.conn.execute_batch("ROLLBACK")?;
             }
             Ok(holds)
         });
         match written {
-            Ok(true) => Ok(Some(Written::whole())),
-            Ok(false) => {
-                if self.groups == 0 {
-                    self.conn.execute_batch("ROLLBACK")?;
-                }
-                Ok(None)
+            Ok(holds) => {
+                self.dirty = false;
+                Ok(holds.then(Written::whole))
             }
             Err(error) => {
-                self.take_back();
+                if let Err(error) = self.take_back() {
+                    tracing::error!(%error, groups = self.groups, "acknowledged groups wait in their journal");
+                }
                 Err(error)
             }
         }
@@ -163,7 +178,7 @@ impl GroupWriter {
         }
         let mut run = Run { conn: &self.conn, journal: self.journal.as_mut().filter(|_| follows) };
         if let Some(journal) = &mut run.journal {
-            journal.begin();
+            journal.begin(&self.conn)?;
         }
         insert_cycles(&mut run, cycles)?;
         insert_blocks(&mut run, &rest.blocks)?;
@@ -186,7 +201,11 @@ impl GroupWriter {
                 }
                 // The commit below has all of the transaction, whatever became of the record.
                 Err(error) => {
-                    tracing::warn!(%error, "the groups' journal cannot be written: a group is committed instead")
+                    let why = error.source().map_or_else(|| error.to_string(), ToString::to_string);
+                    tracing::error!(
+                        why,
+                        "the groups' journal cannot be written: each is committed from here on"
+                    );
                 }
             }
         }
@@ -197,31 +216,32 @@ impl GroupWriter {
     }
 
     /// Rolls back what a group that failed has run, and runs again what was acknowledged before it in its transaction.
-    fn take_back(&mut self) {
+    fn take_back(&mut self) -> StoreResult<()> {
         if let Some(journal) = &mut self.journal {
             journal.forget();
         }
         let rolled_back =
             if self.conn.is_autocommit() { Ok(()) } else { self.conn.execute_batch("ROLLBACK") };
-        if let Err(error) = rolled_back.map_err(StoreError::from).and_then(|()| self.resume()) {
-            tracing::error!(%error, groups = self.groups, "acknowledged groups wait in their journal");
-            self.stuck = true;
-        }
+        let outcome = rolled_back.map_err(StoreError::from).and_then(|()| self.resume());
+        // Otherwise whoever comes next takes it back, or runs them again.
+        self.dirty = !self.conn.is_autocommit() && outcome.is_err();
+        self.stuck = outcome.is_err();
+        outcome
     }
 
     /// Begins the transaction again, with all that it had acknowledged, where SQLite has rolled it back.
     fn resume(&mut self) -> StoreResult<()> {
-        let Some(journal) = self.journal.as_ref().filter(|_| self.groups > 0 && self.conn.is_autocommit())
-        else {
-            return Ok(());
-        };
+        let touched = |journal: &&Journal| journal.is_touched() && self.conn.is_autocommit();
+        let Some(journal) = self.journal.as_ref().filter(touched) else { return Ok(()) };
         self.conn.execute_batch("BEGIN IMMEDIATE")?;
-        journal.run_again(&self.conn).inspect_err(|_| {
-            // Where SQLite has done so by itself there is nothing to roll back.
-            if !self.conn.is_autocommit() {
-                let _ = self.conn.execute_batch("ROLLBACK");
-            }
-        })
+        self.dirty = true;
+        let outcome = journal.run_again(&self.conn);
+        // Where SQLite has done so by itself there is nothing to roll back.
+        if outcome.is_err() && !self.conn.is_autocommit() {
+            self.conn.execute_batch("ROLLBACK")?;
+        }
+        self.dirty = false;
+        outcome
     }
 
     /// Commits what is acknowledged by the journal alone.
@@ -230,7 +250,10 @@ impl GroupWriter {
     ///
     /// As the database. It stays acknowledged: the next call tries again.
     pub(super) fn commit(&mut self) -> StoreResult<()> {
-        if self.groups == 0 {
+        if self.dirty {
+            self.take_back()?;
+        }
+        if !self.is_open() {
             return Ok(());
         }
         let outcome = self.resume().and_then(|()| self.end());
@@ -240,7 +263,8 @@ impl GroupWriter {
 
     /// Commits the transaction that is open.
     fn end(&mut self) -> StoreResult<()> {
-        let journal = self.journal.as_mut().filter(|_| self.groups > 0);
+        // A record that may be on the disk is of an epoch that is over, also where it could not be relied on.
+        let journal = self.journal.as_mut().filter(|journal| journal.is_touched());
         if let Some(journal) = &journal {
             journal.note_end(&self.conn)?;
         }
@@ -250,7 +274,14 @@ impl GroupWriter {
         }
         (self.groups, self.cycles) = (0, 0);
         self.ahead.store(false, Ordering::Release);
+        // What a disk refused once is not tried again.
+        self.journal.take_if(|journal| journal.has_failed());
         Ok(())
+    }
+
+    /// Whether something has to be committed or taken back before anybody else writes.
+    pub(super) fn is_open(&self) -> bool {
+        self.groups > 0 || self.dirty || self.journal.as_ref().is_some_and(Journal::is_touched)
     }
 
     /// Whether something is acknowledged by the journal alone, which nobody who reads the database sees.
@@ -268,7 +299,7 @@ impl GroupWriter {
         self.cycles >= MOST_CYCLES || self.journal.as_ref().is_some_and(Journal::is_nearly_full)
     }
 
-    /// Closes the connection.
+    /// Commits, and closes the connection.
     pub(super) fn close(mut self) -> StoreResult<()> {
         let committed = self.commit();
         if let Some(journal) = self.journal.take().filter(|_| committed.is_ok())
@@ -276,7 +307,12 @@ impl GroupWriter {
         {
             tracing::debug!(%error, "the groups' journal stays where it is");
         }
-        self.conn.close().map_err(|(_, error)| StoreError::from(error)).and(committed)
+        self.abandon().and(committed)
+    }
+
+    /// Closes the connection; what is not committed stays in the journal, for whoever opens the database next.
+    pub(super) fn abandon(self) -> StoreResult<()> {
+        self.conn.close().map_err(|(_, error)| error.into())
     }
 }
 
@@ -342,7 +378,11 @@ macro_rules! run {
             }
             noted.statement.raw_bind_parameter(place, value)?;
         )*
-        noted.statement.raw_execute()
+        noted.statement.raw_execute().inspect(|rows| {
+            if let Some(journal) = &mut $run.journal {
+                journal.ran(*rows);
+            }
+        })
     }};
 }
 
@@ -367,29 +407,22 @@ fn insert_blocks(run: &mut Run<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<(
 
 /// Writes folds whose versions are known to be in force.
 fn save_wear(run: &mut Run<'_>, rows: &[SavedWear], now: Timestamp) -> StoreResult<()> {
-    let update = |run: &mut Run<'_>, statement: &mut Noted<'_>, row: &SavedWear| {
-        run!(
-            run,
-            statement,
-            row.folded,
-            FOLD_VERSION,
-            &row.state,
-            now.micros(),
-            row.version + 1,
-            &row.machine_id,
-            &row.tool_id
-        )
-    };
     let mut known = run.prepare(
         "UPDATE tool_wear SET folded = ?, fold_version = ?, state = ?, updated_at_us = ?, version = ?
-         WHERE machine_id = ? AND tool_id = ?",
+         WHERE machine_id = ? AND tool_id = ? AND version = ?",
     )?;
     let mut new = run.prepare(
         "INSERT INTO tool_wear (folded, fold_version, state, updated_at_us, version, machine_id, tool_id)
          VALUES (?, ?, ?, ?, ?, ?, ?)",
     )?;
     for row in rows {
-        let written = update(run, if row.version > 0 { &mut known } else { &mut new }, row)?;
+        let (state, now, next) = (&row.state, now.micros(), row.version + 1);
+        let (machine, tool) = (&row.machine_id, &row.tool_id);
+        let written = if row.version > 0 {
+            run!(run, &mut known, row.folded, FOLD_VERSION, state, now, next, machine, tool, row.version)?
+        } else {
+            run!(run, &mut new, row.folded, FOLD_VERSION, state, now, next, machine, tool)?
+        };
         if written != 1 {
             // Its cycles would be stored and not counted.
             return Err(StoreError::Damaged { what: format!("the fold of tool {} is gone", row.tool_id) });

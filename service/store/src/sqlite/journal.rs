@@ -15,10 +15,17 @@
 //!
 //! Records stand behind it, integers little-endian: crc32 over the rest of the record, u32 length of the body, u64 epoch, u32
 //! number within the epoch from 0 on, body. A body is a list of: `1`, u8 number of a statement, u32 length, its text; `2`, u8
-//! number of a statement, u8 number of values, values. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`,
-//! u32 length and text, or `4`, u32 length and bytes. An epoch ends where its next record is not whole: that one was
-//! never acknowledged.
+//! number of a statement, u8 number of values, u32 rows that it changed, values; `3`, i64, the newest row of `cycles` before
+//! the epoch. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`, u32 length and text, or `4`, u32 length
+//! and bytes. An epoch ends where its next record is not whole: that one was never acknowledged.
+//!
+//! A database may have been put back to an earlier state beside a journal that is of a later one. The epoch alone would not
+//! tell, as it stands still where groups are far apart; the newest row, and how many rows each statement changes, do.
 
+#[cfg(test)]
+mod tests;
+
+use super::files::Identity;
 use super::open::SETTINGS;
 use crate::error::{StoreError, StoreResult};
 use rusqlite::types::{ToSqlOutput, ValueRef};
@@ -42,6 +49,7 @@ const KEPT_RECORD: usize = 320 << 10;
 
 const DEFINES: u8 = 1;
 const RUNS: u8 = 2;
+const FOLLOWS: u8 = 3;
 
 const NULL: u8 = 0;
 const INTEGER: u8 = 1;
@@ -54,6 +62,7 @@ const BYTES: u8 = 4;
 pub(super) struct Journal {
     file: File,
     path: PathBuf,
+    identity: Identity,
     /// Of the transaction that is open, or begins next.
     epoch: u64,
     /// Where the next record goes, and its number in the epoch.
@@ -68,11 +77,18 @@ pub(super) struct Journal {
     defined_before: usize,
     /// Where the values of the last statement are counted.
     counted_at: usize,
+    /// Something may have been written in the epoch, and it could not be.
+    touched: bool,
+    failed: bool,
 }
 
-/// Beside the database that the path leads to.
+/// Beside the database that the path leads to, or is to lead to.
 pub(super) fn path_of(database: &Path) -> io::Result<PathBuf> {
-    let mut path = database.canonicalize()?.into_os_string();
+    let found = match database.canonicalize() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => database.to_owned(),
+        found => found?,
+    };
+    let mut path = found.into_os_string();
     path.push("-groups");
     Ok(path.into())
 }
@@ -90,21 +106,28 @@ impl Journal {
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
         let file = options.open(&path).map_err(not_writable)?;
-        if !lock(&file)? {
-            return Err(StoreError::Unavailable(format!("{} is in use", path.display()).into()));
+        let begun = Instant::now();
+        while !lock(&file)? {
+            // Who makes a copy has it for a moment.
+            if begun.elapsed() > PATIENCE_TO_OPEN {
+                return Err(StoreError::Unavailable(format!("{} is in use", path.display()).into()));
+            }
+            std::thread::sleep(LOOK_AGAIN);
         }
         let (id, epoch) = match noted(conn)? {
             Some(noted) => noted,
             None => (note(conn)?, 0),
         };
-        if let Err(error) = prepare(&file, id) {
+        if let Err(error) = prepare(&file, id).and_then(|()| settle(&path, database)) {
             // Nothing is left half made: it would not be opened next time either.
             drop(std::fs::remove_file(&path));
             return Err(not_writable(error));
         }
+        let identity = Identity::of(&path)?;
         Ok(Self {
             file,
             path,
+            identity,
             epoch: epoch + 1,
             at: HEAD as u64,
             number: 0,
@@ -113,18 +136,21 @@ impl Journal {
             defined: 0,
             defined_before: 0,
             counted_at: 0,
+            touched: false,
+            failed: false,
         })
     }
 
-    pub(super) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Begins a record.
-    pub(super) fn begin(&mut self) {
+    /// Begins a record, before its group has changed anything.
+    pub(super) fn begin(&mut self, conn: &Connection) -> StoreResult<()> {
         self.record.truncate(RECORD_HEAD);
         self.record.shrink_to(KEPT_RECORD);
         self.defined_before = self.defined;
+        if self.number == 0 {
+            self.record.push(FOLLOWS);
+            self.record.extend_from_slice(&newest(conn)?.to_le_bytes());
+        }
+        Ok(())
     }
 
     /// A statement that is run, before its values.
@@ -142,9 +168,15 @@ impl Journal {
             self.bytes(self.statements[self.defined].as_bytes())?;
             self.defined += 1;
         }
-        self.record.extend_from_slice(&[RUNS, byte(number)?, 0]);
-        self.counted_at = self.record.len() - 1;
+        self.record.extend_from_slice(&[RUNS, byte(number)?, 0, 0, 0, 0, 0]);
+        self.counted_at = self.record.len() - 5;
         Ok(())
+    }
+
+    /// The statement has changed so many rows.
+    pub(super) fn ran(&mut self, rows: usize) {
+        let rows = u32::try_from(rows).unwrap_or(u32::MAX);
+        self.record[self.counted_at + 1..self.counted_at + 5].copy_from_slice(&rows.to_le_bytes());
     }
 
     /// The next value of the statement.
@@ -197,7 +229,7 @@ impl Journal {
 
     /// Whether the record that was begun has room behind the others of its epoch.
     pub(super) fn has_room(&self) -> bool {
-        self.at + self.record.len() as u64 <= CAPACITY
+        !self.failed && self.at + self.record.len() as u64 <= CAPACITY
     }
 
     /// Whether the next record probably has none.
@@ -205,8 +237,20 @@ impl Journal {
         self.at + 2 * self.record.len() as u64 > CAPACITY
     }
 
-    /// Appends the record that was begun; it is on the disk when this returns.
-    pub(super) fn append(&mut self) -> io::Result<()> {
+    /// Appends the record that was begun; it is on the disk when this returns. After one that could not be, none has room.
+    ///
+    /// # Errors
+    ///
+    /// As the disk, and where somebody has removed or replaced the file: nobody would find what is written then.
+    pub(super) fn append(&mut self) -> StoreResult<()> {
+        self.touched = true;
+        let written =
+            self.identity.is_that_of(&self.path).and_then(|()| self.write_record().map_err(not_writable));
+        self.failed |= written.is_err();
+        written
+    }
+
+    fn write_record(&mut self) -> io::Result<()> {
         let length = self.record.len() - RECORD_HEAD;
         let length = u32::try_from(length).map_err(|_| io::ErrorKind::FileTooLarge)?;
         self.record[4..8].copy_from_slice(&length.to_le_bytes());
@@ -218,7 +262,18 @@ impl Journal {
         self.file.sync_data()?;
         self.at += self.record.len() as u64;
         self.number += 1;
+        self.defined_before = self.defined;
         Ok(())
+    }
+
+    /// Whether a record of the epoch may be on the disk.
+    pub(super) const fn is_touched(&self) -> bool {
+        self.touched
+    }
+
+    /// Whether a record could not be written.
+    pub(super) const fn has_failed(&self) -> bool {
+        self.failed
     }
 
     /// What the transaction that ends the epoch says last.
@@ -233,6 +288,7 @@ impl Journal {
         self.number = 0;
         self.defined = 0;
         self.defined_before = 0;
+        self.touched = false;
     }
 
     /// Runs again what the epoch has acknowledged, in a transaction that has just begun.
@@ -240,10 +296,14 @@ impl Journal {
         let mut bytes = vec![0; usize::try_from(self.at).unwrap_or(usize::MAX) - HEAD];
         read_at(&self.file, &mut bytes, HEAD as u64).map_err(not_writable)?;
         let records = Records { bytes: &bytes, epoch: self.epoch, number: 0 };
-        if run_all(conn, records)? != self.number {
-            return Err(damaged("it holds fewer groups than were acknowledged"));
+        match run_all(conn, records) {
+            Ok(groups) if groups == self.number => Ok(()),
+            // The database is another one than these groups were run in: nobody may go on with it.
+            Ok(_) | Err(StoreError::Refused { .. } | StoreError::Damaged { .. }) => {
+                Err(StoreError::NotWritable(of_another(&self.path).into()))
+            }
+            Err(error) => Err(error),
         }
-        Ok(())
     }
 
     /// Removes the file of a journal whose transactions are all committed.
@@ -261,17 +321,20 @@ impl Journal {
 /// holds was acknowledged, and whoever put the database there decides what becomes of it.
 pub(super) fn take_up(database: &Path, conn: &mut Connection) -> StoreResult<()> {
     let path = path_of(database).map_err(not_writable)?;
-    let mut file = match File::options().read(true).write(true).open(&path) {
-        Ok(file) => file,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(not_writable(error)),
-    };
+    let Some(mut file) = opened(&path)? else { return Ok(()) };
     let begun = Instant::now();
+    let mut first = u64::MAX;
     loop {
         let is_mine = lock(&file)?;
-        let Some((id, epoch, records)) = held(&mut file).map_err(not_writable)? else { return Ok(()) };
+        let Some((id, epoch, records)) = held(&mut file, &path)? else { return Ok(()) };
+        // Later ones came while this waited.
+        first = first.min(epoch);
         match noted(conn)? {
-            Some((known, committed)) if known == id && epoch <= committed => return Ok(()),
+            Some((known, committed))
+                if known == id && (epoch <= committed || !is_mine && first <= committed) =>
+            {
+                return Ok(());
+            }
             _ if !is_mine && begun.elapsed() < PATIENCE => std::thread::sleep(LOOK_AGAIN),
             _ if !is_mine => return Err(StoreError::Unavailable(in_use(&path).into())),
             Some((known, committed)) if known == id && epoch == committed + 1 => {
@@ -295,6 +358,12 @@ pub(super) fn take_up_closed(database: &Path) -> StoreResult<()> {
     if !path_of(database).and_then(std::fs::exists).map_err(not_writable)? {
         return Ok(());
     }
+    if !database.exists() {
+        return match is_left(database)? {
+            None => Ok(()),
+            Some(path) => Err(StoreError::NotWritable(of_another(&path).into())),
+        };
+    }
     let mut conn = Connection::open_with_flags(database, OpenFlags::SQLITE_OPEN_READ_WRITE)?;
     for (name, value) in SETTINGS.into_iter().chain([("synchronous", "FULL")]) {
         conn.pragma_update(None, name, value)?;
@@ -303,8 +372,10 @@ pub(super) fn take_up_closed(database: &Path) -> StoreResult<()> {
     take_up(database, &mut conn)
 }
 
-/// How long a process that has the journal is given to commit what is in it, and the time between two looks.
+/// How long a process that has the journal is given to commit what is in it, how long to give it back, and the time
+/// between two looks.
 const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE_TO_OPEN: Duration = Duration::from_millis(500);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
 fn in_use(path: &Path) -> String {
@@ -319,15 +390,42 @@ fn of_another(path: &Path) -> String {
     )
 }
 
-/// The id of a journal, its epoch and its records; `None` where it holds none: a head that is not whole was being
-/// written when the journal was made, and a first record that is not was never acknowledged.
-fn held(file: &mut File) -> io::Result<Option<([u8; 16], u64, Vec<u8>)>> {
+/// The journal that stands there, if one does.
+fn opened(path: &Path) -> StoreResult<Option<File>> {
+    let found = match File::options().read(true).write(true).open(path) {
+        // Who may only read the database has nothing to take up where its server is at work.
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => File::open(path),
+        found => found,
+    };
+    match found {
+        Ok(file) => Ok(Some(file)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(not_writable(error)),
+    }
+}
+
+/// The id of a journal, its epoch and its records; `None` where it holds none: one that is all zeros was being made, and
+/// a first record that is not whole was never acknowledged.
+fn held(file: &mut File, path: &Path) -> StoreResult<Option<([u8; 16], u64, Vec<u8>)>> {
     let mut bytes = Vec::new();
-    file.seek(SeekFrom::Start(0))?;
-    file.read_to_end(&mut bytes)?;
-    let Some(id) = bytes.get(..HEAD).and_then(id_of) else { return Ok(None) };
+    file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut bytes)).map_err(not_writable)?;
+    let Some(head) = bytes.get(..HEAD).filter(|head| head.iter().any(|byte| *byte != 0)) else {
+        return Ok(None);
+    };
+    let Some(id) = id_of(head) else {
+        let what =
+            format!("{} is damaged, or of a later version: it may hold acknowledged cycles", path.display());
+        return Err(StoreError::NotWritable(what.into()));
+    };
     bytes.drain(..HEAD);
     Ok(first_epoch(&bytes).map(|epoch| (id, epoch, bytes)))
+}
+
+/// Whether a journal stands beside a database that is not there, or is about to be put there, and holds something.
+pub(crate) fn is_left(database: &Path) -> StoreResult<Option<PathBuf>> {
+    let path = path_of(database).map_err(not_writable)?;
+    let Some(mut file) = opened(&path)? else { return Ok(None) };
+    Ok(held(&mut file, &path)?.map(|_| path))
 }
 
 fn take_up_records(conn: &mut Connection, records: Records<'_>, epoch: u64) -> StoreResult<()> {
@@ -401,10 +499,19 @@ fn run<'b>(conn: &Connection, statements: &mut Vec<&'b str>, body: &'b [u8]) -> 
                 let number = usize::from(body.byte()?);
                 let text = statements.get(number).ok_or_else(|| damaged("a statement is not defined"))?;
                 let mut statement = conn.prepare_cached(text)?;
-                for place in 1..=usize::from(body.byte()?) {
+                let values = usize::from(body.byte()?);
+                let rows = u32::from_le_bytes(body.array()?);
+                for place in 1..=values {
                     statement.raw_bind_parameter(place, body.value()?)?;
                 }
-                statement.raw_execute()?;
+                if u32::try_from(statement.raw_execute()?) != Ok(rows) {
+                    return Err(damaged("a statement changes something else than it did"));
+                }
+            }
+            FOLLOWS => {
+                if newest(conn)? != i64::from_le_bytes(body.array()?) {
+                    return Err(damaged("it follows another cycle than the newest"));
+                }
             }
             _ => return Err(damaged("an entry is of no kind")),
         }
@@ -481,6 +588,26 @@ fn prepare(file: &File, id: [u8; 16]) -> io::Result<()> {
     file.sync_all()
 }
 
+/// Makes the name as durable as the file, and lets it belong to whom the database belongs, as SQLite does with its own.
+fn settle(path: &Path, database: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, chown};
+        let of = std::fs::metadata(database)?;
+        std::fs::set_permissions(path, of.permissions())?;
+        if let Err(error) = chown(path, Some(of.uid()), Some(of.gid())) {
+            // Only root gives files away, and whoever else made it may open it.
+            tracing::debug!(%error, "the groups' journal belongs to who made it");
+        }
+        if let Some(folder) = path.parent() {
+            File::open(folder)?.sync_all()?;
+        }
+    }
+    #[cfg(not(unix))]
+    let _ = (path, database);
+    Ok(())
+}
+
 fn write_at(mut file: &File, bytes: &[u8], at: u64) -> io::Result<()> {
     file.seek(SeekFrom::Start(at))?;
     file.write_all(bytes)
@@ -515,6 +642,12 @@ fn noted(conn: &Connection) -> StoreResult<Option<([u8; 16], u64)>> {
     let row = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get::<_, i64>(1)?));
     let found = conn.query_row("SELECT journal_id, epoch FROM groups_journal", (), row).optional()?;
     Ok(found.map(|(id, epoch)| (id, epoch.unsigned_abs())))
+}
+
+/// The newest row of `cycles`, which stand as they came; 0 where there is none.
+fn newest(conn: &Connection) -> StoreResult<i64> {
+    let mut newest = conn.prepare_cached("SELECT COALESCE(MAX(rowid), 0) FROM cycles")?;
+    Ok(newest.query_row((), |row| row.get(0))?)
 }
 
 fn note(conn: &Connection) -> StoreResult<[u8; 16]> {

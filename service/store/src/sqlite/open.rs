@@ -89,10 +89,11 @@ impl SqliteStore {
     /// Opens the file at `path`, creating it for its owner only, and migrates it.
     pub async fn open(path: impl AsRef<Path>, options: SqliteOptions) -> StoreResult<Self> {
         let path = path.as_ref();
+        // Before a migration, its statements being of the tables as they were; and before the file is made, as a journal
+        // that is left of one says that it is missing.
+        super::take_up(path).await?;
         create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
         let found = Identity::of(path)?;
-        // Before a migration: its statements are of the tables as they were.
-        super::take_up(path).await?;
         let connect = settings(path, options.patience);
         // Of a file that is there already it changes nothing, and readers may not ask for it.
         let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
@@ -100,7 +101,7 @@ impl SqliteStore {
         MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
         let mut groups = GroupWriter::open(path, options.patience)?;
         if options.alone {
-            groups.keep_journal(path, options.commit_after);
+            groups.plan_journal(path, options.commit_after);
         }
         let readers = SqlitePoolOptions::new()
             .max_connections(options.readers.max(1))
@@ -118,7 +119,7 @@ impl SqliteStore {
             .await?;
         let block_reader = BlockReader::open(path)?;
         // All that write are open: whichever file each of them found is the one that stands there before and after.
-        let files = Files::of(path, found, groups.journal_path())?;
+        let files = Files::of(path, found)?;
         let writing = Writing::of(Writer::of(groups, writer), files, options.commit_after)?;
         let checkpoints =
             Checkpoints::start(checkpointer, options.checkpoint_every, Arc::downgrade(&writing));

@@ -45,6 +45,8 @@ pub(super) struct Writing {
     commit_after: Duration,
     /// Wakes that task before its time.
     full: Arc<Notify>,
+    /// Wakes who waits for a commit that somebody else has made.
+    caught_up: Notify,
     /// Why the disk refused a write, once it did: an fsync is never retried, whatever comes later.
     refused: OnceLock<String>,
 }
@@ -74,9 +76,9 @@ impl Writer {
         &mut self.asked
     }
 
-    async fn close(self) -> StoreResult<()> {
+    async fn close(self, may_commit: bool) -> StoreResult<()> {
         // The last one folds the log into the file, whatever became of the first.
-        let closed = self.groups.close();
+        let closed = if may_commit { self.groups.close() } else { self.groups.abandon() };
         self.asked.close().await?;
         closed
     }
@@ -94,6 +96,7 @@ impl Writing {
             awaited: AtomicBool::new(false),
             commit_after,
             full: Arc::default(),
+            caught_up: Notify::new(),
             refused: OnceLock::new(),
         }))
     }
@@ -109,14 +112,24 @@ impl Writing {
             return Ok(());
         }
         let writing = Arc::clone(self);
-        let task = self.group_thread.spawn(async move { writing.catch_up_here().await });
+        let task = self.group_thread.spawn(async move {
+            // Whoever changes something else, which may take long, commits before that.
+            let caught_up = writing.caught_up.notified();
+            if !writing.is_ahead() {
+                return Ok(());
+            }
+            tokio::select! {
+                outcome = writing.catch_up_here() => outcome,
+                () = caught_up => Ok(()),
+            }
+        });
         task.await.map_err(panicked)?
     }
 
     /// The writer, with nothing left open, by whichever connection.
     pub(super) async fn hold(self: &Arc<Self>) -> StoreResult<Held> {
         let mut held = self.lock().await?;
-        if !open(&mut held)?.groups.is_ahead() {
+        if !open(&mut held)?.groups.is_open() {
             return Ok(held);
         }
         // The thread that waits for the disk.
@@ -155,7 +168,7 @@ impl Writing {
             Ok(outcome) => outcome,
             Err(error) => {
                 // What it has left open is rolled back.
-                drop(self.lock().await?);
+                drop(self.hold().await?);
                 Err(panicked(error))
             }
         }
@@ -182,6 +195,8 @@ impl Writing {
         };
         if writer.groups.is_ahead() {
             self.commit_later();
+        } else {
+            self.caught_up.notify_waiters();
         }
         if writer.groups.is_full() {
             self.full.notify_one();
@@ -221,18 +236,27 @@ impl Writing {
         held.as_mut().map_or(Ok(()), |writer| self.commit(writer))
     }
 
+    /// As long as nothing was refused: what is in the journal is for whoever opens the database next then.
     fn commit(&self, writer: &mut Writer) -> StoreResult<()> {
-        let outcome = writer.groups.commit().and_then(|()| self.files.are_there());
+        self.is_refused()?;
+        // A log that somebody removed is written for nobody.
+        let outcome = self.files.are_there().and_then(|()| writer.groups.commit());
+        let outcome = outcome.and_then(|()| self.files.are_there());
+        if !writer.groups.is_ahead() {
+            self.caught_up.notify_waiters();
+        }
         self.heed(&outcome);
         outcome
+    }
+
+    fn is_refused(&self) -> StoreResult<()> {
+        self.refused.get().map_or(Ok(()), |why| Err(StoreError::NotWritable(why.clone().into())))
     }
 
     /// The writer with nothing left open by the connection that is asked.
     async fn lock(&self) -> StoreResult<Held> {
         let mut held = Arc::clone(&self.writer).lock_owned().await;
-        if let Some(why) = self.refused.get() {
-            return Err(StoreError::NotWritable(why.clone().into()));
-        }
+        self.is_refused()?;
         self.roll_back(open(&mut held)?).await;
         Ok(held)
     }
@@ -258,9 +282,9 @@ impl Writing {
 
     /// Commits and closes. Closing the last connection folds the log into the file.
     pub(super) async fn close(&self) {
-        if let Some(writer) = self.writer.lock().await.take()
-            && let Err(error) = writer.close().await
-        {
+        let Some(writer) = self.writer.lock().await.take() else { return };
+        let may_commit = self.is_refused().and_then(|()| self.files.are_there()).is_ok();
+        if let Err(error) = writer.close(may_commit).await {
             tracing::warn!(%error, "sqlite did not close cleanly");
         }
     }

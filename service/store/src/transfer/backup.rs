@@ -294,6 +294,9 @@ async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, Tran
 
 /// Restores a backup into a SQLite file that is not there yet.
 pub async fn restore_to_sqlite(backup: &Path, to: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
+    if let Some(journal) = crate::sqlite::is_left(to).map_err(|error| of_target(to, error))? {
+        return Err(file(&journal, "holds acknowledged cycles of the database that was there: move it away"));
+    }
     let (sums, _) = whole(to, async |making| stage(backup, making).await).await?;
     Ok(sums)
 }

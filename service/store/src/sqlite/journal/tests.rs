@@ -1,0 +1,176 @@
+use super::*;
+use rusqlite::types::Value;
+
+const INSERT: &str = "INSERT INTO kept (value) VALUES (?)";
+const UPDATE: &str = "UPDATE kept SET value = ? WHERE value IS ?";
+
+/// A database in a folder, with a journal, a table for values of any kind and one that counts as the cycles.
+fn given(folder: &Path) -> (PathBuf, Connection) {
+    let path = folder.join("cell.sqlite3");
+    let conn = Connection::open(&path).unwrap();
+    conn.execute_batch(
+        "CREATE TABLE kept (value); CREATE TABLE cycles (cycle_id TEXT);
+         CREATE TABLE groups_journal (only_row INTEGER PRIMARY KEY, journal_id BLOB, epoch INTEGER)",
+    )
+    .unwrap();
+    (path, conn)
+}
+
+fn insert(journal: &mut Journal, conn: &Connection, value: &Value) {
+    journal.run(INSERT).unwrap();
+    journal.value(value).unwrap();
+    journal.ran(conn.execute(INSERT, [value]).unwrap());
+}
+
+fn all(conn: &Connection) -> Vec<Value> {
+    let mut kept = conn.prepare("SELECT value FROM kept ORDER BY rowid").unwrap();
+    kept.query_map((), |row| row.get(0)).unwrap().map(Result::unwrap).collect()
+}
+
+fn values() -> Vec<Value> {
+    let texts = ["", "µ", "with\0nul"].map(|text| Value::Text(text.to_owned()));
+    let reals = [0.0, -0.0, 0.1, f64::MAX, f64::MIN_POSITIVE, f64::INFINITY].map(Value::Real);
+    let numbers = [0, -1, i64::MIN, i64::MAX].map(Value::Integer);
+    let bytes = [vec![], vec![0, 255], vec![7; 70_000]].map(Value::Blob);
+    [Value::Null].into_iter().chain(texts).chain(reals).chain(numbers).chain(bytes).collect()
+}
+
+#[test]
+fn every_kind_of_value_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mut conn) = given(folder.path());
+    let mut journal = Journal::open(&path, &conn).unwrap();
+    conn.execute_batch("BEGIN").unwrap();
+    for value in values() {
+        journal.begin(&conn).unwrap();
+        insert(&mut journal, &conn, &value);
+        journal.append().unwrap();
+    }
+    conn.execute_batch("ROLLBACK").unwrap();
+    assert_eq!(all(&conn), []);
+    drop(journal);
+    take_up(&path, &mut conn).unwrap();
+    assert_eq!(all(&conn), values());
+    take_up(&path, &mut conn).unwrap();
+    assert_eq!(all(&conn), values(), "once");
+}
+
+/// What is forgotten takes no definition along that an acknowledged record has made, nor leaves one behind.
+#[test]
+fn what_is_forgotten_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mut conn) = given(folder.path());
+    let mut journal = Journal::open(&path, &conn).unwrap();
+    let kept: Vec<Value> = (1..=4).map(Value::Integer).collect();
+    for epoch in 0..3 {
+        conn.execute_batch("BEGIN").unwrap();
+        for value in &kept {
+            // Before its first statement, and in the middle of it.
+            journal.forget();
+            journal.begin(&conn).unwrap();
+            journal.run(UPDATE).unwrap();
+            journal.value(value).unwrap();
+            journal.forget();
+            journal.begin(&conn).unwrap();
+            insert(&mut journal, &conn, value);
+            journal.append().unwrap();
+            journal.forget();
+        }
+        conn.execute_batch("ROLLBACK; BEGIN").unwrap();
+        journal.run_again(&conn).unwrap();
+        if epoch < 2 {
+            journal.note_end(&conn).unwrap();
+            conn.execute_batch("COMMIT").unwrap();
+            journal.turn();
+        } else {
+            conn.execute_batch("ROLLBACK").unwrap();
+        }
+    }
+    drop(journal);
+    take_up(&path, &mut conn).unwrap();
+    assert_eq!(all(&conn), [&kept[..], &kept, &kept].concat());
+}
+
+/// The epoch fits, and the state does not.
+#[test]
+fn another_state_is_not_gone_on_with() {
+    let changes = [
+        "INSERT INTO cycles (cycle_id) VALUES ('c2')",
+        "DELETE FROM cycles",
+        "UPDATE kept SET value = 3",
+        "UPDATE groups_journal SET epoch = 7",
+        "UPDATE groups_journal SET journal_id = zeroblob(16)",
+        "DELETE FROM groups_journal",
+    ];
+    for change in changes {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, mut conn) = given(folder.path());
+        conn.execute_batch(
+            "INSERT INTO cycles (cycle_id) VALUES ('c1'); INSERT INTO kept (value) VALUES (1)",
+        )
+        .unwrap();
+        let mut journal = Journal::open(&path, &conn).unwrap();
+        conn.execute_batch("BEGIN").unwrap();
+        journal.begin(&conn).unwrap();
+        journal.run(UPDATE).unwrap();
+        let (to, from) = (Value::Integer(2), Value::Integer(1));
+        journal.value(&to).unwrap();
+        journal.value(&from).unwrap();
+        journal.ran(conn.execute(UPDATE, [to, from]).unwrap());
+        journal.append().unwrap();
+        conn.execute_batch("ROLLBACK").unwrap();
+        conn.execute_batch(change).unwrap();
+        let before = all(&conn);
+        // In the process that wrote it, which does not ask for the epoch, and in another one.
+        if !change.contains("groups_journal") {
+            conn.execute_batch("BEGIN").unwrap();
+            assert!(matches!(journal.run_again(&conn), Err(StoreError::NotWritable(_))), "{change}");
+            conn.execute_batch("ROLLBACK").unwrap();
+        }
+        drop(journal);
+        let outcome = take_up(&path, &mut conn);
+        if change.ends_with("= 7") {
+            assert!(outcome.is_ok(), "committed long ago");
+        } else {
+            assert!(matches!(outcome, Err(StoreError::NotWritable(_))), "{change}: {outcome:?}");
+        }
+        assert_eq!(all(&conn), before, "{change}");
+    }
+}
+
+#[test]
+fn a_record_that_cannot_be_written_is_the_last() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, conn) = given(folder.path());
+    let mut journal = Journal::open(&path, &conn).unwrap();
+    assert!(journal.has_room() && !journal.is_touched());
+    journal.file = File::open(&journal.path).unwrap();
+    journal.begin(&conn).unwrap();
+    insert(&mut journal, &conn, &Value::Null);
+    journal.append().unwrap_err();
+    assert!(!journal.has_room() && journal.has_failed() && journal.is_touched());
+}
+
+#[test]
+fn one_that_is_of_no_known_form_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mut conn) = given(folder.path());
+    let journal = path_of(&path).unwrap();
+    for (bytes, taken) in [(vec![], true), (vec![0; 4096], true), (vec![0; 39], true), (vec![1; 4096], false)]
+    {
+        std::fs::write(&journal, &bytes).unwrap();
+        assert_eq!(take_up(&path, &mut conn).is_ok(), taken, "{} bytes", bytes.len());
+        assert_eq!(std::fs::read(&journal).unwrap(), bytes);
+    }
+}
+
+#[test]
+fn two_do_not_have_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mut conn) = given(folder.path());
+    let journal = Journal::open(&path, &conn).unwrap();
+    assert!(matches!(Journal::open(&path, &conn), Err(StoreError::Unavailable(_))));
+    take_up(&path, &mut conn).expect("it holds nothing that would have to be waited for");
+    drop(journal);
+    Journal::open(&path, &conn).unwrap();
+}
