@@ -11,7 +11,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
 
 /// Longer than anything here takes on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 /// 2026-05-04T06:00:00Z: when the cycles of the stories began, by their machine's clock.
 pub(crate) const STARTED: &str = "2026-05-04T06:00:00Z";
 

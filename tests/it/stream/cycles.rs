@@ -1,6 +1,6 @@
 //! Whole cycles: answered sample by sample, stored as a post would have been.
 
-use super::client::{Came, Machine, codes, frame, posted};
+use super::client::{Came, Machine, PATIENCE, codes, frame, posted};
 use crate::live::{Served, reader::Reader};
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
@@ -233,9 +233,30 @@ fn load(from: u64, count: usize, load: f64) -> Value {
            "spindle_load_percent": vec![load; count], "feed_drive_load_percent": vec![5.0; count]})
 }
 
+/// Samples are judged however long the story takes, and however fast it sends what a machine would take half a second for.
+const OVERLOADS: [(&str, &str); 2] =
+    [("stream.overload_relative_load", "1.5"), ("stream.sample_age_limit_ms", "60000")];
+
+/// The machine's open alarms, once there are so many: an overload is raised in a task of its own, and the list has it as
+/// soon as it is committed.
+async fn open_alarms(served: &Served, count: usize) -> Vec<Value> {
+    let raised = async {
+        loop {
+            let mut open = served.get("/v1/alarms?open=true&machine=M1").await;
+            if let Value::Array(alarms) = open["items"].take()
+                && alarms.len() == count
+            {
+                return alarms;
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, raised).await.expect("it is raised")
+}
+
 #[tokio::test]
 async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
-    let (served, token) = shop(&[("stream.overload_relative_load", "1.5")]).await;
+    let (served, token) = shop(&OVERLOADS).await;
     let mut machine = Machine::connect(&served, &token).await;
     machine.start("c1", json!({})).await;
     let overload = machine.ask(load(0, 10, 90.0)).await;
@@ -244,22 +265,15 @@ async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
     let held = machine.ask(load(10, 30, 5.0)).await;
     let percent = held["override_percent"].as_f64().unwrap();
     assert!(codes(&held["reasons"]).contains(&"overload_held") && percent < 100.0, "{held}");
-    // Raised in a task of its own: the list has it as soon as it is committed.
-    let open = loop {
-        let open = served.get("/v1/alarms?open=true&machine=M1").await;
-        if open["items"].as_array().unwrap().len() == 1 {
-            break open;
-        }
-        tokio::task::yield_now().await;
-    };
-    assert_eq!(open["items"][0]["kind"], "overload");
+    assert_eq!(open_alarms(&served, 1).await[0]["kind"], "overload");
     let (status, _) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
     assert_eq!(status, 200);
     let freed = machine.ask(load(40, 5, 5.0)).await;
     assert_eq!(freed["overload"], false);
     assert!(freed["override_percent"].as_f64().unwrap() > percent, "{freed}");
     // An overload that nobody acknowledges outlasts its cycle.
-    machine.ask(load(45, 10, 90.0)).await;
+    let again = machine.ask(load(45, 10, 90.0)).await;
+    assert_eq!(again["overload"], true, "{again}");
     assert_eq!(machine.end(55).await["status"], 201);
     let started = machine.start("c2", json!({})).await;
     assert!(codes(&started["reasons"]).contains(&"overload_unacknowledged"), "{started}");
@@ -273,8 +287,47 @@ async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
 }
 
 #[tokio::test]
+async fn an_overload_that_is_told_too_late_is_raised_all_the_same() {
+    let (served, token) = shop(&OVERLOADS).await;
+    let mut machine = Machine::connect(&served, &token).await;
+    // The connection stood still for two minutes: what comes then is too old for the law.
+    machine.start("c1", json!({"sent_at": "2026-05-04T06:02:00Z"})).await;
+    let late = machine.ask(load(0, 10, 90.0)).await;
+    for code in ["too_old", "overload"] {
+        assert!(codes(&late["reasons"]).contains(&code), "{late}");
+    }
+    assert_eq!((&late["overload"], &late["quality"]), (&json!(true), &json!("stale")), "{late}");
+    assert_eq!(machine.end(10).await["status"], 201);
+    let next = machine.start("c2", json!({})).await;
+    assert!(codes(&next["reasons"]).contains(&"overload_unacknowledged"), "{next}");
+    assert_eq!(machine.ask(load(0, 10, 5.0)).await["override_percent"], 100.0);
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn an_overload_of_a_cycle_that_another_one_holds_is_acknowledged_for_itself() {
+    let (served, token) = shop(&OVERLOADS).await;
+    served.put("/v1/tools/T2", json!({"name": "FD M8", "tool_type": "friction-drill-7.3"})).await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    assert_eq!(machine.ask(load(0, 10, 90.0)).await["overload"], true);
+    let held = machine.start("c2", json!({"tool": "T2"})).await;
+    assert!(codes(&held["reasons"]).contains(&"overload_unacknowledged"), "{held}");
+    assert_eq!(machine.ask(load(0, 5, 5.0)).await["overload"], false, "its own loads were low");
+    assert_eq!(machine.ask(load(5, 10, 90.0)).await["overload"], true);
+    let open = open_alarms(&served, 2).await;
+    assert_eq!((&open[0]["tool"], &open[1]["tool"]), (&json!("T1"), &json!("T2")));
+    for (alarm, from, overload) in [(&open[0], 15, true), (&open[1], 20, false)] {
+        let (status, _) = served.send("POST", &format!("/v1/alarms/{}/acknowledge", alarm["id"]), None).await;
+        let answer = machine.ask(load(from, 5, 5.0)).await;
+        assert_eq!((status, &answer["overload"]), (200, &json!(overload)), "{answer}");
+    }
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
 async fn an_overload_is_waited_for_and_freed_by_no_other_ones_acknowledgement() {
-    let (served, token) = shop(&[("stream.overload_relative_load", "1.5")]).await;
+    let (served, token) = shop(&OVERLOADS).await;
     let mut reader = Reader::open(&served, "", None).await;
     let mut machine = Machine::connect(&served, &token).await;
     // However soon the next cycle starts, after the end, in place of the running cycle or as that cycle itself.
@@ -308,6 +361,8 @@ async fn an_overload_is_waited_for_and_freed_by_no_other_ones_acknowledgement() 
         let held = machine.ask(load(10, 5, 5.0)).await;
         assert_eq!(held["overload"], true, "{round}: {held}");
         assert!(codes(&held["reasons"]).contains(&"overload_held"), "{round}: {held}");
+        // Nobody can acknowledge what is not in the list yet.
+        open_alarms(&served, 1).await;
         let (status, freed) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
         let answer = machine.ask(load(15, 5, 5.0)).await;
         assert_eq!((status, &answer["overload"]), (200, &json!(false)), "{round}: {freed} {answer}");

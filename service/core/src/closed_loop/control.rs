@@ -7,7 +7,7 @@ use crate::cycle::Channel;
 use crate::friction::error::Invalid;
 use crate::friction::feed_override::{FeedOverride, HIGHEST_OVERRIDE_PERCENT, OverrideBounds, OverrideRange};
 use crate::friction::filter::FilterWeights;
-use crate::friction::law::{Heating, LawConfig, LawParams, LawSample, LawState, OverloadHold};
+use crate::friction::law::{self, Heating, LawConfig, LawParams, LawSample, LawState, OverloadHold};
 use crate::friction::program::FeedProgram;
 use crate::machine::{FeedLimits, LoadReference, Machine};
 use crate::operation::Operation;
@@ -129,6 +129,15 @@ impl Seen {
             spindle_percent: value(inputs.spindle),
             programmed_mm_min: value(inputs.programmed),
             actual_mm_min: value(inputs.actual),
+        }
+    }
+
+    const fn as_law_sample(&self) -> LawSample {
+        LawSample {
+            time_ms: self.time_ms,
+            depth_mm: self.depth_mm,
+            feed_drive_percent: self.feed_drive_percent,
+            spindle_percent: self.spindle_percent,
         }
     }
 }
@@ -291,18 +300,10 @@ impl Control {
         match self {
             Self::Friction(friction) => {
                 if friction.strays(seen) {
-                    let ovr = friction.state.withhold(&friction.config, Some(seen.time_ms));
-                    return (ovr, LoopReasons::of(LoopReason::ProgramMismatch), None);
+                    let reasons = friction.watch(seen).and(LoopReasons::of(LoopReason::ProgramMismatch));
+                    return (friction.state.withhold(&friction.config, Some(seen.time_ms)), reasons, None);
                 }
-                let step = friction.state.step(
-                    &friction.config,
-                    &LawSample {
-                        time_ms: seen.time_ms,
-                        depth_mm: seen.depth_mm,
-                        feed_drive_percent: seen.feed_drive_percent,
-                        spindle_percent: seen.spindle_percent,
-                    },
-                );
+                let step = friction.state.step(&friction.config, &seen.as_law_sample());
                 (step.ovr, step.reasons.into(), None)
             }
             Self::Plunge(plunge) => {
@@ -310,6 +311,14 @@ impl Control {
                 (FeedOverride::NEUTRAL, reasons, Some(step))
             }
             Self::Neutral => (FeedOverride::NEUTRAL, LoopReasons::NONE, None),
+        }
+    }
+
+    /// Looks for an overload in a sample that may not be judged; says so where it is one.
+    pub fn watch(&mut self, seen: &Seen) -> LoopReasons {
+        match self {
+            Self::Friction(friction) => friction.watch(seen),
+            Self::Plunge(_) | Self::Neutral => LoopReasons::NONE,
         }
     }
 
@@ -358,6 +367,14 @@ impl Control {
 }
 
 impl FrictionLoop {
+    fn watch(&mut self, seen: &Seen) -> LoopReasons {
+        let mut reasons = law::Reasons::default();
+        if self.state.watch(&self.config, &seen.as_law_sample()) {
+            reasons.add(law::Reason::Overload);
+        }
+        reasons.into()
+    }
+
     /// Whether the machine runs another feed than the program's at this depth: then it is another program.
     fn strays(&self, seen: &Seen) -> bool {
         let (Some(program), Some(depth), Some(feed)) = (&self.program, seen.depth_mm, seen.programmed_mm_min)

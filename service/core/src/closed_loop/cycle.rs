@@ -255,10 +255,11 @@ impl RunningCycle {
     /// A number that was passed already: its earlier answer where the content is the same; else neutral.
     fn earlier(&mut self, now: Timestamp, batch: &Batch<'_>, i: usize, n: u64) -> SampleAdvice {
         if !self.record.has(n) {
-            let reasons = LoopReasons::of(LoopReason::OutOfOrder);
+            let time_ms = self.record.time_ms(batch, i);
+            self.age_ms = Some(self.age_ms_of(now, time_ms));
+            let reasons = self.watch(batch, i, time_ms).and(LoopReasons::of(LoopReason::OutOfOrder));
             let advice = SampleAdvice { ovr: self.withhold(None), reasons };
             self.record.keep(batch, i, advice);
-            self.age_ms = Some(self.age_ms_of(now, self.record.time_ms(batch, i)));
             return advice;
         }
         match self.record.advice(n) {
@@ -303,18 +304,35 @@ impl RunningCycle {
             }
         }
         let advice = if why.is_empty() {
-            let age_ms = self.age_ms.unwrap_or(0.0);
-            let seen = Seen::of(&self.inputs, batch.values, batch.count, i, time_ms, age_ms);
+            let seen = self.seen(batch, i, time_ms);
             let (ovr, reasons, plunge) = self.control.step(&seen);
             self.plunge = plunge;
             SampleAdvice { ovr, reasons: reasons.and(self.capped) }
         } else {
+            if !never_taken {
+                why = why.and(self.watch(batch, i, time_ms));
+            }
             SampleAdvice { ovr: self.withhold(Some(time_ms)), reasons: why }
         };
         if kept && !too_long && !never_taken {
             self.record.keep(batch, i, advice);
         }
         advice
+    }
+
+    fn seen(&self, batch: &Batch<'_>, i: usize, time_ms: f64) -> Seen {
+        let age_ms = self.age_ms.unwrap_or(0.0);
+        Seen::of(&self.inputs, batch.values, batch.count, i, time_ms, age_ms)
+    }
+
+    /// Looks for an overload in a sample that is not judged: a crash that is told late, or ahead of time, is one.
+    fn watch(&mut self, batch: &Batch<'_>, i: usize, time_ms: f64) -> LoopReasons {
+        if self.neutral.contains(LoopReason::UnknownRating) {
+            // Nobody knows what such a load is a percentage of.
+            return LoopReasons::NONE;
+        }
+        let seen = self.seen(batch, i, time_ms);
+        self.control.watch(&seen)
     }
 
     /// Age of a sample, ms. The message that began the cycle may have taken longer than the ones after it: a sample

@@ -338,6 +338,60 @@ fn an_overload_holds_until_it_is_acknowledged_and_a_lost_memory_starts_no_higher
 }
 
 #[test]
+fn an_overload_is_one_also_where_its_samples_may_not_be_judged() {
+    let crash = [200.0; 10];
+    let after = |cycle: &mut RunningCycle, (answer, each): (Answer, Vec<SampleAdvice>), why: LoopReason| {
+        assert!(each.iter().any(|advice| advice.reasons.has_law(Reason::Overload)), "{why:?}");
+        assert!(each.iter().all(|advice| advice.reasons.contains(why) && advice.ovr.percent() <= 100.0));
+        assert!(answer.overloaded, "{why:?}");
+        cycle.set_passing(LoopReasons::NONE);
+        let n = cycle.record().next();
+        for n in n..n + 20 {
+            let held = send(cycle, at(n), n, &[5.0]).0;
+            assert!(held.overloaded && held.ovr.percent() <= 100.0, "{why:?}");
+        }
+        cycle.acknowledge();
+        assert!(!cycle.is_overloaded());
+    };
+    let mut late = running();
+    let told = send(&mut late, at(200), 0, &crash);
+    after(&mut late, told, LoopReason::TooOld);
+    // Half a second ahead is forgiven as a start that took long; what lies further ahead is not.
+    let mut ahead = running();
+    send(&mut ahead, at(0), 0, &[5.0; 51]);
+    let told = send(&mut ahead, at(0), 51, &crash);
+    after(&mut ahead, told, LoopReason::FromFuture);
+    let mut missed = running();
+    send(&mut missed, at(0), 0, &[5.0]);
+    send(&mut missed, at(11), 11, &[5.0]);
+    let told = send(&mut missed, at(11), 1, &crash);
+    after(&mut missed, told, LoopReason::OutOfOrder);
+    let mut unknown = running();
+    unknown.set_passing(LoopReasons::of(LoopReason::LeaseUnknown));
+    let told = send(&mut unknown, at(9), 0, &crash);
+    after(&mut unknown, told, LoopReason::LeaseUnknown);
+}
+
+#[test]
+fn what_is_not_judged_is_no_overload_where_its_load_says_nothing() {
+    // A single reading is filtered as the law filters it, and what follows a hole or is no load says nothing.
+    for loads in [&[5.0, 5.0, 200.0, 5.0][..], &[200.0], &[200.0, f64::NAN], &[2000.0; 5], &[40.0; 10]] {
+        let mut late = running();
+        let (answer, _) = send(&mut late, at(200), 0, loads);
+        assert!(!answer.overloaded, "{loads:?}");
+    }
+    // A number that was never taken is no sample.
+    let mut wrong = running();
+    assert!(!send(&mut wrong, at(0), 500, &[200.0; 10]).0.overloaded);
+    // Of what it is a percentage nobody knows.
+    let mut unrated = machine();
+    unrated.spindle.reference = LoadReference::Unknown;
+    let operation = operation(Process::Friction);
+    let mut cycle = running_with(&unrated, &operation, Some(ToolState::Good), &program());
+    assert!(!send(&mut cycle, at(9), 0, &[200.0; 10]).0.overloaded);
+}
+
+#[test]
 fn what_is_kept_is_what_a_post_would_have_said() {
     let mut cycle = running();
     send(&mut cycle, at(2), 0, &[1.0, 2.0, 3.0]);

@@ -657,7 +657,7 @@ fn judge(
     each.clear();
     let answered = cycle.running.take(now, &batch, each);
     let machine = &ownership.slot.machine;
-    if answered.overloaded && cycle.overload.is_none() {
+    if answered.overloaded && !cycle.overload.as_ref().is_some_and(|overload| overload.is_the_cycles()) {
         let overload = Arc::new(Overload::seen(&cycle.id, &cycle.tool, now));
         cycle.overload = Some(overload.clone());
         overload.raise_beside(state, machine);

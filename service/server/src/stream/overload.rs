@@ -21,6 +21,8 @@ pub struct Overload {
     tool: ToolId,
     message: String,
     at: Timestamp,
+    /// Whether it was open when the cycle started.
+    before: bool,
     /// Set once it is committed.
     raised: OnceCell<()>,
 }
@@ -29,12 +31,17 @@ impl Overload {
     /// An overload of a cycle with a tool, seen now.
     pub fn seen(cycle: &CycleId, tool: &ToolId, now: Timestamp) -> Self {
         let message = format!("cycle {cycle}: the load exceeded the limit of an overload");
-        Self { tool: tool.clone(), message, at: now, raised: OnceCell::new() }
+        Self { tool: tool.clone(), message, at: now, before: false, raised: OnceCell::new() }
     }
 
     /// An overload that was open when a cycle started.
     pub fn open_before(cycle: &CycleId, tool: &ToolId, now: Timestamp) -> Self {
-        Self { raised: OnceCell::new_with(Some(())), ..Self::seen(cycle, tool, now) }
+        Self { before: true, raised: OnceCell::new_with(Some(())), ..Self::seen(cycle, tool, now) }
+    }
+
+    /// Whether the cycle itself was overloaded: else an overload that it shows is another one, perhaps of another tool.
+    pub const fn is_the_cycles(&self) -> bool {
+        !self.before
     }
 
     /// Raises it in a task of its own.
@@ -42,7 +49,7 @@ impl Overload {
         let (raising, machine) = (state.clone(), machine.clone());
         state.lifecycle.spawn(async move {
             match self.raise(&raising, &machine).await {
-                // It may have been acknowledged while nobody could know that it was this one.
+                // It may have been acknowledged at another server, while nobody here could know that it was this one.
                 Ok(()) => settle(&raising, &machine).await,
                 Err(error) => {
                     tracing::warn!(%machine, %error, "an overload could not be raised; its cycle's end tries again");
@@ -72,11 +79,14 @@ impl Overload {
 
 /// Frees a machine's running cycle where no overload of the machine is open any more. Where that cannot be read the
 /// cycle stays held.
+///
+/// An overload that is on its way is waited for: it may be committed, and acknowledged, before its task here knows that it
+/// is, and whoever has acknowledged it finds the cycle freed.
 pub async fn settle(state: &AppState, machine: &MachineId) {
     let Some(slot) = state.streams.slot(machine) else { return };
     let Some(overload) = slot.lock().cycle.as_ref().and_then(|cycle| cycle.overload.clone()) else { return };
-    if !overload.raised.initialized() {
-        // Who raises it settles it.
+    if let Err(error) = overload.raise(state, machine).await {
+        tracing::warn!(%machine, %error, "an overload could not be raised: its cycle stays held");
         return;
     }
     match cycle::overload_open(state, machine).await {

@@ -1,6 +1,6 @@
 //! State and step of the override law.
 
-use super::config::{Heating, IMPLAUSIBLE_LOAD_PERCENT, LawConfig, OverloadHold};
+use super::config::{Heating, IMPLAUSIBLE_LOAD_PERCENT, LawConfig, LawParams, OverloadHold};
 use super::equations::{correction, next_override, relative_load};
 use super::reason::{Reason, Reasons};
 use crate::friction::feed_override::FeedOverride;
@@ -45,9 +45,11 @@ pub struct LawStep {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawState {
     pub(super) ovr: FeedOverride,
-    feed: LoadFilter,
-    spindle: LoadFilter,
+    loads: Loads,
     last_time_ms: Option<f64>,
+    /// The samples that are only watched have a memory of their own: the law's begins anew after them.
+    watched: Loads,
+    watched_time_ms: Option<f64>,
     heated: bool,
     settling: u32,
     overloaded: bool,
@@ -65,9 +67,10 @@ impl LawState {
     pub const fn new() -> Self {
         Self {
             ovr: FeedOverride::NEUTRAL,
-            feed: LoadFilter::new(),
-            spindle: LoadFilter::new(),
+            loads: Loads::new(),
             last_time_ms: None,
+            watched: Loads::new(),
+            watched_time_ms: None,
             heated: false,
             settling: 0,
             overloaded: false,
@@ -87,6 +90,26 @@ impl LawState {
     pub fn withhold(&mut self, config: &LawConfig, time_ms: Option<f64>) -> FeedOverride {
         self.last_time_ms = time_ms.filter(|time| time.is_finite()).or(self.last_time_ms);
         self.neutral(config.params().settling_samples, Reasons::default(), config).ovr
+    }
+
+    /// Looks for an overload in a sample that the law may not judge, because it came late or nobody knows whose the
+    /// machine is: the tool met that load all the same. Returns whether it is one; the override is [`Self::withhold`]'s.
+    ///
+    /// As where the law judges, a sample after a gap only ends the gap.
+    pub fn watch(&mut self, config: &LawConfig, sample: &LawSample) -> bool {
+        let params = config.params();
+        let follows = self.watched_time_ms.is_some()
+            && !time_is_bad(self.watched_time_ms, params.longest_gap_ms, sample.time_ms);
+        self.watched_time_ms = Some(sample.time_ms).filter(|time| time.is_finite());
+        let mut unusable = Reasons::default();
+        let loads = Loads::of(params, sample, &mut unusable);
+        if !follows || !unusable.is_empty() {
+            self.watched = Loads::new();
+            return false;
+        }
+        let overload = self.watched.step(params, loads).is_some_and(|(load, _)| is_overload(params, load));
+        self.overloaded |= overload;
+        overload
     }
 
     /// The override in force.
@@ -117,34 +140,22 @@ impl LawState {
         let params = config.params();
         let mut reasons = Reasons::default();
 
-        if self.time_is_bad(params.longest_gap_ms, sample.time_ms) {
+        if time_is_bad(self.last_time_ms, params.longest_gap_ms, sample.time_ms) {
             reasons.add(Reason::Gap);
         }
         self.last_time_ms = Some(sample.time_ms).filter(|time| time.is_finite()).or(self.last_time_ms);
-        let feed = usable(params.set_feed_drive_percent, sample.feed_drive_percent, &mut reasons);
-        let spindle = usable(params.set_spindle_percent, sample.spindle_percent, &mut reasons);
+        let loads = Loads::of(params, sample, &mut reasons);
         if !reasons.is_empty() {
             return self.neutral(params.settling_samples, reasons, config);
         }
 
-        let weights = &params.weights;
-        let feed = feed.map(|(load, set)| (relative_load(self.feed.step(weights, load), set), Drive::Feed));
-        let spindle =
-            spindle.map(|(load, set)| (relative_load(self.spindle.step(weights, load), set), Drive::Spindle));
-        let larger = match (feed, spindle) {
-            (Some(f), Some(s)) => Some(if s.0 > f.0 { s } else { f }),
-            (one, other) => one.or(other),
-        };
-        let Some((load, drive)) = larger else {
+        let Some((load, drive)) = self.loads.step(params, loads) else {
             // No drive has a preferred load; the constructor refuses that.
             reasons.add(Reason::MissingLoad);
             return self.neutral(params.settling_samples, reasons, config);
         };
 
-        if let OverloadHold::UntilAcknowledged { relative_load }
-        | OverloadHold::UntilNextCycle { relative_load } = params.overload
-            && load >= relative_load
-        {
+        if is_overload(params, load) {
             self.overloaded = true;
             reasons.add(Reason::Overload);
         }
@@ -191,17 +202,6 @@ impl LawState {
         LawStep { ovr: self.ovr, reasons, relative_load: Some((load, drive)), correction: Some(c) }
     }
 
-    /// Time has to advance by no more than the longest gap; the first sample of a cycle has no step.
-    fn time_is_bad(&self, longest_gap_ms: f64, time_ms: f64) -> bool {
-        if !time_ms.is_finite() {
-            return true;
-        }
-        self.last_time_ms.is_some_and(|last| {
-            let step = time_ms - last;
-            step <= 0.0 || step > longest_gap_ms
-        })
-    }
-
     /// Once the heating is over it stays over, even when the tool is drawn back.
     fn is_heating(&mut self, heating: Heating, sample: &LawSample, reasons: &mut Reasons) -> bool {
         if self.heated {
@@ -222,12 +222,65 @@ impl LawState {
     }
 
     fn neutral(&mut self, settling: u32, mut reasons: Reasons, config: &LawConfig) -> LawStep {
-        self.feed.reset();
-        self.spindle.reset();
+        self.loads = Loads::new();
         self.settling = settling;
         self.ovr = clamped(config, self.ovr.neutral_from().percent(), &mut reasons);
         LawStep { ovr: self.ovr, reasons, relative_load: None, correction: None }
     }
+}
+
+/// The filtered loads of both drives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Loads {
+    feed: LoadFilter,
+    spindle: LoadFilter,
+}
+
+/// A drive's load beside its preferred value, both in percent.
+type Load = Option<(f64, f64)>;
+
+impl Loads {
+    const fn new() -> Self {
+        Self { feed: LoadFilter::new(), spindle: LoadFilter::new() }
+    }
+
+    /// Feed drive and spindle of a sample, with the reasons why one of them cannot be used.
+    fn of(params: &LawParams, sample: &LawSample, reasons: &mut Reasons) -> [Load; 2] {
+        let feed = usable(params.set_feed_drive_percent, sample.feed_drive_percent, reasons);
+        [feed, usable(params.set_spindle_percent, sample.spindle_percent, reasons)]
+    }
+
+    /// Takes the loads of one sample: the larger relative load L_R and its drive.
+    fn step(&mut self, params: &LawParams, [feed, spindle]: [Load; 2]) -> Option<(f64, Drive)> {
+        let weights = &params.weights;
+        let feed = feed.map(|(load, set)| (relative_load(self.feed.step(weights, load), set), Drive::Feed));
+        let spindle =
+            spindle.map(|(load, set)| (relative_load(self.spindle.step(weights, load), set), Drive::Spindle));
+        match (feed, spindle) {
+            (Some(f), Some(s)) => Some(if s.0 > f.0 { s } else { f }),
+            (one, other) => one.or(other),
+        }
+    }
+}
+
+/// Whether a relative load counts as an overload.
+fn is_overload(params: &LawParams, load: f64) -> bool {
+    match params.overload {
+        OverloadHold::Off => false,
+        OverloadHold::UntilAcknowledged { relative_load }
+        | OverloadHold::UntilNextCycle { relative_load } => load >= relative_load,
+    }
+}
+
+/// Time has to advance by no more than the longest gap; the first sample of a cycle has no step.
+fn time_is_bad(last_ms: Option<f64>, longest_gap_ms: f64, time_ms: f64) -> bool {
+    if !time_ms.is_finite() {
+        return true;
+    }
+    last_ms.is_some_and(|last| {
+        let step = time_ms - last;
+        step <= 0.0 || step > longest_gap_ms
+    })
 }
 
 fn clamped(config: &LawConfig, wish: f64, reasons: &mut Reasons) -> FeedOverride {
