@@ -32,7 +32,7 @@ impl Gate {
     }
 }
 
-/// A change that panicked: its transaction was rolled back.
+/// A change that panicked: its transaction is rolled back before anybody else writes.
 pub(crate) fn panicked(error: tokio::task::JoinError) -> StoreError {
     StoreError::Database(Box::new(error))
 }

@@ -27,11 +27,11 @@ use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The store. Every method that changes something returns after its durable commit, and writes its audit line
+/// The store. Every method that changes something returns when it is durable and seen by who reads next, and writes its audit line
 /// in the same transaction. Futures of mutating methods must not be dropped half-way: callers spawn them.
 #[async_trait]
 pub trait Store: Send + Sync + 'static {
-    /// Commits a group of cycles in one transaction and answers each, in the order given: inserts the new ones,
+    /// Commits a group of cycles as a whole, at once or by a journal of the engine, and answers each, in the order given: inserts the new ones,
     /// folds each tool they touch once, raises and clears alarms, stores the recommendations. When the group
     /// fails because of a row, it is retried row by row: a row that fails alone fails alone.
     async fn commit_cycles(

@@ -1,4 +1,4 @@
-//! The one writer: bounded lanes in front, groups behind, an answer to each after its commit.
+//! The one writer: bounded lanes in front, groups behind, an answer to each when it is durable.
 //!
 //! Live posts and batches have a lane each. A group takes what waits of the live lane first; where a batch waits, it
 //! leaves it an eighth of its places, so that a replay goes on under any load and never fills the way of live posts.

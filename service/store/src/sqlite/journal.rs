@@ -326,7 +326,7 @@ pub(super) fn take_up(database: &Path, conn: &mut Connection) -> StoreResult<()>
     let mut first = u64::MAX;
     loop {
         let is_mine = lock(&file)?;
-        let Some((id, epoch, records)) = held(&mut file, &path)? else { return Ok(()) };
+        let Some(Found { id, epoch, records }) = held(&mut file, &path)? else { return Ok(()) };
         // Later ones came while this waited.
         first = first.min(epoch);
         match noted(conn)? {
@@ -404,9 +404,16 @@ fn opened(path: &Path) -> StoreResult<Option<File>> {
     }
 }
 
-/// The id of a journal, its epoch and its records; `None` where it holds none: one that is all zeros was being made, and
+/// What a journal holds.
+struct Found {
+    id: [u8; 16],
+    epoch: u64,
+    records: Vec<u8>,
+}
+
+/// What a journal holds; `None` where it holds none: one that is all zeros was being made, and
 /// a first record that is not whole was never acknowledged.
-fn held(file: &mut File, path: &Path) -> StoreResult<Option<([u8; 16], u64, Vec<u8>)>> {
+fn held(file: &mut File, path: &Path) -> StoreResult<Option<Found>> {
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut bytes)).map_err(not_writable)?;
     let Some(head) = bytes.get(..HEAD).filter(|head| head.iter().any(|byte| *byte != 0)) else {
@@ -418,7 +425,7 @@ fn held(file: &mut File, path: &Path) -> StoreResult<Option<([u8; 16], u64, Vec<
         return Err(StoreError::NotWritable(what.into()));
     };
     bytes.drain(..HEAD);
-    Ok(first_epoch(&bytes).map(|epoch| (id, epoch, bytes)))
+    Ok(first_epoch(&bytes).map(|epoch| Found { id, epoch, records: bytes }))
 }
 
 /// Whether a journal stands beside a database that is not there, or is about to be put there, and holds something.
