@@ -11,6 +11,7 @@ mod dialect;
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
 mod files;
+mod group_folds;
 mod group_thread;
 mod group_writer;
 mod journal;

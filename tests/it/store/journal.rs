@@ -28,6 +28,15 @@ async fn committed(file: &Path) -> u32 {
     sqlx::query_scalar("SELECT COUNT(*) FROM cycles").fetch_one(&mut conn).await.unwrap()
 }
 
+/// The tool's folds, as they are committed.
+async fn folds(file: &Path) -> Vec<(String, i64, i64, Vec<u8>, i64, i64)> {
+    use sqlx::ConnectOptions;
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).read_only(true);
+    let mut conn = options.connect().await.unwrap();
+    let columns = "SELECT machine_id, folded, fold_version, state, version, updated_at_us FROM tool_wear";
+    sqlx::query_as(columns).fetch_all(&mut conn).await.unwrap()
+}
+
 /// What the store tells of its cycles and of the tool, but for ids of chance.
 async fn told(store: &dyn Store) -> Vec<String> {
     let page = Page { after: None, limit: 5000 };
@@ -94,6 +103,95 @@ async fn what_a_process_leaves_in_it_is_taken_up() {
     store.close().await;
     assert!(!journal_of(&file).exists(), "nothing is left to take up");
     assert_eq!(committed(&file).await, 24);
+}
+
+/// The groups of a transaction write it once. Who takes their journal up has their cycles, and makes the fold again.
+#[tokio::test]
+async fn a_fold_is_written_with_the_commit() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("plain.sqlite3");
+    let store = SqliteStore::open(&file, SqliteOptions::default()).await.unwrap();
+    shop(&store).await;
+    run(&store, 1..=13).await;
+    let each = folds(&file).await;
+    store.close().await;
+
+    let file = file_in(&folder);
+    let store = ahead(&file, 6).await;
+    assert_eq!(folds(&file).await[0].1, i64::from(FIRST));
+    assert_eq!(told(&store).await.len(), 9, "whoever asks has it committed");
+    assert_eq!(folds(&file).await[0].1, 8);
+    run(&store, 9..=13).await;
+    store.close().await;
+    assert_eq!(folds(&file).await, each, "as if each group had written it");
+
+    let store = opened(&file).await;
+    run(&store, 14..=20).await;
+    let before = folds(&file).await;
+    drop(store);
+    let store = opened(&file).await;
+    let behind = folds(&file).await;
+    let ((_, folded, rules, _, version, _), tool) = (&behind[0], "T1".try_into().unwrap());
+    assert_eq!((*folded, *rules), (20, 0), "of no rules, so that nobody believes it");
+    assert!(*version > before[0].4, "nor takes it for the one of before");
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    assert_eq!(told(&store).await, plain(20).await);
+    assert_eq!(store.next_outdated_fold(None).await.unwrap().as_ref(), Some(&tool));
+    assert!(store.renew_fold(&tool, at(200_000)).await.unwrap());
+    assert_eq!(store.next_outdated_fold(None).await.unwrap(), None);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    store.close().await;
+    assert_ne!(folds(&file).await[0].2, 0);
+}
+
+/// A transaction that cannot be committed is committed later, and nothing is acknowledged until then. SQLite may have
+/// rolled it back by itself, or left it open.
+#[tokio::test]
+async fn a_commit_that_fails_is_made_up_for() {
+    for outcome in ["ROLLBACK", "ABORT"] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = file_in(&folder);
+        let store = opened(&file).await;
+        shop(&store).await;
+        run(&store, 1..=FIRST).await;
+        let refusing = async |what: &str| {
+            use sqlx::ConnectOptions;
+            let options = sqlx::sqlite::SqliteConnectOptions::new().filename(&file);
+            let mut conn = options.connect().await.unwrap();
+            sqlx::raw_sql(sqlx::AssertSqlSafe(what.to_owned())).execute(&mut conn).await.unwrap();
+        };
+        // Nobody else may write while the transaction is open: it fails until a moment that is set before.
+        refusing(&format!(
+            "CREATE TABLE refusal (until REAL NOT NULL);
+             INSERT INTO refusal (until) VALUES (julianday('now', '+2 seconds'));
+             CREATE TRIGGER refuse BEFORE UPDATE ON groups_journal
+             WHEN julianday('now') < (SELECT until FROM refusal)
+             BEGIN SELECT RAISE({outcome}, 'not yet'); END"
+        ))
+        .await;
+        // The first that follows another one is the first of the transaction.
+        run(&store, FIRST + 1..=FIRST + 4).await;
+        assert_eq!(committed(&file).await, FIRST, "{outcome}");
+        let everything = Page { after: None, limit: 100 };
+        let refused = store.cycles(&CycleFilter::default(), everything.clone()).await;
+        assert!(refused.is_err(), "{outcome}: it would not show what was acknowledged");
+        let sent = Run { sampled: false, ..Run::nth(FIRST + 5) };
+        assert!(commit(&store, std::slice::from_ref(&sent)).await.iter().all(Result::is_err), "{outcome}");
+        assert_eq!(committed(&file).await, FIRST, "{outcome}");
+        // Not to wait for it, but to look whether its time has come.
+        while store.cycles(&CycleFilter::default(), everything.clone()).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        assert_eq!(committed(&file).await, FIRST + 4, "{outcome}");
+        stored(&store, &sent).await;
+        assert_eq!(told(&store).await, plain(FIRST + 5).await, "{outcome}");
+        assert_eq!(store.check_wear(Repair::No).await.unwrap().different, [], "{outcome}");
+        refusing("DROP TRIGGER refuse; DROP TABLE refusal").await;
+        run(&store, FIRST + 6..=FIRST + 9).await;
+        drop(store);
+        let store = opened(&file).await;
+        assert_eq!(told(&store).await, plain(FIRST + 9).await, "{outcome}");
+    }
 }
 
 /// What it acknowledged is in the open transaction as well.

@@ -251,7 +251,7 @@ async fn count_all(
     group: &[NewCycle],
     placed: &[Placed],
     (registry, versions, memory): (&GroupRegistry, &BTreeMap<ToolId, Versions>, &mut Memory),
-) -> StoreResult<(BTreeMap<ToolId, Arc<Verdict>>, Vec<SavedWear>, Vec<AlarmChange>)> {
+) -> StoreResult<(BTreeMap<ToolId, Arc<Verdict>>, Vec<Arc<SavedWear>>, Vec<AlarmChange>)> {
     let mut fresh: BTreeMap<&ToolId, BTreeMap<&MachineId, Vec<FactsRow>>> = BTreeMap::new();
     for (new, placed) in group.iter().zip(placed) {
         let cycle = &new.cycle;

@@ -13,12 +13,19 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Cycles read at once when refolding; bounds memory, not the work.
 const FACTS_PAGE: i64 = 1000;
 
 /// Before every cycle.
 pub(super) const BEGINNING: Place = Place::at(Timestamp::from_micros(i64::MIN));
+
+/// After every cycle.
+const END: Place = Place::at(Timestamp::from_micros(i64::MAX));
+
+/// Version of a fold that is behind its cycles, as no rules ever wrote it: a journal of groups was taken up.
+const BEHIND: i64 = 0;
 
 /// The verdict on a tool that is not registered.
 pub(super) fn not_registered() -> Verdict {
@@ -220,17 +227,17 @@ impl ToolWear {
     }
 
     /// Takes the rows that have to be written, in the order of their machines.
-    pub(super) fn take_changed(&mut self) -> StoreResult<Vec<SavedWear>> {
+    pub(super) fn take_changed(&mut self) -> StoreResult<Vec<Arc<SavedWear>>> {
         let mut rows = Vec::new();
         for (machine, cached) in &mut self.machines {
             if let Some(fold) = cached.fold.as_ref().filter(|_| cached.changed) {
-                rows.push(SavedWear {
-                    machine_id: machine.as_str().to_owned(),
-                    tool_id: self.tool.as_str().to_owned(),
+                rows.push(Arc::new(SavedWear {
+                    machine_id: machine.clone(),
+                    tool_id: self.tool.clone(),
                     folded: count("folded", cached.folded)?,
-                    state: state_of(fold),
+                    state: fold.to_bytes(),
                     version: cached.version,
-                });
+                }));
                 cached.changed = false;
                 cached.version += 1;
             }
@@ -519,8 +526,9 @@ pub(super) async fn next_outdated(conn: &mut Conn, after: Option<&ToolId>) -> St
 
 /// Makes a tool's folds of earlier versions anew; the tool's name is locked by then. `None` where there are none.
 pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Option<Verdict>> {
-    let outdated: Vec<String> = sqlx::query_scalar::<Db, _>(
-        "SELECT machine_id FROM tool_wear WHERE tool_id = $1 AND fold_version < $2 ORDER BY machine_id",
+    let outdated: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
+        "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version < $2
+         ORDER BY machine_id",
     )
     .bind(tool.as_str())
     .bind(i64::from(FOLD_VERSION))
@@ -530,8 +538,10 @@ pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> Sto
         return Ok(None);
     }
     let mut wear = ToolWear::load_locked(conn, tool).await?;
-    for machine in &outdated {
-        wear.refold(conn, &id("machine_id", machine)?, &BEGINNING).await?;
+    for (machine, version) in &outdated {
+        // Checkpoints are as good as they were before one that is only behind.
+        let from = if *version == BEHIND { END } else { BEGINNING };
+        wear.refold(conn, &id("machine_id", machine)?, &from).await?;
     }
     wear.save(conn, now).await?;
     wear.verdict(conn).await.map(Some)

@@ -5,6 +5,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::record::{AlarmKind, IssuedRecommendation};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::wear::{Level, LevelBasis, Remaining};
+use std::sync::Arc;
 
 /// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
 pub(crate) const ADVICE_HASH_BYTES: usize = 16;
@@ -12,9 +13,10 @@ pub(crate) const ADVICE_HASH_BYTES: usize = 16;
 /// A row of `tool_wear`.
 #[derive(Debug)]
 pub(crate) struct SavedWear {
-    pub(crate) machine_id: String,
-    pub(crate) tool_id: String,
+    pub(crate) machine_id: MachineId,
+    pub(crate) tool_id: ToolId,
     pub(crate) folded: i64,
+    /// The fold's state; it is packed when it is written.
     pub(crate) state: Vec<u8>,
     /// Version of the row that it follows; 0 where there is none.
     pub(crate) version: i64,
@@ -68,7 +70,7 @@ impl AlarmChange {
 #[derive(Debug)]
 pub(crate) struct Rest<'a> {
     pub(crate) blocks: Vec<BlockRow<'a>>,
-    pub(crate) wear: Vec<SavedWear>,
+    pub(crate) wear: Vec<Arc<SavedWear>>,
     pub(crate) alarms: Vec<AlarmChange>,
     pub(crate) issued: Vec<IssuedRow>,
     /// Which of those refer to an advice that is not known to be stored, in ascending order of their hashes: others may
@@ -80,7 +82,7 @@ impl<'a> Rest<'a> {
     /// With what is new of the advices, each once.
     pub(crate) fn of(
         blocks: Vec<BlockRow<'a>>,
-        (wear, alarms): (Vec<SavedWear>, Vec<AlarmChange>),
+        (wear, alarms): (Vec<Arc<SavedWear>>, Vec<AlarmChange>),
         issued: Vec<IssuedRow>,
         mut is_new: impl FnMut(&IssuedRow) -> bool,
     ) -> Self {

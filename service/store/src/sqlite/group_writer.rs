@@ -6,14 +6,14 @@
 
 use super::dialect::{BLOCKS, CYCLES, RECOMMENDATIONS};
 use super::engine::Heads;
+use super::group_folds::Folds;
 use super::journal::Journal;
 use super::open::{SETTINGS, is_durable};
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{AlarmChange, BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::work::Written;
-use feedwright_core::ids::ToolId;
+use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
-use feedwright_core::wear::FOLD_VERSION;
 use rusqlite::{CachedStatement, Connection, OpenFlags};
 use std::collections::BTreeSet;
 use std::error::Error;
@@ -50,6 +50,8 @@ pub(super) struct GroupWriter {
     dirty: bool,
     /// The transaction could not be committed: no group is written before it is.
     stuck: bool,
+    /// What those groups have counted: a fold that each of them changes is written once, before the commit.
+    folds: Folds,
 }
 
 /// What a group rests on that takes these heads for granted: they are held against the database in the transaction that
@@ -59,6 +61,14 @@ pub(super) struct Assumption<'h> {
     pub(super) heads: &'h Heads,
     /// All tools of the group; those without a version in the heads are taken to have no fold.
     pub(super) tools: &'h BTreeSet<&'h ToolId>,
+}
+
+impl<'h> Assumption<'h> {
+    /// The versions of a tool's folds.
+    pub(super) fn versions(self, tool: &ToolId) -> impl Iterator<Item = (&'h MachineId, i64)> + use<'h> {
+        let versions = self.heads.versions.get(tool);
+        versions.into_iter().flatten().map(|(machine, version)| (machine, *version))
+    }
 }
 
 impl GroupWriter {
@@ -88,6 +98,7 @@ impl GroupWriter {
             soon: Duration::ZERO,
             dirty: false,
             stuck: false,
+            folds: Folds::default(),
         })
     }
 
@@ -144,7 +155,7 @@ impl GroupWriter {
         let holds = self.run(assumption, cycles, rest, (now, follows));
         let written = holds.and_then(|holds| {
             if holds {
-                self.keep(cycles.len(), follows)?;
+                self.keep(assumption, (cycles.len(), &rest.wear), (now, follows))?;
             } else if self.groups == 0 {
                 self.conn.execute_batch("ROLLBACK")?;
             }
@@ -173,7 +184,7 @@ impl GroupWriter {
         rest: &Rest<'_>,
         (now, follows): (Timestamp, bool),
     ) -> StoreResult<bool> {
-        if !holds(&self.conn, assumption)? {
+        if !holds(&self.conn, assumption, &self.folds)? {
             return Ok(false);
         }
         let mut run = Run { conn: &self.conn, journal: self.journal.as_mut().filter(|_| follows) };
@@ -182,18 +193,24 @@ impl GroupWriter {
         }
         insert_cycles(&mut run, cycles)?;
         insert_blocks(&mut run, &rest.blocks)?;
-        save_wear(&mut run, &rest.wear, now)?;
+        note_wear(&mut run, &rest.wear, now)?;
         change_alarms(&mut run, &rest.alarms, now)?;
         insert_advices(&mut run, rest.with_new_advice())?;
         insert_recommendations(&mut run, &rest.issued)?;
         Ok(true)
     }
 
-    /// Makes what was run last: by the journal where others will follow soon and it has room, by a commit otherwise.
-    fn keep(&mut self, cycles: usize, follows: bool) -> StoreResult<()> {
+    /// Keeps what was run last: by the journal where others will follow soon and it has room, by a commit otherwise.
+    fn keep(
+        &mut self,
+        assumption: Assumption<'_>,
+        (cycles, wear): (usize, &[Arc<SavedWear>]),
+        (now, follows): (Timestamp, bool),
+    ) -> StoreResult<()> {
         if let Some(journal) = self.journal.as_mut().filter(|journal| follows && journal.has_room()) {
             match journal.append() {
                 Ok(()) => {
+                    self.folds.keep(assumption, wear, now);
                     self.groups += 1;
                     self.cycles += cycles;
                     self.ahead.store(true, Ordering::Release);
@@ -212,7 +229,7 @@ impl GroupWriter {
         if let Some(journal) = &mut self.journal {
             journal.forget();
         }
-        self.end()
+        self.end(Some((wear, now)))
     }
 
     /// Rolls back what a group that failed has run, and runs again what was acknowledged before it in its transaction.
@@ -256,13 +273,16 @@ impl GroupWriter {
         if !self.is_open() {
             return Ok(());
         }
-        let outcome = self.resume().and_then(|()| self.end());
+        let outcome = self.resume().and_then(|()| self.end(None));
         self.stuck = outcome.is_err();
+        // What it has written for its end is written again next time.
+        self.dirty = self.stuck && !self.conn.is_autocommit();
         outcome
     }
 
-    /// Commits the transaction that is open.
-    fn end(&mut self) -> StoreResult<()> {
+    /// Commits the transaction that is open, with the folds that were counted in it, those of its last group included.
+    fn end(&mut self, last: Option<(&[Arc<SavedWear>], Timestamp)>) -> StoreResult<()> {
+        self.folds.save(&self.conn, last)?;
         // A record that may be on the disk is of an epoch that is over, also where it could not be relied on.
         let journal = self.journal.as_mut().filter(|journal| journal.is_touched());
         if let Some(journal) = &journal {
@@ -273,6 +293,7 @@ impl GroupWriter {
             journal.turn();
         }
         (self.groups, self.cycles) = (0, 0);
+        self.folds.forget();
         self.ahead.store(false, Ordering::Release);
         // What a disk refused once is not tried again.
         self.journal.take_if(|journal| journal.has_failed());
@@ -335,7 +356,8 @@ impl<'c> Run<'c> {
 }
 
 /// Whether the heads are those in force.
-fn holds(conn: &Connection, Assumption { heads, tools }: Assumption<'_>) -> StoreResult<bool> {
+fn holds(conn: &Connection, assumption: Assumption<'_>, folds: &Folds) -> StoreResult<bool> {
+    let heads = assumption.heads;
     let mut in_force = conn.prepare_cached(
         "SELECT (SELECT SUM(changes) FROM registry_generation) IS ?
             AND EXISTS (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL) IS ?",
@@ -343,23 +365,36 @@ fn holds(conn: &Connection, Assumption { heads, tools }: Assumption<'_>) -> Stor
     if !in_force.query_row((heads.generation, heads.any_profile), |row| row.get::<_, bool>(0))? {
         return Ok(false);
     }
-    let mut versions = conn
-        .prepare_cached("SELECT machine_id, version FROM tool_wear WHERE tool_id = ? ORDER BY machine_id")?;
-    for tool in tools {
-        // Ids are compared byte by byte there and here.
-        let mut assumed = heads.versions.get(*tool).into_iter().flatten();
-        let mut rows = versions.query([tool.as_str()])?;
-        while let Some(row) = rows.next()? {
-            let stored = (row.get_ref(0)?.as_str().map_err(rusqlite::Error::from)?, row.get(1)?);
-            if assumed.next().map(|(machine, version)| (machine.as_str(), *version)) != Some(stored) {
-                return Ok(false);
-            }
-        }
-        if assumed.next().is_some() {
+    for tool in assumption.tools {
+        // Nobody else writes the database as long as the transaction is open.
+        let same = match folds.versions(tool) {
+            Some(versions) => assumption.versions(tool).eq(versions),
+            None => are_stored(conn, tool, assumption.versions(tool))?,
+        };
+        if !same {
             return Ok(false);
         }
     }
     Ok(true)
+}
+
+/// Whether these are the versions of a tool's folds in the database.
+fn are_stored<'h>(
+    conn: &Connection,
+    tool: &ToolId,
+    mut assumed: impl Iterator<Item = (&'h MachineId, i64)>,
+) -> StoreResult<bool> {
+    let mut versions = conn
+        .prepare_cached("SELECT machine_id, version FROM tool_wear WHERE tool_id = ? ORDER BY machine_id")?;
+    // Ids are compared byte by byte there and here.
+    let mut rows = versions.query([tool.as_str()])?;
+    while let Some(row) = rows.next()? {
+        let stored = (row.get_ref(0)?.as_str().map_err(rusqlite::Error::from)?, row.get(1)?);
+        if assumed.next().map(|(machine, version)| (machine.as_str(), version)) != Some(stored) {
+            return Ok(false);
+        }
+    }
+    Ok(assumed.next().is_none())
 }
 
 /// Runs a statement with a row's values, in the order of its parameters.
@@ -405,28 +440,21 @@ fn insert_blocks(run: &mut Run<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<(
     Ok(())
 }
 
-/// Writes folds whose versions are known to be in force.
-fn save_wear(run: &mut Run<'_>, rows: &[SavedWear], now: Timestamp) -> StoreResult<()> {
-    let mut known = run.prepare(
-        "UPDATE tool_wear SET folded = ?, fold_version = ?, state = ?, updated_at_us = ?, version = ?
-         WHERE machine_id = ? AND tool_id = ? AND version = ?",
-    )?;
-    let mut new = run.prepare(
-        "INSERT INTO tool_wear (folded, fold_version, state, updated_at_us, version, machine_id, tool_id)
-         VALUES (?, ?, ?, ?, ?, ?, ?)",
-    )?;
+/// Notes for who takes the journal up which folds are behind their cycles. They are written before the commit; nobody
+/// believes those that were in force before the transaction, as they are of no version of the rules.
+fn note_wear(run: &mut Run<'_>, rows: &[Arc<SavedWear>], now: Timestamp) -> rusqlite::Result<()> {
+    let Some(journal) = &mut run.journal else { return Ok(()) };
     for row in rows {
-        let (state, now, next) = (&row.state, now.micros(), row.version + 1);
-        let (machine, tool) = (&row.machine_id, &row.tool_id);
-        let written = if row.version > 0 {
-            run!(run, &mut known, row.folded, FOLD_VERSION, state, now, next, machine, tool, row.version)?
-        } else {
-            run!(run, &mut new, row.folded, FOLD_VERSION, state, now, next, machine, tool)?
-        };
-        if written != 1 {
-            // Its cycles would be stored and not counted.
-            return Err(StoreError::Damaged { what: format!("the fold of tool {} is gone", row.tool_id) });
-        }
+        journal.stands_for(
+            "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
+             VALUES (?, ?, ?, 0, x'', 1, ?)
+             ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded, fold_version = 0,
+                 version = tool_wear.version + 1, updated_at_us = excluded.updated_at_us",
+        )?;
+        journal.value(row.machine_id.as_str())?;
+        journal.value(row.tool_id.as_str())?;
+        journal.value(&row.folded)?;
+        journal.value(&now.micros())?;
     }
     Ok(())
 }

@@ -9,14 +9,15 @@
 //! | bytes | what |
 //! |---|---|
 //! | 16 | `feedwright groups` without its blank, that is `feedwrightgroups` |
-//! | 4 | version of the format, 1 |
+//! | 4 | version of the format, 2; of version 1, which had no `4`, what was left is taken up |
 //! | 16 | id of the journal, as the database has it |
 //! | 4 | crc32 over the above |
 //!
 //! Records stand behind it, integers little-endian: crc32 over the rest of the record, u32 length of the body, u64 epoch, u32
 //! number within the epoch from 0 on, body. A body is a list of: `1`, u8 number of a statement, u32 length, its text; `2`, u8
 //! number of a statement, u8 number of values, u32 rows that it changed, values; `3`, i64, the newest row of `cycles` before
-//! the epoch. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`, u32 length and text, or `4`, u32 length
+//! the epoch; `4`, as `2`, a statement that stands for what the process would have run before its commit: only who takes the
+//! epoch up runs it. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`, u32 length and text, or `4`, u32 length
 //! and bytes. An epoch ends where its next record is not whole: that one was never acknowledged.
 //!
 //! A database may have been put back to an earlier state beside a journal that is of a later one. The epoch alone would not
@@ -36,7 +37,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 const MAGIC: &[u8; 16] = b"feedwrightgroups";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// Versions that are taken up.
+const READABLE: [u32; 2] = [1, VERSION];
 /// Bytes of the head.
 const HEAD: usize = 40;
 /// Bytes of a record before its body.
@@ -50,6 +53,7 @@ const KEPT_RECORD: usize = 320 << 10;
 const DEFINES: u8 = 1;
 const RUNS: u8 = 2;
 const FOLLOWS: u8 = 3;
+const STANDS_FOR: u8 = 4;
 
 const NULL: u8 = 0;
 const INTEGER: u8 = 1;
@@ -155,6 +159,18 @@ impl Journal {
 
     /// A statement that is run, before its values.
     pub(super) fn run(&mut self, statement: &'static str) -> rusqlite::Result<()> {
+        self.statement(RUNS, statement)
+    }
+
+    /// A statement that is not run, and changes one row, before its values: it stands for others that are run before the
+    /// commit.
+    pub(super) fn stands_for(&mut self, statement: &'static str) -> rusqlite::Result<()> {
+        self.statement(STANDS_FOR, statement)?;
+        self.ran(1);
+        Ok(())
+    }
+
+    fn statement(&mut self, kind: u8, statement: &'static str) -> rusqlite::Result<()> {
         let number = match self.statements.iter().position(|known| std::ptr::eq(*known, statement)) {
             Some(number) => number,
             None => {
@@ -168,7 +184,7 @@ impl Journal {
             self.bytes(self.statements[self.defined].as_bytes())?;
             self.defined += 1;
         }
-        self.record.extend_from_slice(&[RUNS, byte(number)?, 0, 0, 0, 0, 0]);
+        self.record.extend_from_slice(&[kind, byte(number)?, 0, 0, 0, 0, 0]);
         self.counted_at = self.record.len() - 5;
         Ok(())
     }
@@ -296,7 +312,7 @@ impl Journal {
         let mut bytes = vec![0; usize::try_from(self.at).unwrap_or(usize::MAX) - HEAD];
         read_at(&self.file, &mut bytes, HEAD as u64).map_err(not_writable)?;
         let records = Records { bytes: &bytes, epoch: self.epoch, number: 0 };
-        match run_all(conn, records) {
+        match run_all(conn, records, By::WhoWroteThem) {
             Ok(groups) if groups == self.number => Ok(()),
             // The database is another one than these groups were run in: nobody may go on with it.
             Ok(_) | Err(StoreError::Refused { .. } | StoreError::Damaged { .. }) => {
@@ -437,7 +453,7 @@ pub(crate) fn is_left(database: &Path) -> StoreResult<Option<PathBuf>> {
 
 fn take_up_records(conn: &mut Connection, records: Records<'_>, epoch: u64) -> StoreResult<()> {
     let transaction = conn.transaction_with_behavior(TransactionBehavior::Immediate)?;
-    let groups = run_all(&transaction, records)?;
+    let groups = run_all(&transaction, records, By::WhoTakesThemUp)?;
     note_epoch(&transaction, epoch)?;
     transaction.commit()?;
     tracing::warn!(groups, "groups that were acknowledged and not committed are taken up from their journal");
@@ -481,18 +497,26 @@ fn first_epoch(records: &[u8]) -> Option<u64> {
     record(records).filter(|(_, number, ..)| *number == 0).map(|(epoch, ..)| epoch)
 }
 
+/// Who runs the statements of records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum By {
+    /// It has in memory what others only stand for, and runs that before its commit.
+    WhoWroteThem,
+    WhoTakesThemUp,
+}
+
 /// Runs the statements of records; returns how many records they were.
-fn run_all(conn: &Connection, records: Records<'_>) -> StoreResult<u32> {
+fn run_all(conn: &Connection, records: Records<'_>, by: By) -> StoreResult<u32> {
     let mut statements = Vec::new();
     let mut count = 0;
     for body in records {
-        run(conn, &mut statements, body)?;
+        run(conn, &mut statements, body, by)?;
         count += 1;
     }
     Ok(count)
 }
 
-fn run<'b>(conn: &Connection, statements: &mut Vec<&'b str>, body: &'b [u8]) -> StoreResult<()> {
+fn run<'b>(conn: &Connection, statements: &mut Vec<&'b str>, body: &'b [u8], by: By) -> StoreResult<()> {
     let mut body = Body(body);
     while let Some(kind) = body.next_kind() {
         match kind {
@@ -502,7 +526,7 @@ fn run<'b>(conn: &Connection, statements: &mut Vec<&'b str>, body: &'b [u8]) -> 
                 }
                 statements.push(body.text()?);
             }
-            RUNS => {
+            RUNS | STANDS_FOR => {
                 let number = usize::from(body.byte()?);
                 let text = statements.get(number).ok_or_else(|| damaged("a statement is not defined"))?;
                 let mut statement = conn.prepare_cached(text)?;
@@ -510,6 +534,9 @@ fn run<'b>(conn: &Connection, statements: &mut Vec<&'b str>, body: &'b [u8]) -> 
                 let rows = u32::from_le_bytes(body.array()?);
                 for place in 1..=values {
                     statement.raw_bind_parameter(place, body.value()?)?;
+                }
+                if kind == STANDS_FOR && by == By::WhoWroteThem {
+                    continue;
                 }
                 if u32::try_from(statement.raw_execute()?) != Ok(rows) {
                     return Err(damaged("a statement changes something else than it did"));
@@ -580,7 +607,7 @@ fn lock(file: &File) -> StoreResult<bool> {
 
 /// Makes the file as long as it is to be, with a head, where it has not been yet.
 fn prepare(file: &File, id: [u8; 16]) -> io::Result<()> {
-    let head = head(id);
+    let head = head(VERSION, id);
     let mut found = [0; HEAD];
     if file.metadata()?.len() == CAPACITY && read_at(file, &mut found, 0).is_ok() && found == head {
         return Ok(());
@@ -625,10 +652,10 @@ fn read_at(mut file: &File, bytes: &mut [u8], at: u64) -> io::Result<()> {
     file.read_exact(bytes)
 }
 
-fn head(id: [u8; 16]) -> [u8; HEAD] {
+fn head(version: u32, id: [u8; 16]) -> [u8; HEAD] {
     let mut head = [0; HEAD];
     head[..16].copy_from_slice(MAGIC);
-    head[16..20].copy_from_slice(&VERSION.to_le_bytes());
+    head[16..20].copy_from_slice(&version.to_le_bytes());
     head[20..36].copy_from_slice(&id);
     let sum = crc32fast::hash(&head[..36]);
     head[36..].copy_from_slice(&sum.to_le_bytes());
@@ -637,7 +664,7 @@ fn head(id: [u8; 16]) -> [u8; HEAD] {
 
 fn id_of(bytes: &[u8]) -> Option<[u8; 16]> {
     let id = bytes.get(20..36)?.try_into().ok()?;
-    (*bytes == head(id)).then_some(id)
+    READABLE.into_iter().any(|version| *bytes == head(version, id)).then_some(id)
 }
 
 /// The journal's id and the last epoch that was committed, as the database has them.

@@ -1,5 +1,6 @@
 //! Many rows in one statement: an array per column, so that one prepared statement takes any number of rows.
 
+use crate::codec::zeros;
 use crate::error::{StoreError, StoreResult};
 use crate::postgres::Conn;
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
@@ -67,7 +68,7 @@ async fn insert_blocks(conn: &mut Conn, rows: &[BlockRow<'_>]) -> StoreResult<()
 /// database of several nodes shows a commit later than it was told, a newer fold must not be lost all the same.
 pub(in crate::postgres) async fn save_wear(
     conn: &mut Conn,
-    rows: &[SavedWear],
+    rows: &[Arc<SavedWear>],
     now: Timestamp,
 ) -> StoreResult<()> {
     if rows.is_empty() {
@@ -86,7 +87,7 @@ pub(in crate::postgres) async fn save_wear(
     .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.folded).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.state.as_slice()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| zeros::pack(&row.state)).collect::<Vec<_>>())
     .bind(i64::from(FOLD_VERSION))
     .bind(now.micros())
     .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())

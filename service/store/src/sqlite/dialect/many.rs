@@ -10,6 +10,7 @@
 
 use super::assumed::{BEGIN, versions_text};
 use super::list;
+use crate::codec::zeros;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
@@ -162,14 +163,14 @@ static WEAR: LazyLock<Statements> = LazyLock::new(|| {
     )
 });
 
-fn bind_wear(mut query: Query, rows: &[SavedWear], now: Timestamp) -> Query {
+fn bind_wear(mut query: Query, rows: &[Arc<SavedWear>], now: Timestamp) -> Query {
     for row in rows {
         query = query
-            .bind(row.machine_id.clone())
-            .bind(row.tool_id.clone())
+            .bind(row.machine_id.as_str().to_owned())
+            .bind(row.tool_id.as_str().to_owned())
             .bind(row.folded)
             .bind(i64::from(FOLD_VERSION))
-            .bind(row.state.clone())
+            .bind(zeros::pack(&row.state))
             .bind(now.micros());
     }
     query
@@ -178,7 +179,7 @@ fn bind_wear(mut query: Query, rows: &[SavedWear], now: Timestamp) -> Query {
 /// Writes the folds of machines and tools.
 pub(in crate::sqlite) async fn save_wear(
     conn: &mut Conn,
-    rows: &[SavedWear],
+    rows: &[Arc<SavedWear>],
     now: Timestamp,
 ) -> StoreResult<()> {
     let mut rest = rows;

@@ -91,6 +91,51 @@ fn what_is_forgotten_leaves_nothing() {
     assert_eq!(all(&conn), [&kept[..], &kept, &kept].concat());
 }
 
+/// Who wrote it has in memory what it stands for; also of a journal of the version before that is left.
+#[test]
+fn what_only_stands_for_others_is_run_by_who_takes_it_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mut conn) = given(folder.path());
+    let mut journal = Journal::open(&path, &conn).unwrap();
+    conn.execute_batch("BEGIN").unwrap();
+    journal.begin(&conn).unwrap();
+    insert(&mut journal, &conn, &Value::Integer(1));
+    journal.stands_for(INSERT).unwrap();
+    journal.value(&Value::Integer(2)).unwrap();
+    insert(&mut journal, &conn, &Value::Integer(3));
+    journal.append().unwrap();
+    conn.execute_batch("ROLLBACK; BEGIN").unwrap();
+    journal.run_again(&conn).unwrap();
+    assert_eq!(all(&conn), [1, 3].map(Value::Integer));
+    conn.execute_batch("ROLLBACK").unwrap();
+    drop(journal);
+    take_up(&path, &mut conn).unwrap();
+    assert_eq!(all(&conn), [1, 2, 3].map(Value::Integer));
+}
+
+#[test]
+fn one_of_the_version_before_is_taken_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mut conn) = given(folder.path());
+    let mut journal = Journal::open(&path, &conn).unwrap();
+    journal.begin(&conn).unwrap();
+    conn.execute_batch("BEGIN").unwrap();
+    insert(&mut journal, &conn, &Value::Integer(1));
+    conn.execute_batch("ROLLBACK").unwrap();
+    journal.append().unwrap();
+    let id = id_of(&std::fs::read(&journal.path).unwrap()[..HEAD]).unwrap();
+    let at = journal.path.clone();
+    drop(journal);
+    for (version, taken) in [(3, false), (0, false), (1, true)] {
+        write_at(&File::options().write(true).open(&at).unwrap(), &head(version, id), 0).unwrap();
+        assert_eq!(take_up(&path, &mut conn).is_ok(), taken, "{version}");
+    }
+    assert_eq!(all(&conn), [Value::Integer(1)]);
+    // It goes on in the version of now.
+    drop(Journal::open(&path, &conn).unwrap());
+    assert_eq!(std::fs::read(&at).unwrap()[..HEAD], head(VERSION, id));
+}
+
 /// The epoch fits, and the state does not.
 #[test]
 fn another_state_is_not_gone_on_with() {
