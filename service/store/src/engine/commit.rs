@@ -259,8 +259,8 @@ async fn count_all(
             continue;
         }
         let machines = fresh.entry(&cycle.tool).or_default();
-        if let Placed::New(row, _) = placed {
-            let facts = FactsRow::of(row, registry.operations.get(&cycle.operation).map(AsRef::as_ref));
+        if let Placed::New(row, summary) = placed {
+            let facts = FactsRow::of(row, summary, registry.operations.get(&cycle.operation).map(AsRef::as_ref));
             machines.entry(&cycle.machine).or_default().push(facts);
         }
     }
@@ -305,7 +305,9 @@ async fn count_tool(
     // machine's fold changes from the earlier of the two on.
     let mut moved: Option<Place> = None;
     let mut before = wear.events.clone();
-    for row in machines.values().flatten() {
+    // Others are at a time, which is no cycle's place.
+    let names_cycles = before.iter().any(|event| event.place.cycle.is_some());
+    for row in machines.values().flatten().filter(|_| names_cycles) {
         let place = Place::of(&row.order()?);
         for event in before.iter_mut().filter(|event| event.place == place) {
             event.place = Place::at(event.at);
@@ -320,10 +322,12 @@ async fn count_tool(
     for (machine, mut rows) in machines {
         match &moved {
             None => {
-                let mut keyed =
-                    rows.drain(..).map(|row| Ok((row.order()?, row))).collect::<StoreResult<Vec<_>>>()?;
-                keyed.sort_by(|(a, _), (b, _)| a.cmp(b));
-                let rows: Vec<FactsRow> = keyed.into_iter().map(|(_, row)| row).collect();
+                if rows.len() > 1 {
+                    let keyed = rows.into_iter().map(|row| Ok((row.order()?, row)));
+                    let mut keyed = keyed.collect::<StoreResult<Vec<_>>>()?;
+                    keyed.sort_by(|(a, _), (b, _)| a.cmp(b));
+                    rows = keyed.into_iter().map(|(_, row)| row).collect();
+                }
                 wear.count_new(transaction, machine, &rows).await?;
             }
             Some(moved) => {

@@ -272,16 +272,16 @@ impl ToolWear {
         let Some(first) = new.first() else {
             return Ok(());
         };
-        let first = Place::of(&first.order()?);
+        let first = first.order()?;
         let cached = self.machines.entry(machine.clone()).or_insert_with(|| Cached {
             fold: Some(beginning(&self.events)),
             folded: 0,
             version: 0,
             changed: true,
         });
-        let newest = |fold: &ToolFold| fold.last().is_none_or(|last| Place::of(last) < first);
+        let newest = |fold: &ToolFold| fold.last().is_none_or(|last| *last < first);
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
-            return self.refold(transaction.conn().await?, machine, &first).await;
+            return self.refold(transaction.conn().await?, machine, &Place::of(&first)).await;
         };
         let mut walk = Walk::resume(fold, cached.folded, &self.events);
         for row in new {
@@ -303,8 +303,8 @@ impl ToolWear {
         let Some(first) = new.first() else {
             return Ok(());
         };
-        let first = Place::of(&first.order()?);
-        if self.machines.len() > 1 && fold.last().is_some_and(|last| Place::of(last) < first) {
+        let first = first.order()?;
+        if self.machines.len() > 1 && fold.last().is_some_and(|last| *last < first) {
             let mut walk = Walk::resume(fold, folded, &self.events);
             new.iter().try_for_each(|row| walk.step(row))?;
             let folded = walk.folded();

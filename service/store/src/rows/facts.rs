@@ -6,7 +6,7 @@ use crate::record::StoredToolEvent;
 use feedwright_core::cycle::{Flags, ProfileVersion};
 use feedwright_core::ids::{CycleId, MachineId, RecommendationId};
 use feedwright_core::operation::{Operation, WearSettings};
-use feedwright_core::summary::{DepthDigest, EnergyBasis};
+use feedwright_core::summary::{CycleSummary, DepthDigest, EnergyBasis};
 use feedwright_core::tool::{ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey};
@@ -73,11 +73,14 @@ pub(crate) struct FactsRow {
     pub(crate) operation_feed_mm_min: Option<f64>,
     pub(crate) operation_depth_mm: Option<f64>,
     pub(crate) operation_speed_rpm: Option<f64>,
+    /// What the stored digest was made of, where this process has just made it.
+    #[sqlx(skip)]
+    pub(crate) digest: Option<DepthDigest>,
 }
 
 impl FactsRow {
     /// The facts of a row that is being written: the same columns that a refold reads.
-    pub(crate) fn of(row: &CycleRow, operation: Option<&Operation>) -> Self {
+    pub(crate) fn of(row: &CycleRow, summary: &CycleSummary, operation: Option<&Operation>) -> Self {
         Self {
             machine_id: row.machine_id.clone(),
             cycle_id: row.cycle_id.clone(),
@@ -101,7 +104,7 @@ impl FactsRow {
             max_depth_mm: row.max_depth_mm,
             spindle_load_fall_depth_mm: row.spindle_load_fall_depth_mm,
             operator_override_percent: row.operator_override_percent,
-            depth_digest: row.depth_digest.clone(),
+            depth_digest: None,
             recommendation_id: row.recommendation_id.clone(),
             coverage: row.coverage,
             flags: row.flags,
@@ -115,6 +118,7 @@ impl FactsRow {
             operation_feed_mm_min: operation.and_then(|operation| operation.programmed_feed_mm_min),
             operation_depth_mm: operation.and_then(|operation| operation.depth_mm),
             operation_speed_rpm: operation.and_then(|operation| operation.spindle_speed_rpm),
+            digest: summary.digest.clone(),
         }
     }
 
@@ -153,7 +157,10 @@ impl FactsRow {
     /// one that was not measured.
     pub(crate) fn facts(&self) -> StoreResult<(CycleFacts, Option<FoldSettings>)> {
         let stored = self.depth_digest.as_deref();
-        let digest = stored.and_then(|bytes| legible_digest(bytes, &self.machine_id, &self.cycle_id));
+        let digest = match stored {
+            Some(bytes) => legible_digest(bytes, &self.machine_id, &self.cycle_id),
+            None => self.digest.clone(),
+        };
         let is_measured = stored.is_none() || digest.is_some();
         let profile = match (&self.profile_id, self.profile_version) {
             (Some(profile), Some(version)) => Some(ProfileVersion {
