@@ -263,16 +263,16 @@ async fn a_group_that_fails_takes_nothing_along() {
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
 }
 
-/// Where each record of a journal ends, the head being the first.
-fn ends(journal: &[u8]) -> Vec<usize> {
-    let mut ends = vec![40];
+/// Where the records of a journal begin and end.
+fn records(journal: &[u8]) -> Vec<std::ops::Range<usize>> {
+    let (mut records, mut at) = (Vec::new(), 4096);
     loop {
-        let at = ends[ends.len() - 1];
         let length = u32::from_le_bytes(journal[at + 4..at + 8].try_into().unwrap());
         if length == 0 {
-            return ends;
+            return records;
         }
-        ends.push(at + 20 + usize::try_from(length).unwrap());
+        records.push(at..at + 20 + usize::try_from(length).unwrap());
+        at = records[records.len() - 1].end.next_multiple_of(4096);
     }
 }
 
@@ -284,16 +284,19 @@ async fn it_ends_with_the_last_whole_record() {
     let file = file_in(&folder);
     drop(ahead(&file, 4).await);
     let whole = std::fs::read(journal_of(&file)).unwrap();
-    let ends = ends(&whole);
-    assert_eq!(ends.len(), GROUPS + 1);
-    let mut places: Vec<usize> = ends.iter().flat_map(|end| [end - 1, *end, end + 1, end + 9]).collect();
-    places.extend((40..ends[GROUPS]).step_by(997));
+    let records = records(&whole);
+    assert_eq!(records.len(), GROUPS);
+    let ends = std::iter::once(40).chain(records.iter().flat_map(|record| [record.start, record.end]));
+    let mut places: Vec<usize> = ends.flat_map(|end| [end - 1, end, end + 1, end + 9]).collect();
+    places.extend((40..records[GROUPS - 1].end).step_by(997));
     for place in places {
-        let groups = ends[1..].iter().filter(|end| **end <= place).count();
+        let cut_groups = records.iter().filter(|record| record.end <= place).count();
+        // Between two records there is nothing that could be torn.
+        let torn_groups = records.iter().position(|record| record.contains(&place)).unwrap_or(GROUPS);
         let cut = whole[..place].to_vec();
         let mut torn = whole.clone();
         torn[place] ^= 0x40;
-        for (what, journal) in [("cut", cut), ("torn", torn)] {
+        for (what, journal, groups) in [("cut", cut, cut_groups), ("torn", torn, torn_groups)] {
             let copy = folder.path().join("copy.sqlite3");
             for ending in ["sqlite3", "sqlite3-wal"] {
                 let from = file.with_extension(ending);

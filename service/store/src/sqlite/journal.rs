@@ -9,39 +9,45 @@
 //! | bytes | what |
 //! |---|---|
 //! | 16 | `feedwright groups` without its blank, that is `feedwrightgroups` |
-//! | 4 | version of the format, 2; of version 1, which had no `4`, what was left is taken up |
+//! | 4 | version of the format, 2 |
 //! | 16 | id of the journal, as the database has it |
 //! | 4 | crc32 over the above |
 //!
-//! Records stand behind it, integers little-endian: crc32 over the rest of the record, u32 length of the body, u64 epoch, u32
+//! Records stand behind it, each from the next multiple of 4096 bytes on, with zeros before. Integers are little-endian: crc32 over the rest of the record, u32 length of the body, u64 epoch, u32
 //! number within the epoch from 0 on, body. A body is a list of: `1`, u8 number of a statement, u32 length, its text; `2`, u8
 //! number of a statement, u8 number of values, u32 rows that it changed, values; `3`, i64, the newest row of `cycles` before
 //! the epoch; `4`, as `2`, a statement that stands for what the process would have run before its commit: only who takes the
 //! epoch up runs it. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`, u32 length and text, or `4`, u32 length
 //! and bytes. An epoch ends where its next record is not whole: that one was never acknowledged.
 //!
+//! Version 1 had no `4`, and its records stood one behind the other from byte 40 on; what was left of it is taken up.
+//!
 //! A database may have been put back to an earlier state beside a journal that is of a later one. The epoch alone would not
 //! tell, as it stands still where groups are far apart; the newest row, and how many rows each statement changes, do.
 
+mod blocks;
 #[cfg(test)]
 mod tests;
 
+use self::blocks::{BLOCK, Blocks, up};
 use super::files::Identity;
 use super::open::SETTINGS;
 use crate::error::{StoreError, StoreResult};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, OpenFlags, OptionalExtension, ToSql, TransactionBehavior};
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 const MAGIC: &[u8; 16] = b"feedwrightgroups";
 const VERSION: u32 = 2;
-/// Versions that are taken up.
-const READABLE: [u32; 2] = [1, VERSION];
+/// Versions that are taken up, and of what number of bytes the places of their records are multiples.
+const READABLE: [(u32, usize); 2] = [(1, 1), (VERSION, BLOCK)];
 /// Bytes of the head.
 const HEAD: usize = 40;
+/// Where the first record stands.
+const FIRST: u64 = BLOCK as u64;
 /// Bytes of a record before its body.
 const RECORD_HEAD: usize = 20;
 /// Bytes of the file: some eight groups of forty machines. They are written once at first, so that what comes later writes over them and
@@ -65,6 +71,8 @@ const BYTES: u8 = 4;
 #[derive(Debug)]
 pub(super) struct Journal {
     file: File,
+    /// The same, where the system writes blocks without copying them first.
+    direct: Option<File>,
     path: PathBuf,
     identity: Identity,
     /// Of the transaction that is open, or begins next.
@@ -73,7 +81,7 @@ pub(super) struct Journal {
     at: u64,
     number: u32,
     /// The record that is being made, with room for its head.
-    record: Vec<u8>,
+    record: Blocks,
     /// Statements by their numbers; so many of them are defined in the epoch.
     statements: Vec<&'static str>,
     defined: usize,
@@ -128,14 +136,16 @@ impl Journal {
             return Err(not_writable(error));
         }
         let identity = Identity::of(&path)?;
+        let direct = blocks::opened(&path, &file, &head(VERSION, id));
         Ok(Self {
             file,
+            direct,
             path,
             identity,
             epoch: epoch + 1,
-            at: HEAD as u64,
+            at: FIRST,
             number: 0,
-            record: vec![0; RECORD_HEAD],
+            record: Blocks::of(RECORD_HEAD),
             statements: Vec::new(),
             defined: 0,
             defined_before: 0,
@@ -192,7 +202,8 @@ impl Journal {
     /// The statement has changed so many rows.
     pub(super) fn ran(&mut self, rows: usize) {
         let rows = u32::try_from(rows).unwrap_or(u32::MAX);
-        self.record[self.counted_at + 1..self.counted_at + 5].copy_from_slice(&rows.to_le_bytes());
+        let at = self.counted_at;
+        self.record.as_mut_slice()[at + 1..at + 5].copy_from_slice(&rows.to_le_bytes());
     }
 
     /// The next value of the statement.
@@ -202,7 +213,7 @@ impl Journal {
             ToSqlOutput::Owned(value) => self.write((&value).into())?,
             _ => return Err(too_long()),
         }
-        let count = &mut self.record[self.counted_at];
+        let count = &mut self.record.as_mut_slice()[self.counted_at];
         *count = count.checked_add(1).ok_or_else(too_long)?;
         Ok(())
     }
@@ -245,12 +256,12 @@ impl Journal {
 
     /// Whether the record that was begun has room behind the others of its epoch.
     pub(super) fn has_room(&self) -> bool {
-        !self.failed && self.at + self.record.len() as u64 <= CAPACITY
+        !self.failed && self.at + up(self.record.len() as u64) <= CAPACITY
     }
 
     /// Whether the next record probably has none.
     pub(super) fn is_nearly_full(&self) -> bool {
-        self.at + 2 * self.record.len() as u64 > CAPACITY
+        self.at + 2 * up(self.record.len() as u64) > CAPACITY
     }
 
     /// Appends the record that was begun; it is on the disk when this returns. After one that could not be, none has room.
@@ -269,14 +280,16 @@ impl Journal {
     fn write_record(&mut self) -> io::Result<()> {
         let length = self.record.len() - RECORD_HEAD;
         let length = u32::try_from(length).map_err(|_| io::ErrorKind::FileTooLarge)?;
-        self.record[4..8].copy_from_slice(&length.to_le_bytes());
-        self.record[8..16].copy_from_slice(&self.epoch.to_le_bytes());
-        self.record[16..20].copy_from_slice(&self.number.to_le_bytes());
-        let sum = crc32fast::hash(&self.record[4..]);
-        self.record[..4].copy_from_slice(&sum.to_le_bytes());
-        write_at(&self.file, &self.record, self.at)?;
-        self.file.sync_data()?;
-        self.at += self.record.len() as u64;
+        let record = self.record.as_mut_slice();
+        record[4..8].copy_from_slice(&length.to_le_bytes());
+        record[8..16].copy_from_slice(&self.epoch.to_le_bytes());
+        record[16..20].copy_from_slice(&self.number.to_le_bytes());
+        let sum = crc32fast::hash(&record[4..]);
+        record[..4].copy_from_slice(&sum.to_le_bytes());
+        let file = self.direct.as_ref().unwrap_or(&self.file);
+        write_at(file, self.record.whole_blocks(), self.at)?;
+        file.sync_data()?;
+        self.at += up(self.record.len() as u64);
         self.number += 1;
         self.defined_before = self.defined;
         Ok(())
@@ -300,7 +313,7 @@ impl Journal {
     /// The epoch's transaction is committed: its records are not needed any more.
     pub(super) const fn turn(&mut self) {
         self.epoch += 1;
-        self.at = HEAD as u64;
+        self.at = FIRST;
         self.number = 0;
         self.defined = 0;
         self.defined_before = 0;
@@ -309,9 +322,9 @@ impl Journal {
 
     /// Runs again what the epoch has acknowledged, in a transaction that has just begun.
     pub(super) fn run_again(&self, conn: &Connection) -> StoreResult<()> {
-        let mut bytes = vec![0; usize::try_from(self.at).unwrap_or(usize::MAX) - HEAD];
-        read_at(&self.file, &mut bytes, HEAD as u64).map_err(not_writable)?;
-        let records = Records { bytes: &bytes, epoch: self.epoch, number: 0 };
+        let mut bytes = vec![0; usize::try_from(self.at - FIRST).unwrap_or(usize::MAX)];
+        read_at(&self.file, &mut bytes, FIRST).map_err(not_writable)?;
+        let records = Records { bytes: &bytes, multiple: BLOCK, epoch: self.epoch, number: 0 };
         match run_all(conn, records, By::WhoWroteThem) {
             Ok(groups) if groups == self.number => Ok(()),
             // The database is another one than these groups were run in: nobody may go on with it.
@@ -342,7 +355,7 @@ pub(super) fn take_up(database: &Path, conn: &mut Connection) -> StoreResult<()>
     let mut first = u64::MAX;
     loop {
         let is_mine = lock(&file)?;
-        let Some(Found { id, epoch, records }) = held(&mut file, &path)? else { return Ok(()) };
+        let Some(Found { id, epoch, records, multiple }) = held(&mut file, &path)? else { return Ok(()) };
         // Later ones came while this waited.
         first = first.min(epoch);
         match noted(conn)? {
@@ -354,7 +367,7 @@ pub(super) fn take_up(database: &Path, conn: &mut Connection) -> StoreResult<()>
             _ if !is_mine && begun.elapsed() < PATIENCE => std::thread::sleep(LOOK_AGAIN),
             _ if !is_mine => return Err(StoreError::Unavailable(in_use(&path).into())),
             Some((known, committed)) if known == id && epoch == committed + 1 => {
-                let records = Records { bytes: &records, epoch, number: 0 };
+                let records = Records { bytes: &records, multiple, epoch, number: 0 };
                 return match take_up_records(conn, records, epoch) {
                     // Somebody has written the database since, who did not take it up.
                     Err(StoreError::Refused { .. } | StoreError::Damaged { .. }) => {
@@ -425,6 +438,7 @@ struct Found {
     id: [u8; 16],
     epoch: u64,
     records: Vec<u8>,
+    multiple: usize,
 }
 
 /// What a journal holds; `None` where it holds none: one that is all zeros was being made, and
@@ -435,13 +449,13 @@ fn held(file: &mut File, path: &Path) -> StoreResult<Option<Found>> {
     let Some(head) = bytes.get(..HEAD).filter(|head| head.iter().any(|byte| *byte != 0)) else {
         return Ok(None);
     };
-    let Some(id) = id_of(head) else {
+    let Some((id, multiple)) = id_of(head) else {
         let what =
             format!("{} is damaged, or of a later version: it may hold acknowledged cycles", path.display());
         return Err(StoreError::NotWritable(what.into()));
     };
-    bytes.drain(..HEAD);
-    Ok(first_epoch(&bytes).map(|epoch| Found { id, epoch, records: bytes }))
+    bytes.drain(..HEAD.next_multiple_of(multiple).min(bytes.len()));
+    Ok(first_epoch(&bytes).map(|epoch| Found { id, epoch, records: bytes, multiple }))
 }
 
 /// Whether a journal stands beside a database that is not there, or is about to be put there, and holds something.
@@ -463,6 +477,8 @@ fn take_up_records(conn: &mut Connection, records: Records<'_>, epoch: u64) -> S
 /// The bodies of an epoch's records, in their order, up to the first that is not whole.
 struct Records<'b> {
     bytes: &'b [u8],
+    /// Each begins at a multiple of so many bytes.
+    multiple: usize,
     epoch: u64,
     number: u32,
 }
@@ -475,7 +491,8 @@ impl<'b> Iterator for Records<'b> {
         if epoch != self.epoch || number != self.number {
             return None;
         }
-        self.bytes = rest;
+        let end = (self.bytes.len() - rest.len()).next_multiple_of(self.multiple);
+        self.bytes = self.bytes.get(end..).unwrap_or_default();
         self.number = number.checked_add(1)?;
         Some(body)
     }
@@ -642,9 +659,14 @@ fn settle(path: &Path, database: &Path) -> io::Result<()> {
     Ok(())
 }
 
+#[cfg(unix)]
+fn write_at(file: &File, bytes: &[u8], at: u64) -> io::Result<()> {
+    std::os::unix::fs::FileExt::write_all_at(file, bytes, at)
+}
+
+#[cfg(not(unix))]
 fn write_at(mut file: &File, bytes: &[u8], at: u64) -> io::Result<()> {
-    file.seek(SeekFrom::Start(at))?;
-    file.write_all(bytes)
+    file.seek(SeekFrom::Start(at)).and_then(|_| io::Write::write_all(&mut file, bytes))
 }
 
 fn read_at(mut file: &File, bytes: &mut [u8], at: u64) -> io::Result<()> {
@@ -662,9 +684,11 @@ fn head(version: u32, id: [u8; 16]) -> [u8; HEAD] {
     head
 }
 
-fn id_of(bytes: &[u8]) -> Option<[u8; 16]> {
+/// The id of a journal, and of what its records' places are multiples.
+fn id_of(bytes: &[u8]) -> Option<([u8; 16], usize)> {
     let id = bytes.get(20..36)?.try_into().ok()?;
-    READABLE.into_iter().any(|version| *bytes == head(version, id)).then_some(id)
+    let (_, multiple) = READABLE.into_iter().find(|(version, _)| *bytes == head(*version, id))?;
+    Some((id, multiple))
 }
 
 /// The journal's id and the last epoch that was committed, as the database has them.

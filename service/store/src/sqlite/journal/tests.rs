@@ -123,9 +123,13 @@ fn one_of_the_version_before_is_taken_up() {
     insert(&mut journal, &conn, &Value::Integer(1));
     conn.execute_batch("ROLLBACK").unwrap();
     journal.append().unwrap();
-    let id = id_of(&std::fs::read(&journal.path).unwrap()[..HEAD]).unwrap();
     let at = journal.path.clone();
+    let mut bytes = std::fs::read(&at).unwrap();
+    let (id, _) = id_of(&bytes[..HEAD]).unwrap();
     drop(journal);
+    // There the first record stood behind the head.
+    bytes.drain(HEAD..BLOCK);
+    std::fs::write(&at, bytes).unwrap();
     for (version, taken) in [(3, false), (0, false), (1, true)] {
         write_at(&File::options().write(true).open(&at).unwrap(), &head(version, id), 0).unwrap();
         assert_eq!(take_up(&path, &mut conn).is_ok(), taken, "{version}");
@@ -190,6 +194,7 @@ fn a_record_that_cannot_be_written_is_the_last() {
     let mut journal = Journal::open(&path, &conn).unwrap();
     assert!(journal.has_room() && !journal.is_touched());
     journal.file = File::open(&journal.path).unwrap();
+    journal.direct = None;
     journal.begin(&conn).unwrap();
     insert(&mut journal, &conn, &Value::Null);
     journal.append().unwrap_err();
