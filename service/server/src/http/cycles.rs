@@ -35,8 +35,8 @@ const USUAL_ANSWER_BYTES: usize = 6 * 1024;
     request_body(content((CyclePost = "application/json"), (String = "application/vnd.feedwright.cycle")),
         description = "One cycle, as JSON or in the binary form; `Content-Encoding: gzip` and `zstd` are accepted"),
     responses(
-        (status = 201, description = "New, and durably stored", body = CycleAnswerBody),
-        (status = 200, description = "The same content was stored before", body = CycleAnswerBody),
+        (status = 201, description = "New, and durably stored", body = CycleAnswerBody<'static>),
+        (status = 200, description = "The same content was stored before", body = CycleAnswerBody<'static>),
         (status = 400, description = "Malformed; nothing is kept", body = ProblemDocument<'static>),
         (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
         (status = 409, description = "Another content is stored under this id; kept in quarantine, see `quarantine_id`",

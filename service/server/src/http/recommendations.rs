@@ -31,7 +31,7 @@ pub struct RecommendationQuery {
 #[utoipa::path(
     get, path = "/v1/recommendations", tag = "recommendations", params(RecommendationQuery),
     responses(
-        (status = 200, description = "The recommendation; it is stored under its id", body = RecommendationBody),
+        (status = 200, description = "The recommendation; it is stored under its id", body = RecommendationBody<'static>),
         (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
         (status = 422, description = "An id that is none", body = ProblemDocument<'static>),
     )
@@ -40,7 +40,7 @@ pub async fn get_recommendation(
     State(state): State<AppState>,
     caller: Caller,
     Query(query): Query<RecommendationQuery>,
-) -> Result<Json<RecommendationBody>, Problem> {
+) -> Result<Json<RecommendationBody<'static>>, Problem> {
     caller.must_be_for(&query.machine)?;
     let machine = MachineId::parse("machine", &query.machine)?;
     let operation = OperationId::parse("operation", &query.operation)?;
@@ -69,7 +69,7 @@ pub async fn get_recommendation(
     });
     let id = RecommendationId::parse("id", &format!("{}{}", uuid::Uuid::now_v7(), advice.id_ending()))?;
     let issued = IssuedRecommendation { id, recommendation: advice };
-    let body = (&issued).into();
+    let body = RecommendationBody::from(&issued).owned();
     state.metrics.recommendation(&issued.recommendation);
     state.commit(|store| async move { store.issue_recommendation(&issued).await }).await?;
     Ok(Json(body))
@@ -80,7 +80,7 @@ pub async fn get_recommendation(
     get, path = "/v1/recommendations/{recommendation_id}", tag = "recommendations",
     params(("recommendation_id" = String, Path, description = "Its id")),
     responses(
-        (status = 200, description = "The recommendation as it was handed out", body = RecommendationBody),
+        (status = 200, description = "The recommendation as it was handed out", body = RecommendationBody<'static>),
         (status = 404, description = "There is none", body = ProblemDocument<'static>),
     )
 )]
@@ -88,9 +88,9 @@ pub async fn get_issued(
     State(state): State<AppState>,
     caller: Caller,
     PathId(id): PathId<RecommendationId>,
-) -> Result<Json<RecommendationBody>, Problem> {
+) -> Result<Json<RecommendationBody<'static>>, Problem> {
     let issued = state.store.recommendation(&id).await?;
     let issued = issued.ok_or_else(|| Problem::not_found("recommendation", id.as_str()))?;
     caller.must_be_for(issued.recommendation.machine.as_str())?;
-    Ok(Json((&issued).into()))
+    Ok(Json(RecommendationBody::from(&issued).owned()))
 }

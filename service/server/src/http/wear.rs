@@ -23,17 +23,17 @@ const HISTORY_PAGE: u32 = 500;
     get, path = "/v1/tools/{tool}/wear", tag = "wear",
     params(("tool" = String, Path, description = "The tool")),
     responses(
-        (status = 200, description = "The verdict", body = WearBody),
+        (status = 200, description = "The verdict", body = WearBody<'static>),
         (status = 404, description = "The tool is not registered", body = ProblemDocument<'static>),
     )
 )]
 pub async fn get_wear(
     State(state): State<AppState>,
     PathId(id): PathId<ToolId>,
-) -> Result<Json<WearBody>, Problem> {
+) -> Result<Json<WearBody<'static>>, Problem> {
     registered(&state, &id).await?;
     let verdict = state.store.verdict(&id).await?;
-    Ok(Json((&verdict).into()))
+    Ok(Json(WearBody::from(&verdict).owned()))
 }
 
 /// A tool's whole history, a line per cycle in the order in which they were run, as CSV.

@@ -157,7 +157,7 @@ pub struct StoredMessage {
     /// 201 (new) or 200 (known).
     pub status: u16,
     /// The answer of a post.
-    #[schema(value_type = crate::http::dto::cycle::CycleAnswerBody)]
+    #[schema(value_type = crate::http::dto::cycle::CycleAnswerBody<'static>)]
     pub answer: serde_json::Value,
 }
 

@@ -10,6 +10,9 @@ use std::sync::Arc;
 /// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
 pub(crate) const ADVICE_HASH_BYTES: usize = 16;
 
+/// Most advices are shorter.
+const USUAL_ADVICE_BYTES: usize = 1024;
+
 /// A row of `tool_wear`.
 #[derive(Debug)]
 pub(crate) struct SavedWear {
@@ -129,8 +132,10 @@ impl IssuedRow {
 
     pub(crate) fn of(issued: &IssuedRecommendation) -> StoreResult<Self> {
         let recommendation = &issued.recommendation;
-        let advice = serde_json::to_string(&AdviceBody::of(recommendation))
+        let mut advice = Vec::with_capacity(USUAL_ADVICE_BYTES);
+        serde_json::to_writer(&mut advice, &AdviceBody::of(recommendation))
             .map_err(|error| StoreError::Database(Box::new(error)))?;
+        let advice = String::from_utf8(advice).map_err(|error| StoreError::Database(Box::new(error)))?;
         let mut advice_hash = [0; ADVICE_HASH_BYTES];
         advice_hash.copy_from_slice(&blake3::hash(advice.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
         let level = recommendation.level.as_ref();

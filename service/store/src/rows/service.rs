@@ -8,10 +8,11 @@ use feedwright_core::recommend::{Action, DataQuality, Recommendation, ReferenceR
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::{Level, LevelBasis, Remaining, ToolState};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// What repeats from one recommendation to the next, of whatever machine and tool; kept once, under the hash of its JSON.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct AdviceBody {
+pub(crate) struct AdviceBody<'a> {
     /// Whom it was for, in advice of before that stood with each row.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     machine: Option<String>,
@@ -19,8 +20,8 @@ pub(crate) struct AdviceBody {
     operation: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     tool: Option<String>,
-    process: Option<String>,
-    action: String,
+    process: Option<Cow<'a, str>>,
+    action: Cow<'a, str>,
     feed_mm_min: Option<f64>,
     override_percent: f64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -28,26 +29,26 @@ pub(crate) struct AdviceBody {
     limits: [f64; 4],
     spindle_load_set_percent: Option<f64>,
     feed_drive_load_set_percent: Option<f64>,
-    tool_state: String,
-    quality: String,
+    tool_state: Cow<'a, str>,
+    quality: Cow<'a, str>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     process_advice: Option<ProcessAdviceBody>,
     /// Cycles from one reference cycle to the next, and the feed, where this advice asks for one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     reference_cycle: Option<(u32, Option<f64>)>,
-    reasons: Vec<(String, String)>,
-    law_version: String,
+    reasons: Cow<'a, [(String, String)]>,
+    law_version: Cow<'a, str>,
 }
 
-impl AdviceBody {
-    pub(crate) fn of(recommendation: &Recommendation) -> Self {
+impl<'a> AdviceBody<'a> {
+    pub(crate) fn of(recommendation: &'a Recommendation) -> Self {
         let limits = recommendation.limits;
         Self {
             machine: None,
             operation: None,
             tool: None,
-            process: recommendation.process.map(|process| process.as_str().to_owned()),
-            action: recommendation.action.as_str().to_owned(),
+            process: recommendation.process.map(|process| process.as_str().into()),
+            action: recommendation.action.as_str().into(),
             feed_mm_min: recommendation.feed_mm_min,
             override_percent: recommendation.override_percent,
             profile: recommendation.profile.as_ref().map(Into::into),
@@ -59,12 +60,12 @@ impl AdviceBody {
             ],
             spindle_load_set_percent: recommendation.spindle_load_set_percent,
             feed_drive_load_set_percent: recommendation.feed_drive_load_set_percent,
-            tool_state: recommendation.tool_state.as_str().to_owned(),
-            quality: recommendation.quality.as_str().to_owned(),
+            tool_state: recommendation.tool_state.as_str().into(),
+            quality: recommendation.quality.as_str().into(),
             process_advice: recommendation.process_advice.as_ref().map(Into::into),
             reference_cycle: recommendation.reference_cycle.map(|asked| (asked.every, asked.feed_mm_min)),
-            reasons: recommendation.reasons.clone(),
-            law_version: recommendation.law_version.clone(),
+            reasons: recommendation.reasons.as_slice().into(),
+            law_version: recommendation.law_version.as_str().into(),
         }
     }
 }
@@ -110,7 +111,7 @@ impl RecommendationRow {
     }
 
     pub(crate) fn issued(&self) -> StoreResult<IssuedRecommendation> {
-        let body: AdviceBody = serde_json::from_str(&self.body)
+        let body: AdviceBody<'_> = serde_json::from_str(&self.body)
             .map_err(|error| StoreError::Damaged { what: format!("advice: {error}") })?;
         let [min, max, low, high] = body.limits;
         let limits = FeedLimits::new(min, max, low, high).map_err(|_| super::damaged("advices.body"))?;
@@ -158,8 +159,8 @@ impl RecommendationRow {
                 reference_cycle: body
                     .reference_cycle
                     .map(|(every, feed_mm_min)| ReferenceRequest { every, feed_mm_min }),
-                reasons: body.reasons,
-                law_version: body.law_version,
+                reasons: body.reasons.into_owned(),
+                law_version: body.law_version.into_owned(),
             },
         })
     }

@@ -145,7 +145,7 @@ impl Journal {
             epoch: epoch + 1,
             at: FIRST,
             number: 0,
-            record: Blocks::of(RECORD_HEAD),
+            record: Blocks::of(RECORD_HEAD, KEPT_RECORD),
             statements: Vec::new(),
             defined: 0,
             defined_before: 0,

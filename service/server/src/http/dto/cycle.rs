@@ -159,14 +159,14 @@ pub struct ReportedPost {
 
 /// What a machine is told once its cycle is durably stored.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct CycleAnswerBody {
+pub struct CycleAnswerBody<'a> {
     /// `stored` (new, 201) or `known` (the same content was stored before, 200).
     #[schema(example = "stored")]
     pub status: &'static str,
     /// Its machine.
-    pub machine: String,
+    pub machine: Cow<'a, str>,
     /// Its id.
-    pub cycle_id: String,
+    pub cycle_id: Cow<'a, str>,
     /// When the server received it first.
     pub received_at: String,
     /// Whether its tool and operation are registered; if not, it is kept and counted once they are.
@@ -174,19 +174,19 @@ pub struct CycleAnswerBody {
     /// Its summary.
     pub summary: SummaryBody,
     /// How worn its tool is now.
-    pub wear: WearBody,
+    pub wear: WearBody<'a>,
     /// What to run next.
-    pub recommendation: RecommendationBody,
+    pub recommendation: RecommendationBody<'a>,
 }
 
-impl CycleAnswerBody {
+impl<'a> CycleAnswerBody<'a> {
     /// The answer to a cycle that was accepted.
-    pub fn of(accepted: &Accepted) -> Self {
+    pub fn of(accepted: &'a Accepted) -> Self {
         let answer = &accepted.answer;
         Self {
             status: if accepted.new { "stored" } else { "known" },
-            machine: accepted.cycle.machine.as_str().to_owned(),
-            cycle_id: accepted.cycle.id.as_str().to_owned(),
+            machine: accepted.cycle.machine.as_str().into(),
+            cycle_id: accepted.cycle.id.as_str().into(),
             received_at: time::show(answer.received_at),
             registered: answer.registered,
             summary: (&answer.summary).into(),

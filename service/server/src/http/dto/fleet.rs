@@ -73,7 +73,7 @@ pub struct FleetMachineBody {
     /// Median time from the beginning of one of its newest cycles to the next, ms; null before the second.
     pub cadence_ms: Option<i64>,
     /// How worn the tool of the newest cycle is.
-    pub wear: Option<WearBody>,
+    pub wear: Option<WearBody<'static>>,
     /// Energies of the newest cycles of that tool on this machine over its baseline, oldest first: 1 is the new tool.
     /// Only cycles of this life that compare: same operation, strategy, energy basis and scale. Empty before the baseline stands.
     pub energy_ratios: Vec<f64>,
@@ -140,7 +140,7 @@ impl From<&FleetRow> for FleetMachineBody {
             control: row.machine.value.control.clone(),
             last_cycle: last.map(|last| FleetCycleBody::new(last, row.names.clone())),
             cadence_ms: cadence_ms(&row.recent),
-            wear: row.verdict.as_ref().map(Into::into),
+            wear: row.verdict.as_ref().map(|verdict| WearBody::from(verdict).owned()),
             energy_ratios: energy_ratios(row),
             alarms: row.alarms.iter().cloned().map(Into::into).collect(),
         }

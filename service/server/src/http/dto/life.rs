@@ -24,7 +24,7 @@ pub struct LifeQuery {
 #[derive(Debug, Serialize, ToSchema)]
 pub struct LifeBody {
     /// The verdict after all of them.
-    pub wear: WearBody,
+    pub wear: WearBody<'static>,
     /// Cycles of this life before the first one here.
     pub before: u64,
     /// When each began, RFC 3339.
@@ -70,7 +70,7 @@ impl From<&ToolLife> for LifeBody {
             baseline(baselines, &cycle.facts, in_contact).map(|baseline| joules / baseline)
         };
         Self {
-            wear: (&life.verdict).into(),
+            wear: WearBody::from(&life.verdict).owned(),
             before: life.before,
             started_at: facts().map(|facts| time::show(facts.order.started_at)).collect(),
             machine: facts().map(|facts| facts.order.machine.to_string()).collect(),

@@ -2,28 +2,29 @@
 
 use super::mirror::{To, shown};
 use super::turning::{CorrectionsBody, ReadingsBody};
-use super::wear::{LevelBody, ReasonBody, RemainingBody};
+use super::wear::{LevelBody, ReasonBody, RemainingBody, owned};
 use crate::http::dto::time;
 use feedwright_core::recommend::{ProcessAdvice, TurningNext};
 use feedwright_store::IssuedRecommendation;
 use serde::Serialize;
+use std::borrow::Cow;
 use utoipa::ToSchema;
 
 /// What to run next, and why. It advises; the control's own limits and the emergency stop stay the safety layer.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct RecommendationBody {
+pub struct RecommendationBody<'a> {
     /// Its id: a cycle that follows it names it.
-    pub id: String,
+    pub id: Cow<'a, str>,
     /// When it was made.
     pub issued_at: String,
     /// It must not be used after this.
     pub valid_until: String,
     /// For which machine.
-    pub machine: String,
+    pub machine: Cow<'a, str>,
     /// For which operation.
-    pub operation: String,
+    pub operation: Cow<'a, str>,
     /// For which tool.
-    pub tool: String,
+    pub tool: Cow<'a, str>,
     /// Tag of what the recommendation is about: `friction`, `drilling`, `plunge`, `turning`, `vibratory`, `milling`,
     /// or `unknown` where the operation is not registered.
     #[schema(example = "friction")]
@@ -50,9 +51,9 @@ pub struct RecommendationBody {
     /// The next cycle should be a reference cycle; null where it need not be.
     pub reference_cycle: Option<ReferenceRequestBody>,
     /// Why; never empty.
-    pub reasons: Vec<ReasonBody>,
+    pub reasons: Vec<ReasonBody<'a>>,
     /// Version of the rules that made it.
-    pub law_version: String,
+    pub law_version: Cow<'a, str>,
 }
 
 /// A reference cycle that is asked for: one constant feed from end to end, no override. Post it with the strategy
@@ -233,16 +234,31 @@ pub struct DataBody {
     pub age_ms: Option<i64>,
 }
 
-impl From<&IssuedRecommendation> for RecommendationBody {
-    fn from(issued: &IssuedRecommendation) -> Self {
+impl RecommendationBody<'_> {
+    /// With texts of its own.
+    pub fn owned(self) -> RecommendationBody<'static> {
+        RecommendationBody {
+            id: owned(self.id),
+            machine: owned(self.machine),
+            operation: owned(self.operation),
+            tool: owned(self.tool),
+            reasons: self.reasons.into_iter().map(ReasonBody::owned).collect(),
+            law_version: owned(self.law_version),
+            ..self
+        }
+    }
+}
+
+impl<'a> From<&'a IssuedRecommendation> for RecommendationBody<'a> {
+    fn from(issued: &'a IssuedRecommendation) -> Self {
         let advice = &issued.recommendation;
         Self {
-            id: issued.id.as_str().to_owned(),
+            id: issued.id.as_str().into(),
             issued_at: time::show(advice.issued_at),
             valid_until: time::show(advice.valid_until),
-            machine: advice.machine.as_str().to_owned(),
-            operation: advice.operation.as_str().to_owned(),
-            tool: advice.tool.as_str().to_owned(),
+            machine: advice.machine.as_str().into(),
+            operation: advice.operation.as_str().into(),
+            tool: advice.tool.as_str().into(),
             process: advice.process.map_or("unknown", feedwright_core::units::Process::as_str),
             action: advice.action.as_str(),
             feed: FeedBody {
@@ -286,12 +302,8 @@ impl From<&IssuedRecommendation> for RecommendationBody {
                 every_cycles: asked.every,
                 feed_mm_min: asked.feed_mm_min,
             }),
-            reasons: advice
-                .reasons
-                .iter()
-                .map(|(code, message)| ReasonBody { code: code.clone(), message: message.clone() })
-                .collect(),
-            law_version: advice.law_version.clone(),
+            reasons: advice.reasons.iter().map(|(code, message)| ReasonBody::of(code, message)).collect(),
+            law_version: advice.law_version.as_str().into(),
         }
     }
 }

@@ -8,29 +8,47 @@ use feedwright_core::wear::{
     Verdict,
 };
 use serde::Serialize;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
+/// A text of a body that outlives what it tells. Most bodies are written at once, and borrow theirs.
+pub fn owned(text: Cow<'_, str>) -> Cow<'static, str> {
+    Cow::Owned(text.into_owned())
+}
+
 /// A stable code and a sentence for a person.
 #[derive(Debug, Clone, Serialize, ToSchema)]
-pub struct ReasonBody {
+pub struct ReasonBody<'a> {
     /// Stable code.
     #[schema(example = "good")]
-    pub code: String,
+    pub code: Cow<'a, str>,
     /// A sentence for a person.
-    pub message: String,
+    pub message: Cow<'a, str>,
+}
+
+impl<'a> ReasonBody<'a> {
+    /// Of a code and its sentence.
+    pub fn of(code: &'a str, message: &'a str) -> Self {
+        Self { code: code.into(), message: message.into() }
+    }
+
+    /// With texts of its own.
+    pub fn owned(self) -> ReasonBody<'static> {
+        ReasonBody { code: owned(self.code), message: owned(self.message) }
+    }
 }
 
 /// How worn a tool is, with the evidence.
 ///
 /// The level is relative: 1.07 is a warning, 1.10 is worn, and means energy per cycle over the same tool when new.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct WearBody {
+pub struct WearBody<'a> {
     /// One of `unknown`, `learning`, `good`, `warning`, `worn`, `changed`, `broken_suspected`.
     #[schema(example = "good")]
     pub state: &'static str,
     /// Why it is that state.
-    pub reasons: Vec<ReasonBody>,
+    pub reasons: Vec<ReasonBody<'a>>,
     /// The level, once there is a counted cycle and a new-tool baseline.
     pub level: Option<LevelBody>,
     /// The trend, once there is evidence.
@@ -46,7 +64,7 @@ pub struct WearBody {
     /// Whether the life began with an unworn tool.
     pub started_unworn: bool,
     /// Baselines of this life, the one that ran last first.
-    pub baselines: Vec<BaselineBody>,
+    pub baselines: Vec<BaselineBody<'a>>,
     /// Cycles of this life.
     pub cycles: u64,
     /// Cycles of this life that were counted.
@@ -55,7 +73,7 @@ pub struct WearBody {
     #[schema(example = json!({"air_cut": 2}))]
     pub excluded: BTreeMap<&'static str, u64>,
     /// The last cycles that were not counted, oldest first.
-    pub last_excluded: Vec<ExcludedBody>,
+    pub last_excluded: Vec<ExcludedBody<'a>>,
     /// Cycles since the last counted one.
     pub age_cycles: u64,
     /// When the last counted cycle began.
@@ -252,11 +270,11 @@ impl FeedEvidenceBody {
 
 /// One baseline, and what it compares.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct BaselineBody {
+pub struct BaselineBody<'a> {
     /// The machine.
-    pub machine: String,
+    pub machine: Cow<'a, str>,
     /// The operation.
-    pub operation: String,
+    pub operation: Cow<'a, str>,
     /// Commanded spindle speed, rpm; others within ±2 % share the baseline.
     pub spindle_speed_rpm: Option<f64>,
     /// How its energies were told.
@@ -270,7 +288,7 @@ pub struct BaselineBody {
     /// Strategy of the feed.
     pub strategy: Option<&'static str>,
     /// Version of the law.
-    pub law_version: Option<String>,
+    pub law_version: Option<Cow<'a, str>>,
     /// Feed profile and its version.
     pub profile: Option<String>,
     /// Cycles it was, or is being, learnt from.
@@ -285,19 +303,19 @@ pub struct BaselineBody {
     pub operator_override_percent: Option<f64>,
 }
 
-impl From<&BaselineEvidence> for BaselineBody {
-    fn from(evidence: &BaselineEvidence) -> Self {
+impl<'a> From<&'a BaselineEvidence> for BaselineBody<'a> {
+    fn from(evidence: &'a BaselineEvidence) -> Self {
         let key = &evidence.key;
         Self {
-            machine: key.machine.as_str().to_owned(),
-            operation: key.operation.as_str().to_owned(),
+            machine: key.machine.as_str().into(),
+            operation: key.operation.as_str().into(),
             spindle_speed_rpm: key.spindle_speed_rpm,
             basis: EnergyBasis::as_str(key.basis),
             idle_subtracted: key.idle_subtracted,
             in_contact: key.in_contact,
             energy_scale: format!("{:x}", key.energy_scale),
             strategy: key.strategy.map(feedwright_core::units::Strategy::as_str),
-            law_version: key.law_version.clone(),
+            law_version: key.law_version.as_deref().map(Into::into),
             profile: key.profile.as_ref().map(|profile| format!("{}@{}", profile.profile, profile.version)),
             learnt_from: evidence.learnt_from,
             needed: evidence.needed,
@@ -310,35 +328,54 @@ impl From<&BaselineEvidence> for BaselineBody {
 
 /// A cycle that was not counted.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct ExcludedBody {
+pub struct ExcludedBody<'a> {
     /// Its machine.
-    pub machine: String,
+    pub machine: Cow<'a, str>,
     /// Its id.
-    pub cycle_id: String,
+    pub cycle_id: Cow<'a, str>,
     /// Why.
     #[schema(example = "air_cut")]
     pub reason: &'static str,
 }
 
-impl From<&Verdict> for WearBody {
-    fn from(verdict: &Verdict) -> Self {
+impl WearBody<'_> {
+    /// With texts of its own.
+    pub fn owned(self) -> WearBody<'static> {
+        let baselines = self.baselines.into_iter().map(|baseline| BaselineBody {
+            machine: owned(baseline.machine),
+            operation: owned(baseline.operation),
+            law_version: baseline.law_version.map(owned),
+            ..baseline
+        });
+        let last_excluded = self.last_excluded.into_iter().map(|excluded| ExcludedBody {
+            machine: owned(excluded.machine),
+            cycle_id: owned(excluded.cycle_id),
+            reason: excluded.reason,
+        });
+        WearBody {
+            reasons: self.reasons.into_iter().map(ReasonBody::owned).collect(),
+            baselines: baselines.collect(),
+            last_excluded: last_excluded.collect(),
+            ..self
+        }
+    }
+}
+
+impl<'a> From<&'a Verdict> for WearBody<'a> {
+    fn from(verdict: &'a Verdict) -> Self {
         let excluded = Exclusion::ALL
             .into_iter()
             .map(|why| (why.as_str(), verdict.excluded[why as usize]))
             .filter(|(_, count)| *count > 0)
             .collect();
         let last_excluded = verdict.last_excluded.iter().map(|(machine, cycle, why)| ExcludedBody {
-            machine: machine.as_str().to_owned(),
-            cycle_id: cycle.as_str().to_owned(),
+            machine: machine.as_str().into(),
+            cycle_id: cycle.as_str().into(),
             reason: why.as_str(),
         });
         Self {
             state: verdict.state.as_str(),
-            reasons: verdict
-                .reasons
-                .iter()
-                .map(|(code, message)| ReasonBody { code: (*code).to_owned(), message: message.clone() })
-                .collect(),
+            reasons: verdict.reasons.iter().map(|(code, message)| ReasonBody::of(code, message)).collect(),
             level: verdict.level.map(Into::into),
             trend: verdict.trend.map(Into::into),
             remaining: verdict.remaining.map(Into::into),

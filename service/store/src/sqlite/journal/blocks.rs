@@ -25,10 +25,10 @@ pub(super) struct Blocks {
 }
 
 impl Blocks {
-    /// Of so many bytes, zeros.
-    pub(super) fn of(length: usize) -> Self {
+    /// Of so many bytes, zeros, with room for more. Memory that is not written to takes none of the system's.
+    pub(super) fn of(length: usize, room: usize) -> Self {
         let mut blocks = Self { memory: Vec::new(), begins: 0, length: 0 };
-        blocks.make_room(length);
+        blocks.make_room(length.max(room));
         blocks.length = length;
         blocks
     }
@@ -45,9 +45,7 @@ impl Blocks {
     /// Gives memory back beyond so many bytes.
     pub(super) fn shrink_to(&mut self, bytes: usize) {
         if self.memory.len() > bytes.max(self.length) + 2 * BLOCK {
-            let kept = std::mem::replace(self, Self::of(0));
-            self.make_room(bytes.max(kept.length));
-            self.extend_from_slice(kept.as_slice());
+            self.make_room(bytes.max(self.length));
         }
     }
 
@@ -94,7 +92,7 @@ impl Blocks {
 /// `first` is the first block as it stands there, which is written to find out.
 pub(super) fn opened(path: &Path, file: &File, first: &[u8]) -> Option<File> {
     let direct = open(path).ok()?;
-    let mut block = Blocks::of(0);
+    let mut block = Blocks::of(0, BLOCK);
     block.extend_from_slice(first);
     let tried = is_same(file, &direct).and_then(|same| match same {
         true => super::write_at(&direct, block.whole_blocks(), 0).and_then(|()| direct.sync_data()),
@@ -138,7 +136,7 @@ mod tests {
         fn bytes_grow_and_begin_where_a_block_does(
             steps in prop::collection::vec((0_u8..5, 0_usize..20_000), 0..30)
         ) {
-            let (mut blocks, mut plain) = (Blocks::of(3), vec![0; 3]);
+            let (mut blocks, mut plain) = (Blocks::of(3, 0), vec![0; 3]);
             for (step, size) in steps {
                 match step {
                     0 => {
@@ -169,7 +167,7 @@ mod tests {
 
     #[test]
     fn memory_of_a_long_one_is_given_back() {
-        let mut blocks = Blocks::of(1 << 20);
+        let mut blocks = Blocks::of(1 << 20, 0);
         blocks.truncate(20);
         blocks.shrink_to(64 << 10);
         assert!(blocks.memory.len() <= (64 << 10) + 2 * BLOCK);
