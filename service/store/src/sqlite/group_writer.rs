@@ -22,11 +22,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// What the writer of groups keeps of the file, in KiB below zero: the pages that some hundred machines' next cycles go
-/// to. Others come from the system's cache.
-const CACHE: &str = "-2048";
+/// What the writer of groups keeps of the file, in KiB below zero. Others come from the system's cache; twice and four times
+/// as much saved nothing that was seen, with 40 machines or 200 (docs/performance.md).
+const CACHE: &str = "-1024";
 
-/// Groups of so many cycles are written in one transaction at most: what they change has room in the cache.
+/// Groups of so many cycles are written in one transaction at most: half as many take more of the processor, twice as many no
+/// less (docs/performance.md).
 const MOST_CYCLES: usize = 256;
 
 /// A connection that writes groups. Whoever calls it waits for the disk.

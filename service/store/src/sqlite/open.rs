@@ -44,13 +44,13 @@ pub(super) const SETTINGS: [(&str, &str); 6] = [
 ];
 
 /// What the connection keeps of the file, in KiB below zero, that writes all but whole groups.
-const WRITER_CACHE: &str = "-1024";
+const WRITER_CACHE: &str = "-512";
 
 /// What the checkpoint's connection keeps of the file, in KiB below zero: it copies pages, and looks at none.
 const CHECKPOINT_CACHE: &str = "-64";
 
 /// What a connection that reads keeps of the file, in KiB below zero. The system keeps the rest, once for all of them.
-const READER_CACHE: &str = "-512";
+const READER_CACHE: &str = "-256";
 
 /// How a SQLite store is run.
 #[derive(Debug, Clone)]
