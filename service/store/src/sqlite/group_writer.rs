@@ -4,6 +4,9 @@
 //! every cycle of the shop goes without: a row's statement is made once and runs as often as there are rows, on the
 //! thread of the groups ([`super::group_thread`]), which may wait for the disk.
 
+#[cfg(test)]
+mod tests;
+
 use super::dialect::{BLOCKS, CYCLES, RECOMMENDATIONS};
 use super::engine::Heads;
 use super::group_folds::Folds;

@@ -295,6 +295,12 @@ impl Journal {
         Ok(())
     }
 
+    /// From here on nothing can be written, as to a file that is open for reading.
+    #[cfg(test)]
+    pub(super) fn refuse(&mut self, file: File) {
+        (self.file, self.direct) = (file, None);
+    }
+
     /// Whether a record of the epoch may be on the disk.
     pub(super) const fn is_touched(&self) -> bool {
         self.touched

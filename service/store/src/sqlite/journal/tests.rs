@@ -193,8 +193,7 @@ fn a_record_that_cannot_be_written_is_the_last() {
     let (path, conn) = given(folder.path());
     let mut journal = Journal::open(&path, &conn).unwrap();
     assert!(journal.has_room() && !journal.is_touched());
-    journal.file = File::open(&journal.path).unwrap();
-    journal.direct = None;
+    journal.refuse(File::open(&journal.path).unwrap());
     journal.begin(&conn).unwrap();
     insert(&mut journal, &conn, &Value::Null);
     journal.append().unwrap_err();
