@@ -32,8 +32,11 @@ const ENERGIES: [f64; 12] = [10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5, 
 const ANSWER_SECONDS: [f64; 12] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0];
 /// Why cycles are refused and not kept, as problem codes; they stand at 0 from the start, since the rate of a series
 /// that appears with its first event misses that event. A code that is not here is counted all the same.
-const REJECTIONS: [&str; 6] = [
+const REJECTIONS: [&str; 9] = [
     "malformed_json",
+    "body_too_large",
+    "decoded_body_too_large",
+    "unsupported_media_type",
     "unknown_machine",
     "queue_full",
     "quarantine_full",
@@ -129,7 +132,7 @@ impl Metrics {
             cycles: new.counters("feedwright_cycles_total", "Cycles taken in, by outcome", &["outcome"])?,
             cycles_rejected: new.counters(
                 "feedwright_cycles_rejected_total",
-                "Cycles that were refused and not kept, by problem code",
+                "Cycles that were refused and not kept, by problem code; a body that is refused before it is read counts once",
                 &["reason"],
             )?,
             cycles_quarantined: new.counters(

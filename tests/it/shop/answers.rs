@@ -185,12 +185,20 @@ async fn prometheus_sees_what_happened() {
     shop.cycle("M1", &reported(1, 1000.0)).await;
     shop.cycle("M1", &reported(1, 7.0)).await;
     shop.post_raw("/v1/machines/M1/cycles", "application/json", "{").await;
+    // Whatever is refused before it is read.
+    for route in ["cycles", "cycles/batch"] {
+        assert_eq!(shop.post_raw(&format!("/v1/machines/M1/{route}"), "text/plain", "{}").await.status, 415);
+    }
+    let batch = shop.post_raw("/v1/machines/M9/cycles/batch", "application/x-ndjson", "{}").await;
+    assert_eq!(batch.status, 404);
     let text = shop.get("/metrics").await.text;
     for line in [
         "feedwright_cycles_total{outcome=\"accepted\"} 6",
         "feedwright_cycles_total{outcome=\"duplicate\"} 1",
         "feedwright_cycles_total{outcome=\"quarantined\"} 1",
         "feedwright_cycles_rejected_total{reason=\"malformed_json\"} 1",
+        "feedwright_cycles_rejected_total{reason=\"unsupported_media_type\"} 2",
+        "feedwright_cycles_rejected_total{reason=\"unknown_machine\"} 1",
         "feedwright_cycles_quarantined_total{reason=\"cycle_conflict\"} 1",
         "feedwright_machine_cycles_total{machine=\"M1\",outcome=\"accepted\"} 6",
         "feedwright_machine_cycles_total{machine=\"M1\",outcome=\"quarantined\"} 1",

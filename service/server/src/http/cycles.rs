@@ -53,11 +53,11 @@ pub async fn post_cycle(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let (form, Unpacked { bytes: json, place }) = decoded_body(&state, request, "application/json").await?;
-    // A batch may be of none, a cycle is none without a frame.
-    if form == Form::Binary && json.is_empty() {
-        return Err(no_frame());
-    }
+    let body = decoded_body(&state, request, "application/json").await.and_then(|(form, body)| {
+        // A batch may be of none, a cycle is none without a frame.
+        if form == Form::Binary && body.bytes.is_empty() { Err(no_frame()) } else { Ok(body) }
+    });
+    let Unpacked { bytes: json, place } = counted(&state, body)?;
     // The client may hang up; what was taken in goes on to its commit all the same.
     let intake = state.intake.clone();
     let accepting = async move {
@@ -97,18 +97,20 @@ pub async fn post_batch(
     PathId(machine): PathId<MachineId>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let (form, Unpacked { bytes: body, place }) = decoded_body(&state, request, LINES).await?;
+    let body = decoded_body(&state, request, LINES).await;
+    let (form, Unpacked { bytes: body, place }) = counted(&state, body)?;
     // Kept with what is left of the body, also where the client hangs up.
     let place = Arc::new(place);
     if !state.intake.knows(&machine).await? {
         let detail = format!("there is no machine `{machine}`");
-        return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
+        return counted(&state, Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail)));
     }
     let most = state.config.limits.batch_lines;
-    let mut lines = match form {
-        Form::Json => lines_of(&body, most)?,
-        Form::Binary => frames_of(&body, most)?,
+    let lines = match form {
+        Form::Json => lines_of(&body, most),
+        Form::Binary => frames_of(&body, most),
     };
+    let mut lines = counted(&state, lines)?;
     // What follows a torn frame may be anything, but no JSON.
     let stray = lines.pop_if(|(_, bytes)| form == Form::Binary && !is_frame(bytes));
     let mut answer = Vec::with_capacity(128 * lines.len());
@@ -286,6 +288,11 @@ async fn decoded_body(
         )),
         _ => Ok((form, body)),
     }
+}
+
+/// What is refused before a cycle of it is known counts as one: its sender has the only copy.
+fn counted<T>(state: &AppState, outcome: Result<T, Problem>) -> Result<T, Problem> {
+    outcome.inspect_err(|problem| state.metrics.cycle_rejected(problem.code))
 }
 
 fn no_frame() -> Problem {
