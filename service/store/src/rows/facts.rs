@@ -79,7 +79,8 @@ pub(crate) struct FactsRow {
 }
 
 impl FactsRow {
-    /// The facts of a row that is being written: the same columns that a refold reads.
+    /// The facts of a row that is being written: the same columns that a refold reads, but for the digest, which is the
+    /// one that the row's was packed from.
     pub(crate) fn of(row: &CycleRow, summary: &CycleSummary, operation: Option<&Operation>) -> Self {
         Self {
             machine_id: row.machine_id.clone(),
