@@ -18,7 +18,8 @@
 //! number of a statement, u8 number of values, u32 rows that it changed, values; `3`, i64, the newest row of `cycles` before
 //! the epoch; `4`, as `2`, a statement that stands for what the process would have run before its commit: only who takes the
 //! epoch up runs it. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`, u32 length and text, or `4`, u32 length
-//! and bytes. An epoch ends where its next record is not whole: that one was never acknowledged.
+//! and bytes. An epoch ends where its next record is not whole: that one was never acknowledged. Where
+//! another record of the epoch stands behind it, it was, and the file is damaged.
 //!
 //! Version 1 had no `4`, and its records stood one behind the other from byte 40 on; what was left of it is taken up.
 //!
@@ -26,10 +27,12 @@
 //! tell, as it stands still where groups are far apart; the newest row, and how many rows each statement changes, do.
 
 mod blocks;
+mod records;
 #[cfg(test)]
 mod tests;
 
 use self::blocks::{BLOCK, Blocks, up};
+use self::records::{Records, latest_epoch};
 use super::files::Identity;
 use super::open::SETTINGS;
 use crate::error::{StoreError, StoreResult};
@@ -330,7 +333,7 @@ impl Journal {
     pub(super) fn run_again(&self, conn: &Connection) -> StoreResult<()> {
         let mut bytes = vec![0; usize::try_from(self.at - FIRST).unwrap_or(usize::MAX)];
         read_at(&self.file, &mut bytes, FIRST).map_err(not_writable)?;
-        let records = Records { bytes: &bytes, multiple: BLOCK, epoch: self.epoch, number: 0 };
+        let records = Records::of(&bytes, BLOCK, self.epoch);
         match run_all(conn, records, By::WhoWroteThem) {
             Ok(groups) if groups == self.number => Ok(()),
             // The database is another one than these groups were run in: nobody may go on with it.
@@ -373,7 +376,10 @@ pub(super) fn take_up(database: &Path, conn: &mut Connection) -> StoreResult<()>
             _ if !is_mine && begun.elapsed() < PATIENCE => std::thread::sleep(LOOK_AGAIN),
             _ if !is_mine => return Err(StoreError::Unavailable(in_use(&path).into())),
             Some((known, committed)) if known == id && epoch == committed + 1 => {
-                let records = Records { bytes: &records, multiple, epoch, number: 0 };
+                let records = Records::of(&records, multiple, epoch);
+                if records.are_damaged() {
+                    return Err(StoreError::NotWritable(damaged_file(&path).into()));
+                }
                 return match take_up_records(conn, records, epoch) {
                     // Somebody has written the database since, who did not take it up.
                     Err(StoreError::Refused { .. } | StoreError::Damaged { .. }) => {
@@ -425,6 +431,14 @@ fn of_another(path: &Path) -> String {
     )
 }
 
+fn damaged_file(path: &Path) -> String {
+    format!(
+        "{} is damaged: acknowledged cycles stand in it behind what cannot be read. Put back a copy of it, or move it away to \
+         go on without all that it holds",
+        path.display()
+    )
+}
+
 /// The journal that stands there, if one does.
 fn opened(path: &Path) -> StoreResult<Option<File>> {
     let found = match File::options().read(true).write(true).open(path) {
@@ -461,7 +475,7 @@ fn held(file: &mut File, path: &Path) -> StoreResult<Option<Found>> {
         return Err(StoreError::NotWritable(what.into()));
     };
     bytes.drain(..HEAD.next_multiple_of(multiple).min(bytes.len()));
-    Ok(first_epoch(&bytes).map(|epoch| Found { id, epoch, records: bytes, multiple }))
+    Ok(latest_epoch(&bytes, multiple).map(|epoch| Found { id, epoch, records: bytes, multiple }))
 }
 
 /// Whether a journal stands beside a database that is not there, or is about to be put there, and holds something.
@@ -478,46 +492,6 @@ fn take_up_records(conn: &mut Connection, records: Records<'_>, epoch: u64) -> S
     transaction.commit()?;
     tracing::warn!(groups, "groups that were acknowledged and not committed are taken up from their journal");
     Ok(())
-}
-
-/// The bodies of an epoch's records, in their order, up to the first that is not whole.
-struct Records<'b> {
-    bytes: &'b [u8],
-    /// Each begins at a multiple of so many bytes.
-    multiple: usize,
-    epoch: u64,
-    number: u32,
-}
-
-impl<'b> Iterator for Records<'b> {
-    type Item = &'b [u8];
-
-    fn next(&mut self) -> Option<&'b [u8]> {
-        let (epoch, number, body, rest) = record(self.bytes)?;
-        if epoch != self.epoch || number != self.number {
-            return None;
-        }
-        let end = (self.bytes.len() - rest.len()).next_multiple_of(self.multiple);
-        self.bytes = self.bytes.get(end..).unwrap_or_default();
-        self.number = number.checked_add(1)?;
-        Some(body)
-    }
-}
-
-/// The first record, where it is whole: its epoch, number and body, and what is behind it.
-fn record(bytes: &[u8]) -> Option<(u64, u32, &[u8], &[u8])> {
-    let (sum, summed) = bytes.split_first_chunk::<4>()?;
-    let (length, rest) = summed.split_first_chunk::<4>()?;
-    let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
-    let (epoch, rest) = rest.split_first_chunk::<8>()?;
-    let (number, rest) = rest.split_first_chunk::<4>()?;
-    let (body, rest) = rest.split_at_checked(length)?;
-    let whole = crc32fast::hash(&summed[..RECORD_HEAD - 4 + length]) == u32::from_le_bytes(*sum);
-    whole.then_some((u64::from_le_bytes(*epoch), u32::from_le_bytes(*number), body, rest))
-}
-
-fn first_epoch(records: &[u8]) -> Option<u64> {
-    record(records).filter(|(_, number, ..)| *number == 0).map(|(epoch, ..)| epoch)
 }
 
 /// Who runs the statements of records.

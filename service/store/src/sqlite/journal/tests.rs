@@ -187,6 +187,55 @@ fn another_state_is_not_gone_on_with() {
     }
 }
 
+/// Each record is on the disk before the next one is begun: only the last may be cut short without having been acknowledged.
+#[test]
+fn what_stands_behind_a_damaged_record_was_acknowledged() {
+    for (damaged, taken) in [(0, None), (1, None), (2, Some(2))] {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, mut conn) = given(folder.path());
+        let mut journal = Journal::open(&path, &conn).unwrap();
+        let mut begins = Vec::new();
+        // Of the earlier epoch more is left than the later one writes over.
+        for (epoch, records) in [(1, 5), (2, 3)] {
+            conn.execute_batch("BEGIN").unwrap();
+            for value in 0..records {
+                journal.begin(&conn).unwrap();
+                insert(&mut journal, &conn, &Value::Integer(10 * epoch + value));
+                if epoch == 2 {
+                    begins.push(journal.at);
+                }
+                journal.append().unwrap();
+            }
+            if epoch == 1 {
+                journal.note_end(&conn).unwrap();
+                conn.execute_batch("COMMIT").unwrap();
+                journal.turn();
+            } else {
+                conn.execute_batch("ROLLBACK").unwrap();
+            }
+        }
+        let before = all(&conn);
+        let at = journal.path.clone();
+        drop(journal);
+        let good = std::fs::read(&at).unwrap();
+        write_at(&File::options().write(true).open(&at).unwrap(), &[0xff], begins[damaged] + 21).unwrap();
+        match (take_up(&path, &mut conn), taken) {
+            (Ok(()), Some(taken)) => {
+                let taken: Vec<_> = (0..taken).map(|value| Value::Integer(20 + value)).collect();
+                assert_eq!(all(&conn), [before, taken].concat());
+            }
+            (Err(StoreError::NotWritable(why)), None) => {
+                assert!(why.to_string().contains("is damaged"), "{why}");
+                assert_eq!(all(&conn), before, "nothing of it");
+                std::fs::write(&at, good).unwrap();
+                take_up(&path, &mut conn).unwrap();
+                assert_eq!(all(&conn).len(), before.len() + 3);
+            }
+            (outcome, _) => panic!("{damaged}: {outcome:?}"),
+        }
+    }
+}
+
 #[test]
 fn a_record_that_cannot_be_written_is_the_last() {
     let folder = tempfile::tempdir().unwrap();
