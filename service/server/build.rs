@@ -15,8 +15,11 @@ fn main() {
     // A megabyte of relocations, which stays resident after the start, packed into some kilobytes. Debian has read these
     // since version 12 (glibc 2.36).
     println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
+    // A copy: two checkouts may build into one folder, and the one that this was run for may be gone.
+    let script = std::path::Path::new(&variable("OUT_DIR")).join("often.ld");
+    std::fs::copy("often.ld", &script).expect("the folder of this script's output can be written");
     // Not by `-Wl`, which would divide a folder's name at its commas.
-    println!("cargo::rustc-link-arg-bins=-T{}/often.ld", variable("CARGO_MANIFEST_DIR"));
+    println!("cargo::rustc-link-arg-bins=-T{}", script.display());
 }
 
 /// Linkers other than LLVM's, which Rust brings, and GNU's. They do not read the script, and mold 1.10 packs relocations
