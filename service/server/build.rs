@@ -17,7 +17,8 @@ fn main() {
     println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
     // A copy: two checkouts may build into one folder, and the one that this was run for may be gone.
     let script = std::path::Path::new(&variable("OUT_DIR")).join("often.ld");
-    std::fs::copy("often.ld", &script).expect("the folder of this script's output can be written");
+    std::fs::copy("often.ld", &script)
+        .expect("often.ld is there, and can be copied to the output of this script");
     // Not by `-Wl`, which would divide a folder's name at its commas.
     println!("cargo::rustc-link-arg-bins=-T{}", script.display());
 }

@@ -18,8 +18,8 @@
 //! number of a statement, u8 number of values, u32 rows that it changed, values; `3`, i64, the newest row of `cycles` before
 //! the epoch; `4`, as `2`, a statement that stands for what the process would have run before its commit: only who takes the
 //! epoch up runs it. A value is `0` (null), `1` and an i64, `2` and the bits of an f64, `3`, u32 length and text, or `4`, u32 length
-//! and bytes. An epoch ends where its next record is not whole: that one was never acknowledged. Where
-//! another record of the epoch stands behind it, it was, and the file is damaged.
+//! and bytes. An epoch ends where its next record is not whole: that one was never acknowledged. Where another
+//! record of the epoch stands behind it, it was, and the file is damaged.
 //!
 //! Version 1 had no `4`, and its records stood one behind the other from byte 40 on; what was left of it is taken up.
 //!
@@ -462,7 +462,7 @@ struct Found {
 }
 
 /// What a journal holds; `None` where it holds none: one that is all zeros was being made, and
-/// a first record that is not whole was never acknowledged.
+/// where no record is whole none was acknowledged.
 fn held(file: &mut File, path: &Path) -> StoreResult<Option<Found>> {
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut bytes)).map_err(not_writable)?;

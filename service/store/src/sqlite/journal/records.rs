@@ -41,7 +41,8 @@ impl<'b> Iterator for Records<'b> {
     }
 }
 
-/// The latest epoch of which something is held. Where its first record is not among that, it was acknowledged all the same.
+/// The latest epoch of which a record is whole. Not that of the first record alone: that one may be damaged, or a write of it
+/// lost, with others of its epoch behind it that were acknowledged.
 pub(super) fn latest_epoch(records: &[u8], multiple: usize) -> Option<u64> {
     epochs(records, multiple).max()
 }
