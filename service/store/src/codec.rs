@@ -33,47 +33,57 @@
 //! Version 1 begins with `v1` and has no width: per value i64 m. What was stored under it keeps it; the same content again
 //! is known by either.
 //!
-//! # Block format v3
+//! # Block format v4
 //!
 //! ```text
-//! "FB"  u8 version = 3
+//! "FB"  u8 version = 4
 //! varint samples per column       1 ..= the reader's limit
 //! u8 number of blocks             1 ..= 17
 //! u8 0, f64 bits of the period    or  u8 1: the first block holds the times
 //! per block, times first, then channels in ascending code:
 //!   u8 channel code (0: times)
 //!   u8 form
-//!   form 0..=9:     varint length, payload of a decimal column
+//!   form 0..=9:     u8 predictor | law, the first m as a zig-zag varint (LEB128), and with a law u8 level of the first mean
 //!   form 15:        varint length, the bits byte plane by byte plane: all lowest bytes first
 //!   form 15 | 0x80: varint plain length, varint stored length, the same as a zstd frame
+//! where any block has a law:
+//!   residuals of those that have one, block by block, see `ans.rs` and `noise.rs`
 //! u64 first eight bytes of blake3 over everything before
 //! ```
 //!
-//! The payload of a decimal column is `u8 predictor | coder`, the first `m` as a zig-zag varint (LEB128), for the Rice
-//! coder `u8` bits of a usual residual, and then for each other `m` how far it is off its prediction, zig-zag:
+//! A residual is how far each `m` after the first is off its prediction:
 //!
 //! * predictors, over the values before, `a` the newest; until enough of them are there it is `a`: 0: `a` · 1: `2a − b` ·
 //!   2: `(a + b) >> 1` · 3: `(3(a + b) − (c + d)) >> 2` · the line of least squares through the last N values, rounded
 //!   down after adding half, with S their sum and J the sum of each times its place, 1 being the newest: 4 (N = 8):
 //!   `(17 S − 3 J) / 28` · 5 (N = 16): `(11 S − J) / 40`
+//! * laws: 0x00: every residual is 0 · 0x10: normal · 0x20: Laplace.
+//!
+//! # Block format v3
+//!
+//! It is still read. It differs in its version and in form 0..=9, which was a varint length and, of that length, `u8 predictor |
+//! coder`, the first `m`, for the Rice coder `u8` bits of a usual residual, and the residuals, zig-zag:
+//!
 //! * coder 0x00, Rice: with parameter `k` the quotient by 2^k as ones and a zero, then `k` bits; 24 ones are followed by
 //!   64 bits. `k` is the bit length of 3/4 of the running mean, see `rice.rs`. Bits fill bytes from the top.
-//! * coder 0x10, an adaptive binary range coder, see `range.rs`, taken where a mean residual is no more than 1.25.
+//! * coder 0x10, an adaptive binary range coder, see `range.rs`, taken where a mean residual was no more than 1.25.
 //!
 //! # Block format v2
 //!
-//! It is still read. It differs in its version, and in that it has predictors 0 to 3 only.
+//! It is still read. It differs from version 3 in its version, and in that it has predictors 0 to 3 only.
 //!
 //! # Block format v1
 //!
 //! It is still read. It differs in its version and in form 0..=9, which was like form 15, with 0x80 for zstd, over a
 //! zig-zag varint of the first `m` and of each difference to the one before.
 
+mod ans;
 mod column;
 pub(crate) mod digest;
 mod frame;
 mod hash;
 pub(crate) mod input;
+mod noise;
 mod overrides;
 mod predict;
 mod range;

@@ -37,7 +37,7 @@ const ROUNDS: usize = 5;
 /// What one system did in one round.
 #[derive(Debug, Clone, Copy)]
 struct Round {
-    /// Values per second of the server's processor time.
+    /// Values per second of the server's processor time, what it does afterwards before it is at rest included.
     values_per_cpu_second: f64,
     /// Cycles of a commit, on average, while many post.
     group: f64,
@@ -202,6 +202,7 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
     for poster in posters.collect::<Vec<_>>() {
         poster.await.expect("every post is acknowledged");
     }
+    server.rest(dir.path()).await;
     let spent = server.cpu_seconds() - cpu;
     let group = mean_group(&client, &server).await;
     let headers = format!("authorization: Bearer {}\r\ncontent-type: {}\r\n", server.token, form.media_type);

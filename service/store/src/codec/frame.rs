@@ -1,18 +1,20 @@
-//! Block format: writing version 3, and reading all versions, which trusts nothing.
+//! Block format: writing version 4, and reading all versions, which trusts nothing.
 
+use super::ans;
 use super::column::{Column, Columns, MAX_SCALE, Time};
 use super::input::{Input, MAX_VARINT, put_varint};
+use super::noise::{self, Law, NoiseReader};
 use super::predict::{Predictor, unzigzag, zigzag};
-use super::range::{self, RangeReader, Zeros};
-use super::rice::{self, RiceReader};
+use super::range::{RangeReader, Zeros};
+use super::rice::RiceReader;
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::cycle::{Channel, Samples};
 use std::cell::RefCell;
-use std::mem;
 
 const MAGIC: [u8; 2] = *b"FB";
 const FIRST: u8 = 1;
 const THIRD: u8 = 3;
+const FOURTH: u8 = 4;
 const EXACT: u8 = 15;
 const COMPRESSED: u8 = 0x80;
 const TIMES: u8 = 0;
@@ -27,38 +29,116 @@ thread_local! {
     static DECOMPRESSOR: RefCell<Option<zstd::bulk::Decompressor<'static>>> = const { RefCell::new(None) };
 }
 
-/// How residuals are written: the high half of a column's first byte, its predictor being the low one.
+/// How versions 2 and 3 wrote residuals: the high half of a column's first byte, its predictor being the low one.
 const RICE: u8 = 0;
 const RANGE: u8 = 0x10;
 
-/// Writes samples in block format v3.
+/// Writes samples in block format v4.
 pub fn encode_samples(samples: &Samples) -> Vec<u8> {
     encode_columns(&Columns::of(samples))
 }
 
 pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
-    let mut out = Vec::with_capacity(64 + columns.len * columns.channels.len());
+    let times = match &columns.time {
+        Time::Period(_) => None,
+        Time::Stamps(column) => Some((TIMES, column)),
+    };
+    let all: Vec<(u8, &Column)> = times
+        .into_iter()
+        .chain(columns.channels.iter().map(|(channel, column)| (*channel as u8, column)))
+        .collect();
+    // What is read last is written first.
+    let mut residuals = ResidualsWriter::new(columns.len * all.len());
+    let mut coded: Vec<Option<Coded>> = all.iter().rev().map(|(_, column)| residuals.code(column)).collect();
+    let mut out = Vec::with_capacity(HEAD + COLUMN_HEAD * all.len() + residuals.coder.len() + CHECKSUM);
     out.extend_from_slice(&MAGIC);
-    out.push(THIRD);
+    out.push(FOURTH);
     put_varint(&mut out, columns.len as u64);
-    let stamps = usize::from(matches!(columns.time, Time::Stamps(_)));
-    out.push(u8::try_from(columns.channels.len() + stamps).unwrap_or(u8::MAX));
+    out.push(u8::try_from(all.len()).unwrap_or(u8::MAX));
     match &columns.time {
         Time::Period(bits) => {
             out.push(0);
             out.extend_from_slice(&bits.to_le_bytes());
         }
-        Time::Stamps(column) => {
-            out.push(1);
-            put_block(&mut out, TIMES, column);
+        Time::Stamps(_) => out.push(1),
+    }
+    for (code, column) in all {
+        out.push(code);
+        match (column, coded.pop().flatten()) {
+            (Column::Exact(bits), _) => put_exact(&mut out, &planes(bits)),
+            (Column::Decimal { scale, .. }, coded) => {
+                out.push(*scale);
+                coded.into_iter().for_each(|coded| coded.put_head(&mut out));
+            }
         }
     }
-    for (channel, column) in &columns.channels {
-        put_block(&mut out, *channel as u8, column);
-    }
+    residuals.finish(&mut out);
     let checksum = checksum(&out);
     out.extend_from_slice(&checksum);
     out
+}
+
+/// Most bytes before the first column, and of a decimal column's head.
+const HEAD: usize = 24;
+const COLUMN_HEAD: usize = 5 + MAX_VARINT;
+
+/// Residuals of a block, written from the last column to the first.
+struct ResidualsWriter {
+    coder: ans::Writer,
+    is_used: bool,
+    of_column: Vec<i64>,
+    symbols: Vec<ans::Symbol>,
+}
+
+/// How a decimal column is written, and its first value; no law where nothing is off its prediction.
+#[derive(Debug, Clone, Copy)]
+struct Coded {
+    predictor: Predictor,
+    first: i64,
+    law: Option<(Law, u8)>,
+}
+
+impl ResidualsWriter {
+    fn new(values: usize) -> Self {
+        // Most take a few bits.
+        Self {
+            coder: ans::Writer::new(values / 4),
+            is_used: false,
+            of_column: Vec::new(),
+            symbols: Vec::new(),
+        }
+    }
+
+    /// Writes the residuals of a column of decimals.
+    fn code(&mut self, column: &Column) -> Option<Coded> {
+        let Column::Decimal { values, .. } = column else { return None };
+        let (&first, predictor) = (values.first()?, Predictor::best(values));
+        let Self { coder, is_used, of_column, symbols } = self;
+        predictor.residuals(values, of_column);
+        if of_column.iter().fold(0, |any, residual| any | residual) == 0 {
+            return Some(Coded { predictor, first, law: None });
+        }
+        let level = noise::first_level(of_column);
+        let law = noise::fitting_law(of_column, level);
+        noise::note(symbols, of_column, law, level);
+        coder.put_before(symbols);
+        *is_used = true;
+        Some(Coded { predictor, first, law: Some((law, level)) })
+    }
+
+    fn finish(self, out: &mut Vec<u8>) {
+        if self.is_used {
+            self.coder.finish(out);
+        }
+    }
+}
+
+impl Coded {
+    fn put_head(self, out: &mut Vec<u8>) {
+        out.push(self.predictor as u8 | self.law.map_or(0, |(law, _)| law as u8) << 4);
+        put_varint(out, zigzag(self.first));
+        out.extend(self.law.map(|(_, level)| level));
+    }
 }
 
 fn checksum(bytes: &[u8]) -> [u8; CHECKSUM] {
@@ -66,28 +146,6 @@ fn checksum(bytes: &[u8]) -> [u8; CHECKSUM] {
     let mut first = [0; CHECKSUM];
     first.copy_from_slice(&hash.as_bytes()[..CHECKSUM]);
     first
-}
-
-fn put_block(out: &mut Vec<u8>, code: u8, column: &Column) {
-    out.push(code);
-    match column {
-        Column::Decimal { scale, values } => {
-            out.push(*scale);
-            put_behind_length(out, |out| put_residuals(out, values));
-        }
-        Column::Exact(bits) => put_exact(out, &planes(bits)),
-    }
-}
-
-/// What `put` appends, behind its length.
-fn put_behind_length(out: &mut Vec<u8>, put: impl FnOnce(&mut Vec<u8>)) {
-    let begins = out.len();
-    put(out);
-    let ends = out.len();
-    put_varint(out, (ends - begins) as u64);
-    // To where it belongs: that is less than to write the rest elsewhere and copy it.
-    let length = out.len() - ends;
-    out[begins..].rotate_right(length);
 }
 
 fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
@@ -104,35 +162,6 @@ fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
             out.extend_from_slice(plain);
         }
     }
-}
-
-/// The payload of a decimal column: how it is coded, its first value, and how far each other one is off.
-fn put_residuals(out: &mut Vec<u8>, values: &[i64]) {
-    let (Some(&first), predictor) = (values.first(), Predictor::best(values)) else { return };
-    let mut residuals = Vec::new();
-    predictor.residuals(values, &mut residuals);
-    let sure = are_sure(&residuals);
-    out.push(predictor as u8 | if sure { RANGE } else { RICE });
-    put_varint(out, zigzag(first));
-    *out = if sure {
-        range::write(mem::take(out), &residuals)
-    } else {
-        let bits = rice::usual_bits(&residuals);
-        out.push(bits);
-        rice::write(mem::take(out), &residuals, rice::Parameter::new(bits))
-    };
-}
-
-/// Whether the mean of residuals, zig-zag, is no more than 5/4: these go to the range coder, as a Rice code spends a bit on
-/// each, however sure it is. Above it noise of a feed rate takes a fourteenth more by a Rice code, and far less time.
-fn are_sure(residuals: &[u64]) -> bool {
-    let most = (residuals.len() + residuals.len() / 4) as u64;
-    let mut sum = 0_u64;
-    // Noise is told from its first values. Eight residuals of decimals do not overflow.
-    residuals.chunks(8).all(|residuals| {
-        sum = sum.saturating_add(residuals.iter().sum());
-        sum <= most
-    })
 }
 
 /// `None` where zstd fails, which it does for want of memory only: the block is then stored as it is.
@@ -153,7 +182,7 @@ fn planes(bits: &[u64]) -> Vec<u8> {
     out
 }
 
-/// Reads block formats v1 to v3. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
+/// Reads block formats v1 to v4. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
 /// than that many values per channel whatever the bytes claim.
 pub fn decode_samples(bytes: &[u8], max_samples: usize) -> StoreResult<Samples> {
     decode_columns(bytes, max_samples)?.into_samples()
@@ -184,8 +213,8 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
         return Err("not a sample block");
     }
     let version = input.byte()?;
-    if !(FIRST..=THIRD).contains(&version) {
-        return Err("not block format v1, v2 or v3");
+    if !(FIRST..=FOURTH).contains(&version) {
+        return Err("not block format v1 to v4");
     }
     let len = input.length()?;
     if len == 0 || len > max_samples {
@@ -195,20 +224,22 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
     if blocks == 0 || blocks > MAX_BLOCKS {
         return Err("number of blocks out of bounds");
     }
-    let (time, count) = match input.byte()? {
+    let (period, count) = match input.byte()? {
         0 => {
             let bits = input.take(8)?.try_into().map_err(|_| "too short")?;
-            (Time::Period(u64::from_le_bytes(bits)), blocks)
+            (Some(u64::from_le_bytes(bits)), blocks)
         }
-        1 => {
-            if input.byte()? != TIMES {
-                return Err("times are missing");
-            }
-            (Time::Stamps(input.column(version, len)?), blocks - 1)
-        }
+        1 => (None, blocks - 1),
         _ => return Err("unknown time base"),
     };
     let mut channels = Vec::with_capacity(count);
+    let mut stamps = None;
+    if period.is_none() {
+        if input.byte()? != TIMES {
+            return Err("times are missing");
+        }
+        stamps = Some(input.column(version, len)?);
+    }
     for _ in 0..count {
         let channel = Channel::from_code(input.byte()?).ok_or("unknown channel")?;
         if channels.last().is_some_and(|(before, _)| *before >= channel) {
@@ -216,15 +247,81 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
         }
         channels.push((channel, input.column(version, len)?));
     }
-    if !input.0.is_empty() {
+    let mut coder = None;
+    let stamps = stamps.map(|column| column.read(&mut coder, &mut input)).transpose()?;
+    let channels =
+        channels.into_iter().map(|(channel, column)| Ok((channel, column.read(&mut coder, &mut input)?)));
+    let channels = channels.collect::<Result<_, &'static str>>()?;
+    if !input.0.is_empty() || coder.is_some_and(|coder| !coder.is_at_end()) {
         return Err("trailing bytes");
     }
+    let time = match (period, stamps) {
+        (Some(bits), _) => Time::Period(bits),
+        (None, Some(column)) => Time::Stamps(column),
+        (None, None) => return Err("times are missing"),
+    };
     Ok(Columns { len, time, channels })
 }
 
+/// A column that is read, or of version 4 its head: its residuals stand behind all heads.
+enum Pending {
+    Whole(Column),
+    Headed { scale: u8, coded: Coded, len: usize },
+}
+
+impl Pending {
+    fn read<'a>(
+        self,
+        coder: &mut Option<ans::Reader<'a>>,
+        input: &mut Input<'a>,
+    ) -> Result<Column, &'static str> {
+        let (scale, coded, len) = match self {
+            Self::Whole(column) => return Ok(column),
+            Self::Headed { scale, coded, len } => (scale, coded, len),
+        };
+        // `len` is within the reader's limit.
+        let mut values = vec![0; len];
+        *values.first_mut().ok_or("no values")? = coded.first;
+        match coded.law {
+            None => {
+                coded.predictor.restore(&mut values, Zeros).ok_or("a column ends early")?;
+            }
+            Some((law, level)) => {
+                let begun = match *coder {
+                    Some(coder) => coder,
+                    None => ans::Reader::new(std::mem::take(&mut input.0)).ok_or("residuals are missing")?,
+                };
+                let reader = NoiseReader::new(begun, law, level).ok_or("unknown mean")?;
+                let reader = coded.predictor.restore(&mut values, reader).ok_or("a column ends early")?;
+                *coder = Some(reader.coder);
+            }
+        }
+        Ok(Column::Decimal { scale, values })
+    }
+}
+
 impl Input<'_> {
-    fn column(&mut self, version: u8, len: usize) -> Result<Column, &'static str> {
+    fn column(&mut self, version: u8, len: usize) -> Result<Pending, &'static str> {
         let form = self.byte()?;
+        if version == FOURTH && form <= MAX_SCALE {
+            return Ok(Pending::Headed { scale: form, coded: self.coded()?, len });
+        }
+        self.whole_column((version, form), len).map(Pending::Whole)
+    }
+
+    /// How a decimal column of version 4 is written.
+    fn coded(&mut self) -> Result<Coded, &'static str> {
+        let coding = self.byte()?;
+        let predictor = Predictor::from_code(coding & 0x0f).ok_or("unknown predictor")?;
+        let first = unzigzag(self.varint()?);
+        let law = match coding >> 4 {
+            0 => None,
+            law => Some((Law::from_code(law).ok_or("unknown coding")?, self.byte()?)),
+        };
+        Ok(Coded { predictor, first, law })
+    }
+
+    fn whole_column(&mut self, (version, form): (u8, u8), len: usize) -> Result<Column, &'static str> {
         if version != FIRST && form <= MAX_SCALE {
             let stored = self.length()?;
             return restored(self.take(stored)?, len, (version, form));
@@ -265,7 +362,7 @@ fn decompress(packed: &[u8], plain_length: usize) -> Result<Vec<u8>, &'static st
     })
 }
 
-/// A decimal column since version 2. `len` is within the reader's limit.
+/// A decimal column of version 2 or 3. `len` is within the reader's limit.
 fn restored(packed: &[u8], len: usize, (version, scale): (u8, u8)) -> Result<Column, &'static str> {
     let mut input = Input(packed);
     let coding = input.byte()?;

@@ -76,21 +76,21 @@ impl<const N: usize, const SUM: i64, const WEIGHTED: i64, const OVER: i64> Fit<N
         self.sum = self.sum.wrapping_sub(oldest).wrapping_add(newest);
     }
 
-    fn residuals(values: &[i64], out: &mut Vec<u64>) {
+    fn residuals(values: &[i64], out: &mut Vec<i64>) {
         let Some(first) = values.get(..N) else { return };
         let mut fit = Self::of(sums(first));
         out.extend(values[N..].iter().zip(values).map(|(&value, &oldest)| {
-            let residual = zigzag(value - fit.next());
+            let residual = value - fit.next();
             fit.follow(value, oldest);
             residual
         }));
     }
 
-    fn restore<R: Reader>(values: &mut [i64], mut reader: R) -> Option<R> {
+    fn restore<R: Residuals>(values: &mut [i64], mut reader: R) -> Option<R> {
         let Some(first) = values.get(..N) else { return Some(reader) };
         let mut fit = Self::of(sums(first));
         for at in N..values.len() {
-            let value = fit.next().wrapping_add(unzigzag(reader.next()?));
+            let value = fit.next().wrapping_add(reader.next()?);
             fit.follow(value, values[at - N]);
             values[at] = value;
         }
@@ -99,9 +99,9 @@ impl<const N: usize, const SUM: i64, const WEIGHTED: i64, const OVER: i64> Fit<N
 }
 
 /// Reads residuals. Handed on and back by value, so that it can stay in registers while a column is read.
-pub(super) trait Reader {
-    /// The next residual, zig-zag; `None` where there is none.
-    fn next(&mut self) -> Option<u64>;
+pub(super) trait Residuals {
+    /// The next residual; `None` where there is none.
+    fn next(&mut self) -> Option<i64>;
 }
 
 impl Predictor {
@@ -139,23 +139,23 @@ impl Predictor {
         }
     }
 
-    /// How far each value after the first is off, zig-zag.
-    pub(super) fn residuals(self, values: &[i64], out: &mut Vec<u64>) {
+    /// How far each value after the first is off.
+    pub(super) fn residuals(self, values: &[i64], out: &mut Vec<i64>) {
         out.clear();
         out.reserve(values.len());
         let reach = self.reach().min(values.len());
         for pair in values[..reach].windows(2) {
-            out.push(zigzag(pair[1] - pair[0]));
+            out.push(pair[1] - pair[0]);
         }
         match self {
             Self::Last => {
-                out.extend(values.windows(2).map(|w| zigzag(w[1] - w[0])));
+                out.extend(values.windows(2).map(|w| w[1] - w[0]));
             }
             Self::Line | Self::Mean => {
-                out.extend(values.windows(3).map(|w| zigzag(w[2] - self.next([w[1], w[0], 0, 0]))));
+                out.extend(values.windows(3).map(|w| w[2] - self.next([w[1], w[0], 0, 0])));
             }
             Self::MeanLine => {
-                out.extend(values.windows(5).map(|w| zigzag(w[4] - self.next([w[3], w[2], w[1], w[0]]))));
+                out.extend(values.windows(5).map(|w| w[4] - self.next([w[3], w[2], w[1], w[0]])));
             }
             Self::Fit8 => Fit8::residuals(values, out),
             Self::Fit16 => Fit16::residuals(values, out),
@@ -163,7 +163,7 @@ impl Predictor {
     }
 
     /// Puts values back together behind the first; `None` where a residual is missing.
-    pub(super) fn restore<R: Reader>(self, values: &mut [i64], reader: R) -> Option<R> {
+    pub(super) fn restore<R: Residuals>(self, values: &mut [i64], reader: R) -> Option<R> {
         let reach = self.reach().min(values.len());
         let reader = fill(&mut values[..reach], 1, reader, |before| Self::Last.next(before))?;
         // A loop for each, so that none asks at every value which it is.
@@ -212,7 +212,7 @@ impl Predictor {
 }
 
 /// Puts values back together, those before `from` being there.
-fn fill<R: Reader>(
+fn fill<R: Residuals>(
     values: &mut [i64],
     from: usize,
     mut reader: R,
@@ -222,7 +222,7 @@ fn fill<R: Reader>(
     let mut newest = there.iter().rev().copied();
     let mut before = [(); 4].map(|()| newest.next().unwrap_or(0));
     for value in rest {
-        *value = predict(before).wrapping_add(unzigzag(reader.next()?));
+        *value = predict(before).wrapping_add(reader.next()?);
         let [a, b, c, _] = before;
         before = [*value, a, b, c];
     }
@@ -266,10 +266,10 @@ mod tests {
     }
 
     /// Residuals that are there already.
-    struct Listed<'a>(&'a [u64]);
+    struct Listed<'a>(&'a [i64]);
 
-    impl Reader for Listed<'_> {
-        fn next(&mut self) -> Option<u64> {
+    impl Residuals for Listed<'_> {
+        fn next(&mut self) -> Option<i64> {
             let (residual, rest) = self.0.split_first()?;
             self.0 = rest;
             Some(*residual)

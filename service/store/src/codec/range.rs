@@ -1,8 +1,7 @@
-//! An adaptive binary range coder (Martin, 1979; carries as in LZMA) over the bits of residuals: for columns whose
-//! values hardly surprise (an override, a programmed feed, an integrated depth) it needs a fraction of a bit a value,
-//! where a Rice code needs one at the least.
+//! An adaptive binary range coder (Martin, 1979; carries as in LZMA) over the bits of residuals: block formats 2 and 3 had it for
+//! columns whose values hardly surprise (an override, a programmed feed, an integrated depth). It is only read.
 
-use super::predict::Reader;
+use super::predict::{Residuals, unzigzag};
 use std::hint::select_unpredictable;
 
 /// Probabilities are in 1/2^12.
@@ -118,117 +117,6 @@ impl Model {
     }
 }
 
-struct Writing<'a> {
-    out: &'a mut Vec<u8>,
-    /// Where the coder's bytes begin in `out`: no carry goes further back.
-    begins: usize,
-    /// 32 bits, and above them a carry into what is written already.
-    low: u64,
-    range: u32,
-}
-
-impl Writing<'_> {
-    #[expect(clippy::cast_possible_truncation, reason = "the highest byte of 32 bits")]
-    fn shift(&mut self) {
-        if self.low >> 32 != 0 {
-            carry(&mut self.out[self.begins..]);
-        }
-        self.out.push((self.low >> 24) as u8);
-        self.low = (self.low & 0x00ff_ffff) << 8;
-    }
-
-    /// After each bit.
-    fn widen(&mut self) {
-        while self.range < TOP {
-            self.range <<= 8;
-            self.shift();
-        }
-    }
-}
-
-/// Adds one to a number of so many bytes.
-fn carry(bytes: &mut [u8]) {
-    for byte in bytes.iter_mut().rev() {
-        *byte = byte.wrapping_add(1);
-        if *byte != 0 {
-            break;
-        }
-    }
-}
-
-impl Coder for Writing<'_> {
-    #[inline(always)]
-    fn code(&mut self, bit: &mut Bit, one: bool) -> bool {
-        let bound = (self.range >> SCALE) * u32::from(bit.0);
-        if one {
-            self.low += u64::from(bound);
-            self.range -= bound;
-            bit.0 = bit.less();
-        } else {
-            self.range = bound;
-            bit.0 = bit.more();
-        }
-        self.widen();
-        one
-    }
-
-    #[inline(always)]
-    fn code_unpredictable(&mut self, bit: &mut Bit, one: bool) -> bool {
-        let bound = (self.range >> SCALE) * u32::from(bit.0);
-        self.low += select_unpredictable(one, u64::from(bound), 0);
-        self.range = select_unpredictable(one, self.range - bound, bound);
-        bit.follow(one);
-        self.widen();
-        one
-    }
-
-    fn plain(&mut self, value: u64, count: u32) -> u64 {
-        for place in (0..count).rev() {
-            self.range >>= 1;
-            if value >> place & 1 == 1 {
-                self.low += u64::from(self.range);
-            }
-            self.widen();
-        }
-        value
-    }
-}
-
-/// Appends residuals to `out`.
-pub(super) fn write(out: Vec<u8>, residuals: &[u64]) -> Vec<u8> {
-    // Zeros alone leave nothing but zeros, all of them left out: most columns that come here are constant.
-    if residuals.iter().fold(0, |any, residual| any | residual) == 0 { out } else { code(out, residuals) }
-}
-
-fn code(mut out: Vec<u8>, residuals: &[u64]) -> Vec<u8> {
-    // What stands there is not this coder's to shorten.
-    let begins = out.len();
-    // Both live here and nowhere else, so that the loop keeps them in registers.
-    let mut coder = Writing { out: &mut out, begins, low: 0, range: u32::MAX };
-    let mut model = Model::new();
-    for &residual in residuals {
-        // Only what a reader finds may be no residual.
-        let _ = model.residual(&mut coder, residual);
-    }
-    // Any value within the range will do: the one with the fewest bytes that are not 0.
-    let end = coder.low + u64::from(coder.range) - 1;
-    for bits in (8..=32).rev().step_by(8) {
-        let rounded = end >> bits << bits;
-        if rounded >= coder.low {
-            coder.low = rounded;
-            break;
-        }
-    }
-    for _ in 0..4 {
-        coder.shift();
-    }
-    // A reader takes zeros beyond the end.
-    while out.len() > begins && out.last() == Some(&0) {
-        out.pop();
-    }
-    out
-}
-
 struct Reading<'a> {
     rest: &'a [u8],
     code: u32,
@@ -323,16 +211,16 @@ impl<'a> RangeReader<'a> {
 /// What a [`RangeReader`] reads where there are no bytes.
 pub(super) struct Zeros;
 
-impl Reader for Zeros {
-    fn next(&mut self) -> Option<u64> {
+impl Residuals for Zeros {
+    fn next(&mut self) -> Option<i64> {
         Some(0)
     }
 }
 
-impl Reader for RangeReader<'_> {
+impl Residuals for RangeReader<'_> {
     #[inline(always)]
-    fn next(&mut self) -> Option<u64> {
-        self.model.residual(&mut self.coder, 0)
+    fn next(&mut self) -> Option<i64> {
+        self.model.residual(&mut self.coder, 0).map(unzigzag)
     }
 }
 
@@ -419,26 +307,23 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_as_by_the_plain_coder_and_comes_back(residuals in residuals()) {
+        fn what_a_plain_coder_wrote_comes_back(residuals in residuals()) {
             let mut plain = Plain { out: Vec::new(), low: 0, range: u32::MAX, held: None, full: 0 };
             let mut model = Model::new();
             for &residual in &residuals {
                 prop_assert_eq!(model.residual(&mut plain, residual), Some(residual));
             }
-            let written = code(vec![7, 0xff], &residuals);
-            prop_assert_eq!(&written[..2], &[7, 0xff], "no carry goes so far back");
-            prop_assert_eq!(&written[2..], plain.finish());
-            let mut reader = RangeReader::new(&written[2..]);
-            prop_assert!(residuals.iter().all(|&residual| reader.next() == Some(residual)));
+            let written = plain.finish();
+            let mut reader = RangeReader::new(&written);
+            prop_assert!(residuals.iter().all(|&residual| reader.next() == Some(unzigzag(residual))));
             prop_assert!(reader.is_at_end());
         }
     }
 
-    /// Why [`write`] and who reads may pass the coder by.
+    /// Why who reads may pass the coder by.
     #[test]
     fn zeros_alone_leave_nothing() {
         for len in [0, 1, 2, 8, 500, 3000, 5000, 60_000] {
-            assert_eq!(code(vec![7], &vec![0; len]), [7]);
             let mut reader = RangeReader::new(&[]);
             assert!((0..len).all(|_| reader.next() == Some(0)) && reader.is_at_end());
         }

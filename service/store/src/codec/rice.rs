@@ -1,7 +1,7 @@
 //! Rice codes whose parameter follows the residuals (Rice and Plaunt, 1971; adapted backwards as in LOCO-I, Weinberger
 //! et al., 2000): no table, some nanoseconds a value, within a tenth of a bit of noise's entropy.
 
-use super::predict::Reader;
+use super::predict::{Residuals, unzigzag};
 
 /// A quotient of so many ones is no quotient: 64 plain bits follow.
 const ESCAPE: u32 = 24;
@@ -261,13 +261,6 @@ impl<'a> BitReader<'a> {
     }
 }
 
-/// Appends residuals to `out`, `parameter` being that of the first.
-pub(super) fn write(out: Vec<u8>, residuals: &[u64], parameter: Parameter) -> Vec<u8> {
-    let mut writer = BitWriter::after(out);
-    writer.residuals(residuals, parameter);
-    writer.finish()
-}
-
 /// Reads the residuals of one column.
 pub(super) struct RiceReader<'a> {
     bits: BitReader<'a>,
@@ -285,10 +278,10 @@ impl<'a> RiceReader<'a> {
     }
 }
 
-impl Reader for RiceReader<'_> {
+impl Residuals for RiceReader<'_> {
     #[inline(always)]
-    fn next(&mut self) -> Option<u64> {
-        self.bits.rice(&mut self.parameter)
+    fn next(&mut self) -> Option<i64> {
+        self.bits.rice(&mut self.parameter).map(unzigzag)
     }
 }
 
@@ -335,11 +328,13 @@ mod tests {
             usual in 1..=MOST_BITS,
             cut in any::<prop::sample::Index>(),
         ) {
-            let written = write(vec![7], &residuals, Parameter::new(usual));
+            let mut writer = BitWriter::after(vec![7]);
+            writer.residuals(&residuals, Parameter::new(usual));
+            let written = writer.finish();
             prop_assert_eq!(written[0], 7);
             prop_assert_eq!(&written[1..], plain(&residuals, Parameter::new(usual)));
             let mut reader = RiceReader::of(usual, &written[1..]).unwrap();
-            prop_assert!(residuals.iter().all(|&residual| reader.next() == Some(residual)));
+            prop_assert!(residuals.iter().all(|&residual| reader.next() == Some(unzigzag(residual))));
             prop_assert!(reader.is_at_end());
             let mut reader = RiceReader::of(usual, &written[1..][..cut.index(written.len())]).unwrap();
             let whole = residuals.iter().all(|_| reader.next().is_some());

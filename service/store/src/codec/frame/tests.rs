@@ -64,10 +64,15 @@ fn the_bytes_are_fixed_for_ever() {
         "464202050300000000000000244001030a01e7070b7d0bb7770bb4070109012a0900688d2792400b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d40006621ed4e46f40157",
     );
     assert_eq!(decode_samples(&second, 5).unwrap(), samples);
+    // Version 3, too.
+    let third = unhex(
+        "464203050300000000000000244001030a01e7070b7d0bb7770bb4070109012a0900688d2792400b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d40006def92959e37f03b",
+    );
+    assert_eq!(decode_samples(&third, 5).unwrap(), samples);
     let bytes = encode_samples(&samples);
     assert_eq!(
         hex(&bytes),
-        "464203050300000000000000244001030a01e7070b7d0bb7770bb4070109012a0900688d2792400b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d40006def92959e37f03b"
+        "4642040503000000000000002440010311e707450701112a3f0b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d4000f2daab00858e000020c1a01f371100626e31237735551a26eaba"
     );
     assert_eq!(decode_samples(&bytes, 5).unwrap(), samples);
 }
@@ -87,10 +92,14 @@ fn the_bytes_of_fits_are_fixed_for_ever() {
     let bytes = encode_samples(&samples);
     assert_eq!(
         hex(&bytes),
-        "46420340020000000000000024400901380434066cfd211482c2ca69c0952920c48e1705c4ed4e282f02645a58ee8717b41338e470cd612054232db9550560e90e55ac15274e5b05800a0139052e06c6cfe6522e35d62a4a26e6ad5419b8a7c64db02c3dab46e514069878ab60d1aec9f1ad20a3e15e0ae294efe3806584e65405b852d2aa41b3e1151ffc5aaf"
+        "464204400200000000000000244009011434300a01152e3118040900528a5e045666ca29751b4586b79c8ed618f0e5b268f4f6b82d3e1321b490e44f661a63606086b56af51bf38cdf3af36495f17d3dde6096161fd1a686cb0a32d9a5eda8312cf58f5c4c0c20adcc890e9c56179dfed071476b88229253129e59086b51e508dc0d00b862820d0d90acdffb3067"
     );
     assert_eq!(decode_samples(&bytes, 64).unwrap(), samples);
-    let mut older = bytes;
+    let third = unhex(
+        "46420340020000000000000024400901380434066cfd211482c2ca69c0952920c48e1705c4ed4e282f02645a58ee8717b41338e470cd612054232db9550560e90e55ac15274e5b05800a0139052e06c6cfe6522e35d62a4a26e6ad5419b8a7c64db02c3dab46e514069878ab60d1aec9f1ad20a3e15e0ae294efe3806584e65405b852d2aa41b3e1151ffc5aaf",
+    );
+    assert_eq!(decode_samples(&third, 64).unwrap(), samples);
+    let mut older = third;
     older[2] = 2;
     let Err(StoreError::Damaged { what }) = decode_samples(&sealed(older), 64) else {
         panic!("version 2 has none")
@@ -117,33 +126,46 @@ fn ways() -> Vec<Vec<f64>> {
     ]
 }
 
-fn residuals(values: &[i64]) -> Vec<u8> {
-    let mut out = Vec::new();
-    put_residuals(&mut out, values);
-    out
+/// The ways that are as long as each other, in one block.
+fn all_ways() -> Columns {
+    let channels = [
+        Channel::DepthMm,
+        Channel::ThrustNewtons,
+        Channel::OverridePercent,
+        Channel::TorqueNewtonMetres,
+        Channel::SpindlePowerWatts,
+    ];
+    let mut channels: Vec<_> =
+        channels.into_iter().zip(&ways()).map(|(channel, values)| (channel, Column::of(values))).collect();
+    channels.sort_by_key(|(channel, _)| *channel as u8);
+    Columns { len: 300, time: Time::Period(10.0_f64.to_bits()), channels }
 }
 
 #[test]
 fn columns_of_every_kind_come_back() {
-    for values in ways() {
-        let Column::Decimal { scale, values } = Column::of(&values) else { panic!("decimals") };
-        let packed = residuals(&values);
-        let back = restored(&packed, values.len(), (THIRD, scale)).unwrap();
-        assert_eq!(back, Column::Decimal { scale, values: values.clone() });
-        for cut in 0..packed.len() {
-            // Zeros at the end may be left out, so a cut may be another column, never more or fewer values.
-            if let Ok(Column::Decimal { values: other, .. }) =
-                restored(&packed[..cut], values.len(), (THIRD, scale))
-            {
-                assert_eq!(other.len(), values.len());
-            }
-        }
-        // More than the values could take, whatever they were.
-        let longer = [packed.as_slice(), &[1; 4096]].concat();
-        assert!(restored(&longer, values.len(), (THIRD, scale)).is_err(), "trailing bytes");
+    let whole = all_ways();
+    assert!(whole.channels.iter().all(|(_, column)| matches!(column, Column::Decimal { .. })));
+    let bytes = encode_columns(&whole);
+    assert_eq!(decode_columns(&bytes, 300).unwrap(), whole);
+    let body = &bytes[..bytes.len() - CHECKSUM];
+    for cut in 0..body.len() {
+        assert!(read_body(&body[..cut], 300).is_err(), "cut at {cut}");
     }
-    let constant = residuals(&[100; 300]);
-    assert!(constant.len() < 10, "a constant costs next to nothing: {}", constant.len());
+    assert!(read_body(&[body, &[0]].concat(), 300).is_err(), "trailing bytes");
+    let constant = encode_samples(&constant(100.0, 300));
+    assert!(constant.len() < 30, "a constant costs next to nothing: {}", constant.len());
+}
+
+/// What version 3 wrote of them, with both of its coders.
+#[test]
+fn version_3_is_read() {
+    let bytes = unhex(&include_str!("version-3.hex").split_whitespace().collect::<String>());
+    assert_eq!(decode_columns(&bytes, 300).unwrap(), all_ways());
+    let body = &bytes[..bytes.len() - CHECKSUM];
+    for cut in 0..body.len() {
+        assert!(read_body(&body[..cut], 300).is_err(), "cut at {cut}");
+    }
+    assert!(read_body(&[body, &[0]].concat(), 300).is_err(), "trailing bytes");
 }
 
 #[test]
@@ -160,8 +182,8 @@ fn damage_and_foreign_versions_are_refused() {
     }
     assert_eq!(what(&[]), "sample block: too short");
     let mut newer = bytes.clone();
-    newer[2] = 4;
-    assert_eq!(what(&sealed(newer)), "sample block: not block format v1, v2 or v3");
+    newer[2] = 5;
+    assert_eq!(what(&sealed(newer)), "sample block: not block format v1 to v4");
     assert!(decode_samples(&bytes, 4).is_err(), "more samples than the reader takes");
 }
 
@@ -324,12 +346,10 @@ fn columns_that_never_surprise_come_back_whatever_their_length() {
 #[test]
 fn a_column_of_zeros_that_lost_its_first_one_is_read() {
     let samples = constant(0.0, 40);
-    let whole = encode_samples(&samples);
-    let body = &whole[..whole.len() - CHECKSUM];
-    // Form, length, coding, first value.
-    let &[.., 0, 2, coding, 0] = body else { panic!("{body:?}") };
-    let mut short = body[..body.len() - 3].to_vec();
-    short.extend([1, coding]);
+    // Form, length and coding of a column of version 3: its first value is missing.
+    let mut short = b"FB\x03\x28\x01\x00".to_vec();
+    short.extend(10.0_f64.to_le_bytes());
+    short.extend([Channel::OverridePercent as u8, 0, 1, RANGE]);
     short.extend(super::checksum(&short));
     assert_eq!(decode_samples(&short, 40).unwrap(), samples);
 }

@@ -1,0 +1,489 @@
+//! What residuals of noise cost by how large those before were: by a normal or a Laplace distribution over the integers
+//! whose mean size follows the column, as codes of lossless images do (LOCO-I, Weinberger et al., 2000). A Rice code, which
+//! suits a Laplace distribution of certain means, takes a twentieth more.
+//!
+//! The mean size is kept in 1/2^8: `sum`, its 16-fold, becomes `sum − sum / 16 + 2^8 |residual|`, quotients rounded down and
+//! sizes counted as 2^48 at the most. The *level* of an integer v > 0 is `4 n + q`, with 2^n its highest bit and q the two
+//! bits below. A residual goes by the table for the level of `sum / 16`, rounded down, its lowest bit set, as `sum` was before
+//! the residual before it: so a reader need not wait for the one to look for the other. There are forty tables of each distribution, for the levels 4 to 43, which are means of 2^−7 to 8; less takes the first. Where the level is
+//! 40 + 4k to 43 + 4k, the lowest k bits of a residual are written plainly, behind the rest of it, which goes by the table for 4k
+//! less.
+//!
+//! A table is for the mean in the middle of its level, m = 2^(n − 8) (9 + 2q) / 8. Its symbols are −r to r, r being
+//! ⌊5 m⌋ + 4 (normal) or ⌊8 m⌋ + 4, and behind them the escape. With w(x) = p^(x²) (normal) or p^|x| (Laplace), where p, found
+//! by halving 0 to 1 sixty times, gives |x| the mean m over −r to r, the shares of 2^12 are 2 for the escape, the larger of 1 and
+//! w(x) / Σ w · 4094 + 1/2, rounded down, for each x but 0, and for 0 what is left. Behind an escape stands how many bits the
+//! residual has, zig-zag, in seven bits, and what is below the highest of them.
+
+use super::ans::{self, BITS, Symbol};
+use super::predict::{Residuals, unzigzag, zigzag};
+use std::sync::LazyLock;
+
+/// Levels that have a table, those below [`FIRST_LEVEL`] that of this one.
+const LEVELS: usize = 44;
+const FIRST_LEVEL: usize = 4;
+/// The mean is in 1/2^8, and its sum is 2^4 as much.
+const FRACTION: u32 = 8;
+const MEMORY: u32 = 4;
+/// What a residual counts at the most.
+const MOST_COUNTED: u64 = 1 << 48;
+/// No mean is of a higher level.
+const MOST_LEVEL: u8 = 4 * 56 + 3;
+
+const WHOLE: u32 = 1 << BITS;
+const ESCAPE: u32 = 2;
+/// Bits of the number of bits of what escapes.
+const COUNT: u32 = 7;
+/// A symbol is looked up by this part of 2^12, from the first one of it on.
+const PART: u32 = 4;
+const PARTS: usize = (WHOLE >> PART) as usize;
+
+/// Residuals that a distribution is chosen by, and that the first mean is of.
+const TRIED: usize = 32;
+
+/// How residuals are distributed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Law {
+    /// Noise of many sources, as that of a load.
+    Normal = 1,
+    /// Mostly small, now and then large.
+    Laplace = 2,
+}
+
+impl Law {
+    const ALL: [Self; 2] = [Self::Normal, Self::Laplace];
+
+    pub(super) fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|law| *law as u8 == code)
+    }
+
+    fn tables(self) -> &'static Tables {
+        static NORMAL: LazyLock<Tables> = LazyLock::new(|| Tables::of(Law::Normal));
+        static LAPLACE: LazyLock<Tables> = LazyLock::new(|| Tables::of(Law::Laplace));
+        match self {
+            Self::Normal => &NORMAL,
+            Self::Laplace => &LAPLACE,
+        }
+    }
+
+    /// A residual that is more times the mean than this goes behind an escape, if it is above 4: not one in thousands.
+    const fn reach(self) -> f64 {
+        match self {
+            Self::Normal => 5.0,
+            Self::Laplace => 8.0,
+        }
+    }
+
+    /// p^(x²) or p^x for x from 0 on.
+    fn weights(self, p: f64, reach: usize) -> impl Iterator<Item = f64> {
+        let (mut weight, mut factor) = (1.0, p);
+        (0..=reach).map(move |_| {
+            let now = weight;
+            weight *= factor;
+            if self == Self::Normal {
+                factor *= p * p;
+            }
+            now
+        })
+    }
+}
+
+/// The tables of a law.
+#[derive(Debug)]
+struct Tables {
+    of_level: [Table; LEVELS],
+    /// The symbols of all tables.
+    symbols: Box<[Symbol]>,
+    /// Where the share of each begins.
+    starts: Box<[u16]>,
+    /// Of each table, for each part of 2^12, the symbol whose share it begins in.
+    first_of_part: Box<[[u8; PARTS]]>,
+}
+
+/// Where a table's symbols are.
+#[derive(Debug, Clone, Copy)]
+struct Table {
+    /// The first of them.
+    at: u32,
+    reach: u32,
+    /// Its number.
+    number: u32,
+}
+
+/// The shares of −r to r, and of the escape.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "below 2^12"
+)]
+fn shares(law: Law, level: usize) -> Vec<u32> {
+    let mean = ((9 + 2 * (level % 4)) << (level / 4)) as f64 / f64::from(8 << FRACTION);
+    let reach = (law.reach() * mean) as usize + 4;
+    let sums = |p| {
+        let (mut all, mut sizes) = (0.0, 0.0);
+        for (size, weight) in law.weights(p, reach).enumerate() {
+            let both = if size == 0 { weight } else { 2.0 * weight };
+            all += both;
+            sizes += both * size as f64;
+        }
+        (all, sizes)
+    };
+    let (mut least, mut most) = (0.0, 1.0);
+    for _ in 0..60 {
+        let p = (least + most) / 2.0;
+        let (all, sizes) = sums(p);
+        if sizes < mean * all { least = p } else { most = p }
+    }
+    let (all, _) = sums(least);
+    let share = |weight: f64| ((weight / all * f64::from(WHOLE - ESCAPE) + 0.5) as u32).max(1);
+    let side: Vec<u32> = law.weights(least, reach).skip(1).map(share).collect();
+    let middle = WHOLE - ESCAPE - 2 * side.iter().sum::<u32>();
+    side.iter().rev().copied().chain([middle]).chain(side.iter().copied()).chain([ESCAPE]).collect()
+}
+
+impl Tables {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "shares of 2^12, and fewer than 256 symbols of a table"
+    )]
+    fn of(law: Law) -> Self {
+        let (mut symbols, mut all_starts, mut first_of_part) = (Vec::new(), Vec::new(), Vec::new());
+        let tables: Vec<Table> = (FIRST_LEVEL..LEVELS)
+            .map(|level| {
+                let shares = shares(law, level);
+                let starts: Vec<u32> =
+                    (0..shares.len()).map(|symbol| shares[..symbol].iter().sum()).collect();
+                let first = |part| starts.partition_point(|start| *start <= (part as u32) << PART) - 1;
+                first_of_part.push(std::array::from_fn(|part| first(part) as u8));
+                let table = Table {
+                    at: symbols.len() as u32,
+                    reach: (shares.len() / 2 - 1) as u32,
+                    number: (level - FIRST_LEVEL) as u32,
+                };
+                symbols.extend(starts.iter().zip(&shares).map(|(start, share)| Symbol::new(*start, *share)));
+                all_starts.extend(starts.iter().map(|start| *start as u16));
+                table
+            })
+            .collect();
+        // The last table's last symbol ends where another one would begin.
+        all_starts.push(0);
+        Self {
+            of_level: std::array::from_fn(|level| tables[level.saturating_sub(FIRST_LEVEL)]),
+            symbols: symbols.into(),
+            starts: all_starts.into(),
+            first_of_part: first_of_part.into(),
+        }
+    }
+
+    /// A table's symbol for a residual; `None` where that escapes.
+    #[inline(always)]
+    fn symbol(&self, table: Table, residual: i64) -> Option<Symbol> {
+        let place = residual.wrapping_add(i64::from(table.reach)).cast_unsigned();
+        if place > 2 * u64::from(table.reach) {
+            return None;
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "one of the table's")]
+        self.symbols.get(table.at as usize + place as usize).copied()
+    }
+
+    /// That for what escapes.
+    fn escape(&self, table: Table) -> Symbol {
+        self.symbols[(table.at + 2 * table.reach + 1) as usize]
+    }
+
+    /// The residual whose share a place lies in, the escape being beyond the reach, with where that share begins and ends.
+    #[inline(always)]
+    fn at(&self, table: Table, place: u32) -> (i64, u32, u32) {
+        let symbols = 2 * table.reach + 1;
+        let starts = &self.starts[table.at as usize..][..=symbols as usize + 1];
+        let mut symbol =
+            u32::from(self.first_of_part[table.number as usize][(place >> PART) as usize % PARTS]);
+        // Shares of a part are the fewer the larger they are.
+        let mut end = u32::from(starts[symbol as usize + 1]);
+        while symbol < symbols && place >= end {
+            symbol += 1;
+            end = u32::from(starts[symbol as usize + 1]);
+        }
+        let start = u32::from(starts[symbol as usize]);
+        let end = if symbol == symbols { WHOLE } else { end };
+        (i64::from(symbol) - i64::from(table.reach), start, end)
+    }
+}
+
+/// The level of what is more than 0.
+#[inline(always)]
+#[expect(clippy::cast_possible_truncation, reason = "three bits")]
+const fn level(value: u64) -> u32 {
+    let highest = value.ilog2();
+    // Its highest bit is a 4 there.
+    4 * highest + (value << 2 >> highest) as u32 - 4
+}
+
+/// How large residuals were of late.
+#[derive(Debug, Clone, Copy)]
+struct Scale {
+    sum: u64,
+    /// For the next residual.
+    level: usize,
+}
+
+impl Scale {
+    /// From the level of the mean, at most [`MOST_LEVEL`].
+    fn new(level: u8) -> Self {
+        let sum = ((4 + u64::from(level) % 4) << (level / 4) >> 2) << MEMORY;
+        Self { sum, level: Self::level_of(sum) }
+    }
+
+    #[inline(always)]
+    const fn level_of(sum: u64) -> usize {
+        level(sum >> MEMORY | 1) as usize
+    }
+
+    /// The level of the table for the next residual, and how many of its lowest bits are plain.
+    #[inline(always)]
+    const fn next(self) -> (usize, u32) {
+        if self.level < LEVELS {
+            return (self.level, 0);
+        }
+        let above = self.level - LEVELS;
+        #[expect(clippy::cast_possible_truncation, reason = "at most 256")]
+        (LEVELS - 4 + above % 4, above as u32 / 4 + 1)
+    }
+
+    #[inline(always)]
+    fn follow(&mut self, residual: i64) {
+        self.follow_small(residual.unsigned_abs().min(MOST_COUNTED));
+    }
+
+    /// By the size of a residual that is at most [`MOST_COUNTED`].
+    #[inline(always)]
+    const fn follow_small(&mut self, size: u64) {
+        self.level = Self::level_of(self.sum);
+        self.sum = self.sum - (self.sum >> MEMORY) + (size << FRACTION);
+    }
+}
+
+/// The level of the mean of the first residuals, which a column begins with.
+pub(super) fn first_level(residuals: &[i64]) -> u8 {
+    let few = &residuals[..residuals.len().min(TRIED)];
+    let sum: u64 = few.iter().map(|residual| residual.unsigned_abs().min(MOST_COUNTED) << FRACTION).sum();
+    u8::try_from(level((sum / few.len().max(1) as u64).max(1))).unwrap_or(MOST_LEVEL).min(MOST_LEVEL)
+}
+
+/// The law by which the first residuals take fewer bits; of the same the first.
+pub(super) fn fitting_law(residuals: &[i64], first_level: u8) -> Law {
+    let few = &residuals[..residuals.len().min(TRIED)];
+    let (normal, laplace) = (Law::Normal.tables(), Law::Laplace.tables());
+    let mut scale = Scale::new(first_level);
+    let mut less = 0;
+    for &residual in few {
+        let (level_now, plain) = scale.next();
+        let share = |tables: &Tables| {
+            let table = tables.of_level[level_now];
+            tables.symbol(table, residual >> plain).unwrap_or_else(|| tables.escape(table)).share()
+        };
+        // In quarters of a bit.
+        less += i64::from(level(share(laplace).into())) - i64::from(level(share(normal).into()));
+        scale.follow(residual);
+    }
+    if less > 0 { Law::Laplace } else { Law::Normal }
+}
+
+/// Notes residuals by a law, to be written, in place of what stood there.
+pub(super) fn note(symbols: &mut Vec<Symbol>, residuals: &[i64], law: Law, first_level: u8) {
+    let tables = law.tables();
+    let mut scale = Scale::new(first_level);
+    symbols.resize(residuals.len(), Symbol::NONE);
+    let mut noted = 0;
+    // Most columns are one symbol a residual.
+    for (symbol, &residual) in symbols.iter_mut().zip(residuals) {
+        let Some(table) = tables.of_level.get(scale.level) else { break };
+        let Some(found) = tables.symbol(*table, residual) else { break };
+        *symbol = found;
+        scale.follow_small(residual.unsigned_abs());
+        noted += 1;
+    }
+    symbols.truncate(noted);
+    note_rest(symbols, &residuals[noted..], tables, scale);
+}
+
+#[inline(never)]
+fn note_rest(symbols: &mut Vec<Symbol>, residuals: &[i64], tables: &Tables, mut scale: Scale) {
+    symbols.reserve(residuals.len());
+    for &residual in residuals {
+        let (level, plain) = scale.next();
+        let table = tables.of_level[level];
+        match tables.symbol(table, residual >> plain) {
+            Some(symbol) => {
+                symbols.push(symbol);
+                ans::note_plain(symbols, residual.cast_unsigned(), plain);
+            }
+            None => note_escape(symbols, tables.escape(table), residual),
+        }
+        scale.follow(residual);
+    }
+}
+
+fn note_escape(symbols: &mut Vec<Symbol>, escape: Symbol, residual: i64) {
+    symbols.push(escape);
+    let residual = zigzag(residual);
+    let bits = u64::BITS - residual.leading_zeros();
+    ans::note_plain(symbols, u64::from(bits), COUNT);
+    ans::note_plain(symbols, residual, bits.saturating_sub(1));
+}
+
+/// Reads the residuals of one column.
+pub(super) struct NoiseReader<'a> {
+    /// Where the next column is read on.
+    pub(super) coder: ans::Reader<'a>,
+    tables: &'static Tables,
+    scale: Scale,
+}
+
+impl<'a> NoiseReader<'a> {
+    /// `None` where no column begins with such a mean.
+    pub(super) fn new(coder: ans::Reader<'a>, law: Law, first_level: u8) -> Option<Self> {
+        let scale = Scale::new(first_level.min(MOST_LEVEL));
+        (first_level <= MOST_LEVEL).then(|| Self { coder, tables: law.tables(), scale })
+    }
+
+    /// What is not one symbol.
+    #[cold]
+    #[inline(never)]
+    fn rest(mut coder: ans::Reader<'a>, rest: Option<i64>, plain: u32) -> Option<(ans::Reader<'a>, i64)> {
+        let residual = match rest {
+            Some(rest) => rest << plain | coder.take_plain(plain)?.cast_signed(),
+            None => escaped(&mut coder)?,
+        };
+        Some((coder, residual))
+    }
+}
+
+impl Residuals for NoiseReader<'_> {
+    #[inline(always)]
+    fn next(&mut self) -> Option<i64> {
+        let (level, plain) = self.scale.next();
+        let table = self.tables.of_level[level];
+        let (mut residual, start, end) = self.tables.at(table, self.coder.place());
+        self.coder.take(start, end - start)?;
+        let escapes = residual > i64::from(table.reach);
+        if escapes || plain > 0 {
+            (self.coder, residual) = Self::rest(self.coder, (!escapes).then_some(residual), plain)?;
+        }
+        self.scale.follow(residual);
+        Some(residual)
+    }
+}
+
+/// What stands behind an escape.
+fn escaped(coder: &mut ans::Reader<'_>) -> Option<i64> {
+    #[expect(clippy::cast_possible_truncation, reason = "seven bits")]
+    let bits = coder.take_plain(COUNT)? as u32;
+    let below = bits.saturating_sub(1);
+    let highest = if bits == 0 { 0 } else { 1_u64.checked_shl(below)? };
+    Some(unzigzag(highest | coder.take_plain(below)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn written(columns: &[(Vec<i64>, Law)]) -> (Vec<u8>, Vec<u8>) {
+        let mut writer = ans::Writer::new(0);
+        let level = |residuals: &[i64]| first_level(residuals);
+        for (residuals, law) in columns.iter().rev() {
+            let mut symbols = Vec::new();
+            note(&mut symbols, residuals, *law, level(residuals));
+            writer.put_before(&symbols);
+        }
+        let mut out = Vec::new();
+        writer.finish(&mut out);
+        (out, columns.iter().map(|(residuals, _)| level(residuals)).collect())
+    }
+
+    fn residual() -> impl Strategy<Value = i64> {
+        prop_oneof![6 => -3_i64..=3, 3 => -500_i64..500, 1 => any::<i64>(), 1 => Just(i64::MIN), 1 => Just(i64::MAX)]
+    }
+
+    fn column() -> impl Strategy<Value = (Vec<i64>, Law)> {
+        // Runs take the mean to where it stays.
+        let run = (residual(), prop_oneof![1_usize..4, 1_usize..150]);
+        let residuals = prop::collection::vec(run, 0..12)
+            .prop_map(|runs| runs.into_iter().flat_map(|(residual, count)| vec![residual; count]).collect());
+        (residuals, prop::sample::select(Law::ALL.as_slice()))
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_noted_comes_back(columns in prop::collection::vec(column(), 1..4)) {
+            let (bytes, levels) = written(&columns);
+            let mut coder = ans::Reader::new(&bytes).unwrap();
+            for ((residuals, law), level) in columns.iter().zip(levels) {
+                let mut reader = NoiseReader::new(coder, *law, level).unwrap();
+                for residual in residuals {
+                    prop_assert_eq!(reader.next(), Some(*residual));
+                }
+                coder = reader.coder;
+            }
+            prop_assert!(coder.is_at_end());
+        }
+
+        #[test]
+        fn whatever_stands_there_is_read_or_refused(
+            bytes in prop::collection::vec(any::<u8>(), 0..200),
+            law in prop::sample::select(Law::ALL.as_slice()),
+            level in any::<u8>(),
+        ) {
+            if let Some(coder) = ans::Reader::new(&bytes)
+                && let Some(mut reader) = NoiseReader::new(coder, law, level)
+            {
+                // States alone go on for long where all is the likeliest symbol.
+                let _ = (0..10_000).all(|_| reader.next().is_some());
+            }
+        }
+    }
+
+    #[test]
+    fn shares_are_of_the_law_and_fixed_for_ever() {
+        let mut all = blake3::Hasher::new();
+        for law in Law::ALL {
+            for level in FIRST_LEVEL..LEVELS {
+                let shares = shares(law, level);
+                assert_eq!(shares.iter().sum::<u32>(), WHOLE);
+                assert!(shares.iter().all(|share| *share >= 1), "{law:?} {level}");
+                let (escape, inner) = shares.split_last().unwrap();
+                assert_eq!((*escape, inner.len() % 2), (ESCAPE, 1));
+                let reach = i32::try_from(inner.len() / 2).unwrap();
+                let sized = (-reach..).zip(inner).map(|(at, share)| f64::from(at.abs()) * f64::from(*share));
+                let mean = sized.sum::<f64>() / f64::from(WHOLE);
+                let levels = f64::from(u8::try_from(level).unwrap());
+                let octave = (levels / 4.0).floor();
+                let wanted = (octave - 8.0).exp2() * (9.0 + 2.0 * (levels - 4.0 * octave)) / 8.0;
+                // Shares of at least one make tails heavier.
+                assert!((mean - wanted).abs() < 0.06 * wanted + 0.01, "{law:?} {level}: {mean} {wanted}");
+                for share in shares {
+                    all.update(&share.to_le_bytes());
+                }
+            }
+        }
+        assert_eq!(
+            all.finalize().to_hex().as_str(),
+            "736c59ed76ef35d3d60c00800bfbdb088db76263dbfd6ff13ae3515d082d4747"
+        );
+    }
+
+    #[test]
+    fn a_law_is_told_from_its_noise() {
+        let mut state = 7_u64;
+        let mut even = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            i64::try_from(state >> 56).unwrap() - 128
+        };
+        let sums: Vec<i64> = (0..200).map(|_| (even() + even() + even() + even()) / 50).collect();
+        let rare: Vec<i64> = (0..200).map(|at| if at % 7 == 3 { even() / 2 } else { even() / 60 }).collect();
+        assert_eq!(fitting_law(&sums, first_level(&sums)), Law::Normal);
+        assert_eq!(fitting_law(&rare, first_level(&rare)), Law::Laplace);
+    }
+}
