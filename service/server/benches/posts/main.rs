@@ -15,12 +15,14 @@ mod growth;
 mod lone;
 mod peers;
 mod process;
+mod rest;
 mod stages;
 mod weekend;
 
 use data::Cycle;
 use lone::Lone;
 use process::Running;
+use rest::rest;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -202,8 +204,7 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
     for poster in posters.collect::<Vec<_>>() {
         poster.await.expect("every post is acknowledged");
     }
-    server.rest(dir.path()).await;
-    let spent = server.cpu_seconds() - cpu;
+    let spent = rest(&server, dir.path()).await - cpu;
     let group = mean_group(&client, &server).await;
     let headers = format!("authorization: Bearer {}\r\ncontent-type: {}\r\n", server.token, form.media_type);
     let mut lone = Lone::connect(&server.address, &headers);

@@ -3,6 +3,7 @@
 use super::data::{Cycle, size_of};
 use super::lone::Lone;
 use super::process::{Running, free_port};
+use super::rest::rest;
 use super::{ALONE, CYCLES, Round, median, round};
 use sqlx::{Connection, Executor, PgConnection};
 use std::fmt::Write;
@@ -41,7 +42,7 @@ pub(crate) async fn victoria_metrics(cycles: &Arc<Vec<Cycle>>) -> Round {
         reads.push(time);
     }
     assert_eq!(lone.get("/internal/force_merge").1, 200);
-    server.rest(dir.path()).await;
+    rest(&server, dir.path()).await;
     // Beside them it leaves caches when it stops, of one size whatever it holds.
     let merged = ["data", "indexdb"].map(|name| bytes_per_value(&dir.path().join(name), cycles));
     server.stop().await;
@@ -167,8 +168,7 @@ async fn import(
         send(body_of(bulk)).await;
         values += bulk.iter().map(Cycle::values).sum::<usize>();
     }
-    server.rest(dir).await;
-    let spent = server.cpu_seconds() - cpu;
+    let spent = rest(server, dir).await - cpu;
     let mut alone: Vec<Duration> = Vec::with_capacity(ALONE);
     let mut lone = Lone::connect(&server.address, "");
     for cycle in cycles[CYCLES..].chunks(1) {

@@ -1,6 +1,5 @@
 //! A server as a process of its own: what it costs is read from the kernel, not from itself.
 
-use super::data::size_of;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -10,10 +9,6 @@ use std::time::{Duration, Instant};
 const TICKS: f64 = 100.0;
 /// Longest time a server may take to start or to stop.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// A server is at rest that has done next to nothing for so long: longer than any of them puts off what it acknowledged.
-const CALM: Duration = Duration::from_secs(2);
-/// What timers and the like may take of that, s of processor time.
-const NEXT_TO_NOTHING: f64 = 0.03;
 
 /// A server that runs.
 pub(crate) struct Running {
@@ -78,21 +73,6 @@ impl Running {
     /// Its process id.
     pub(crate) fn id(&self) -> u32 {
         self.child.id()
-    }
-
-    /// Waits until what it has put off is done: what it has acknowledged is written then, and its cost is counted.
-    pub(crate) async fn rest(&self, dir: &Path) {
-        let begun = Instant::now();
-        let look = || (self.cpu_seconds(), size_of(dir));
-        let (mut before, mut since) = (look(), Instant::now());
-        while since.elapsed() < CALM {
-            assert!(begun.elapsed() < PATIENCE, "{} does not come to rest", self.address);
-            tokio::time::sleep(CALM / 20).await;
-            let now = look();
-            if now.0 - before.0 > NEXT_TO_NOTHING || now.1 != before.1 {
-                (before, since) = (now, Instant::now());
-            }
-        }
     }
 
     /// Processor time so far, s.
