@@ -225,7 +225,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_symbol_is_written_as_by_division(state in LOWEST..1 << 31, share in 1..=WHOLE, part in 0.0..1.0) {
+        fn a_symbol_is_written_as_by_division(
+            state in prop_oneof![LOWEST..1 << 31, Just(LOWEST), Just((1 << 31) - 1)],
+            share in prop_oneof![1..=WHOLE, 1..=4_u32, Just(WHOLE)],
+            part in 0.0..1.0,
+        ) {
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2^12")]
             let start = (f64::from(WHOLE - share) * part) as u32;
             let (mut plain, mut words, mut at) = (Vec::new(), [0; 1], 0);

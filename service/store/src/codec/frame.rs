@@ -50,6 +50,7 @@ pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
     // What is read last is written first.
     let mut residuals = ResidualsWriter::new(columns.len * all.len());
     let mut coded: Vec<Option<Coded>> = all.iter().rev().map(|(_, column)| residuals.code(column)).collect();
+    let has_law = coded.iter().flatten().any(|coded| coded.law.is_some());
     let mut out = Vec::with_capacity(HEAD + COLUMN_HEAD * all.len() + residuals.coder.len() + CHECKSUM);
     out.extend_from_slice(&MAGIC);
     out.push(FOURTH);
@@ -72,7 +73,9 @@ pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
             }
         }
     }
-    residuals.finish(&mut out);
+    if has_law {
+        residuals.coder.finish(&mut out);
+    }
     let checksum = checksum(&out);
     out.extend_from_slice(&checksum);
     out
@@ -85,7 +88,6 @@ const COLUMN_HEAD: usize = 5 + MAX_VARINT;
 /// Residuals of a block, written from the last column to the first.
 struct ResidualsWriter {
     coder: ans::Writer,
-    is_used: bool,
     of_column: Vec<i64>,
     symbols: Vec<ans::Symbol>,
 }
@@ -101,19 +103,14 @@ struct Coded {
 impl ResidualsWriter {
     fn new(values: usize) -> Self {
         // Most take a few bits.
-        Self {
-            coder: ans::Writer::new(values / 4),
-            is_used: false,
-            of_column: Vec::new(),
-            symbols: Vec::new(),
-        }
+        Self { coder: ans::Writer::new(values / 4), of_column: Vec::new(), symbols: Vec::new() }
     }
 
     /// Writes the residuals of a column of decimals.
     fn code(&mut self, column: &Column) -> Option<Coded> {
         let Column::Decimal { values, .. } = column else { return None };
         let (&first, predictor) = (values.first()?, Predictor::best(values));
-        let Self { coder, is_used, of_column, symbols } = self;
+        let Self { coder, of_column, symbols } = self;
         predictor.residuals(values, of_column);
         if of_column.iter().fold(0, |any, residual| any | residual) == 0 {
             return Some(Coded { predictor, first, law: None });
@@ -122,14 +119,7 @@ impl ResidualsWriter {
         let law = noise::fitting_law(of_column, level);
         noise::note(symbols, of_column, law, level);
         coder.put_before(symbols);
-        *is_used = true;
         Some(Coded { predictor, first, law: Some((law, level)) })
-    }
-
-    fn finish(self, out: &mut Vec<u8>) {
-        if self.is_used {
-            self.coder.finish(out);
-        }
     }
 }
 
@@ -224,22 +214,20 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
     if blocks == 0 || blocks > MAX_BLOCKS {
         return Err("number of blocks out of bounds");
     }
-    let (period, count) = match input.byte()? {
+    let (time, count) = match input.byte()? {
         0 => {
             let bits = input.take(8)?.try_into().map_err(|_| "too short")?;
-            (Some(u64::from_le_bytes(bits)), blocks)
+            (PendingTime::Period(u64::from_le_bytes(bits)), blocks)
         }
-        1 => (None, blocks - 1),
+        1 => {
+            if input.byte()? != TIMES {
+                return Err("times are missing");
+            }
+            (PendingTime::Stamps(input.column(version, len)?), blocks - 1)
+        }
         _ => return Err("unknown time base"),
     };
     let mut channels = Vec::with_capacity(count);
-    let mut stamps = None;
-    if period.is_none() {
-        if input.byte()? != TIMES {
-            return Err("times are missing");
-        }
-        stamps = Some(input.column(version, len)?);
-    }
     for _ in 0..count {
         let channel = Channel::from_code(input.byte()?).ok_or("unknown channel")?;
         if channels.last().is_some_and(|(before, _)| *before >= channel) {
@@ -248,19 +236,23 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
         channels.push((channel, input.column(version, len)?));
     }
     let mut coder = None;
-    let stamps = stamps.map(|column| column.read(&mut coder, &mut input)).transpose()?;
+    let time = match time {
+        PendingTime::Period(bits) => Time::Period(bits),
+        PendingTime::Stamps(column) => Time::Stamps(column.read(&mut coder, &mut input)?),
+    };
     let channels =
         channels.into_iter().map(|(channel, column)| Ok((channel, column.read(&mut coder, &mut input)?)));
     let channels = channels.collect::<Result<_, &'static str>>()?;
     if !input.0.is_empty() || coder.is_some_and(|coder| !coder.is_at_end()) {
         return Err("trailing bytes");
     }
-    let time = match (period, stamps) {
-        (Some(bits), _) => Time::Period(bits),
-        (None, Some(column)) => Time::Stamps(column),
-        (None, None) => return Err("times are missing"),
-    };
     Ok(Columns { len, time, channels })
+}
+
+/// As [`Time`], with a column whose residuals are to be read.
+enum PendingTime {
+    Period(u64),
+    Stamps(Pending),
 }
 
 /// A column that is read, or of version 4 its head: its residuals stand behind all heads.
