@@ -33,17 +33,18 @@
 //! Version 1 begins with `v1` and has no width: per value i64 m. What was stored under it keeps it; the same content again
 //! is known by either.
 //!
-//! # Block format v4
+//! # Block format v5
 //!
 //! ```text
-//! "FB"  u8 version = 4
+//! "FB"  u8 version = 5
 //! varint samples per column       1 ..= the reader's limit
 //! u8 number of blocks             1 ..= 17
 //! u8 0, f64 bits of the period    or  u8 1: the first block holds the times
 //! per block, times first, then channels in ascending code:
 //!   u8 channel code (0: times)
 //!   u8 form
-//!   form 0..=9:     u8 predictor | law, the first m as a zig-zag varint (LEB128), and with a law u8 level of the first mean
+//!   form 0..=9:     u8 predictor | law, or memory | guide | law; with a guide u8 which, and where it has one its factor as a
+//!                   zig-zag varint (LEB128); the first m as a zig-zag varint, and with a law u8 level of the first mean
 //!   form 15:        varint length, the bits byte plane by byte plane: all lowest bytes first
 //!   form 15 | 0x80: varint plain length, varint stored length, the same as a zstd frame
 //! where any block has a law:
@@ -59,9 +60,28 @@
 //!   `(17 S − 3 J) / 28` · 5 (N = 16): `(11 S − J) / 40`
 //! * laws: 0x00: every residual is 0 · 0x10: normal · 0x20: Laplace.
 //!
+//! With a guide, 0x08, the three bits below are a memory M, 0 to 7, in place of a predictor, and the prediction is what other
+//! columns say of the value. Residuals of columns that have none stand first, then that of the actual feed, then the others,
+//! each in the order of the blocks. With `g` what is said of `m` in 1/2^16, `e = 2^16 m − g`, and integers modulo 2^64, the prediction is
+//! `(g + o + 2^15) >> 16`; `o` is the first `e`, and becomes `o + ((e − o) >> M)` with each value, where the n-th value after the first takes
+//! ⌊log2(n + 1)⌋ for M as long as that is less. With P and O the integers of programmed feed and override at the same place,
+//! s_P and s_O their forms, `g` is
+//!
+//! * of an actual feed of form s, guide 0: `(P O f) >> 32`, not modulo 2^64 but its lowest 64 bits, f being 2^48 · 10^x to the nearest
+//!   integer for x = s − s_P − s_O − 2, −9 ≤ x ≤ 3
+//! * of a depth, guide 0 (of P O) or 3 (of the integers of the actual feed), with a factor f: `(f · sum) >> 8`, the sum being that of all
+//!   those integers up to here but the first
+//! * of another column, with a factor f: `f m`, m being the integer of the column that has the guide for its code, which may be any
+//!   before it in: torque, torque of the spindle's motor, spindle power, spindle current, spindle load; or in: thrust, torque of the feed
+//!   drive's motor, feed-drive power, feed-drive current, feed-drive load.
+//!
+//! # Block format v4
+//!
+//! It is still read. It differs from version 5 in its version, and in that no column has a guide.
+//!
 //! # Block format v3
 //!
-//! It is still read. It differs in its version and in form 0..=9, which was a varint length and, of that length, `u8 predictor |
+//! It is still read. It differs from version 4 in its version and in form 0..=9, which was a varint length and, of that length, `u8 predictor |
 //! coder`, the first `m`, for the Rice coder `u8` bits of a usual residual, and the residuals, zig-zag:
 //!
 //! * coder 0x00, Rice: with parameter `k` the quotient by 2^k as ones and a zero, then `k` bits; 24 ones are followed by
@@ -81,6 +101,7 @@ mod ans;
 mod column;
 pub(crate) mod digest;
 mod frame;
+mod guide;
 mod hash;
 pub(crate) mod input;
 mod noise;

@@ -1,10 +1,11 @@
-//! Block format: writing version 4, and reading all versions, which trusts nothing.
+//! Block format: writing version 5, and reading all versions, which trusts nothing.
 
 use super::ans;
 use super::column::{Column, Columns, MAX_SCALE, Time};
+use super::guide::{self, Following, Guide, Guided, MOST_MEMORY};
 use super::input::{Input, MAX_VARINT, put_varint};
 use super::noise::{self, Law, NoiseReader};
-use super::predict::{Predictor, unzigzag, zigzag};
+use super::predict::{Predictor, Residuals, TRIED, unzigzag, zigzag};
 use super::range::{RangeReader, Zeros};
 use super::rice::RiceReader;
 use crate::error::{StoreError, StoreResult};
@@ -15,6 +16,9 @@ const MAGIC: [u8; 2] = *b"FB";
 const FIRST: u8 = 1;
 const THIRD: u8 = 3;
 const FOURTH: u8 = 4;
+const FIFTH: u8 = 5;
+/// In the byte that names a column's law: it follows a guide, so that the bits below are a memory and not a predictor.
+const GUIDED: u8 = 0x08;
 const EXACT: u8 = 15;
 const COMPRESSED: u8 = 0x80;
 const TIMES: u8 = 0;
@@ -33,7 +37,7 @@ thread_local! {
 const RICE: u8 = 0;
 const RANGE: u8 = 0x10;
 
-/// Writes samples in block format v4.
+/// Writes samples in block format v5.
 pub fn encode_samples(samples: &Samples) -> Vec<u8> {
     encode_columns(&Columns::of(samples))
 }
@@ -43,17 +47,25 @@ pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
         Time::Period(_) => None,
         Time::Stamps(column) => Some((TIMES, column)),
     };
-    let all: Vec<(u8, &Column)> = times
+    let guided = guide::choose(columns);
+    let channels = columns.channels.iter().zip(&guided);
+    let all: Vec<(u8, &Column, Option<&Guided>)> = times
         .into_iter()
-        .chain(columns.channels.iter().map(|(channel, column)| (*channel as u8, column)))
+        .map(|(code, column)| (code, column, None))
+        .chain(channels.map(|((channel, column), guided)| (*channel as u8, column, guided.as_ref())))
         .collect();
     // What is read last is written first.
     let mut residuals = ResidualsWriter::new(columns.len * all.len());
-    let mut coded: Vec<Option<Coded>> = all.iter().rev().map(|(_, column)| residuals.code(column)).collect();
+    let mut coded: Vec<Option<Coded>> = vec![None; all.len()];
+    let guide_of = |at: &usize| all[*at].2.map(|guided| guided.following.guide);
+    for at in read_in_order(all.len(), guide_of).into_iter().rev() {
+        let (_, column, guided) = all[at];
+        coded[at] = residuals.code(column, guided);
+    }
     let has_law = coded.iter().flatten().any(|coded| coded.law.is_some());
     let mut out = Vec::with_capacity(HEAD + COLUMN_HEAD * all.len() + residuals.coder.len() + CHECKSUM);
     out.extend_from_slice(&MAGIC);
-    out.push(FOURTH);
+    out.push(FIFTH);
     put_varint(&mut out, columns.len as u64);
     out.push(u8::try_from(all.len()).unwrap_or(u8::MAX));
     match &columns.time {
@@ -63,9 +75,9 @@ pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
         }
         Time::Stamps(_) => out.push(1),
     }
-    for (code, column) in all {
-        out.push(code);
-        match (column, coded.pop().flatten()) {
+    for ((code, column, _), coded) in all.iter().zip(coded) {
+        out.push(*code);
+        match (column, coded) {
             (Column::Exact(bits), _) => put_exact(&mut out, &planes(bits)),
             (Column::Decimal { scale, .. }, coded) => {
                 out.push(*scale);
@@ -81,9 +93,16 @@ pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
     out
 }
 
+/// The places of columns in the order in which their residuals are read: what a column follows is there before it.
+fn read_in_order(columns: usize, guide_of: impl Fn(&usize) -> Option<Guide>) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..columns).collect();
+    order.sort_by_key(|at| Guide::order(guide_of(at)));
+    order
+}
+
 /// Most bytes before the first column, and of a decimal column's head.
 const HEAD: usize = 24;
-const COLUMN_HEAD: usize = 5 + MAX_VARINT;
+const COLUMN_HEAD: usize = 6 + 2 * MAX_VARINT;
 
 /// Residuals of a block, written from the last column to the first.
 struct ResidualsWriter {
@@ -95,9 +114,16 @@ struct ResidualsWriter {
 /// How a decimal column is written, and its first value; no law where nothing is off its prediction.
 #[derive(Debug, Clone, Copy)]
 struct Coded {
-    predictor: Predictor,
+    way: Way,
     first: i64,
     law: Option<(Law, u8)>,
+}
+
+/// How a column is predicted.
+#[derive(Debug, Clone, Copy)]
+enum Way {
+    Alone(Predictor),
+    Guided(Following),
 }
 
 impl ResidualsWriter {
@@ -107,25 +133,41 @@ impl ResidualsWriter {
     }
 
     /// Writes the residuals of a column of decimals.
-    fn code(&mut self, column: &Column) -> Option<Coded> {
+    fn code(&mut self, column: &Column, guided: Option<&Guided>) -> Option<Coded> {
         let Column::Decimal { values, .. } = column else { return None };
-        let (&first, predictor) = (values.first()?, Predictor::best(values));
+        let &first = values.first()?;
         let Self { coder, of_column, symbols } = self;
-        predictor.residuals(values, of_column);
-        if of_column.iter().fold(0, |any, residual| any | residual) == 0 {
-            return Some(Coded { predictor, first, law: None });
+        let (way, residuals) = match guided {
+            Some(guided) => (Way::Guided(guided.following), &guided.residuals),
+            None => {
+                let (predictor, _) = Predictor::best(values, TRIED);
+                predictor.residuals(values, of_column);
+                (Way::Alone(predictor), &*of_column)
+            }
+        };
+        if residuals.iter().fold(0, |any, residual| any | residual) == 0 {
+            return Some(Coded { way, first, law: None });
         }
-        let level = noise::first_level(of_column);
-        let law = noise::fitting_law(of_column, level);
-        noise::note(symbols, of_column, law, level);
+        let level = noise::first_level(residuals);
+        let law = noise::fitting_law(residuals, level);
+        noise::note(symbols, residuals, law, level);
         coder.put_before(symbols);
-        Some(Coded { predictor, first, law: Some((law, level)) })
+        Some(Coded { way, first, law: Some((law, level)) })
     }
 }
 
 impl Coded {
     fn put_head(self, out: &mut Vec<u8>) {
-        out.push(self.predictor as u8 | self.law.map_or(0, |(law, _)| law as u8) << 4);
+        let law = self.law.map_or(0, |(law, _)| law as u8) << 4;
+        match self.way {
+            Way::Alone(predictor) => out.push(predictor as u8 | law),
+            Way::Guided(Following { guide, memory }) => {
+                out.push(memory | GUIDED | law);
+                let (code, factor) = guide.code();
+                out.push(code);
+                factor.into_iter().for_each(|factor| put_varint(out, zigzag(factor)));
+            }
+        }
         put_varint(out, zigzag(self.first));
         out.extend(self.law.map(|(_, level)| level));
     }
@@ -172,7 +214,7 @@ fn planes(bits: &[u64]) -> Vec<u8> {
     out
 }
 
-/// Reads block formats v1 to v4. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
+/// Reads block formats v1 to v5. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
 /// than that many values per channel whatever the bytes claim.
 pub fn decode_samples(bytes: &[u8], max_samples: usize) -> StoreResult<Samples> {
     decode_columns(bytes, max_samples)?.into_samples()
@@ -203,8 +245,8 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
         return Err("not a sample block");
     }
     let version = input.byte()?;
-    if !(FIRST..=FOURTH).contains(&version) {
-        return Err("not block format v1 to v4");
+    if !(FIRST..=FIFTH).contains(&version) {
+        return Err("not block format v1 to v5");
     }
     let len = input.length()?;
     if len == 0 || len > max_samples {
@@ -223,7 +265,7 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
             if input.byte()? != TIMES {
                 return Err("times are missing");
             }
-            (PendingTime::Stamps(input.column(version, len)?), blocks - 1)
+            (PendingTime::Stamps(input.column((version, None), len)?), blocks - 1)
         }
         _ => return Err("unknown time base"),
     };
@@ -233,16 +275,25 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
         if channels.last().is_some_and(|(before, _)| *before >= channel) {
             return Err("channels out of order");
         }
-        channels.push((channel, input.column(version, len)?));
+        channels.push((channel, input.column((version, Some(channel)), len)?));
     }
     let mut coder = None;
     let time = match time {
         PendingTime::Period(bits) => Time::Period(bits),
-        PendingTime::Stamps(column) => Time::Stamps(column.read(&mut coder, &mut input)?),
+        PendingTime::Stamps(column) => Time::Stamps(column.read(&mut coder, &mut input, |_| None)?),
     };
+    let order = read_in_order(channels.len(), |at| channels[*at].1.guide());
+    let (names, mut pending): (Vec<Channel>, Vec<_>) =
+        channels.into_iter().map(|(channel, column)| (channel, Some(column))).unzip();
+    let mut read: Vec<Option<Column>> = names.iter().map(|_| None).collect();
+    for at in order {
+        let there = |wanted| read[names.iter().position(|name| *name == wanted)?].as_ref();
+        let column =
+            pending[at].take().map(|column| column.read(&mut coder, &mut input, there)).transpose()?;
+        read[at] = column;
+    }
     let channels =
-        channels.into_iter().map(|(channel, column)| Ok((channel, column.read(&mut coder, &mut input)?)));
-    let channels = channels.collect::<Result<_, &'static str>>()?;
+        names.into_iter().zip(read).filter_map(|(channel, column)| Some((channel, column?))).collect();
     if !input.0.is_empty() || coder.is_some_and(|coder| !coder.is_at_end()) {
         return Err("trailing bytes");
     }
@@ -255,17 +306,26 @@ enum PendingTime {
     Stamps(Pending),
 }
 
-/// A column that is read, or of version 4 its head: its residuals stand behind all heads.
+/// A column that is read, or of version 4 and 5 its head: its residuals stand behind all heads.
 enum Pending {
     Whole(Column),
     Headed { scale: u8, coded: Coded, len: usize },
 }
 
 impl Pending {
-    fn read<'a>(
+    const fn guide(&self) -> Option<Guide> {
+        match self {
+            Self::Headed { coded: Coded { way: Way::Guided(following), .. }, .. } => Some(following.guide),
+            Self::Headed { .. } | Self::Whole(_) => None,
+        }
+    }
+
+    /// The column; `there` are those that it may follow.
+    fn read<'a, 'c>(
         self,
         coder: &mut Option<ans::Reader<'a>>,
         input: &mut Input<'a>,
+        there: impl Fn(Channel) -> Option<&'c Column>,
     ) -> Result<Column, &'static str> {
         let (scale, coded, len) = match self {
             Self::Whole(column) => return Ok(column),
@@ -274,9 +334,16 @@ impl Pending {
         // `len` is within the reader's limit.
         let mut values = vec![0; len];
         *values.first_mut().ok_or("no values")? = coded.first;
+        let way = match coded.way {
+            Way::Alone(predictor) => Restored::Alone(predictor),
+            Way::Guided(following) => {
+                let said = following.guide.says(there, scale).ok_or("what a column follows is not there")?;
+                Restored::Guided(following, said)
+            }
+        };
         match coded.law {
             None => {
-                coded.predictor.restore(&mut values, Zeros).ok_or("a column ends early")?;
+                way.restore(&mut values, Zeros).ok_or("a column ends early")?;
             }
             Some((law, level)) => {
                 let begun = match *coder {
@@ -284,7 +351,7 @@ impl Pending {
                     None => ans::Reader::new(std::mem::take(&mut input.0)).ok_or("residuals are missing")?,
                 };
                 let reader = NoiseReader::new(begun, law, level).ok_or("unknown mean")?;
-                let reader = coded.predictor.restore(&mut values, reader).ok_or("a column ends early")?;
+                let reader = way.restore(&mut values, reader).ok_or("a column ends early")?;
                 *coder = Some(reader.coder);
             }
         }
@@ -292,25 +359,56 @@ impl Pending {
     }
 }
 
+/// A [`Way`], with what the guide says.
+enum Restored {
+    Alone(Predictor),
+    Guided(Following, Vec<i64>),
+}
+
+impl Restored {
+    fn restore<R: Residuals>(&self, values: &mut [i64], reader: R) -> Option<R> {
+        match self {
+            Self::Alone(predictor) => predictor.restore(values, reader),
+            Self::Guided(following, said) => following.restore(said, values, reader),
+        }
+    }
+}
+
 impl Input<'_> {
-    fn column(&mut self, version: u8, len: usize) -> Result<Pending, &'static str> {
+    /// A column of a channel, or of times.
+    fn column(
+        &mut self,
+        (version, channel): (u8, Option<Channel>),
+        len: usize,
+    ) -> Result<Pending, &'static str> {
         let form = self.byte()?;
-        if version == FOURTH && form <= MAX_SCALE {
-            return Ok(Pending::Headed { scale: form, coded: self.coded()?, len });
+        if version >= FOURTH && form <= MAX_SCALE {
+            let may_follow = channel.filter(|_| version >= FIFTH);
+            return Ok(Pending::Headed { scale: form, coded: self.coded(may_follow)?, len });
         }
         self.whole_column((version, form), len).map(Pending::Whole)
     }
 
-    /// How a decimal column of version 4 is written.
-    fn coded(&mut self) -> Result<Coded, &'static str> {
+    /// How a decimal column of version 4 or 5 is written.
+    fn coded(&mut self, may_follow: Option<Channel>) -> Result<Coded, &'static str> {
         let coding = self.byte()?;
-        let predictor = Predictor::from_code(coding & 0x0f).ok_or("unknown predictor")?;
+        let way = match may_follow.filter(|_| coding & GUIDED != 0) {
+            Some(channel) => {
+                Way::Guided(Following { guide: self.guide(channel)?, memory: coding & MOST_MEMORY })
+            }
+            None => Way::Alone(Predictor::from_code(coding & 0x0f).ok_or("unknown predictor")?),
+        };
         let first = unzigzag(self.varint()?);
         let law = match coding >> 4 {
             0 => None,
             law => Some((Law::from_code(law).ok_or("unknown coding")?, self.byte()?)),
         };
-        Ok(Coded { predictor, first, law })
+        Ok(Coded { way, first, law })
+    }
+
+    fn guide(&mut self, channel: Channel) -> Result<Guide, &'static str> {
+        let code = self.byte()?;
+        Guide::of_code(channel, code, || self.varint().ok().map(unzigzag)).ok_or("unknown guide")
     }
 
     fn whole_column(&mut self, (version, form): (u8, u8), len: usize) -> Result<Column, &'static str> {

@@ -1,7 +1,7 @@
 //! What the next integer of a column is taken to be: what is stored is how far it is off.
 
 /// Values that a predictor is chosen by.
-const TRIED: usize = 64;
+pub(super) const TRIED: usize = 64;
 
 /// Ways to predict, by the code that a block names them with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -177,20 +177,24 @@ impl Predictor {
         }
     }
 
-    /// The predictor whose residuals are the smallest in all; of several the first.
-    pub(super) fn best(values: &[i64]) -> Self {
+    /// The predictor whose residuals are the smallest over some `tries` values, or somewhat more; of several the first. With the
+    /// sum of their sizes, and how many they were.
+    pub(super) fn best(values: &[i64], tries: usize) -> (Self, (u64, usize)) {
         // All over the same values, so that the costs compare; a choice needs no more of them than this.
         const LONGEST: usize = Predictor::Fit16.reach();
-        let step = (values.len() / TRIED).max(1);
+        let step = (values.len() / tries).max(1);
         let mut costs = [0_u64; Self::ALL.len()];
+        let mut tried = 0;
         if values.len() <= 2 * LONGEST {
             for w in values.windows(5).step_by(step) {
                 Self::judge([w[3], w[2], w[1], w[0]], w[4], &mut costs);
+                tried += 1;
             }
             costs[Self::SHORT..].fill(u64::MAX);
         } else {
             for w in values.windows(LONGEST + 1).step_by(step) {
                 let value = w[16];
+                tried += 1;
                 Self::judge([w[15], w[14], w[13], w[12]], value, &mut costs);
                 let (older, newer) = (sums(&w[..8]), sums(&w[8..16]));
                 let all = (older.0 + newer.0, older.1 + 8 * older.0 + newer.1);
@@ -199,7 +203,7 @@ impl Predictor {
             }
         }
         let cheapest = (0..costs.len()).min_by_key(|&at| costs[at]).unwrap_or(0);
-        Self::ALL[cheapest]
+        (Self::ALL[cheapest], (costs[cheapest], tried))
     }
 
     /// Adds how far each of the short ones is off.
@@ -312,11 +316,17 @@ mod tests {
             noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             at + i64::try_from(noise >> 58).unwrap()
         };
-        assert_eq!(Predictor::best(&(0..200).map(|k| 7 * k).collect::<Vec<_>>()), Predictor::Line);
-        assert_eq!(Predictor::best(&(0..200).map(|k| noisy(9 * k)).collect::<Vec<_>>()), Predictor::Fit16);
-        assert_eq!(Predictor::best(&(0..200).map(|k| noisy(k * k / 3)).collect::<Vec<_>>()), Predictor::Fit8);
+        assert_eq!(Predictor::best(&(0..200).map(|k| 7 * k).collect::<Vec<_>>(), TRIED).0, Predictor::Line);
+        assert_eq!(
+            Predictor::best(&(0..200).map(|k| noisy(9 * k)).collect::<Vec<_>>(), TRIED).0,
+            Predictor::Fit16
+        );
+        assert_eq!(
+            Predictor::best(&(0..200).map(|k| noisy(k * k / 3)).collect::<Vec<_>>(), TRIED).0,
+            Predictor::Fit8
+        );
         // Too few to tell how fits do.
         let few: Vec<_> = (0..32).map(|k| noisy(9 * k)).collect();
-        assert!(!Predictor::best(&few).is_fit());
+        assert!(!Predictor::best(&few, TRIED).0.is_fit());
     }
 }

@@ -69,10 +69,15 @@ fn the_bytes_are_fixed_for_ever() {
         "464203050300000000000000244001030a01e7070b7d0bb7770bb4070109012a0900688d2792400b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d40006def92959e37f03b",
     );
     assert_eq!(decode_samples(&third, 5).unwrap(), samples);
+    // Version 4, too.
+    let fourth = unhex(
+        "4642040503000000000000002440010311e707450701112a3f0b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d4000f2daab00858e000020c1a01f371100626e31237735551a26eaba",
+    );
+    assert_eq!(decode_samples(&fourth, 5).unwrap(), samples);
     let bytes = encode_samples(&samples);
     assert_eq!(
         hex(&bytes),
-        "4642040503000000000000002440010311e707450701112a3f0b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d4000f2daab00858e000020c1a01f371100626e31237735551a26eaba"
+        "4642050503000000000000002440010311e707450701112a3f0b0f2834551100003355ea000033552d0000335581000033559900003355976200d3d57189003f3f3d4000f2daab00858e000020c1a01f371100626e31d61df8c937d638f3"
     );
     assert_eq!(decode_samples(&bytes, 5).unwrap(), samples);
 }
@@ -92,9 +97,13 @@ fn the_bytes_of_fits_are_fixed_for_ever() {
     let bytes = encode_samples(&samples);
     assert_eq!(
         hex(&bytes),
-        "464204400200000000000000244009011434300a01152e3118040900528a5e045666ca29751b4586b79c8ed618f0e5b268f4f6b82d3e1321b490e44f661a63606086b56af51bf38cdf3af36495f17d3dde6096161fd1a686cb0a32d9a5eda8312cf58f5c4c0c20adcc890e9c56179dfed071476b88229253129e59086b51e508dc0d00b862820d0d90acdffb3067"
+        "464205400200000000000000244009011434300a01152e3118040900528a5e045666ca29751b4586b79c8ed618f0e5b268f4f6b82d3e1321b490e44f661a63606086b56af51bf38cdf3af36495f17d3dde6096161fd1a686cb0a32d9a5eda8312cf58f5c4c0c20adcc890e9c56179dfed071476b88229253129e59086b51e508dc0d00b86282c40fb69f59c490d1"
     );
     assert_eq!(decode_samples(&bytes, 64).unwrap(), samples);
+    let fourth = unhex(
+        "464204400200000000000000244009011434300a01152e3118040900528a5e045666ca29751b4586b79c8ed618f0e5b268f4f6b82d3e1321b490e44f661a63606086b56af51bf38cdf3af36495f17d3dde6096161fd1a686cb0a32d9a5eda8312cf58f5c4c0c20adcc890e9c56179dfed071476b88229253129e59086b51e508dc0d00b862820d0d90acdffb3067",
+    );
+    assert_eq!(decode_samples(&fourth, 64).unwrap(), samples);
     let third = unhex(
         "46420340020000000000000024400901380434066cfd211482c2ca69c0952920c48e1705c4ed4e282f02645a58ee8717b41338e470cd612054232db9550560e90e55ac15274e5b05800a0139052e06c6cfe6522e35d62a4a26e6ad5419b8a7c64db02c3dab46e514069878ab60d1aec9f1ad20a3e15e0ae294efe3806584e65405b852d2aa41b3e1151ffc5aaf",
     );
@@ -156,6 +165,103 @@ fn columns_of_every_kind_come_back() {
     assert!(constant.len() < 30, "a constant costs next to nothing: {}", constant.len());
 }
 
+/// A hole with noise in all that is measured, at 100 Hz: its depth and feed follow the command, its loads what drives work against.
+fn drilled() -> Columns {
+    let mut noise = 7_u64;
+    let mut noisy = |size: i64| {
+        noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        ((i64::try_from(noise >> 40).unwrap() * (2 * size + 1)) >> 24) - size
+    };
+    let decimal = |scale, values| Column::Decimal { scale, values };
+    let [mut depth, mut programmed, mut actual, mut percent] = [const { Vec::new() }; 4];
+    let [mut feed_load, mut spindle_load, mut thrust, mut torque] = [const { Vec::new() }; 4];
+    let mut way = -3_000_000;
+    for k in 0..100_i64 {
+        let (feed, over) = (100 + k / 2, 100 + k % 40);
+        programmed.push(feed);
+        percent.push(over);
+        actual.push((feed * over + 50) / 100 + noisy(1));
+        way += feed * over;
+        depth.push((way + 300).div_euclid(600));
+        let (force, moment) = (k * (100 - k) / 4 + noisy(6), 500 + k * 3 + noisy(9));
+        thrust.push(force);
+        torque.push(moment);
+        feed_load.push(force / 4 + noisy(1));
+        spindle_load.push(moment / 3 + noisy(1));
+    }
+    let channels = vec![
+        (Channel::DepthMm, decimal(3, depth)),
+        (Channel::FeedProgrammedMmMin, decimal(0, programmed)),
+        (Channel::FeedActualMmMin, decimal(0, actual)),
+        (Channel::OverridePercent, decimal(0, percent)),
+        (Channel::FeedDriveLoadPercent, decimal(1, feed_load)),
+        (Channel::SpindleLoadPercent, decimal(1, spindle_load)),
+        (Channel::ThrustNewtons, decimal(0, thrust)),
+        (Channel::TorqueNewtonMetres, decimal(2, torque)),
+    ];
+    Columns { len: 100, time: Time::Period(10.0_f64.to_bits()), channels }
+}
+
+#[test]
+fn the_bytes_of_what_follows_are_fixed_for_ever() {
+    let whole = drilled();
+    let bytes = encode_columns(&whole);
+    assert_eq!(
+        hex(&bytes),
+        "464205640800000000000000244001031f00f4b403ed4d10020014c8011203001f00c8011e040010c8012006011b09c0fe01001e07011f0aa8d602c8021e090024072c0a0215d8072947e21b002bff3f1703280b7b579bcd8ab42c382d4193285dbd49cba942cb145a74da2f8c6163091d2f59171a541a931ff2b9126df60e700569b560746e3691d49994c5c15d955708c0d19ce8c3f9cc0a35a4823370c13bb1a4f35e56695cc3f3cb5191a121cafe4013cca25030a724c7072c166bbf0627fe2a581e78a18a37ea089c3d9bee7a35b635d3a5cbd510b59b07d135b88dbfe38cc9750661dfd80a1291d56d89baf0c67ec813adfdaff8235d0bff54e14d38bbe4c1ef4abd35198604e111bd3d33287043a3de1792f4d926197acd60e33b5a91e164cb1c3e59c63a91a3feec3a9b55a1d57e79b9479d7b5d535721bc900427314195016463"
+    );
+    assert_eq!(decode_columns(&bytes, 100).unwrap(), whole);
+    let body = &bytes[..bytes.len() - CHECKSUM];
+    for cut in 0..body.len() {
+        assert!(read_body(&body[..cut], 100).is_err(), "cut at {cut}");
+    }
+    assert!(read_body(&[body, &[0]].concat(), 100).is_err(), "trailing bytes");
+    // Version 4 had no guides.
+    let mut older = body.to_vec();
+    older[2] = FOURTH;
+    assert_eq!(read_body(&older, 100).unwrap_err(), "unknown predictor");
+}
+
+/// Nobody follows what is not there, what is exact, or what it cannot be told by.
+#[test]
+fn guides_that_cannot_be_followed_are_refused() {
+    let bytes = |channels: &[(Channel, Vec<u8>)]| {
+        let mut body = MAGIC.to_vec();
+        body.extend([FIFTH, 1, u8::try_from(channels.len()).unwrap(), 0]);
+        body.extend(10.0_f64.to_le_bytes());
+        for (channel, column) in channels {
+            body.push(*channel as u8);
+            body.extend(column);
+        }
+        body
+    };
+    let plain = vec![0, 0, 24];
+    let exact = [&[EXACT, 8][..], &12.0_f64.to_le_bytes()].concat();
+    // Memory 3, and what is followed by half.
+    let led = |by: u8| [&[0, GUIDED | 3, by][..], &[0x80, 0x80, 0x04, 16]].concat();
+    let (load, thrust, torque) =
+        (Channel::FeedDriveLoadPercent, Channel::ThrustNewtons, Channel::TorqueNewtonMetres);
+    let read = |channels: &[(Channel, Vec<u8>)]| read_body(&bytes(channels), 1);
+    let refused = |channels: &[(Channel, Vec<u8>)]| read(channels).unwrap_err();
+    let read_whole = read(&[(load, led(thrust as u8)), (thrust, plain.clone())]).unwrap();
+    assert_eq!(read_whole.channels[0].1, Column::Decimal { scale: 0, values: vec![8] });
+    assert_eq!(refused(&[(load, led(thrust as u8))]), "what a column follows is not there");
+    let with_exact = [(load, led(thrust as u8)), (thrust, exact)];
+    assert_eq!(refused(&with_exact), "what a column follows is not there");
+    assert_eq!(refused(&[(load, led(torque as u8)), (torque, plain.clone())]), "unknown guide");
+    assert_eq!(refused(&[(load, led(load as u8))]), "unknown guide");
+    assert_eq!(refused(&[(load, led(0))]), "unknown guide");
+    assert_eq!(refused(&[(load, led(200))]), "unknown guide");
+    assert_eq!(refused(&[(thrust, led(load as u8))]), "unknown guide");
+    // One that follows too, and is read later.
+    let both_follow = [(load, led(15)), (thrust, plain), (Channel::FeedDriveTorqueNewtonMetres, led(9))];
+    assert_eq!(refused(&both_follow), "what a column follows is not there");
+    assert_eq!(
+        refused(&[(Channel::FeedActualMmMin, vec![0, GUIDED, 0, 24])]),
+        "what a column follows is not there"
+    );
+}
+
 /// What version 3 wrote of them, with both of its coders.
 #[test]
 fn version_3_is_read() {
@@ -182,8 +288,8 @@ fn damage_and_foreign_versions_are_refused() {
     }
     assert_eq!(what(&[]), "sample block: too short");
     let mut newer = bytes.clone();
-    newer[2] = 5;
-    assert_eq!(what(&sealed(newer)), "sample block: not block format v1 to v4");
+    newer[2] = 6;
+    assert_eq!(what(&sealed(newer)), "sample block: not block format v1 to v5");
     assert!(decode_samples(&bytes, 4).is_err(), "more samples than the reader takes");
 }
 
