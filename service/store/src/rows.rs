@@ -13,6 +13,8 @@ mod service;
 
 pub(crate) use advice::{ProcessAdviceBody, ProfileAdviceBody};
 pub(crate) use cut::{CutRow, EdgeCycleRow, ReportedCutRow};
+#[cfg(test)]
+pub(crate) use cycle::tests::RANGES as CYCLE_RANGES;
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
 pub(crate) use feed_profile::{ActiveProfileRow, FeedProfileRow, ProfileVersionRow, wear_from_column};

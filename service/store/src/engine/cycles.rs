@@ -7,7 +7,7 @@ use crate::rows::{CycleWithSamples, cycle_columns};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 
 macro_rules! select_columns {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         concat!("SELECT ", $("c.", stringify!($column), ", ",)*)
     };
 }

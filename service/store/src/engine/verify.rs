@@ -19,7 +19,7 @@ use std::sync::Arc;
 const MOST_STRAYS: i64 = 1_000;
 
 macro_rules! select_sql {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         concat!(
             "SELECT ", $("c.", stringify!($column), ", ",)* "1 AS one FROM cycles c
              WHERE (c.machine_id, c.cycle_id) > ($1, $2) ORDER BY c.machine_id, c.cycle_id LIMIT $3"

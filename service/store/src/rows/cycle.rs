@@ -9,7 +9,8 @@ use feedwright_core::summary::{CycleSummary, DepthDigest, Energy, EnergyBasis, I
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Hands every column of `cycles`, with its type and placeholder, to a macro: the list stands once.
+/// Hands every column of `cycles`, with its type, its placeholder and the range that its numbers are in, to a macro: the list
+/// stands once.
 macro_rules! cycle_columns {
     ($callback:ident) => {
         $callback! {
@@ -25,59 +26,59 @@ macro_rules! cycle_columns {
                 strategy: Option<String> = "$10",
                 law_version: Option<String> = "$11",
                 profile_id: Option<String> = "$12",
-                profile_version: Option<i64> = "$13",
+                profile_version: Option<i64> = "$13" in 1..=4_294_967_295,
                 recommendation_id: Option<String> = "$14",
                 outcome: String = "$15",
-                summary_version: i64 = "$16",
-                sample_count: i64 = "$17",
-                coverage: f64 = "$18",
-                flags: i64 = "$19",
+                summary_version: i64 = "$16" in 1..=4_294_967_295,
+                sample_count: i64 = "$17" in 0..=4_294_967_295,
+                coverage: f64 = "$18" in 0.0..=1.0,
+                flags: i64 = "$19" in 0..=4_294_967_295,
                 quantities: i64 = "$20",
-                spindle_speed_rpm: Option<f64> = "$21",
-                duration_ms: Option<f64> = "$22",
-                dynamometer_joules: Option<f64> = "$23",
-                dynamometer_spindle_joules: Option<f64> = "$24",
-                dynamometer_feed_drive_joules: Option<f64> = "$25",
-                calibrated_joules: Option<f64> = "$26",
-                calibrated_spindle_joules: Option<f64> = "$27",
-                calibrated_feed_drive_joules: Option<f64> = "$28",
-                measured_power_joules: Option<f64> = "$29",
-                measured_power_spindle_joules: Option<f64> = "$30",
-                measured_power_feed_drive_joules: Option<f64> = "$31",
-                measured_power_idle_watts: Option<f64> = "$32",
-                rated_power_joules: Option<f64> = "$33",
-                rated_power_spindle_joules: Option<f64> = "$34",
-                rated_power_feed_drive_joules: Option<f64> = "$35",
-                max_depth_mm: Option<f64> = "$36",
-                max_spindle_load_percent: Option<f64> = "$37",
-                max_spindle_load_depth_mm: Option<f64> = "$38",
-                max_spindle_load_time_ms: Option<f64> = "$39",
-                max_feed_drive_load_percent: Option<f64> = "$40",
-                max_feed_drive_load_depth_mm: Option<f64> = "$41",
-                max_feed_drive_load_time_ms: Option<f64> = "$42",
-                max_spindle_power_watts: Option<f64> = "$43",
-                max_spindle_power_depth_mm: Option<f64> = "$44",
-                max_spindle_power_time_ms: Option<f64> = "$45",
-                max_thrust_newtons: Option<f64> = "$46",
-                max_thrust_depth_mm: Option<f64> = "$47",
-                max_thrust_time_ms: Option<f64> = "$48",
-                max_torque_newton_metres: Option<f64> = "$49",
-                max_torque_depth_mm: Option<f64> = "$50",
-                max_torque_time_ms: Option<f64> = "$51",
-                mean_spindle_load_percent: Option<f64> = "$52",
-                mean_feed_drive_load_percent: Option<f64> = "$53",
-                mean_override_percent: Option<f64> = "$54",
-                operator_override_percent: Option<f64> = "$55",
-                median_spindle_speed_rpm: Option<f64> = "$56",
-                spindle_load_fall_depth_mm: Option<f64> = "$57",
-                reported_energy_joules: Option<f64> = "$58",
-                reported_duration_ms: Option<f64> = "$59",
-                reported_max_depth_mm: Option<f64> = "$60",
-                reported_max_spindle_load_percent: Option<f64> = "$61",
-                reported_max_feed_drive_load_percent: Option<f64> = "$62",
-                reported_mean_spindle_load_percent: Option<f64> = "$63",
-                reported_mean_feed_drive_load_percent: Option<f64> = "$64",
-                reported_operator_override_percent: Option<f64> = "$65",
+                spindle_speed_rpm: Option<f64> = "$21" in 0.0..=1_000_000.0,
+                duration_ms: Option<f64> = "$22" in 0.0..=1e9,
+                dynamometer_joules: Option<f64> = "$23" in -1e18..=1e18,
+                dynamometer_spindle_joules: Option<f64> = "$24" in -1e18..=1e18,
+                dynamometer_feed_drive_joules: Option<f64> = "$25" in -1e18..=1e18,
+                calibrated_joules: Option<f64> = "$26" in -1e18..=1e18,
+                calibrated_spindle_joules: Option<f64> = "$27" in -1e18..=1e18,
+                calibrated_feed_drive_joules: Option<f64> = "$28" in -1e18..=1e18,
+                measured_power_joules: Option<f64> = "$29" in -1e18..=1e18,
+                measured_power_spindle_joules: Option<f64> = "$30" in -1e18..=1e18,
+                measured_power_feed_drive_joules: Option<f64> = "$31" in -1e18..=1e18,
+                measured_power_idle_watts: Option<f64> = "$32" in -10_000_000.0..=10_000_000.0,
+                rated_power_joules: Option<f64> = "$33" in -1e18..=1e18,
+                rated_power_spindle_joules: Option<f64> = "$34" in -1e18..=1e18,
+                rated_power_feed_drive_joules: Option<f64> = "$35" in -1e18..=1e18,
+                max_depth_mm: Option<f64> = "$36" in -100_000.0..=100_000.0,
+                max_spindle_load_percent: Option<f64> = "$37" in -10_000.0..=10_000.0,
+                max_spindle_load_depth_mm: Option<f64> = "$38" in -100_000.0..=100_000.0,
+                max_spindle_load_time_ms: Option<f64> = "$39" in 0.0..=1e9,
+                max_feed_drive_load_percent: Option<f64> = "$40" in -10_000.0..=10_000.0,
+                max_feed_drive_load_depth_mm: Option<f64> = "$41" in -100_000.0..=100_000.0,
+                max_feed_drive_load_time_ms: Option<f64> = "$42" in 0.0..=1e9,
+                max_spindle_power_watts: Option<f64> = "$43" in -10_000_000.0..=10_000_000.0,
+                max_spindle_power_depth_mm: Option<f64> = "$44" in -100_000.0..=100_000.0,
+                max_spindle_power_time_ms: Option<f64> = "$45" in 0.0..=1e9,
+                max_thrust_newtons: Option<f64> = "$46" in -10_000_000.0..=10_000_000.0,
+                max_thrust_depth_mm: Option<f64> = "$47" in -100_000.0..=100_000.0,
+                max_thrust_time_ms: Option<f64> = "$48" in 0.0..=1e9,
+                max_torque_newton_metres: Option<f64> = "$49" in -1_000_000.0..=1_000_000.0,
+                max_torque_depth_mm: Option<f64> = "$50" in -100_000.0..=100_000.0,
+                max_torque_time_ms: Option<f64> = "$51" in 0.0..=1e9,
+                mean_spindle_load_percent: Option<f64> = "$52" in -10_000.0..=10_000.0,
+                mean_feed_drive_load_percent: Option<f64> = "$53" in -10_000.0..=10_000.0,
+                mean_override_percent: Option<f64> = "$54" in 0.0..=1000.0,
+                operator_override_percent: Option<f64> = "$55" in 0.0..=1000.0,
+                median_spindle_speed_rpm: Option<f64> = "$56" in -1_000_000.0..=1_000_000.0,
+                spindle_load_fall_depth_mm: Option<f64> = "$57" in -100_000.0..=100_000.0,
+                reported_energy_joules: Option<f64> = "$58" in -1e12..=1e12,
+                reported_duration_ms: Option<f64> = "$59" in 0.0..=86_400_000.0,
+                reported_max_depth_mm: Option<f64> = "$60" in -100_000.0..=100_000.0,
+                reported_max_spindle_load_percent: Option<f64> = "$61" in -10_000.0..=10_000.0,
+                reported_max_feed_drive_load_percent: Option<f64> = "$62" in -10_000.0..=10_000.0,
+                reported_mean_spindle_load_percent: Option<f64> = "$63" in -10_000.0..=10_000.0,
+                reported_mean_feed_drive_load_percent: Option<f64> = "$64" in -10_000.0..=10_000.0,
+                reported_operator_override_percent: Option<f64> = "$65" in 0.0..=1000.0,
                 energy_scale: i64 = "$66",
                 depth_digest: Option<Vec<u8>> = "$67",
         }
@@ -86,7 +87,7 @@ macro_rules! cycle_columns {
 pub(crate) use cycle_columns;
 
 macro_rules! define_row {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         /// A row of `cycles`.
         #[derive(Debug, Clone, PartialEq, sqlx::FromRow)]
         pub(crate) struct CycleRow {
@@ -116,8 +117,43 @@ impl Column for Option<f64> {
     }
 }
 
+/// Whether what stands in a column, if anything does, is in its range.
+trait Ranged<T> {
+    fn is_within(&self, least: T, most: T) -> bool;
+}
+
+impl<T: PartialOrd> Ranged<T> for T {
+    fn is_within(&self, least: T, most: T) -> bool {
+        (least..=most).contains(self)
+    }
+}
+
+impl<T: PartialOrd> Ranged<T> for Option<T> {
+    fn is_within(&self, least: T, most: T) -> bool {
+        self.as_ref().is_none_or(|value| value.is_within(least, most))
+    }
+}
+
+macro_rules! define_ranges {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
+        impl CycleRow {
+            /// The first column whose number is out of its range. The tables are checked against the same: where rows are
+            /// written many in a second, asking SQLite for it takes longer than writing them.
+            fn out_of_range(&self) -> Option<&'static str> {
+                $($(
+                    if !self.$column.is_within($least, $most) {
+                        return Some(stringify!($column));
+                    }
+                )?)*
+                None
+            }
+        }
+    };
+}
+cycle_columns!(define_ranges);
+
 macro_rules! define_quantities {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         impl CycleRow {
             /// The nullable floats that are there, by name.
             fn quantities_mut(&mut self) -> impl Iterator<Item = (&'static str, &mut f64)> {
@@ -270,6 +306,9 @@ impl CycleRow {
             depth_digest: summary.digest.as_ref().map(digest::pack),
         };
         row.settle_quantities()?;
+        if let Some(column) = row.out_of_range() {
+            return Err(StoreError::Refused { constraint: format!("cycles_{column}_range") });
+        }
         if row.energy() != summary.energy {
             // Bases twice, out of order, or treated otherwise than the columns can say.
             return Err(StoreError::Refused { constraint: "cycles_energy_shape".to_owned() });
@@ -533,5 +572,102 @@ impl CycleWithSamples {
             hash: self.cycle.hash()?,
             has_samples: self.has_samples,
         })
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::codec;
+    use feedwright_core::machine::{FeedDriveRating, FeedLimits, LoadReference, Machine, SpindleRating};
+    use feedwright_core::summary::{Context, summarise};
+    use std::sync::Arc;
+
+    macro_rules! list_ranges {
+        ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
+            /// Columns with the numbers that their ranges are written with.
+            pub(crate) const RANGES: &[(&str, &str, &str)] =
+                &[$($((stringify!($column), stringify!($least), stringify!($most)),)?)*];
+        };
+    }
+    cycle_columns!(list_ranges);
+
+    /// The next number above and below.
+    trait Beside: Sized {
+        fn above(self) -> Self;
+        fn below(self) -> Self;
+    }
+
+    impl Beside for i64 {
+        fn above(self) -> Self {
+            self + 1
+        }
+        fn below(self) -> Self {
+            self - 1
+        }
+    }
+
+    impl Beside for f64 {
+        fn above(self) -> Self {
+            self.next_up()
+        }
+        fn below(self) -> Self {
+            self.next_down()
+        }
+    }
+
+    fn new_cycle() -> NewCycle {
+        let cycle = codec::cycle_of_every_field();
+        let machine = Machine {
+            id: cycle.machine.clone(),
+            name: String::new(),
+            control: String::new(),
+            ipo_period_ms: 10.0,
+            spindle: SpindleRating {
+                reference: LoadReference::Unknown,
+                rated_power_watts: None,
+                base_speed_rpm: None,
+            },
+            feed_drive: FeedDriveRating::default(),
+            limits: FeedLimits::new(1.0, 2000.0, 5.0, 200.0).unwrap(),
+        };
+        NewCycle {
+            encoded: codec::encode(&cycle),
+            summary: summarise(&cycle, Context { machine: &machine, calibration: None, operation: None }),
+            received_at: cycle.started_at,
+            cycle: Arc::new(cycle),
+            generation: None,
+            cut_short: false,
+        }
+    }
+
+    #[test]
+    fn a_number_out_of_its_range_is_found() {
+        let new = new_cycle();
+        let valid = CycleRow::of(&new, &new.summary).unwrap();
+        assert_eq!(valid.out_of_range(), None);
+        macro_rules! go_beyond {
+            ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {$($(
+                for (number, is_found) in
+                    [($least, false), ($most, false), (($least).below(), true), (($most).above(), true)]
+                {
+                    let mut row = valid.clone();
+                    row.$column = number.into();
+                    let found = is_found.then_some(stringify!($column));
+                    assert_eq!(row.out_of_range(), found, "{} {number}", stringify!($column));
+                }
+            )?)*};
+        }
+        cycle_columns!(go_beyond);
+    }
+
+    #[test]
+    fn a_cycle_whose_summary_is_out_of_range_is_refused() {
+        let mut new = new_cycle();
+        new.summary.duration_ms = Some(1.1e9);
+        let Err(StoreError::Refused { constraint }) = CycleRow::of(&new, &new.summary) else {
+            panic!("refused")
+        };
+        assert_eq!(constraint, "cycles_duration_ms_range");
     }
 }

@@ -1,6 +1,6 @@
 //! Rows that a group writes many of at once.
 
-use super::{AdviceBody, count, float, optional_float};
+use super::{AdviceBody, count, float};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{AlarmKind, IssuedRecommendation};
 use feedwright_core::ids::{MachineId, ToolId};
@@ -125,6 +125,20 @@ pub(crate) struct IssuedRow {
     pub(crate) tool_id: String,
 }
 
+/// Largest number that is kept of a level. The tables are checked against the same.
+const MOST_LEVEL: f64 = 1_000_000.0;
+
+/// A number of a level on its way into its column.
+fn level_number(column: &str, value: f64) -> StoreResult<f64> {
+    let least = if column == "level_sd" { 0.0 } else { -MOST_LEVEL };
+    let value = float(column, value)?;
+    if (least..=MOST_LEVEL).contains(&value) { Ok(value) } else { Err(out_of_range(column)) }
+}
+
+fn out_of_range(column: &str) -> StoreError {
+    StoreError::Refused { constraint: format!("recommendations_{column}_range") }
+}
+
 impl IssuedRow {
     /// Takes the hash and the text of an advice.
     pub(crate) const INSERT_ADVICE: &str =
@@ -140,11 +154,15 @@ impl IssuedRow {
         advice_hash.copy_from_slice(&blake3::hash(advice.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
         let level = recommendation.level.as_ref();
         let level_float =
-            |name, part: fn(&Level) -> f64| level.map(|level| float(name, part(level))).transpose();
+            |name, part: fn(&Level) -> f64| level.map(|level| level_number(name, part(level))).transpose();
+        let sd = level.and_then(|level| level.sd);
         let remaining = recommendation.remaining.as_ref();
         let remaining_count = |name, part: fn(&Remaining) -> u64| {
             remaining.map(|remaining| count(name, part(remaining))).transpose()
         };
+        if recommendation.data_age_ms.is_some_and(|age| age < 0) {
+            return Err(out_of_range("data_age_ms"));
+        }
         Ok(Self {
             recommendation_id: issued.id.as_str().to_owned(),
             advice_hash,
@@ -162,7 +180,7 @@ impl IssuedRow {
             data_age_ms: recommendation.data_age_ms,
             level_decides: level.and_then(|level| level.decides).map(LevelBasis::as_str),
             level_value: level_float("level_value", |level| level.value)?,
-            level_sd: optional_float("level_sd", level.and_then(|level| level.sd))?,
+            level_sd: sd.map(|sd| level_number("level_sd", sd)).transpose()?,
             machine_id: recommendation.machine.as_str().to_owned(),
             operation_id: recommendation.operation.as_str().to_owned(),
             tool_id: recommendation.tool.as_str().to_owned(),

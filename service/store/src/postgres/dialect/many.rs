@@ -11,7 +11,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 macro_rules! cycles {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         concat!(
             "INSERT INTO cycles (", cycles!(@list $(stringify!($column),)*), ") SELECT * FROM UNNEST(",
             cycles!(@list $($placeholder,)*),
@@ -33,7 +33,7 @@ pub(in crate::postgres) async fn insert_cycles(
     }
     let query = sqlx::query_as(CYCLES);
     macro_rules! bind {
-        ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+        ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
             query $(.bind(rows.iter().map(|row| row.$column.clone()).collect::<Vec<$type>>()))*
         };
     }

@@ -51,7 +51,7 @@ impl Statements {
 }
 
 macro_rules! cycles_head {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         concat!(
             "INSERT OR FAIL INTO cycles (", cycles_head!(@list $(stringify!($column),)*), ") VALUES "
         )
@@ -60,7 +60,7 @@ macro_rules! cycles_head {
 }
 
 macro_rules! cycles_row {
-    ($($column:ident: $type:ty = $placeholder:literal,)*) => {
+    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         concat!("(", cycles_row!(@list $($column,)*), ")")
     };
     (@list $first:ident, $($rest:ident,)*) => { concat!("?" $(, cycles_row!(@one $rest))*) };
@@ -90,7 +90,7 @@ static NEW_CYCLES: LazyLock<Statements> = LazyLock::new(|| {
 fn bind_cycles(mut query: Query, rows: &[Arc<CycleRow>]) -> Query {
     for row in rows {
         macro_rules! bind {
-            ($($column:ident: $type:ty = $placeholder:literal,)*) => { query $(.bind(row.$column.clone()))* };
+            ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => { query $(.bind(row.$column.clone()))* };
         }
         query = cycle_columns!(bind);
     }

@@ -126,3 +126,117 @@ fn what_sqlite_has_rolled_back_is_run_again() {
     writer.abandon().unwrap();
     assert_eq!(given.found(), ["alone", "first", "second", "third", "fourth"]);
 }
+
+/// What a table is checked against: `CONSTRAINT name CHECK (column BETWEEN least AND most)`, and the names of other checks.
+fn checks(conn: &Connection, table: &str) -> (Vec<(String, f64, f64)>, Vec<String>) {
+    let sql: String = conn
+        .query_row("SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = ?", [table], |row| {
+            row.get(0)
+        })
+        .unwrap();
+    let (mut ranges, mut others) = (Vec::new(), Vec::new());
+    let mut named = sql.split("CONSTRAINT ");
+    let unnamed = named.next().unwrap().matches("CHECK").count();
+    assert_eq!(unnamed, 0, "a check of {table} has no name");
+    for check in named {
+        let words: Vec<&str> = check.split_whitespace().collect();
+        let number = |text: &str| text.trim_end_matches([')', ',']).parse::<f64>().ok();
+        match words.as_slice() {
+            [_, "CHECK", column, "BETWEEN", least, "AND", most, ..] if !column.contains("length(") => {
+                let column = column.trim_start_matches('(').to_owned();
+                ranges.push((column, number(least).unwrap(), number(most).unwrap()));
+            }
+            [name, "CHECK", ..] => others.push((*name).to_owned()),
+            other => panic!("no check: {other:?}"),
+        }
+    }
+    others.sort_unstable();
+    (ranges, others)
+}
+
+/// SQLite is not asked for checks by this writer. All that a table checks is held when rows are made: another check has to
+/// be held too before it is named here.
+#[test]
+fn what_tables_are_checked_against_is_held_before() {
+    let given = Given::database();
+    let writer = given.writer();
+    let is_ignored: bool =
+        writer.conn.query_row("PRAGMA ignore_check_constraints", (), |row| row.get(0)).unwrap();
+    assert!(is_ignored);
+    let number = |text: &str| text.replace(['_', ' '], "").parse::<f64>().unwrap();
+    let (mut ranges, others) = checks(&writer.conn, "cycles");
+    let mut held: Vec<(String, f64, f64)> = crate::rows::CYCLE_RANGES
+        .iter()
+        .map(|(column, least, most)| ((*column).to_owned(), number(least), number(most)))
+        .collect();
+    ranges.sort_by(|a, b| a.0.cmp(&b.0));
+    held.sort_by(|a, b| a.0.cmp(&b.0));
+    assert_eq!(ranges, held);
+    // By the types of a cycle's fields, but for the count of quantities, which its row counts.
+    let by_type = [
+        "cycles_content_hash_length",
+        "cycles_cycle_id_length",
+        "cycles_depth_digest_length",
+        "cycles_law_version_length",
+        "cycles_machine_id_length",
+        "cycles_operation_id_length",
+        "cycles_outcome_word",
+        "cycles_process_word",
+        "cycles_profile_id_length",
+        "cycles_profile_whole",
+        "cycles_quantities",
+        "cycles_recommendation_id_length",
+        "cycles_seq_range",
+        "cycles_strategy_word",
+        "cycles_tool_id_length",
+    ];
+    assert_eq!(others, by_type);
+
+    let (ranges, others) = checks(&writer.conn, "recommendations");
+    let level = ["as_run", "highest", "lowest", "value"].map(|part| (format!("level_{part}"), -1e6, 1e6));
+    let counts = ["n", "window"].map(|part| (format!("level_{part}"), 0.0, f64::from(u32::MAX)));
+    let mut held = [level.to_vec(), counts.to_vec(), vec![("level_sd".to_owned(), 0.0, 1e6)]].concat();
+    held.sort_by(|a, b| a.0.cmp(&b.0));
+    let mut ranges = ranges;
+    ranges.sort_by(|a, b| a.0.cmp(&b.0));
+    assert_eq!(ranges, held);
+    let by_type = [
+        "recommendations_data_age_ms_range",
+        "recommendations_level_decides_word",
+        "recommendations_level_whole",
+        "recommendations_machine_id_length",
+        "recommendations_operation_id_length",
+        "recommendations_recommendation_id_length",
+        "recommendations_remaining_cycles_range",
+        "recommendations_remaining_high_range",
+        "recommendations_remaining_low_range",
+        "recommendations_remaining_whole",
+        "recommendations_tool_id_length",
+    ];
+    assert_eq!(others, by_type);
+
+    for (table, by_type) in [
+        ("cycle_samples", vec!["cycle_samples_block_length"]),
+        ("advices", vec!["advices_advice_hash_length"]),
+        (
+            "alarms",
+            vec![
+                "alarms_acknowledged_by_length",
+                "alarms_acknowledged_whole",
+                "alarms_kind_word",
+                "alarms_machine_id_length",
+                "alarms_message_length",
+                "alarms_tool_id_length",
+            ],
+        ),
+        ("tool_wear", vec!["tool_wear_machine_id_length", "tool_wear_tool_id_length"]),
+    ] {
+        let (ranges, others) = checks(&writer.conn, table);
+        assert_eq!(others, by_type, "{table}");
+        // Counts that begin at 1 or 0 and go up by one.
+        let counts: Vec<&str> = ranges.iter().map(|(column, ..)| column.as_str()).collect();
+        let expected: &[&str] =
+            if table == "tool_wear" { &["folded", "fold_version", "version"] } else { &[] };
+        assert_eq!(counts, expected, "{table}");
+    }
+}
