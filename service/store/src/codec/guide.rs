@@ -1,9 +1,9 @@
 //! What other columns of a block say of a column: what is stored is how far it is off that.
 //!
-//! An actual feed follows the *command*, programmed feed × override. A depth follows what feeds amount to: the actual one, or where
-//! it is not there the command. What a drive does (its load, power, current, the torque of its motor) follows the force or torque
-//! that it works against, by a line, whose slope is that of the noise they share. All of them are known to less than a unit of
-//! the column, and so is how far it has been off of late: what is rounded away is predicted too.
+//! An actual feed follows the *command*, programmed feed × override. A depth follows what feeds amount to, the actual one or the
+//! command, whichever it keeps to. What a drive does (its load, power, current, the torque of its motor) follows the force or torque
+//! that it works against, by a line, whose slope is that of their changes over some values. All of them are known to less than a
+//! unit of the column, and so is how far it has been off of late: what is rounded away is predicted too.
 
 use super::column::{Column, Columns, Time};
 use super::predict::{Predictor, Residuals, TRIED};
@@ -24,8 +24,9 @@ const COARSEST: i32 = -9;
 const MOST_FACTOR: f64 = (1_u64 << 40) as f64;
 /// Fewer values do not pay for a guide.
 const FEWEST: usize = 33;
-/// What is followed, and what follows, is below.
-const LIMIT: u64 = 1 << 46;
+/// A column that follows is below, and so is what is said of it: then no sum of a prediction leaves 64 bits with its fraction, and
+/// a writer's are a reader's.
+const LIMIT: u64 = 1 << 44;
 /// Longest memory, as a power of two.
 pub(super) const MOST_MEMORY: u8 = 7;
 
@@ -407,7 +408,8 @@ impl Walk {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
+    use super::super::predict::tests::Listed;
     use super::*;
     use proptest::prelude::*;
 
@@ -422,7 +424,7 @@ mod tests {
     }
 
     /// A drilled hole at 100 Hz: the depth in µm follows programmed feed × override, loads follow thrust and torque.
-    fn drilled(len: i64, seed: u64) -> Columns {
+    pub(in super::super) fn drilled(len: i64, seed: u64) -> Columns {
         let mut state = seed;
         let (mut programmed, mut percent, mut actual) = (Vec::new(), Vec::new(), Vec::new());
         let (mut depth, mut way) = (Vec::new(), -3_000_000);
@@ -559,46 +561,51 @@ mod tests {
         assert_eq!(Walk::of(&[0; 100]).memory(), 0);
     }
 
-    /// Residuals that are there already.
-    struct Listed<'a>(&'a [i64]);
+    const MOST: i64 = LIMIT.cast_signed() - 1;
+    const MOST_SAID: i64 = (LIMIT << BITS).cast_signed() - 1;
 
-    impl Residuals for Listed<'_> {
-        fn next(&mut self) -> Option<i64> {
-            let (residual, rest) = self.0.split_first()?;
-            self.0 = rest;
-            Some(*residual)
-        }
+    fn any_value() -> impl Strategy<Value = i64> {
+        prop_oneof![-50_i64..50, -1_000_000_i64..1_000_000, -MOST..=MOST, Just(MOST), Just(-MOST - 1)]
     }
 
-    fn any_number() -> impl Strategy<Value = i64> {
-        prop_oneof![-50_i64..50, -1_000_000_i64..1_000_000, any::<i64>()]
+    fn any_said() -> impl Strategy<Value = i64> {
+        prop_oneof![
+            -50_i64..50,
+            -1_000_000_i64..1_000_000,
+            -MOST_SAID..=MOST_SAID,
+            Just(MOST_SAID),
+            Just(-MOST_SAID - 1)
+        ]
+    }
+
+    #[test]
+    fn what_is_too_large_is_not_followed() {
+        assert!(offs(vec![MOST_SAID, -MOST_SAID - 1], &[-MOST - 1, MOST]).is_some());
+        assert!(offs(vec![0], &[MOST + 1]).is_none() && offs(vec![0], &[-MOST - 2]).is_none());
+        assert!(offs(vec![MOST_SAID + 1], &[0]).is_none() && offs(vec![-MOST_SAID - 2], &[0]).is_none());
+        assert!(offs(vec![0], &[0, 0]).is_none());
     }
 
     proptest! {
-        /// Also where everything wraps, as in a damaged block.
+        /// Up to the largest numbers that are let through; those beyond, as of a damaged block, do no harm.
         #[test]
         fn whatever_the_guide_says_values_come_back(
-            pairs in prop::collection::vec((any_number(), any_number()), 1..300),
+            pairs in prop_oneof![
+                prop::collection::vec((any_said(), any_value()), 1..300),
+                prop::collection::vec((any::<i64>(), any::<i64>()), 1..20),
+            ],
             memory in 0..=MOST_MEMORY,
         ) {
             let (said, values): (Vec<i64>, Vec<i64>) = pairs.into_iter().unzip();
-            // Those that are stored have room for their fraction.
-            let values: Vec<i64> = values.into_iter().map(|value| value >> BITS).collect();
             let following = Following { guide: Guide::Command, memory };
-            let offs: Vec<i64> = said.iter().zip(&values).map(|(said, value)| off(*said, *value)).collect();
-            let is_small = offs.iter().all(|off| off.unsigned_abs() < LIMIT << BITS);
-            let residuals = if is_small {
-                let residuals = following.residuals(&offs);
-                prop_assert_eq!(residuals.len(), values.len() - 1);
-                residuals
-            } else {
-                vec![1; values.len() - 1]
-            };
+            let offs = offs(said.clone(), &values);
+            let residuals = offs.as_ref().map_or_else(|| vec![1; values.len() - 1], |offs| following.residuals(offs));
+            prop_assert_eq!(residuals.len(), values.len() - 1);
             let mut back = vec![0; values.len()];
             back[0] = values[0];
             let rest = following.restore(&said, &mut back, Listed(&residuals));
             prop_assert!(rest.is_some_and(|rest| rest.0.is_empty()));
-            if is_small {
+            if offs.is_some() {
                 prop_assert_eq!(&back, &values);
             }
             let short = &residuals[..residuals.len().saturating_sub(1)];

@@ -244,7 +244,7 @@ pub(crate) const fn unzigzag(value: u64) -> i64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
@@ -270,7 +270,7 @@ mod tests {
     }
 
     /// Residuals that are there already.
-    struct Listed<'a>(&'a [i64]);
+    pub(in super::super) struct Listed<'a>(pub(in super::super) &'a [i64]);
 
     impl Residuals for Listed<'_> {
         fn next(&mut self) -> Option<i64> {

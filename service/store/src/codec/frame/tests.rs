@@ -1,3 +1,4 @@
+use super::super::guide::tests::drilled;
 use super::*;
 use feedwright_core::cycle::{Cycle, CycleDraft, Outcome, ProfileVersion, Reported, TimeBase};
 use feedwright_core::units::{Process, Strategy as FeedStrategy, Timestamp};
@@ -165,50 +166,13 @@ fn columns_of_every_kind_come_back() {
     assert!(constant.len() < 30, "a constant costs next to nothing: {}", constant.len());
 }
 
-/// A hole with noise in all that is measured, at 100 Hz: its depth and feed follow the command, its loads what drives work against.
-fn drilled() -> Columns {
-    let mut noise = 7_u64;
-    let mut noisy = |size: i64| {
-        noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        ((i64::try_from(noise >> 40).unwrap() * (2 * size + 1)) >> 24) - size
-    };
-    let decimal = |scale, values| Column::Decimal { scale, values };
-    let [mut depth, mut programmed, mut actual, mut percent] = [const { Vec::new() }; 4];
-    let [mut feed_load, mut spindle_load, mut thrust, mut torque] = [const { Vec::new() }; 4];
-    let mut way = -3_000_000;
-    for k in 0..100_i64 {
-        let (feed, over) = (100 + k / 2, 100 + k % 40);
-        programmed.push(feed);
-        percent.push(over);
-        actual.push((feed * over + 50) / 100 + noisy(1));
-        way += feed * over;
-        depth.push((way + 300).div_euclid(600));
-        let (force, moment) = (k * (100 - k) / 4 + noisy(6), 500 + k * 3 + noisy(9));
-        thrust.push(force);
-        torque.push(moment);
-        feed_load.push(force / 4 + noisy(1));
-        spindle_load.push(moment / 3 + noisy(1));
-    }
-    let channels = vec![
-        (Channel::DepthMm, decimal(3, depth)),
-        (Channel::FeedProgrammedMmMin, decimal(0, programmed)),
-        (Channel::FeedActualMmMin, decimal(0, actual)),
-        (Channel::OverridePercent, decimal(0, percent)),
-        (Channel::FeedDriveLoadPercent, decimal(1, feed_load)),
-        (Channel::SpindleLoadPercent, decimal(1, spindle_load)),
-        (Channel::ThrustNewtons, decimal(0, thrust)),
-        (Channel::TorqueNewtonMetres, decimal(2, torque)),
-    ];
-    Columns { len: 100, time: Time::Period(10.0_f64.to_bits()), channels }
-}
-
 #[test]
 fn the_bytes_of_what_follows_are_fixed_for_ever() {
-    let whole = drilled();
+    let whole = drilled(100, 7);
     let bytes = encode_columns(&whole);
     assert_eq!(
         hex(&bytes),
-        "464205640800000000000000244001031f00f4b403ed4d10020014c8011203001f00c8011e040010c8012006011b09c0fe01001e07011f0aa8d602c8021e090024072c0a0215d8072947e21b002bff3f1703280b7b579bcd8ab42c382d4193285dbd49cba942cb145a74da2f8c6163091d2f59171a541a931ff2b9126df60e700569b560746e3691d49994c5c15d955708c0d19ce8c3f9cc0a35a4823370c13bb1a4f35e56695cc3f3cb5191a121cafe4013cca25030a724c7072c166bbf0627fe2a581e78a18a37ea089c3d9bee7a35b635d3a5cbd510b59b07d135b88dbfe38cc9750661dfd80a1291d56d89baf0c67ec813adfdaff8235d0bff54e14d38bbe4c1ef4abd35198604e111bd3d33287043a3de1792f4d926197acd60e33b5a91e164cb1c3e59c63a91a3feec3a9b55a1d57e79b9479d7b5d535721bc900427314195016463"
+        "464205640800000000000000244001031f00f4b403ed4d10020014c8011203001f00c8011e040010c8012006011a09d4ef01001e07011f0aa8d602c8021e09001507280a0215d80729a9c30f00b13f01006c3ff0dbd5fcbf9b13eb28dde4ba73733d4aa6eab609c86aa87ac40c9a4a5933e1a8fd595ddad789cc1f23a49542c7b9cba71752f564ba79f989d21b6d00d5322f0b541786f33217ba05bcf652a1154ad004f77a2283dabe5ea77ff35a3e513e56ba324b41df198a5bddffb18763b1d5d7caf39c23e5afdc15334d6dda60b606088190af285abdad920791ab2811a35d90e4661a2b2c25dcaca0cedbd5153af22aa9aa23ee1e60f6b428496bdb1ebf3fb5d9ef716da4a921f3dafaf41298b9190771ca476b44421ded01c8b41c3e59c63a91a3feec3a9b55a1d57e79b9479d7b5d535721bc90510a3324823ba119"
     );
     assert_eq!(decode_columns(&bytes, 100).unwrap(), whole);
     let body = &bytes[..bytes.len() - CHECKSUM];
