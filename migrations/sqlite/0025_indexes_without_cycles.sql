@@ -1,6 +1,6 @@
--- Indexes over time no longer hold the ids of cycles, nor of machines where those do not part equal times: they were a third of
--- each. Cycles of one time are put in their order when they are read, as those of a machine, of an operation and of all were before: what orders them,
--- their count at the machine, was in none of these indexes. That of tools, which gives the order of the fold, keeps it.
+-- Indexes over time no longer hold the ids of cycles, nor of machines where those do not part equal times. Cycles of one time are
+-- put in their order when they are read, as those of a machine, of an operation and of all were before: what orders them, their count at the
+-- machine, was in none of these indexes. That of tools, which gives the order of the fold, keeps it.
 
 DROP INDEX cycles_by_tool;
 DROP INDEX cycles_by_operation;

@@ -24,6 +24,8 @@ pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
     tool_json,
 };
+#[cfg(test)]
+pub(crate) use saved::MOST_BLOCK_BYTES;
 pub(crate) use saved::{ADVICE_HASH_BYTES, AlarmChange, BlockRow, IssuedRow, Rest, SavedWear};
 pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
 

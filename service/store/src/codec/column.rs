@@ -50,6 +50,14 @@ impl Column {
         Self::Exact(values.iter().map(|value| value.to_bits()).collect())
     }
 
+    /// The integers, with their scale, where it is a column of decimals.
+    pub(super) fn decimals(&self) -> Option<(&[i64], u8)> {
+        match self {
+            Self::Decimal { scale, values } => Some((values, *scale)),
+            Self::Exact(_) => None,
+        }
+    }
+
     /// The values.
     pub fn into_values(self) -> Vec<f64> {
         match self {

@@ -126,6 +126,17 @@ enum Way {
     Guided(Following),
 }
 
+impl Way {
+    /// Puts values back together behind the first, with what a guide has said of them, if there is one; `None` where a residual
+    /// is missing.
+    fn restore<R: Residuals>(self, said: &[i64], values: &mut [i64], reader: R) -> Option<R> {
+        match self {
+            Self::Alone(predictor) => predictor.restore(values, reader),
+            Self::Guided(following) => following.restore(said, values, reader),
+        }
+    }
+}
+
 impl ResidualsWriter {
     fn new(values: usize) -> Self {
         // Most take a few bits.
@@ -334,16 +345,15 @@ impl Pending {
         // `len` is within the reader's limit.
         let mut values = vec![0; len];
         *values.first_mut().ok_or("no values")? = coded.first;
-        let way = match coded.way {
-            Way::Alone(predictor) => Restored::Alone(predictor),
+        let said = match coded.way {
+            Way::Alone(_) => Vec::new(),
             Way::Guided(following) => {
-                let said = following.guide.says(there, scale).ok_or("what a column follows is not there")?;
-                Restored::Guided(following, said)
+                following.guide.says(there, scale).ok_or("what a column follows is not there")?
             }
         };
         match coded.law {
             None => {
-                way.restore(&mut values, Zeros).ok_or("a column ends early")?;
+                coded.way.restore(&said, &mut values, Zeros).ok_or("a column ends early")?;
             }
             Some((law, level)) => {
                 let begun = match *coder {
@@ -351,26 +361,11 @@ impl Pending {
                     None => ans::Reader::new(std::mem::take(&mut input.0)).ok_or("residuals are missing")?,
                 };
                 let reader = NoiseReader::new(begun, law, level).ok_or("unknown mean")?;
-                let reader = way.restore(&mut values, reader).ok_or("a column ends early")?;
+                let reader = coded.way.restore(&said, &mut values, reader).ok_or("a column ends early")?;
                 *coder = Some(reader.coder);
             }
         }
         Ok(Column::Decimal { scale, values })
-    }
-}
-
-/// A [`Way`], with what the guide says.
-enum Restored {
-    Alone(Predictor),
-    Guided(Following, Vec<i64>),
-}
-
-impl Restored {
-    fn restore<R: Residuals>(&self, values: &mut [i64], reader: R) -> Option<R> {
-        match self {
-            Self::Alone(predictor) => predictor.restore(values, reader),
-            Self::Guided(following, said) => following.restore(said, values, reader),
-        }
     }
 }
 

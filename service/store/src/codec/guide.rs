@@ -113,10 +113,7 @@ impl Guide {
         column: impl Fn(Channel) -> Option<&'c Column>,
         scale: u8,
     ) -> Option<Vec<i64>> {
-        let decimals = |channel| match column(channel)? {
-            Column::Decimal { scale, values } => Some((values.as_slice(), *scale)),
-            Column::Exact(_) => None,
-        };
+        let decimals = |channel| column(channel)?.decimals();
         match self {
             Self::Command => Command::of(decimals)?.in_units_of(scale),
             Self::Travel { feed: None, factor } => Some(travel(Command::of(decimals)?.products(), factor)),
@@ -264,10 +261,10 @@ pub(super) fn choose(columns: &Columns) -> Vec<Option<Guided>> {
     let column =
         |wanted| columns.channels.iter().find_map(|(channel, column)| (*channel == wanted).then_some(column));
     let one = |(channel, followed): &(Channel, Column)| {
-        let Column::Decimal { scale, values } = followed else { return None };
-        let may = guides(*channel, (values, *scale), &columns.time, column).into_iter().flatten();
+        let (values, scale) = followed.decimals().filter(|_| columns.len >= FEWEST)?;
+        let may = guides(*channel, (values, scale), &columns.time, column).into_iter().flatten();
         let known = may.filter_map(|guide| {
-            let offs = offs(guide.says(column, *scale)?, values)?;
+            let offs = offs(guide.says(column, scale)?, values)?;
             let walk = Walk::of(&offs);
             Some((guide, offs, walk))
         });
@@ -276,7 +273,7 @@ pub(super) fn choose(columns: &Columns) -> Vec<Option<Guided>> {
         let guided = Guided { following, residuals: following.residuals(&offs) };
         guided.pays(values).then_some(guided)
     };
-    columns.channels.iter().map(|pair| one(pair).filter(|_| columns.len >= FEWEST)).collect()
+    columns.channels.iter().map(one).collect()
 }
 
 /// What a column may follow.
@@ -286,10 +283,7 @@ fn guides<'c>(
     time: &Time,
     column: impl Fn(Channel) -> Option<&'c Column>,
 ) -> [Option<Guide>; 2] {
-    let decimals = |channel| match column(channel)? {
-        Column::Decimal { scale, values } => Some((values.as_slice(), *scale)),
-        Column::Exact(_) => None,
-    };
+    let decimals = |channel| column(channel)?.decimals();
     match (channel, time) {
         (Channel::FeedActualMmMin, _) => [Some(Guide::Command), None],
         (Channel::DepthMm, Time::Period(period_ms)) => {
@@ -341,11 +335,11 @@ fn whole(factor: f64) -> Option<i64> {
 
 impl Guided {
     /// Whether the column is not predicted as well by itself. Some bytes are written for a guide: a sixteenth of the size of
-    /// residuals is a tenth of a bit of each.
+    /// residuals is a tenth of a bit of each. What never surprises needs none.
     fn pays(&self, values: &[i64]) -> bool {
         let cost: u64 = self.residuals.iter().map(|residual| residual.unsigned_abs()).sum();
         let (_, (alone, tried)) = Predictor::best(values, TRIED / 2);
-        u128::from(cost) * 16 * tried as u128 <= u128::from(alone) * 15 * self.residuals.len() as u128
+        u128::from(cost) * 16 * (tried as u128) < u128::from(alone) * 15 * self.residuals.len() as u128
     }
 }
 
@@ -527,6 +521,14 @@ pub(super) mod tests {
         ];
         let mut columns = Columns { len: 200, time: Time::Period(10.0_f64.to_bits()), channels };
         assert_eq!(guides_of(&columns), []);
+        // Nor where nothing surprises: what is steady by itself needs nobody.
+        let steady = [
+            (Channel::FeedProgrammedMmMin, decimal(0, vec![100; 200])),
+            (Channel::FeedActualMmMin, decimal(0, vec![100; 200])),
+            (Channel::OverridePercent, decimal(0, vec![100; 200])),
+        ];
+        let steady = Columns { len: 200, time: Time::Period(10.0_f64.to_bits()), channels: steady.to_vec() };
+        assert_eq!(guides_of(&steady), []);
         // Nor by times, nor where there are few values, nor where they are too large to be multiplied.
         columns = drilled(400, 7);
         columns.time = Time::Stamps(decimal(0, (0..400).collect()));

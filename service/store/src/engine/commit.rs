@@ -152,7 +152,7 @@ async fn place_all<'a>(
         // Of two with one key in one group the first is the one that is stored.
         if let Entry::Vacant(first) = rows.entry((&cycle.machine, &cycle.id)) {
             let summary = summary_of(new, registry)?;
-            first.insert((index, Arc::new(CycleRow::of(new, &summary)?), summary));
+            first.insert((index, Arc::new(CycleRow::of(new, &summary)?.in_range()?), summary));
         }
     }
     let keyed: Vec<Arc<CycleRow>> = rows.values().map(|(_, row, _)| Arc::clone(row)).collect();
@@ -167,12 +167,8 @@ async fn place_all<'a>(
     let fresh: Vec<_> = rows.into_values().filter(|(_, row, _)| is_new(row)).collect();
     let mut blocks = Vec::with_capacity(fresh.len());
     for (index, row, _) in &fresh {
-        blocks.extend(group[*index].encoded.samples.as_deref().map(|block| BlockRow {
-            machine_id: row.machine_id.clone(),
-            received_at_us: row.received_at_us,
-            cycle_id: row.cycle_id.clone(),
-            block,
-        }));
+        let block = group[*index].encoded.samples.as_deref();
+        blocks.extend(block.map(|block| BlockRow::of(row, block)).transpose()?);
     }
     for (index, _, _) in &fresh {
         if let Some(cut) = CutRow::of(&group[*index].cycle)? {

@@ -1,6 +1,6 @@
 //! Rows that a group writes many of at once.
 
-use super::{AdviceBody, count, float};
+use super::{AdviceBody, CycleRow, count, float};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{AlarmKind, IssuedRecommendation};
 use feedwright_core::ids::{MachineId, ToolId};
@@ -32,6 +32,24 @@ pub(crate) struct BlockRow<'a> {
     pub(crate) received_at_us: i64,
     pub(crate) cycle_id: String,
     pub(crate) block: &'a [u8],
+}
+
+/// Longest block that is kept, bytes. The tables are checked against the same.
+pub(crate) const MOST_BLOCK_BYTES: usize = 256 << 20;
+
+impl<'a> BlockRow<'a> {
+    /// Refuses a block that is empty or too long.
+    pub(crate) fn of(cycle: &CycleRow, block: &'a [u8]) -> StoreResult<Self> {
+        if !(1..=MOST_BLOCK_BYTES).contains(&block.len()) {
+            return Err(StoreError::Refused { constraint: "cycle_samples_block_length".to_owned() });
+        }
+        Ok(Self {
+            machine_id: cycle.machine_id.clone(),
+            received_at_us: cycle.received_at_us,
+            cycle_id: cycle.cycle_id.clone(),
+            block,
+        })
+    }
 }
 
 /// A change of the table `alarms`.
@@ -129,8 +147,7 @@ pub(crate) struct IssuedRow {
 const MOST_LEVEL: f64 = 1_000_000.0;
 
 /// A number of a level on its way into its column.
-fn level_number(column: &str, value: f64) -> StoreResult<f64> {
-    let least = if column == "level_sd" { 0.0 } else { -MOST_LEVEL };
+fn level_number(column: &str, least: f64, value: f64) -> StoreResult<f64> {
     let value = float(column, value)?;
     if (least..=MOST_LEVEL).contains(&value) { Ok(value) } else { Err(out_of_range(column)) }
 }
@@ -153,8 +170,9 @@ impl IssuedRow {
         let mut advice_hash = [0; ADVICE_HASH_BYTES];
         advice_hash.copy_from_slice(&blake3::hash(advice.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
         let level = recommendation.level.as_ref();
-        let level_float =
-            |name, part: fn(&Level) -> f64| level.map(|level| level_number(name, part(level))).transpose();
+        let level_float = |name, part: fn(&Level) -> f64| {
+            level.map(|level| level_number(name, -MOST_LEVEL, part(level))).transpose()
+        };
         let sd = level.and_then(|level| level.sd);
         let remaining = recommendation.remaining.as_ref();
         let remaining_count = |name, part: fn(&Remaining) -> u64| {
@@ -180,10 +198,48 @@ impl IssuedRow {
             data_age_ms: recommendation.data_age_ms,
             level_decides: level.and_then(|level| level.decides).map(LevelBasis::as_str),
             level_value: level_float("level_value", |level| level.value)?,
-            level_sd: sd.map(|sd| level_number("level_sd", sd)).transpose()?,
+            level_sd: sd.map(|sd| level_number("level_sd", 0.0, sd)).transpose()?,
             machine_id: recommendation.machine.as_str().to_owned(),
             operation_id: recommendation.operation.as_str().to_owned(),
             tool_id: recommendation.tool.as_str().to_owned(),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_is_neither_empty_nor_too_long() {
+        let cycle = CycleRow::default();
+        // Zeros that nobody looks at take no memory.
+        let longest = vec![0; MOST_BLOCK_BYTES + 1];
+        for (block, fits) in
+            [(&longest[..0], false), (&longest[..1], true), (&longest[1..], true), (&longest[..], false)]
+        {
+            match BlockRow::of(&cycle, block) {
+                Ok(_) => assert!(fits, "{}", block.len()),
+                Err(StoreError::Refused { constraint }) if !fits => {
+                    assert_eq!(constraint, "cycle_samples_block_length");
+                }
+                Err(other) => panic!("{}: {other:?}", block.len()),
+            }
+        }
+    }
+
+    #[test]
+    fn a_number_of_a_level_is_in_its_range() {
+        for (least, value, fits) in [
+            (-MOST_LEVEL, -MOST_LEVEL, true),
+            (-MOST_LEVEL, MOST_LEVEL, true),
+            (-MOST_LEVEL, MOST_LEVEL.next_up(), false),
+            (-MOST_LEVEL, -MOST_LEVEL.next_up(), false),
+            (0.0, -0.0, true),
+            (0.0, -1e-9, false),
+            (0.0, f64::NAN, false),
+        ] {
+            assert_eq!(level_number("level_sd", least, value).is_ok(), fits, "{least} {value}");
+        }
     }
 }

@@ -127,8 +127,15 @@ fn what_sqlite_has_rolled_back_is_run_again() {
     assert_eq!(given.found(), ["alone", "first", "second", "third", "fourth"]);
 }
 
+/// A column with its least and its largest number.
+type Range = (String, f64, f64);
+
+fn by_column(a: &Range, b: &Range) -> std::cmp::Ordering {
+    a.0.cmp(&b.0)
+}
+
 /// What a table is checked against: `CONSTRAINT name CHECK (column BETWEEN least AND most)`, and the names of other checks.
-fn checks(conn: &Connection, table: &str) -> (Vec<(String, f64, f64)>, Vec<String>) {
+fn checks(conn: &Connection, table: &str) -> (Vec<Range>, Vec<String>) {
     let sql: String = conn
         .query_row("SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = ?", [table], |row| {
             row.get(0)
@@ -150,6 +157,7 @@ fn checks(conn: &Connection, table: &str) -> (Vec<(String, f64, f64)>, Vec<Strin
             other => panic!("no check: {other:?}"),
         }
     }
+    ranges.sort_by(by_column);
     others.sort_unstable();
     (ranges, others)
 }
@@ -164,13 +172,12 @@ fn what_tables_are_checked_against_is_held_before() {
         writer.conn.query_row("PRAGMA ignore_check_constraints", (), |row| row.get(0)).unwrap();
     assert!(is_ignored);
     let number = |text: &str| text.replace(['_', ' '], "").parse::<f64>().unwrap();
-    let (mut ranges, others) = checks(&writer.conn, "cycles");
-    let mut held: Vec<(String, f64, f64)> = crate::rows::CYCLE_RANGES
+    let (ranges, others) = checks(&writer.conn, "cycles");
+    let mut held: Vec<Range> = crate::rows::CYCLE_RANGES
         .iter()
         .map(|(column, least, most)| ((*column).to_owned(), number(least), number(most)))
         .collect();
-    ranges.sort_by(|a, b| a.0.cmp(&b.0));
-    held.sort_by(|a, b| a.0.cmp(&b.0));
+    held.sort_by(by_column);
     assert_eq!(ranges, held);
     // By the types of a cycle's fields, but for the count of quantities, which its row counts.
     let by_type = [
@@ -196,9 +203,7 @@ fn what_tables_are_checked_against_is_held_before() {
     let level = ["as_run", "highest", "lowest", "value"].map(|part| (format!("level_{part}"), -1e6, 1e6));
     let counts = ["n", "window"].map(|part| (format!("level_{part}"), 0.0, f64::from(u32::MAX)));
     let mut held = [level.to_vec(), counts.to_vec(), vec![("level_sd".to_owned(), 0.0, 1e6)]].concat();
-    held.sort_by(|a, b| a.0.cmp(&b.0));
-    let mut ranges = ranges;
-    ranges.sort_by(|a, b| a.0.cmp(&b.0));
+    held.sort_by(by_column);
     assert_eq!(ranges, held);
     let by_type = [
         "recommendations_data_age_ms_range",
@@ -215,6 +220,10 @@ fn what_tables_are_checked_against_is_held_before() {
     ];
     assert_eq!(others, by_type);
 
+    let block = format!("CHECK (length(block) BETWEEN 1 AND {})", crate::rows::MOST_BLOCK_BYTES);
+    let samples = "SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = 'cycle_samples'";
+    let samples: String = writer.conn.query_row(samples, (), |row| row.get(0)).unwrap();
+    assert!(samples.contains(&block), "{samples}");
     for (table, by_type) in [
         ("cycle_samples", vec!["cycle_samples_block_length"]),
         ("advices", vec!["advices_advice_hash_length"]),
@@ -236,7 +245,7 @@ fn what_tables_are_checked_against_is_held_before() {
         // Counts that begin at 1 or 0 and go up by one.
         let counts: Vec<&str> = ranges.iter().map(|(column, ..)| column.as_str()).collect();
         let expected: &[&str] =
-            if table == "tool_wear" { &["folded", "fold_version", "version"] } else { &[] };
+            if table == "tool_wear" { &["fold_version", "folded", "version"] } else { &[] };
         assert_eq!(counts, expected, "{table}");
     }
 }
