@@ -16,6 +16,7 @@ pub mod extract;
 pub mod negotiate;
 pub mod openapi;
 pub mod precondition;
+pub mod prefer;
 pub mod problem;
 pub mod recommendations;
 pub mod routes;

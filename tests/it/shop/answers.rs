@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 crate::engines::on_both!(
     a_cycle_is_answered_with_its_summary_the_wear_and_what_to_run_next,
     the_same_cycle_again_is_known_and_another_content_a_conflict_that_loses_nothing,
+    who_prefers_a_minimal_answer_is_told_what_to_run_next,
     a_batch_answers_every_line_and_a_bad_one_fails_alone,
     gzip_and_zstd_bodies_are_the_same_cycle,
     a_cycle_and_its_samples_can_be_read_back_and_listed,
@@ -67,6 +68,33 @@ async fn the_same_cycle_again_is_known_and_another_content_a_conflict_that_loses
     assert!(kept.text.contains("1001"), "{}", kept.text);
     // The same id on another machine is another cycle.
     assert_eq!(shop.cycle("M2", &reported(1, 1001.0)).await.status, 201);
+}
+
+async fn who_prefers_a_minimal_answer_is_told_what_to_run_next() {
+    let shop = Shop::open().await;
+    let post = async |cycle: &Value, preferred: &str| {
+        let request = shop.client.post(shop.url("/v1/machines/M1/cycles")).json(cycle);
+        shop.send(request.header("prefer", preferred)).await
+    };
+    let cycle = sampled(1);
+    for (status, word) in [(201, "stored"), (200, "known")] {
+        let minimal = post(&cycle, "wait=10, return=minimal").await;
+        assert_eq!((minimal.status, &minimal.body["status"]), (status, &json!(word)), "{}", minimal.text);
+        assert_eq!(minimal.headers["preference-applied"], "return=minimal");
+        let told: Vec<&String> = minimal.body.as_object().unwrap().keys().collect();
+        assert_eq!(told, ["cycle_id", "machine", "received_at", "recommendation", "registered", "status"]);
+        let advice = &minimal.body["recommendation"];
+        let kept = shop.get(&format!("/v1/recommendations/{}", advice["id"].as_str().unwrap())).await;
+        assert_eq!((kept.status, &kept.body), (200, advice));
+    }
+    let whole = post(&cycle, "return=representation").await;
+    assert!(!whole.headers.contains_key("preference-applied"));
+    assert_eq!(whole.body["wear"]["state"], "learning");
+    assert_eq!(whole.body["summary"]["sample_count"], 400);
+    // What is refused is told as ever.
+    let refused = post(&json!({"cycle_id": "c2"}), "return=minimal").await;
+    assert_eq!((refused.status, &refused.body["code"]), (422, &json!("missing_field")), "{}", refused.text);
+    assert!(!refused.headers.contains_key("preference-applied"));
 }
 
 async fn a_batch_answers_every_line_and_a_bad_one_fails_alone() {

@@ -325,10 +325,13 @@ fields!(ToolFold {
     feeds,
 });
 
+/// Most states are shorter once a baseline is learnt: they are written without asking for more room on the way.
+const USUAL_BYTES: usize = 6 * 1024;
+
 impl ToolFold {
     /// The state as bytes, for the store's cache.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let mut out = Vec::with_capacity(1024);
+        let mut out = Vec::with_capacity(USUAL_BYTES);
         FOLD_VERSION.put(&mut out);
         self.put(&mut out);
         out

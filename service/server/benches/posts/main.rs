@@ -33,7 +33,7 @@ const CYCLES: usize = 4_000;
 const CLIENTS: usize = data::MACHINES;
 /// Cycles of the latency round: one client, one cycle a request.
 const ALONE: usize = 500;
-/// Rounds whose median is printed.
+/// Rounds whose median is printed, unless `--rounds` gives another number.
 const ROUNDS: usize = 5;
 
 /// What one system did in one round.
@@ -60,16 +60,23 @@ struct Round {
 enum System {
     Json,
     Binary,
+    JsonMinimal,
+    BinaryMinimal,
     VictoriaMetrics,
     InfluxDb,
     PostgresRows,
 }
 
 impl System {
+    /// Ours, JSON and binary form as they come first.
+    const OURS: [Self; 4] = [Self::Json, Self::Binary, Self::JsonMinimal, Self::BinaryMinimal];
+
     const fn name(self) -> &'static str {
         match self {
             Self::Json => "feedwright",
             Self::Binary => "feedwright, binary form",
+            Self::JsonMinimal => "feedwright, minimal answers",
+            Self::BinaryMinimal => "feedwright, binary form, minimal answers",
             Self::VictoriaMetrics => "victoria-metrics",
             Self::InfluxDb => "influxdb",
             Self::PostgresRows => "postgresql, a row per sample",
@@ -98,12 +105,15 @@ fn main() {
         let cycles = arguments.get(at + 1).and_then(|text| text.parse().ok());
         return runtime.block_on(growth::grow(cycles.expect("--growth CYCLES")));
     }
+    let count_of = |at: usize| arguments.get(at + 1).and_then(|text| text.parse().ok());
+    let repeated: usize = given("--rounds").map_or(ROUNDS, |at| count_of(at).expect("--rounds NUMBER"));
+    assert!(repeated > 0, "--rounds 0 measures nothing");
     let cycles = Arc::new(data::cycles(CYCLES + ALONE));
     let values: usize = cycles[..CYCLES].iter().map(Cycle::values).sum();
     println!(
-        "{CYCLES} cycles, {values} values, {CLIENTS} clients; {ALONE} cycles alone; {ROUNDS} rounds, median (min–max)"
+        "{CYCLES} cycles, {values} values, {CLIENTS} clients; {ALONE} cycles alone; {repeated} rounds, median (min–max)"
     );
-    let mut systems = vec![System::Json, System::Binary];
+    let mut systems = System::OURS.to_vec();
     if given("--peers").is_some() {
         systems.extend([System::VictoriaMetrics, System::InfluxDb]);
         if std::env::var_os("FEEDWRIGHT_TEST_POSTGRES").is_some() {
@@ -113,11 +123,13 @@ fn main() {
     let mut rounds: Vec<(System, Vec<Round>)> =
         systems.into_iter().map(|system| (system, Vec::new())).collect();
     // Round by round, not system by system: what drifts on the machine drifts for all of them.
-    for _ in 0..ROUNDS {
+    for _ in 0..repeated {
         for (system, done) in &mut rounds {
             let round = match system {
-                System::Json => runtime.block_on(feedwright(&cycles, &JSON)),
-                System::Binary => runtime.block_on(feedwright(&cycles, &BINARY)),
+                System::Json => runtime.block_on(feedwright(&cycles, &JSON, WHOLE)),
+                System::Binary => runtime.block_on(feedwright(&cycles, &BINARY, WHOLE)),
+                System::JsonMinimal => runtime.block_on(feedwright(&cycles, &JSON, MINIMAL)),
+                System::BinaryMinimal => runtime.block_on(feedwright(&cycles, &BINARY, MINIMAL)),
                 System::VictoriaMetrics => runtime.block_on(peers::victoria_metrics(&cycles)),
                 System::InfluxDb => runtime.block_on(peers::influxdb(&cycles)),
                 // On one thread, as the client of the others while they are read.
@@ -136,8 +148,8 @@ fn main() {
         show("  resident MiB", done, |round| round.resident / f64::from(1 << 20));
         show("  bytes per value on disk", done, |round| round.bytes_per_value);
     }
-    for ours in 0..2 {
-        for (system, theirs) in &rounds[2..] {
+    for ours in 0..System::OURS.len() {
+        for (system, theirs) in &rounds[System::OURS.len()..] {
             println!("\n{} × {}, pair by pair", rounds[ours].0.name(), system.name());
             for (what, of) in [
                 (
@@ -181,8 +193,12 @@ struct Form {
 const JSON: Form = Form { media_type: "application/json", body: |cycle| cycle.json().into_bytes() };
 const BINARY: Form = Form { media_type: feedwright_store::wire::MEDIA_TYPE, body: Cycle::frame };
 
+/// How much of an answer is preferred.
+const WHOLE: &str = "return=representation";
+const MINIMAL: &str = "return=minimal";
+
 /// One round of Feedwright: a server of its own on SQLite, everything switched on.
-async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
+async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form, prefer: &'static str) -> Round {
     let dir = tempfile::tempdir().expect("a directory");
     let server = Running::feedwright(dir.path()).await;
     let client = reqwest::Client::new();
@@ -197,7 +213,7 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
             loop {
                 let index = next.fetch_add(1, Ordering::Relaxed);
                 let Some(cycle) = cycles[..CYCLES].get(index) else { return };
-                post(&client, &address, &token, cycle, media_type, bodies[index].clone()).await;
+                post(&client, &address, &token, cycle, (media_type, prefer), bodies[index].clone()).await;
             }
         })
     });
@@ -206,7 +222,10 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form) -> Round {
     }
     let spent = rest(&server, dir.path()).await - cpu;
     let group = mean_group(&client, &server).await;
-    let headers = format!("authorization: Bearer {}\r\ncontent-type: {}\r\n", server.token, form.media_type);
+    let headers = format!(
+        "authorization: Bearer {}\r\ncontent-type: {}\r\nprefer: {prefer}\r\n",
+        server.token, form.media_type
+    );
     let mut lone = Lone::connect(&server.address, &headers);
     let mut alone = Vec::with_capacity(ALONE);
     for (cycle, body) in cycles.iter().zip(bodies.iter()).skip(CYCLES) {
@@ -245,12 +264,12 @@ async fn post(
     address: &str,
     token: &str,
     cycle: &Cycle,
-    media_type: &str,
+    (media_type, prefer): (&str, &str),
     body: Vec<u8>,
 ) {
     let url = format!("{address}/v1/machines/{}/cycles", cycle.machine);
     let request = client.post(url).bearer_auth(token).header("content-type", media_type);
-    let answer = request.body(body).send().await.expect("an answer");
+    let answer = request.header("prefer", prefer).body(body).send().await.expect("an answer");
     assert_eq!(answer.status().as_u16(), 201, "{:?}", answer.text().await);
     answer.bytes().await.expect("a whole answer");
 }

@@ -2,7 +2,7 @@
 
 use super::data::{self, Cycle, MORNING_MS};
 use super::process::Running;
-use super::{median, post};
+use super::{WHOLE, median, post};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -140,7 +140,7 @@ async fn live(
                     templates[at % templates.len()].again(&machine, format!("{prefix}-{at:05}"), started);
                 let body = cycle.json().into_bytes();
                 let begun = Instant::now();
-                post(&client, &address, &token, &cycle, "application/json", body).await;
+                post(&client, &address, &token, &cycle, ("application/json", WHOLE), body).await;
                 times.push(begun.elapsed());
             }
             times

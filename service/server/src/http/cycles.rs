@@ -4,6 +4,7 @@ use super::body::{media_type, read, unsupported};
 use super::cursor::{List, Paging};
 use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost};
 use super::extract::{PathId, Query};
+use super::prefer::Return;
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
 use crate::ingest::body::{cycle_id_of, is_frame};
@@ -31,7 +32,9 @@ const USUAL_ANSWER_BYTES: usize = 6 * 1024;
 /// Posts one cycle. The answer comes after its durable commit.
 #[utoipa::path(
     post, path = "/v1/machines/{machine}/cycles", tag = "cycles",
-    params(("machine" = String, Path, description = "The machine that ran it")),
+    params(("machine" = String, Path, description = "The machine that ran it"),
+        ("Prefer" = Option<String>, Header, example = "return=minimal",
+            description = "`return=minimal` (RFC 7240) leaves `summary` and `wear` out of the answer, and is told by `Preference-Applied`")),
     request_body(content((CyclePost = "application/json"), (String = "application/vnd.feedwright.cycle")),
         description = "One cycle, as JSON or in the binary form; `Content-Encoding: gzip` and `zstd` are accepted"),
     responses(
@@ -51,6 +54,7 @@ const USUAL_ANSWER_BYTES: usize = 6 * 1024;
 pub async fn post_cycle(
     State(state): State<AppState>,
     PathId(machine): PathId<MachineId>,
+    preferred: Return,
     request: Request,
 ) -> Result<Response, Problem> {
     let body = decoded_body(&state, request, "application/json").await.and_then(|(form, body)| {
@@ -69,9 +73,12 @@ pub async fn post_cycle(
         state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))??;
     let status = if accepted.new { StatusCode::CREATED } else { StatusCode::OK };
     let mut json = Vec::with_capacity(USUAL_ANSWER_BYTES);
-    serde_json::to_writer(&mut json, &CycleAnswerBody::of(&accepted))
-        .map_err(|error| Problem::internal(error.to_string()))?;
-    Ok((status, [(header::CONTENT_TYPE, "application/json")], json).into_response())
+    let answer = match preferred {
+        Return::Representation => CycleAnswerBody::of(&accepted),
+        Return::Minimal => CycleAnswerBody::minimal(&accepted),
+    };
+    serde_json::to_writer(&mut json, &answer).map_err(|error| Problem::internal(error.to_string()))?;
+    Ok((status, [(header::CONTENT_TYPE, "application/json")], preferred.applied(), json).into_response())
 }
 
 /// Posts many cycles, a JSON document per line or a binary frame after the other; an outcome per line is answered.

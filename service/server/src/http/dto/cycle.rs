@@ -171,17 +171,31 @@ pub struct CycleAnswerBody<'a> {
     pub received_at: String,
     /// Whether its tool and operation are registered; if not, it is kept and counted once they are.
     pub registered: bool,
-    /// Its summary.
-    pub summary: SummaryBody,
-    /// How worn its tool is now.
-    pub wear: WearBody<'a>,
+    /// Its summary; left out where `Prefer: return=minimal` was sent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub summary: Option<SummaryBody>,
+    /// How worn its tool is now; left out where `Prefer: return=minimal` was sent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub wear: Option<WearBody<'a>>,
     /// What to run next.
     pub recommendation: RecommendationBody<'a>,
 }
 
 impl<'a> CycleAnswerBody<'a> {
-    /// The answer to a cycle that was accepted.
+    /// All of the answer to a cycle that was accepted.
     pub fn of(accepted: &'a Accepted) -> Self {
+        let answer = &accepted.answer;
+        Self {
+            summary: Some((&answer.summary).into()),
+            wear: Some((&*answer.verdict).into()),
+            ..Self::minimal(accepted)
+        }
+    }
+
+    /// What its machine acts on: that it is stored, and what to run next.
+    pub fn minimal(accepted: &'a Accepted) -> Self {
         let answer = &accepted.answer;
         Self {
             status: if accepted.new { "stored" } else { "known" },
@@ -189,8 +203,8 @@ impl<'a> CycleAnswerBody<'a> {
             cycle_id: accepted.cycle.id.as_str().into(),
             received_at: time::show(answer.received_at),
             registered: answer.registered,
-            summary: (&answer.summary).into(),
-            wear: (&*answer.verdict).into(),
+            summary: None,
+            wear: None,
             recommendation: (&answer.recommendation).into(),
         }
     }
