@@ -96,7 +96,8 @@ impl Writer {
         Self { states: [LOWEST; 2], words: Vec::with_capacity(words) }
     }
 
-    /// Writes symbols before those that were written.
+    /// Writes symbols before those that were written. A function of its own, so that all it goes by is in registers.
+    #[inline(never)]
     pub(super) fn put_before(&mut self, symbols: &[Symbol]) {
         let begins = self.words.len();
         // Each of them writes a word at the most, and one more that does not count.
@@ -105,11 +106,16 @@ impl Writer {
         let [mut a, mut b] = self.states;
         let (first, pairs) = symbols.as_rchunks::<2>();
         for [earlier, later] in pairs.iter().rev() {
-            a = put(a, *later, words, &mut at);
-            b = put(b, *earlier, words, &mut at);
+            let (room, _) = words[at..].split_at_mut(2);
+            let (is_word, is_another);
+            (a, is_word) = put(a, *later, &mut room[0]);
+            (b, is_another) = put(b, *earlier, &mut room[usize::from(is_word)]);
+            at += usize::from(is_word) + usize::from(is_another);
         }
         for symbol in first {
-            (a, b) = (b, put(a, *symbol, words, &mut at));
+            let (state, is_word) = put(a, *symbol, &mut words[at]);
+            (a, b) = (b, state);
+            at += usize::from(is_word);
         }
         self.states = [a, b];
         self.words.truncate(begins + at);
@@ -128,19 +134,16 @@ impl Writer {
     }
 }
 
-/// The state after a symbol. A word is written each time, and once more where it was not needed: whether it is could not
-/// be foretold.
+/// The state after a symbol, and whether a word was written. It is each time, and once more where it was not needed: whether it
+/// is could not be foretold.
 #[inline(always)]
 #[expect(clippy::cast_possible_truncation, reason = "the lower half of a state, and quotients of 32 bits")]
-fn put(state: u32, symbol: Symbol, words: &mut [u16], at: &mut usize) -> u32 {
+fn put(state: u32, symbol: Symbol, word: &mut u16) -> (u32, bool) {
     let is_full = state >= symbol.limit;
-    if let Some(word) = words.get_mut(*at) {
-        *word = state as u16;
-    }
-    *at += usize::from(is_full);
+    *word = state as u16;
     let state = select_unpredictable(is_full, state >> WORD, state);
     let quotient = (u64::from(state) * u64::from(symbol.inverse)) >> (symbol.shift & 63);
-    state + u32::from(symbol.added) + quotient as u32 * u32::from(symbol.complement)
+    (state + u32::from(symbol.added) + quotient as u32 * u32::from(symbol.complement), is_full)
 }
 
 /// Reads what a [`Writer`] wrote.
@@ -232,10 +235,11 @@ mod tests {
         ) {
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2^12")]
             let start = (f64::from(WHOLE - share) * part) as u32;
-            let (mut plain, mut words, mut at) = (Vec::new(), [0; 1], 0);
+            let (mut plain, mut word) = (Vec::new(), 0);
             let expected = plainly(state, (start, share), &mut plain);
-            prop_assert_eq!(put(state, Symbol::new(start, share), &mut words, &mut at), expected);
-            prop_assert_eq!(&words[..at], plain);
+            let is_word = !plain.is_empty();
+            prop_assert_eq!(put(state, Symbol::new(start, share), &mut word), (expected, is_word));
+            prop_assert!(plain.iter().all(|plain| *plain == word));
             prop_assert!((LOWEST..1 << 31).contains(&expected));
         }
 

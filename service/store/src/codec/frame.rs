@@ -5,7 +5,7 @@ use super::column::{Column, Columns, MAX_SCALE, Time};
 use super::guide::{self, Following, Guide, Guided, MOST_MEMORY};
 use super::input::{Input, MAX_VARINT, put_varint};
 use super::noise::{self, Law, NoiseReader};
-use super::predict::{Predictor, Residuals, TRIED, unzigzag, zigzag};
+use super::predict::{Predictor, Residuals, tried, unzigzag, zigzag};
 use super::range::{RangeReader, Zeros};
 use super::rice::RiceReader;
 use crate::error::{StoreError, StoreResult};
@@ -151,7 +151,7 @@ impl ResidualsWriter {
         let (way, residuals) = match guided {
             Some(guided) => (Way::Guided(guided.following), &guided.residuals),
             None => {
-                let (predictor, _) = Predictor::best(values, TRIED);
+                let (predictor, _) = Predictor::best(values, tried(values.len()));
                 predictor.residuals(values, of_column);
                 (Way::Alone(predictor), &*of_column)
             }

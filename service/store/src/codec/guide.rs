@@ -6,7 +6,7 @@
 //! unit of the column, and so is how far it has been off of late: what is rounded away is predicted too.
 
 use super::column::{Column, Columns, Time};
-use super::predict::{Predictor, Residuals, TRIED};
+use super::predict::{Predictor, Residuals, tried};
 use feedwright_core::cycle::Channel;
 use std::ops::Range;
 
@@ -337,9 +337,12 @@ impl Guided {
     /// Whether the column is not predicted as well by itself. Some bytes are written for a guide: a sixteenth of the size of
     /// residuals is a tenth of a bit of each. What never surprises needs none.
     fn pays(&self, values: &[i64]) -> bool {
-        let cost: u64 = self.residuals.iter().map(|residual| residual.unsigned_abs()).sum();
-        let (_, (alone, tried)) = Predictor::best(values, TRIED / 2);
-        u128::from(cost) * 16 * (tried as u128) < u128::from(alone) * 15 * self.residuals.len() as u128
+        let few = || tried(values.len()).step_by(2);
+        let (_, alone) = Predictor::best(values, few());
+        // Of the same values, so that what nobody could foretell weighs the same on both sides.
+        let sizes = |places: Range<usize>| self.residuals[places.start - 1..places.end - 1].iter();
+        let guided: u64 = few().flat_map(sizes).map(|residual| residual.unsigned_abs()).sum();
+        u128::from(guided) * 16 < u128::from(alone) * 15
     }
 }
 
@@ -511,13 +514,24 @@ pub(super) mod tests {
     fn nobody_follows_what_says_nothing_of_it() {
         let mut state = 3;
         let noisy = |state: &mut u64, size| (0..200).map(|_| noise(state, size)).collect::<Vec<_>>();
+        // Around nothing, the memory of a guide that says nothing foretells more than any predictor does; a walk goes on from
+        // where it is.
+        let walk = |state: &mut u64| {
+            let steps = noisy(state, 50).into_iter();
+            steps
+                .scan(0, |at, step| {
+                    *at += step;
+                    Some(*at)
+                })
+                .collect::<Vec<i64>>()
+        };
         let channels = vec![
             (Channel::DepthMm, decimal(3, noisy(&mut state, 5))),
             (Channel::FeedProgrammedMmMin, decimal(0, vec![100; 200])),
             (Channel::FeedActualMmMin, decimal(0, (0..200).map(|k| k * k).collect())),
             (Channel::OverridePercent, Column::Exact(vec![0.1_f64.to_bits(); 200])),
-            (Channel::FeedDriveLoadPercent, decimal(1, noisy(&mut state, 50))),
-            (Channel::ThrustNewtons, decimal(0, noisy(&mut state, 50))),
+            (Channel::FeedDriveLoadPercent, decimal(1, walk(&mut state))),
+            (Channel::ThrustNewtons, decimal(0, walk(&mut state))),
         ];
         let mut columns = Columns { len: 200, time: Time::Period(10.0_f64.to_bits()), channels };
         assert_eq!(guides_of(&columns), []);

@@ -103,8 +103,8 @@ struct Tables {
 /// Where a table's symbols are.
 #[derive(Debug, Clone, Copy)]
 struct Table {
-    /// The first of them.
-    at: u32,
+    /// That of the residual 0.
+    middle: u32,
     reach: u32,
     /// Its number.
     number: u32,
@@ -156,11 +156,9 @@ impl Tables {
                     (0..shares.len()).map(|symbol| shares[..symbol].iter().sum()).collect();
                 let first = |part| starts.partition_point(|start| *start <= (part as u32) << PART) - 1;
                 first_of_part.push(std::array::from_fn(|part| first(part) as u8));
-                let table = Table {
-                    at: symbols.len() as u32,
-                    reach: (shares.len() / 2 - 1) as u32,
-                    number: (level - FIRST_LEVEL) as u32,
-                };
+                let reach = (shares.len() / 2 - 1) as u32;
+                let middle = symbols.len() as u32 + reach;
+                let table = Table { middle, reach, number: (level - FIRST_LEVEL) as u32 };
                 symbols.extend(starts.iter().zip(&shares).map(|(start, share)| Symbol::new(*start, *share)));
                 all_starts.extend(starts.iter().map(|start| *start as u16));
                 table
@@ -179,24 +177,23 @@ impl Tables {
     /// A table's symbol for a residual; `None` where that escapes.
     #[inline(always)]
     fn symbol(&self, table: Table, residual: i64) -> Option<Symbol> {
-        let place = residual.wrapping_add(i64::from(table.reach)).cast_unsigned();
-        if place > 2 * u64::from(table.reach) {
+        if residual.unsigned_abs() > u64::from(table.reach) {
             return None;
         }
-        #[expect(clippy::cast_possible_truncation, reason = "one of the table's")]
-        self.symbols.get(table.at as usize + place as usize).copied()
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "one of the table's")]
+        self.symbols.get((i64::from(table.middle) + residual) as usize).copied()
     }
 
     /// That for what escapes.
     fn escape(&self, table: Table) -> Symbol {
-        self.symbols[(table.at + 2 * table.reach + 1) as usize]
+        self.symbols[(table.middle + table.reach + 1) as usize]
     }
 
     /// The residual whose share a place lies in, the escape being beyond the reach, with where that share begins and ends.
     #[inline(always)]
     fn at(&self, table: Table, place: u32) -> (i64, u32, u32) {
         let symbols = 2 * table.reach + 1;
-        let starts = &self.starts[table.at as usize..][..=symbols as usize + 1];
+        let starts = &self.starts[(table.middle - table.reach) as usize..][..=symbols as usize + 1];
         let mut symbol =
             u32::from(self.first_of_part[table.number as usize][(place >> PART) as usize % PARTS]);
         // Shares of a part are the fewer the larger they are.
@@ -293,10 +290,22 @@ pub(super) fn fitting_law(residuals: &[i64], first_level: u8) -> Law {
 /// Notes residuals by a law, to be written, in place of what stood there.
 pub(super) fn note(symbols: &mut Vec<Symbol>, residuals: &[i64], law: Law, first_level: u8) {
     let tables = law.tables();
-    let mut scale = Scale::new(first_level);
     symbols.resize(residuals.len(), Symbol::NONE);
+    let (noted, scale) = note_usual(symbols, residuals, tables, Scale::new(first_level));
+    symbols.truncate(noted);
+    note_rest(symbols, &residuals[noted..], tables, scale);
+}
+
+/// Notes residuals as long as they are one symbol each, which those of most columns are to their ends. Says how many they
+/// were, and how large of late. A function of its own, so that all it goes by is in registers.
+#[inline(never)]
+fn note_usual(
+    symbols: &mut [Symbol],
+    residuals: &[i64],
+    tables: &Tables,
+    mut scale: Scale,
+) -> (usize, Scale) {
     let mut noted = 0;
-    // Most columns are one symbol a residual.
     for (symbol, &residual) in symbols.iter_mut().zip(residuals) {
         let Some(table) = tables.of_level.get(scale.level) else { break };
         let Some(found) = tables.symbol(*table, residual) else { break };
@@ -304,8 +313,7 @@ pub(super) fn note(symbols: &mut Vec<Symbol>, residuals: &[i64], law: Law, first
         scale.follow_small(residual.unsigned_abs());
         noted += 1;
     }
-    symbols.truncate(noted);
-    note_rest(symbols, &residuals[noted..], tables, scale);
+    (noted, scale)
 }
 
 #[inline(never)]

@@ -1,7 +1,13 @@
 //! What the next integer of a column is taken to be: what is stored is how far it is off.
 
-/// Values that a predictor is chosen by.
-pub(super) const TRIED: usize = 64;
+use std::ops::Range;
+
+/// Values that a predictor is chosen by, or a few more.
+const TRIED: usize = 64;
+/// So many of them follow each other: what a fit is made of is summed up once for all of them.
+const TOGETHER: usize = 8;
+/// Values that the longest fit is made of.
+const LONGEST: usize = Predictor::Fit16.reach();
 
 /// Ways to predict, by the code that a block names them with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -177,33 +183,37 @@ impl Predictor {
         }
     }
 
-    /// The predictor whose residuals are the smallest over some `tries` values, or somewhat more; of several the first. With the
-    /// sum of their sizes, and how many they were.
-    pub(super) fn best(values: &[i64], tries: usize) -> (Self, (u64, usize)) {
-        // All over the same values, so that the costs compare; a choice needs no more of them than this.
-        const LONGEST: usize = Predictor::Fit16.reach();
-        let step = (values.len() / tries).max(1);
+    /// The predictor whose residuals are the smallest at [`tried`] places, with the sum of their sizes; of several the first.
+    pub(super) fn best(values: &[i64], tried: impl Iterator<Item = Range<usize>>) -> (Self, u64) {
         let mut costs = [0_u64; Self::ALL.len()];
-        let mut tried = 0;
-        if values.len() <= 2 * LONGEST {
-            for w in values.windows(5).step_by(step) {
+        for places in tried {
+            let before =
+                |reach| places.start.checked_sub(reach).and_then(|from| values.get(from..places.end));
+            if let Some(stretch) = before(LONGEST).and_then(<[_]>::first_chunk) {
+                Self::judge_stretch(stretch, &mut costs);
+            } else if let Some(w) = before(4).and_then(<[_]>::first_chunk::<5>) {
                 Self::judge([w[3], w[2], w[1], w[0]], w[4], &mut costs);
-                tried += 1;
-            }
-            costs[Self::SHORT..].fill(u64::MAX);
-        } else {
-            for w in values.windows(LONGEST + 1).step_by(step) {
-                let value = w[16];
-                tried += 1;
-                Self::judge([w[15], w[14], w[13], w[12]], value, &mut costs);
-                let (older, newer) = (sums(&w[..8]), sums(&w[8..16]));
-                let all = (older.0 + newer.0, older.1 + 8 * older.0 + newer.1);
-                costs[Self::Fit8 as usize] += value.wrapping_sub(Fit8::of(newer).next()).unsigned_abs();
-                costs[Self::Fit16 as usize] += value.wrapping_sub(Fit16::of(all).next()).unsigned_abs();
+                costs[Self::SHORT..].fill(u64::MAX);
             }
         }
         let cheapest = (0..costs.len()).min_by_key(|&at| costs[at]).unwrap_or(0);
-        (Self::ALL[cheapest], (costs[cheapest], tried))
+        (Self::ALL[cheapest], costs[cheapest])
+    }
+
+    /// Adds how far each is off the last values of a stretch.
+    fn judge_stretch(w: &[i64; LONGEST + TOGETHER], costs: &mut [u64; Self::ALL.len()]) {
+        let (older, newer) = (sums(&w[..8]), sums(&w[8..LONGEST]));
+        // What is newer stands before what is older.
+        let all = (older.0 + newer.0, older.1 + 8 * older.0 + newer.1);
+        let (mut fit8, mut fit16) = (Fit8::of(newer), Fit16::of(all));
+        for at in LONGEST..LONGEST + TOGETHER {
+            let value = w[at];
+            Self::judge([w[at - 1], w[at - 2], w[at - 3], w[at - 4]], value, costs);
+            costs[Self::Fit8 as usize] += value.wrapping_sub(fit8.next()).unsigned_abs();
+            costs[Self::Fit16 as usize] += value.wrapping_sub(fit16.next()).unsigned_abs();
+            fit8.follow(value, w[at - 8]);
+            fit16.follow(value, w[at - LONGEST]);
+        }
     }
 
     /// Adds how far each of the short ones is off.
@@ -213,6 +223,17 @@ impl Predictor {
             *cost += value.wrapping_sub(predictor.next(before)).unsigned_abs();
         }
     }
+}
+
+/// Places of values that a predictor is chosen by, from one end of the column to the other. All are judged by the same ones, so
+/// that their costs compare; a choice needs no more of them than this. In a short column none looks further back than four.
+pub(super) fn tried(len: usize) -> impl Iterator<Item = Range<usize>> {
+    let (begins, together) = if len > 2 * LONGEST { (LONGEST, TOGETHER) } else { (4, 1) };
+    let step = (len * together / TRIED).max(together);
+    (begins..)
+        .step_by(step)
+        .map(move |from| from..from + together)
+        .take_while(move |places| places.end <= len)
 }
 
 /// Puts values back together, those before `from` being there.
@@ -316,17 +337,23 @@ pub(super) mod tests {
             noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             at + i64::try_from(noise >> 58).unwrap()
         };
-        assert_eq!(Predictor::best(&(0..200).map(|k| 7 * k).collect::<Vec<_>>(), TRIED).0, Predictor::Line);
-        assert_eq!(
-            Predictor::best(&(0..200).map(|k| noisy(9 * k)).collect::<Vec<_>>(), TRIED).0,
-            Predictor::Fit16
-        );
-        assert_eq!(
-            Predictor::best(&(0..200).map(|k| noisy(k * k / 3)).collect::<Vec<_>>(), TRIED).0,
-            Predictor::Fit8
-        );
+        let best = |values: Vec<i64>| Predictor::best(&values, tried(values.len())).0;
+        assert_eq!(best((0..200).map(|k| 7 * k).collect()), Predictor::Line);
+        assert_eq!(best((0..200).map(|k| noisy(9 * k)).collect()), Predictor::Fit16);
+        assert_eq!(best((0..200).map(|k| noisy(k * k / 3)).collect()), Predictor::Fit8);
         // Too few to tell how fits do.
-        let few: Vec<_> = (0..32).map(|k| noisy(9 * k)).collect();
-        assert!(!Predictor::best(&few, TRIED).0.is_fit());
+        assert!(!best((0..32).map(|k| noisy(9 * k)).collect()).is_fit());
+    }
+
+    #[test]
+    fn what_is_tried_is_spread_over_the_column() {
+        for len in 0..2_000 {
+            let places: Vec<_> = tried(len).collect();
+            assert!(places.iter().all(|places| places.start >= 4 && places.end <= len), "{len}");
+            assert!(places.is_sorted_by(|a, b| a.end <= b.start), "{len}");
+            let values: usize = places.iter().map(Range::len).sum();
+            assert!(values <= 2 * TRIED && (values >= TRIED / 2 || len < 2 * TRIED), "{len}: {values}");
+            assert_eq!(places.is_empty(), len < 5, "{len}");
+        }
     }
 }
