@@ -91,11 +91,11 @@ async fn count(
         let known = knowledge.get(&(&new.cycle.operation, &new.cycle.tool)).unwrap_or(&UNKNOWN);
         let tool = (verdicts.get(&new.cycle.tool), known);
         let answer = answer(&new.cycle, (summary, received_at), registry, tool, (now, settings))?;
-        let row = IssuedRow::of(&answer.recommendation)?;
-        issued.push(row);
+        let advice = memory.advice_of(&answer.recommendation.recommendation)?;
+        issued.push(IssuedRow::of(&answer.recommendation, advice)?);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
-    let rest = Rest::of(blocks, (wear, alarms), issued, |row| memory.is_new_advice(row.advice_hash));
+    let rest = Rest::of(blocks, (wear, alarms), issued, |row| memory.is_new_advice(row.advice.hash));
     let written = transaction.write(&rest, now).await?;
     Ok((answers, written))
 }

@@ -3,12 +3,13 @@
 use super::{Conn, Db, dialect};
 use crate::error::StoreResult;
 use crate::record::IssuedRecommendation;
-use crate::rows::{IssuedRow, RecommendationRow};
+use crate::rows::{Advice, AdviceBody, IssuedRow, RecommendationRow};
 use feedwright_core::ids::RecommendationId;
 
 /// Keeps one recommendation.
 pub(super) async fn issue(conn: &mut Conn, issued: &IssuedRecommendation) -> StoreResult<()> {
-    let row = IssuedRow::of(issued)?;
+    let advice = Advice::of(&AdviceBody::of(&issued.recommendation))?;
+    let row = IssuedRow::of(issued, advice)?;
     keep_advice(conn, &row).await?;
     dialect::insert_recommendations(conn, &[row]).await
 }
@@ -18,15 +19,15 @@ pub(super) async fn issue(conn: &mut Conn, issued: &IssuedRecommendation) -> Sto
 pub(super) async fn keep_advice(conn: &mut Conn, row: &IssuedRow) -> StoreResult<()> {
     let known: Option<i64> =
         sqlx::query_scalar::<Db, _>("SELECT CAST(1 AS BIGINT) FROM advices WHERE advice_hash = $1")
-            .bind(row.advice_hash.as_slice())
+            .bind(row.advice.hash.as_slice())
             .fetch_optional(&mut *conn)
             .await?;
     if known.is_some() {
         return Ok(());
     }
     sqlx::query::<Db>(IssuedRow::INSERT_ADVICE)
-        .bind(row.advice_hash.as_slice())
-        .bind(&row.advice)
+        .bind(row.advice.hash.as_slice())
+        .bind(&*row.advice.body)
         .execute(&mut *conn)
         .await?;
     Ok(())

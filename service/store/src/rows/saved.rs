@@ -108,7 +108,7 @@ impl<'a> Rest<'a> {
         mut is_new: impl FnMut(&IssuedRow) -> bool,
     ) -> Self {
         let mut new_advices: Vec<usize> = (0..issued.len()).filter(|at| is_new(&issued[*at])).collect();
-        new_advices.sort_unstable_by_key(|at| issued[*at].advice_hash);
+        new_advices.sort_unstable_by_key(|at| issued[*at].advice.hash);
         Self { blocks, wear, alarms, issued, new_advices }
     }
 
@@ -118,12 +118,30 @@ impl<'a> Rest<'a> {
     }
 }
 
+/// What repeats from one recommendation to the next, as it is stored.
+#[derive(Debug, Clone)]
+pub(crate) struct Advice {
+    pub(crate) hash: [u8; ADVICE_HASH_BYTES],
+    /// JSON of its [`AdviceBody`].
+    pub(crate) body: Arc<str>,
+}
+
+impl Advice {
+    pub(crate) fn of(body: &AdviceBody<'_>) -> StoreResult<Self> {
+        let mut json = Vec::with_capacity(USUAL_ADVICE_BYTES);
+        serde_json::to_writer(&mut json, body).map_err(|error| StoreError::Database(Box::new(error)))?;
+        let json = String::from_utf8(json).map_err(|error| StoreError::Database(Box::new(error)))?;
+        let mut hash = [0; ADVICE_HASH_BYTES];
+        hash.copy_from_slice(&blake3::hash(json.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
+        Ok(Self { hash, body: json.into() })
+    }
+}
+
 /// A row of `recommendations`, with the advice that it refers to.
 #[derive(Debug)]
 pub(crate) struct IssuedRow {
     pub(crate) recommendation_id: String,
-    pub(crate) advice_hash: [u8; ADVICE_HASH_BYTES],
-    pub(crate) advice: String,
+    pub(crate) advice: Advice,
     pub(crate) issued_at_us: i64,
     pub(crate) valid_until_us: i64,
     pub(crate) level_as_run: Option<f64>,
@@ -161,14 +179,9 @@ impl IssuedRow {
     pub(crate) const INSERT_ADVICE: &str =
         "INSERT INTO advices (advice_hash, body) VALUES ($1, $2) ON CONFLICT (advice_hash) DO NOTHING";
 
-    pub(crate) fn of(issued: &IssuedRecommendation) -> StoreResult<Self> {
+    /// With the advice that the recommendation gives.
+    pub(crate) fn of(issued: &IssuedRecommendation, advice: Advice) -> StoreResult<Self> {
         let recommendation = &issued.recommendation;
-        let mut advice = Vec::with_capacity(USUAL_ADVICE_BYTES);
-        serde_json::to_writer(&mut advice, &AdviceBody::of(recommendation))
-            .map_err(|error| StoreError::Database(Box::new(error)))?;
-        let advice = String::from_utf8(advice).map_err(|error| StoreError::Database(Box::new(error)))?;
-        let mut advice_hash = [0; ADVICE_HASH_BYTES];
-        advice_hash.copy_from_slice(&blake3::hash(advice.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
         let level = recommendation.level.as_ref();
         let level_float = |name, part: fn(&Level) -> f64| {
             level.map(|level| level_number(name, -MOST_LEVEL, part(level))).transpose()
@@ -183,7 +196,6 @@ impl IssuedRow {
         }
         Ok(Self {
             recommendation_id: issued.id.as_str().to_owned(),
-            advice_hash,
             advice,
             issued_at_us: recommendation.issued_at.micros(),
             valid_until_us: recommendation.valid_until.micros(),

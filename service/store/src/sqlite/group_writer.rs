@@ -485,7 +485,7 @@ fn change_alarms(run: &mut Run<'_>, changes: &[AlarmChange], now: Timestamp) -> 
 fn insert_advices<'r>(run: &mut Run<'_>, rows: impl Iterator<Item = &'r IssuedRow>) -> rusqlite::Result<()> {
     let mut statement = run.prepare(IssuedRow::INSERT_ADVICE)?;
     for row in rows {
-        run!(run, &mut statement, row.advice_hash.as_slice(), &row.advice)?;
+        run!(run, &mut statement, row.advice.hash.as_slice(), &*row.advice.body)?;
     }
     Ok(())
 }
@@ -497,7 +497,7 @@ fn insert_recommendations(run: &mut Run<'_>, rows: &[IssuedRow]) -> rusqlite::Re
             run,
             &mut statement,
             &row.recommendation_id,
-            row.advice_hash.as_slice(),
+            row.advice.hash.as_slice(),
             row.issued_at_us,
             row.valid_until_us,
             row.level_as_run,

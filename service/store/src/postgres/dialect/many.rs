@@ -114,7 +114,7 @@ pub(in crate::postgres) async fn insert_recommendations(
          SELECT * FROM UNNEST($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19)",
     )
     .bind(rows.iter().map(|row| row.recommendation_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.advice_hash.as_slice()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.advice.hash.as_slice()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.issued_at_us).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.valid_until_us).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.level_as_run).collect::<Vec<_>>())

@@ -205,7 +205,7 @@ fn bind_recommendations(mut query: Query, rows: &[IssuedRow]) -> Query {
     for row in rows {
         query = query
             .bind(row.recommendation_id.clone())
-            .bind(row.advice_hash.to_vec())
+            .bind(row.advice.hash.to_vec())
             .bind(row.issued_at_us)
             .bind(row.valid_until_us)
             .bind(row.level_as_run)
