@@ -337,11 +337,10 @@ impl Guided {
     /// Whether the column is not predicted as well by itself. Some bytes are written for a guide: a sixteenth of the size of
     /// residuals is a tenth of a bit of each. What never surprises needs none.
     fn pays(&self, values: &[i64]) -> bool {
-        let few = || tried(values.len()).step_by(2);
-        let (_, alone) = Predictor::best(values, few());
+        let (_, alone) = Predictor::best(values, tried(values.len()));
         // Of the same values, so that what nobody could foretell weighs the same on both sides.
         let sizes = |places: Range<usize>| self.residuals[places.start - 1..places.end - 1].iter();
-        let guided: u64 = few().flat_map(sizes).map(|residual| residual.unsigned_abs()).sum();
+        let guided: u64 = tried(values.len()).flat_map(sizes).map(|residual| residual.unsigned_abs()).sum();
         u128::from(guided) * 16 < u128::from(alone) * 15
     }
 }
