@@ -102,6 +102,7 @@ mod column;
 pub(crate) mod digest;
 mod frame;
 mod guide;
+mod habit;
 mod hash;
 pub(crate) mod input;
 mod noise;
@@ -116,6 +117,7 @@ pub use column::{Column, Columns, Time};
 #[cfg(test)]
 pub(crate) use frame::tests::cycle as cycle_of_every_field;
 pub use frame::{decode_columns, decode_samples, encode_samples};
+pub use habit::Habits;
 pub use hash::{content_hash, is_hash_of};
 pub use overrides::{decode_overrides, encode_overrides};
 pub(crate) use predict::unzigzag;
@@ -131,7 +133,7 @@ pub(crate) fn canonical_column(values: &[f64]) -> Option<(u8, Vec<i64>)> {
     }
 }
 
-/// Makes the content hash and the sample blocks of a cycle.
+/// Makes the content hash and the sample blocks of a cycle. Of many cycles [`Habits::encode`] takes less time.
 pub fn encode(cycle: &Cycle) -> EncodedCycle {
     let samples = cycle.samples.as_ref();
     let columns = samples.map(column::Columns::of);

@@ -26,6 +26,9 @@ pub(crate) fn measure() {
         let bytes: usize = blocks.map(|cycles| codec::encode_samples(&joined(cycles)).len()).sum();
         println!("  {size} cycles in a block: {:.4}", bytes as f64 / values as f64);
     }
+    let habits = codec::Habits::default();
+    let by_habit = cycles.iter().map(|cycle| habits.encode(&read(cycle)).samples.expect("a block").len());
+    println!("  one by one, by habit: {:.4}", by_habit.sum::<usize>() as f64 / values as f64);
     let bits: f64 = machines.iter().map(|cycles| entropy(&joined(cycles))).sum();
     println!(
         "  entropy of what each value is off its prediction, every machine known before: {:.4}",
@@ -33,13 +36,17 @@ pub(crate) fn measure() {
     );
 }
 
+fn read(cycle: &Cycle) -> feedwright_core::cycle::Cycle {
+    let machine = cycle.machine.as_str().try_into().expect("an id");
+    let now = Timestamp::from_micros(i64::MAX / 2);
+    body::decode(&machine, cycle.json().as_bytes(), 10_000, now).expect("a cycle")
+}
+
 /// The samples of several cycles as if they were those of one.
 fn joined(cycles: &[&Cycle]) -> Samples {
     let mut columns = Vec::new();
     for cycle in cycles {
-        let machine = cycle.machine.as_str().try_into().expect("an id");
-        let now = Timestamp::from_micros(i64::MAX / 2);
-        let read = body::decode(&machine, cycle.json().as_bytes(), 10_000, now).expect("a cycle");
+        let read = read(cycle);
         let samples = read.samples.as_ref().expect("samples");
         if columns.is_empty() {
             columns.extend(samples.columns().map(|(channel, _)| (channel, Vec::new())));

@@ -41,6 +41,8 @@ pub(crate) fn measure() {
         black_box(codec::content_hash(&decoded[index]));
     });
     tell("content hash and block", |index| drop(black_box(codec::encode(&decoded[index]))));
+    let habits = codec::Habits::default();
+    tell("the same by habit", |index| drop(black_box(habits.encode(&decoded[index]))));
     tell("block to samples", |index| {
         let block = encoded[index].samples.as_deref().expect("samples");
         drop(black_box(codec::decode_samples(block, 10_000)));

@@ -16,8 +16,9 @@ use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::MachineId;
 use feedwright_core::summary::{Context, summarise};
 use feedwright_core::units::Timestamp;
+use feedwright_store::codec::Habits;
 use feedwright_store::{
-    Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, codec, wire,
+    Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, wire,
 };
 use futures_util::future::join_all;
 use http::StatusCode;
@@ -92,6 +93,7 @@ pub struct CycleIntake {
     preparing: Semaphore,
     singles: Unpacker,
     batches: Unpacker,
+    habits: Habits,
     pulse: Pulse,
 }
 
@@ -190,6 +192,7 @@ impl CycleIntake {
             preparing: Semaphore::new(BATCHES_PREPARED),
             singles: Unpacker::default(),
             batches: Unpacker::default(),
+            habits: Habits::default(),
             pulse: Pulse::of(store.clone()),
         }
     }
@@ -247,7 +250,7 @@ impl CycleIntake {
         };
         let mut summary = summarise(&cycle, context);
         summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
-        let encoded = codec::encode(&cycle);
+        let encoded = self.habits.encode(&cycle);
         // A group waits with tens of cycles: the memory of their samples serves the next ones meanwhile.
         let cycle = Arc::new(cycle.with_samples(None));
         let generation = Some(generation);

@@ -3,6 +3,7 @@
 use super::ans;
 use super::column::{Column, Columns, MAX_SCALE, Time};
 use super::guide::{self, Following, Guide, Guided, MOST_MEMORY};
+use super::habit::{Habit, Predicted, Usual};
 use super::input::{Input, MAX_VARINT, put_varint};
 use super::noise::{self, Law, NoiseReader};
 use super::predict::{Predictor, Residuals, tried, unzigzag, zigzag};
@@ -43,11 +44,19 @@ pub fn encode_samples(samples: &Samples) -> Vec<u8> {
 }
 
 pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
+    encode_by(columns, &mut Habit::default())
+}
+
+/// By how the columns of such blocks were predicted before, where that is known.
+pub(super) fn encode_by(columns: &Columns, habit: &mut Habit) -> Vec<u8> {
     let times = match &columns.time {
         Time::Period(_) => None,
         Time::Stamps(column) => Some((TIMES, column)),
     };
-    let guided = guide::choose(columns);
+    let codes = columns.channels.iter().map(|(channel, _)| *channel as u8);
+    let by_habit = habit.suits(times.iter().map(|(code, _)| *code).chain(codes));
+    let usual = |code| if by_habit { habit.usual(code) } else { None };
+    let guided = guide::choose(columns, |channel| usual(channel as u8));
     let channels = columns.channels.iter().zip(&guided);
     let all: Vec<(u8, &Column, Option<&Guided>)> = times
         .into_iter()
@@ -56,13 +65,27 @@ pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
         .collect();
     // What is read last is written first.
     let mut residuals = ResidualsWriter::new(columns.len * all.len());
-    let mut coded: Vec<Option<Coded>> = vec![None; all.len()];
+    let mut coded: Vec<(Option<Coded>, usize)> = vec![(None, 0); all.len()];
     let guide_of = |at: &usize| all[*at].2.map(|guided| guided.following.guide);
     for at in read_in_order(all.len(), guide_of).into_iter().rev() {
-        let (_, column, guided) = all[at];
-        coded[at] = residuals.code(column, guided);
+        let (code, column, guided) = all[at];
+        let before = residuals.coder.len();
+        coded[at].0 = residuals.code(column, guided, usual(code));
+        coded[at].1 = residuals.coder.len() - before;
     }
-    let has_law = coded.iter().flatten().any(|coded| coded.law.is_some());
+    #[expect(clippy::cast_precision_loss, reason = "bits of a value, about")]
+    let bits_a_value = |bytes: usize| 8.0 * bytes as f32 / columns.len as f32;
+    let found = all.iter().zip(&coded).map(|((code, ..), (coded, bytes))| Predicted {
+        code: *code,
+        way: coded.map(|coded| coded.way),
+        bits_a_value: bits_a_value(*bytes),
+    });
+    if by_habit {
+        habit.hold(found);
+    } else {
+        habit.follow(found);
+    }
+    let has_law = coded.iter().any(|(coded, _)| coded.is_some_and(|coded| coded.law.is_some()));
     let mut out = Vec::with_capacity(HEAD + COLUMN_HEAD * all.len() + residuals.coder.len() + CHECKSUM);
     out.extend_from_slice(&MAGIC);
     out.push(FIFTH);
@@ -75,7 +98,7 @@ pub(super) fn encode_columns(columns: &Columns) -> Vec<u8> {
         }
         Time::Stamps(_) => out.push(1),
     }
-    for ((code, column, _), coded) in all.iter().zip(coded) {
+    for ((code, column, _), (coded, _)) in all.iter().zip(coded) {
         out.push(*code);
         match (column, coded) {
             (Column::Exact(bits), _) => put_exact(&mut out, &planes(bits)),
@@ -121,7 +144,7 @@ struct Coded {
 
 /// How a column is predicted.
 #[derive(Debug, Clone, Copy)]
-enum Way {
+pub(super) enum Way {
     Alone(Predictor),
     Guided(Following),
 }
@@ -143,15 +166,18 @@ impl ResidualsWriter {
         Self { coder: ans::Writer::new(values / 4), of_column: Vec::new(), symbols: Vec::new() }
     }
 
-    /// Writes the residuals of a column of decimals.
-    fn code(&mut self, column: &Column, guided: Option<&Guided>) -> Option<Coded> {
+    /// Writes the residuals of a column of decimals; as `usual`, where that is known and needs no guide.
+    fn code(&mut self, column: &Column, guided: Option<&Guided>, usual: Option<Usual>) -> Option<Coded> {
         let Column::Decimal { values, .. } = column else { return None };
         let &first = values.first()?;
         let Self { coder, of_column, symbols } = self;
         let (way, residuals) = match guided {
             Some(guided) => (Way::Guided(guided.following), &guided.residuals),
             None => {
-                let (predictor, _) = Predictor::best(values, tried(values.len()));
+                let predictor = match usual {
+                    Some(Usual { way: Way::Alone(predictor), is_settled: true }) => predictor,
+                    _ => Predictor::best(values, tried(values.len())).0,
+                };
                 predictor.residuals(values, of_column);
                 (Way::Alone(predictor), &*of_column)
             }

@@ -6,6 +6,8 @@
 //! unit of the column, and so is how far it has been off of late: what is rounded away is predicted too.
 
 use super::column::{Column, Columns, Time};
+use super::frame::Way;
+use super::habit::Usual;
 use super::predict::{Predictor, Residuals, tried};
 use feedwright_core::cycle::Channel;
 use std::ops::Range;
@@ -95,6 +97,11 @@ impl Guide {
                 (channel as u8, Some(factor))
             }
         }
+    }
+
+    /// Whether both are of the same, by whatever factor.
+    pub(super) fn is_like(self, other: Self) -> bool {
+        self.code().0 == other.code().0
     }
 
     /// Columns are read in ascending order: what a column follows is there by then.
@@ -236,6 +243,23 @@ impl Following {
         residuals
     }
 
+    /// The same, of what its guide says of the values; `None` where either is not below [`LIMIT`].
+    fn residuals_of(self, mut said: Vec<i64>, values: &[i64]) -> Option<Vec<i64>> {
+        let mut before = Off(off(*said.first()?, *values.first()?));
+        let mut all = beyond(said[0], values[0]);
+        for (places, memory) in self.counts(said.len().min(values.len())) {
+            for (said, value) in said[places.clone()].iter_mut().zip(&values[places]) {
+                all |= beyond(*said, *value);
+                let off = off(*said, *value);
+                *said = before.residual(off);
+                before.follow(off, memory);
+            }
+        }
+        let is_whole = all == 0 && said.len() == values.len();
+        said.remove(0);
+        is_whole.then_some(said)
+    }
+
     /// Puts values back together behind the first; `None` where a residual is missing.
     pub(super) fn restore<R: Residuals>(self, said: &[i64], values: &mut [i64], mut reader: R) -> Option<R> {
         let mut before = Off(off(*said.first()?, *values.first()?));
@@ -256,13 +280,29 @@ pub(super) struct Guided {
     pub(super) residuals: Vec<i64>,
 }
 
-/// Guides of a block's channels, in their order.
-pub(super) fn choose(columns: &Columns) -> Vec<Option<Guided>> {
+/// Guides of a block's channels, in their order; as `usual`, where that is known of a channel.
+pub(super) fn choose(columns: &Columns, usual: impl Fn(Channel) -> Option<Usual>) -> Vec<Option<Guided>> {
     let column =
         |wanted| columns.channels.iter().find_map(|(channel, column)| (*channel == wanted).then_some(column));
     let one = |(channel, followed): &(Channel, Column)| {
+        let usual = usual(*channel);
+        if let Some(Usual { way: Way::Alone(_), .. }) = usual {
+            return None;
+        }
         let (values, scale) = followed.decimals().filter(|_| columns.len >= FEWEST)?;
-        let may = guides(*channel, (values, scale), &columns.time, column).into_iter().flatten();
+        let mut may = guides(*channel, (values, scale), &columns.time, column).into_iter().flatten();
+        if let Some(Usual { way: Way::Guided(before), is_settled }) = usual {
+            let guide = may.find(|guide| guide.is_like(before.guide))?;
+            let said = guide.says(column, scale)?;
+            return if is_settled {
+                let following = Following { guide, memory: before.memory };
+                Some(Guided { following, residuals: following.residuals_of(said, values)? })
+            } else {
+                let offs = offs(said, values)?;
+                let following = Following { guide, memory: Walk::of(&offs).memory() };
+                Some(Guided { following, residuals: following.residuals(&offs) })
+            };
+        }
         let known = may.filter_map(|guide| {
             let offs = offs(guide.says(column, scale)?, values)?;
             let walk = Walk::of(&offs);
@@ -345,13 +385,20 @@ impl Guided {
     }
 }
 
+/// Not 0 where a value, or what is said of it, is not below [`LIMIT`].
+#[inline(always)]
+const fn beyond(said: i64, value: i64) -> i64 {
+    const fn bits(value: i64, limit: u64) -> i64 {
+        value.wrapping_add(limit.cast_signed()) & !(2 * limit - 1).cast_signed()
+    }
+    bits(value, LIMIT) | bits(said, LIMIT << BITS)
+}
+
 /// How far values are off what is said of them; `None` where either is not below [`LIMIT`].
 fn offs(mut said: Vec<i64>, values: &[i64]) -> Option<Vec<i64>> {
-    let beyond =
-        |value: i64, limit: u64| value.wrapping_add(limit.cast_signed()) & !(2 * limit - 1).cast_signed();
     let mut all = 0;
     for (said, value) in said.iter_mut().zip(values) {
-        all |= beyond(*value, LIMIT) | beyond(*said, LIMIT << BITS);
+        all |= beyond(*said, *value);
         *said = off(*said, *value);
     }
     (all == 0 && said.len() == values.len()).then_some(said)
@@ -360,26 +407,29 @@ fn offs(mut said: Vec<i64>, values: &[i64]) -> Option<Vec<i64>> {
 /// How far a column is off its guide: by noise around what walks.
 #[derive(Clone, Copy)]
 struct Walk {
-    /// Mean squares of how much more it is off than one value before, and than [`FAR`] before.
+    /// Mean squares of how much more it is off than one value before, and than [`Walk::over`] before.
     near: f64,
     far: f64,
+    over: usize,
 }
 
-const FAR: usize = 16;
+/// The longer the way, the better a walk is told from noise, and the fewer there are of it in a short column.
+const FAR: [usize; 2] = [16, 64];
 /// Every so many values are looked at.
-const STEP: usize = 4;
+const STEP: usize = 2;
 
 impl Walk {
     #[expect(clippy::cast_precision_loss, reason = "a choice")]
     fn of(offs: &[i64]) -> Self {
+        let over = FAR[usize::from(offs.len() > 4 * FAR[1])];
         let (mut near, mut far) = (0.0, 0.0);
         let mut places = 0.0;
-        for offs in offs.windows(FAR + 1).step_by(STEP) {
-            near += (offs[FAR].wrapping_sub(offs[FAR - 1]) as f64).powi(2);
-            far += (offs[FAR].wrapping_sub(offs[0]) as f64).powi(2);
+        for offs in offs.windows(over + 1).step_by(STEP) {
+            near += (offs[over].wrapping_sub(offs[over - 1]) as f64).powi(2);
+            far += (offs[over].wrapping_sub(offs[0]) as f64).powi(2);
             places += 1.0;
         }
-        Self { near: near / places, far: far / places }
+        Self { near: near / places, far: far / places, over }
     }
 
     /// How long to remember how far the column was off: where a step of the walk is q times the noise in its variance, the best
@@ -391,8 +441,8 @@ impl Walk {
         reason = "0 to 7"
     )]
     fn memory(self) -> u8 {
-        // near = 2 noise + walk, far = 2 noise + FAR walk
-        let walk = ((self.far - self.near) / (FAR - 1) as f64).max(0.0);
+        // near = 2 noise + walk, far = 2 noise + over · walk
+        let walk = ((self.far - self.near) / (self.over - 1) as f64).max(0.0);
         let noise = (self.near - walk) / 2.0;
         if noise <= 0.0 {
             return 0;
@@ -460,7 +510,7 @@ pub(super) mod tests {
     }
 
     fn guides_of(columns: &Columns) -> Vec<(Channel, Guide)> {
-        let chosen = choose(columns);
+        let chosen = choose(columns, |_| None);
         let pairs = columns.channels.iter().zip(&chosen);
         pairs
             .filter_map(|((channel, _), guided)| Some((*channel, guided.as_ref()?.following.guide)))
@@ -499,7 +549,7 @@ pub(super) mod tests {
     #[test]
     fn fractions_are_followed() {
         let columns = drilled(400, 7);
-        let chosen = choose(&columns);
+        let chosen = choose(&columns, |_| None);
         let surprises = |at: usize| {
             let residuals = &chosen[at].as_ref().unwrap().residuals;
             residuals.iter().filter(|residual| **residual != 0).count()
