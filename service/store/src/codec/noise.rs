@@ -22,6 +22,8 @@ use std::sync::LazyLock;
 /// Levels that have a table, those below [`FIRST_LEVEL`] that of this one.
 const LEVELS: usize = 44;
 const FIRST_LEVEL: usize = 4;
+/// Means of less are of a level that has one.
+const MEANS: u64 = 1 << (LEVELS / 4);
 /// The mean is in 1/2^8, and its sum is 2^4 as much.
 const FRACTION: u32 = 8;
 const MEMORY: u32 = 4;
@@ -92,6 +94,8 @@ impl Law {
 #[derive(Debug)]
 struct Tables {
     of_level: [Table; LEVELS],
+    /// The same by the mean itself, which saves looking for its level.
+    of_mean: Box<[Table]>,
     /// The symbols of all tables.
     symbols: Box<[Symbol]>,
     /// Where the share of each begins.
@@ -166,12 +170,21 @@ impl Tables {
             .collect();
         // The last table's last symbol ends where another one would begin.
         all_starts.push(0);
+        let of_level: [Table; LEVELS] =
+            std::array::from_fn(|level| tables[level.saturating_sub(FIRST_LEVEL)]);
         Self {
-            of_level: std::array::from_fn(|level| tables[level.saturating_sub(FIRST_LEVEL)]),
+            of_level,
+            of_mean: (0..MEANS).map(|mean| of_level[level(mean | 1) as usize]).collect(),
             symbols: symbols.into(),
             starts: all_starts.into(),
             first_of_part: first_of_part.into(),
         }
+    }
+
+    /// The table for a mean, where none of the lowest bits are plain.
+    #[inline(always)]
+    fn of_mean(&self, mean: u64) -> Option<Table> {
+        self.of_mean.get(usize::try_from(mean).ok()?).copied()
     }
 
     /// A table's symbol for a residual; `None` where that escapes.
@@ -221,31 +234,31 @@ const fn level(value: u64) -> u32 {
 #[derive(Debug, Clone, Copy)]
 struct Scale {
     sum: u64,
-    /// For the next residual.
-    level: usize,
+    /// The mean for the next residual, before that of the residual before it.
+    mean: u64,
 }
 
 impl Scale {
     /// From the level of the mean, at most [`MOST_LEVEL`].
-    fn new(level: u8) -> Self {
-        let sum = ((4 + u64::from(level) % 4) << (level / 4) >> 2) << MEMORY;
-        Self { sum, level: Self::level_of(sum) }
+    const fn new(level: u8) -> Self {
+        let mean = (4 + level as u64 % 4) << (level / 4) >> 2;
+        Self { sum: mean << MEMORY, mean }
     }
 
+    /// The table for the next residual, and how many of its lowest bits are plain.
     #[inline(always)]
-    const fn level_of(sum: u64) -> usize {
-        level(sum >> MEMORY | 1) as usize
-    }
-
-    /// The level of the table for the next residual, and how many of its lowest bits are plain.
-    #[inline(always)]
-    const fn next(self) -> (usize, u32) {
-        if self.level < LEVELS {
-            return (self.level, 0);
+    fn next(self, tables: &Tables) -> (Table, u32) {
+        match tables.of_mean(self.mean) {
+            Some(table) => (table, 0),
+            None => self.next_large(tables),
         }
-        let above = self.level - LEVELS;
+    }
+
+    #[inline(never)]
+    fn next_large(self, tables: &Tables) -> (Table, u32) {
+        let above = level(self.mean | 1) as usize - LEVELS;
         #[expect(clippy::cast_possible_truncation, reason = "at most 256")]
-        (LEVELS - 4 + above % 4, above as u32 / 4 + 1)
+        (tables.of_level[LEVELS - 4 + above % 4], above as u32 / 4 + 1)
     }
 
     #[inline(always)]
@@ -256,8 +269,8 @@ impl Scale {
     /// By the size of a residual that is at most [`MOST_COUNTED`].
     #[inline(always)]
     const fn follow_small(&mut self, size: u64) {
-        self.level = Self::level_of(self.sum);
-        self.sum = self.sum - (self.sum >> MEMORY) + (size << FRACTION);
+        self.mean = self.sum >> MEMORY;
+        self.sum = self.sum - self.mean + (size << FRACTION);
     }
 }
 
@@ -275,9 +288,8 @@ pub(super) fn fitting_law(residuals: &[i64], first_level: u8) -> Law {
     let mut scale = Scale::new(first_level);
     let mut less = 0;
     for &residual in few {
-        let (level_now, plain) = scale.next();
         let share = |tables: &Tables| {
-            let table = tables.of_level[level_now];
+            let (table, plain) = scale.next(tables);
             tables.symbol(table, residual >> plain).unwrap_or_else(|| tables.escape(table)).share()
         };
         // In quarters of a bit.
@@ -307,8 +319,8 @@ fn note_usual(
 ) -> (usize, Scale) {
     let mut noted = 0;
     for (symbol, &residual) in symbols.iter_mut().zip(residuals) {
-        let Some(table) = tables.of_level.get(scale.level) else { break };
-        let Some(found) = tables.symbol(*table, residual) else { break };
+        let Some(table) = tables.of_mean(scale.mean) else { break };
+        let Some(found) = tables.symbol(table, residual) else { break };
         *symbol = found;
         scale.follow_small(residual.unsigned_abs());
         noted += 1;
@@ -320,8 +332,7 @@ fn note_usual(
 fn note_rest(symbols: &mut Vec<Symbol>, residuals: &[i64], tables: &Tables, mut scale: Scale) {
     symbols.reserve(residuals.len());
     for &residual in residuals {
-        let (level, plain) = scale.next();
-        let table = tables.of_level[level];
+        let (table, plain) = scale.next(tables);
         match tables.symbol(table, residual >> plain) {
             Some(symbol) => {
                 symbols.push(symbol);
@@ -371,8 +382,7 @@ impl<'a> NoiseReader<'a> {
 impl Residuals for NoiseReader<'_> {
     #[inline(always)]
     fn next(&mut self) -> Option<i64> {
-        let (level, plain) = self.scale.next();
-        let table = self.tables.of_level[level];
+        let (table, plain) = self.scale.next(self.tables);
         let (mut residual, start, end) = self.tables.at(table, self.coder.place());
         self.coder.take(start, end - start)?;
         let escapes = residual > i64::from(table.reach);

@@ -19,8 +19,8 @@ pub(super) struct Row {
 pub(super) struct Average {
     /// Where each row was: number and depth of its sample.
     places: [(usize, f64); LONGEST_SMOOTHING],
-    /// Way, feed drive's and spindle's load of each row. By column: what is written singly and read in pairs, as rows
-    /// would be, makes the processor wait.
+    /// Way, feed drive's and spindle's load of each row, each its share of the mean. By column: what is written singly and
+    /// read in pairs, as rows would be, makes the processor wait.
     columns: [[f64; LONGEST_SMOOTHING]; 3],
     count: usize,
     /// Where the next row goes.
@@ -39,9 +39,11 @@ impl Average {
 
     /// Takes a row in place of the oldest of `length` rows, the same number throughout.
     pub(super) fn push(&mut self, length: usize, row: Row) {
+        #[expect(clippy::cast_precision_loss, reason = "at most 31 rows")]
+        let share = 1.0 / length as f64;
         self.places[self.next] = (row.index, row.depth_mm);
         for (column, value) in self.columns.iter_mut().zip([row.way_mm, row.feed_drive, row.spindle]) {
-            column[self.next] = value;
+            column[self.next] = share * value;
         }
         self.count += 1;
         self.next = if self.next + 1 >= length { 0 } else { self.next + 1 };
@@ -54,13 +56,11 @@ impl Average {
         }
         let middle = self.next + length / 2;
         let (index, depth_mm) = self.places[if middle >= length { middle - length } else { middle }];
-        #[expect(clippy::cast_precision_loss, reason = "at most 31 rows")]
-        let share = 1.0 / length as f64;
         let columns = self.columns.each_ref().map(|column| &column[..length]);
         let mut means = [0.0; 3];
         for row in 0..length {
             for (mean, column) in means.iter_mut().zip(columns) {
-                *mean += share * column[row];
+                *mean += column[row];
             }
         }
         let [way_mm, feed_drive, spindle] = means;

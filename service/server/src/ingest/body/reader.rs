@@ -181,29 +181,29 @@ impl<'a> Reader<'a> {
             self.at += 1;
             return Some(Numbers(values));
         }
+        let mut spaced = false;
         loop {
-            let (value, length) = if let Some(text) = self.json.get(self.at..)?.first_chunk()
-                && let Some(short) = short::number(text)
-            {
-                short
+            let rest = self.json.get(self.at..)?;
+            let rest = if spaced {
+                short::run::<true>(rest, &mut values)
             } else {
-                self.unusual_number()?
+                short::run::<false>(rest, &mut values)
+            };
+            self.at = self.json.len() - rest.len();
+            self.skip_space();
+            let (value, length) = match short::reached(self.json.get(self.at..)?).and_then(short::number) {
+                Some((value, length, _)) => (value, length),
+                None => self.unusual_number()?,
             };
             values.push(value);
             self.at += length;
+            self.skip_space();
             match self.next()? {
                 b',' => {}
                 b']' => return Some(Numbers(values)),
-                b' ' | b'\n' | b'\t' | b'\r' => {
-                    self.skip_space();
-                    match self.next()? {
-                        b',' => {}
-                        b']' => return Some(Numbers(values)),
-                        _ => return None,
-                    }
-                }
                 _ => return None,
             }
+            spaced = self.peek()? == b' ';
             self.skip_space();
         }
     }
@@ -213,7 +213,7 @@ impl<'a> Reader<'a> {
     fn unusual_number(&self) -> Option<(f64, usize)> {
         let rest = self.json.get(self.at..)?;
         if let Some((b'-', behind)) = rest.split_first()
-            && let Some((value, length)) = behind.first_chunk().and_then(short::number)
+            && let Some((value, length, _)) = short::reached(behind).and_then(short::number)
         {
             return Some((-value, length + 1));
         }

@@ -4,15 +4,34 @@
 //! whether the body ends, and looks up what to divide by.
 
 /// As many bytes as are looked at: five digits, the point, four more and what may follow them.
-pub(super) const REACH: usize = 11;
+const REACH: usize = 11;
 
-/// The number that begins there, with its length in bytes. What follows it is looked at by the caller. `None` says nothing:
-/// it may be a longer number, or none.
+/// The bytes that stand there, where the body goes on for so long.
+pub(super) fn reached(json: &[u8]) -> Option<&[u8; REACH]> {
+    json.first_chunk()
+}
+
+/// Appends the numbers that stand there, one behind the other, each with a comma right behind it and, where they are
+/// `SPACED`, a blank behind that; returns what follows them. A function of its own, so that all it goes by is in registers.
+#[inline(never)]
+pub(super) fn run<'j, const SPACED: bool>(mut json: &'j [u8], values: &mut Vec<f64>) -> &'j [u8] {
+    while let Some((value, length, b',')) = reached(json).and_then(number) {
+        values.push(value);
+        json = &json[length + 1..];
+        if SPACED && let [b' ', rest @ ..] = json {
+            json = rest;
+        }
+    }
+    json
+}
+
+/// The number that begins there, with its length in bytes and the byte that follows it. `None` says nothing: it may be a longer
+/// number, or none.
 ///
 /// Its digits make an integer below 2^32, and its quotient by a power of ten is rounded once, so that it has the bits that
 /// a correct reader gives.
 #[inline(always)]
-pub(super) fn number(text: &[u8; REACH]) -> Option<(f64, usize)> {
+pub(super) fn number(text: &[u8; REACH]) -> Option<(f64, usize, u8)> {
     let first = digit(text, 0)?;
     let Some(second) = digit(text, 1) else { return behind::<1>(text, first) };
     if first == 0 {
@@ -30,20 +49,28 @@ pub(super) fn number(text: &[u8; REACH]) -> Option<(f64, usize)> {
 
 /// With what stands behind `WHOLE` digits.
 #[inline(always)]
-fn behind<const WHOLE: usize>(text: &[u8; REACH], whole: u32) -> Option<(f64, usize)> {
+fn behind<const WHOLE: usize>(text: &[u8; REACH], whole: u32) -> Option<(f64, usize, u8)> {
     if text[WHOLE] != b'.' {
-        return Some((f64::from(whole), WHOLE));
+        return Some((f64::from(whole), WHOLE, text[WHOLE]));
     }
     let tenths = whole * 10 + digit(text, WHOLE + 1)?;
-    let Some(second) = digit(text, WHOLE + 2) else { return Some((f64::from(tenths) / 10.0, WHOLE + 2)) };
+    let Some(second) = digit(text, WHOLE + 2) else {
+        return Some((f64::from(tenths) / 10.0, WHOLE + 2, text[WHOLE + 2]));
+    };
     let hundredths = tenths * 10 + second;
-    let Some(third) = digit(text, WHOLE + 3) else { return Some((f64::from(hundredths) / 100.0, WHOLE + 3)) };
+    let Some(third) = digit(text, WHOLE + 3) else {
+        return Some((f64::from(hundredths) / 100.0, WHOLE + 3, text[WHOLE + 3]));
+    };
     let thousandths = hundredths * 10 + third;
     let Some(fourth) = digit(text, WHOLE + 4) else {
-        return Some((f64::from(thousandths) / 1_000.0, WHOLE + 4));
+        return Some((f64::from(thousandths) / 1_000.0, WHOLE + 4, text[WHOLE + 4]));
     };
     let value = thousandths * 10 + fourth;
-    if digit(text, WHOLE + 5).is_some() { None } else { Some((f64::from(value) / 10_000.0, WHOLE + 5)) }
+    if digit(text, WHOLE + 5).is_some() {
+        None
+    } else {
+        Some((f64::from(value) / 10_000.0, WHOLE + 5, text[WHOLE + 5]))
+    }
 }
 
 #[inline(always)]
