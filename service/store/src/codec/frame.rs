@@ -53,8 +53,9 @@ pub(super) fn encode_by(columns: &Columns, habit: &mut Habit) -> Vec<u8> {
         Time::Period(_) => None,
         Time::Stamps(column) => Some((TIMES, column)),
     };
-    let codes = columns.channels.iter().map(|(channel, _)| *channel as u8);
-    let by_habit = habit.suits(times.iter().map(|(code, _)| *code).chain(codes));
+    let scale = |column: &Column| column.decimals().map(|(_, scale)| scale);
+    let channels = columns.channels.iter().map(|(channel, column)| (*channel as u8, scale(column)));
+    let by_habit = habit.suits(times.iter().map(|(code, column)| (*code, scale(column))).chain(channels));
     let usual = |code| if by_habit { habit.usual(code) } else { None };
     let guided = guide::choose(columns, |channel| usual(channel as u8));
     let channels = columns.channels.iter().zip(&guided);
@@ -75,9 +76,10 @@ pub(super) fn encode_by(columns: &Columns, habit: &mut Habit) -> Vec<u8> {
     }
     #[expect(clippy::cast_precision_loss, reason = "bits of a value, about")]
     let bits_a_value = |bytes: usize| 8.0 * bytes as f32 / columns.len as f32;
-    let found = all.iter().zip(&coded).map(|((code, ..), (coded, bytes))| Predicted {
+    let found = all.iter().zip(&coded).map(|((code, column, _), (coded, bytes))| Predicted {
         code: *code,
-        way: coded.map(|coded| coded.way),
+        scale: scale(column),
+        way: coded.map(|coded| (coded.way, coded.law.map(|(law, _)| law))),
         bits_a_value: bits_a_value(*bytes),
     });
     if by_habit {
@@ -175,7 +177,7 @@ impl ResidualsWriter {
             Some(guided) => (Way::Guided(guided.following), &guided.residuals),
             None => {
                 let predictor = match usual {
-                    Some(Usual { way: Way::Alone(predictor), is_settled: true }) => predictor,
+                    Some(Usual { way: Way::Alone(predictor), settled: Some(_) }) => predictor,
                     _ => Predictor::best(values, tried(values.len())).0,
                 };
                 predictor.residuals(values, of_column);
@@ -186,7 +188,8 @@ impl ResidualsWriter {
             return Some(Coded { way, first, law: None });
         }
         let level = noise::first_level(residuals);
-        let law = noise::fitting_law(residuals, level);
+        let law =
+            usual.and_then(|usual| usual.settled).unwrap_or_else(|| noise::fitting_law(residuals, level));
         noise::note(symbols, residuals, law, level);
         coder.put_before(symbols);
         Some(Coded { way, first, law: Some((law, level)) })

@@ -290,20 +290,19 @@ pub(super) fn choose(columns: &Columns, usual: impl Fn(Channel) -> Option<Usual>
             return None;
         }
         let (values, scale) = followed.decimals().filter(|_| columns.len >= FEWEST)?;
-        let mut may = guides(*channel, (values, scale), &columns.time, column).into_iter().flatten();
-        if let Some(Usual { way: Way::Guided(before), is_settled }) = usual {
-            let guide = may.find(|guide| guide.is_like(before.guide))?;
-            let said = guide.says(column, scale)?;
-            return if is_settled {
-                let following = Following { guide, memory: before.memory };
-                Some(Guided { following, residuals: following.residuals_of(said, values)? })
-            } else {
-                let offs = offs(said, values)?;
-                let following = Following { guide, memory: Walk::of(&offs).memory() };
-                Some(Guided { following, residuals: following.residuals(&offs) })
-            };
+        let may = || guides(*channel, (values, scale), &columns.time, column).into_iter().flatten();
+        if let Some(Usual { way: Way::Guided(before), settled }) = usual {
+            // A way's factor is of this block's period and direction.
+            if settled.is_some() && !matches!(before.guide, Guide::Travel { .. }) {
+                let residuals = before.residuals_of(before.guide.says(column, scale)?, values)?;
+                return Some(Guided { following: before, residuals });
+            }
+            let guide = may().find(|guide| guide.is_like(before.guide))?;
+            let offs = offs(guide.says(column, scale)?, values)?;
+            let following = Following { guide, memory: Walk::of(&offs).memory() };
+            return Some(Guided { following, residuals: following.residuals(&offs) });
         }
-        let known = may.filter_map(|guide| {
+        let known = may().filter_map(|guide| {
             let offs = offs(guide.says(column, scale)?, values)?;
             let walk = Walk::of(&offs);
             Some((guide, offs, walk))

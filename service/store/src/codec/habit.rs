@@ -8,6 +8,7 @@
 use super::column::Columns;
 use super::frame::{self, Way};
 use super::hash;
+use super::noise::Law;
 use super::predict::Predictor;
 use crate::record::EncodedCycle;
 use feedwright_core::cycle::Cycle;
@@ -17,13 +18,12 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// Machines' operations of which a habit is kept, 300 to 700 bytes each.
 const PLACES: usize = 512;
 /// Blocks that are written by habit before all is looked for again.
-const BY_HABIT: u8 = 15;
-/// A column that takes so much more than it did, and so many bits a value, has changed.
-const MORE: f32 = 1.0 / 16.0;
-const MORE_BITS: f32 = 1.0 / 8.0;
+const BY_HABIT: u8 = 31;
 /// A column of fewer bits a value seldom surprises, and what surprises it is its form, which a program that is run a little longer
 /// has otherwise; one of more is noise, of which every block tells the same, a little off.
 const SETTLED_BITS: f32 = 1.0;
+/// A column that takes an eighth more than it did, or than those bits, and this much of a bit, has changed.
+const MORE_BITS: f32 = 1.0 / 8.0;
 
 /// Habits of the machines that cycles came from of late. Of bounded size: of two operations that share a place the newer one has
 /// it.
@@ -105,8 +105,10 @@ pub(super) struct Habit {
 pub(super) struct Predicted {
     /// The channel's code.
     pub(super) code: u8,
-    /// `None` of floats.
-    pub(super) way: Option<Way>,
+    /// Its scale; `None` of floats.
+    pub(super) scale: Option<u8>,
+    /// How, and by which law, where anything was off; `None` of floats.
+    pub(super) way: Option<(Way, Option<Law>)>,
     /// What it took.
     pub(super) bits_a_value: f32,
 }
@@ -116,20 +118,24 @@ pub(super) struct Predicted {
 pub(super) struct Usual {
     /// What it follows, or that it follows none.
     pub(super) way: Way,
-    /// Whether the rest holds too: by which predictor, or how long its guide is remembered.
-    pub(super) is_settled: bool,
+    /// Whether the rest holds too: by which predictor, or by what factor of its guide and how long that is remembered; and this
+    /// law.
+    pub(super) settled: Option<Law>,
 }
 
 impl Habit {
-    /// Whether a block with columns of these codes is to be written by it.
-    pub(super) fn suits(&self, codes: impl Iterator<Item = u8>) -> bool {
-        self.stands && self.since < BY_HABIT && codes.eq(self.columns.iter().map(|column| column.code))
+    /// Whether a block with columns of these codes and scales is to be written by it.
+    pub(super) fn suits(&self, columns: impl Iterator<Item = (u8, Option<u8>)>) -> bool {
+        self.stands
+            && self.since < BY_HABIT
+            && columns.eq(self.columns.iter().map(|column| (column.code, column.scale)))
     }
 
     /// How the column of that code is predicted.
     pub(super) fn usual(&self, code: u8) -> Option<Usual> {
         let column = self.columns.iter().find(|column| column.code == code)?;
-        Some(Usual { way: column.way?, is_settled: column.bits_a_value >= SETTLED_BITS })
+        let (way, law) = column.way?;
+        Some(Usual { way, settled: law.filter(|_| column.bits_a_value >= SETTLED_BITS) })
     }
 
     /// Follows a block whose columns were all looked at.
@@ -143,9 +149,9 @@ impl Habit {
 
     /// Follows a block that was written by it.
     pub(super) fn hold(&mut self, written: impl Iterator<Item = Predicted>) {
-        let has_changed = written
-            .zip(&self.columns)
-            .any(|(now, before)| now.bits_a_value > before.bits_a_value * (1.0 + MORE) + MORE_BITS);
+        let has_changed = written.zip(&self.columns).any(|(now, before)| {
+            now.bits_a_value > before.bits_a_value.max(SETTLED_BITS) * 9.0 / 8.0 + MORE_BITS
+        });
         self.since += 1;
         if has_changed {
             // It is found twice again before it is gone by: programs that take turns have no habit.
@@ -161,7 +167,8 @@ impl Predicted {
         let line = |predictor: Predictor| if predictor.is_fit() { Predictor::Fit8 } else { predictor };
         let seldom_surprise = self.bits_a_value.max(other.bits_a_value) < SETTLED_BITS;
         self.code == other.code
-            && match (self.way, other.way) {
+            && self.scale == other.scale
+            && match (self.way.map(|(way, _)| way), other.way.map(|(way, _)| way)) {
                 (Some(Way::Alone(one)), Some(Way::Alone(other))) => {
                     seldom_surprise || line(one) == line(other)
                 }

@@ -191,10 +191,7 @@ impl<'a> Reader<'a> {
             };
             self.at = self.json.len() - rest.len();
             self.skip_space();
-            let (value, length) = match short::reached(self.json.get(self.at..)?).and_then(short::number) {
-                Some((value, length, _)) => (value, length),
-                None => self.unusual_number()?,
-            };
+            let (value, length) = self.any_number()?;
             values.push(value);
             self.at += length;
             self.skip_space();
@@ -208,14 +205,13 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// A number that is not short, or below zero, with its length.
+    /// A number with its length. What follows it is looked at by the caller.
     #[inline(never)]
-    fn unusual_number(&self) -> Option<(f64, usize)> {
+    fn any_number(&self) -> Option<(f64, usize)> {
         let rest = self.json.get(self.at..)?;
-        if let Some((b'-', behind)) = rest.split_first()
-            && let Some((value, length, _)) = short::reached(behind).and_then(short::number)
-        {
-            return Some((-value, length + 1));
+        let (negative, text) = rest.strip_prefix(b"-").map_or((false, rest), |behind| (true, behind));
+        if let Some((value, length, _)) = short::reached(text).and_then(short::number) {
+            return Some(if negative { (-value, length + 1) } else { (value, length) });
         }
         let mut reader = Reader { json: rest, at: 0 };
         Some((reader.number()?, reader.at))

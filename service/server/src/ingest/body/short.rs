@@ -15,7 +15,10 @@ pub(super) fn reached(json: &[u8]) -> Option<&[u8; REACH]> {
 /// `SPACED`, a blank behind that; returns what follows them. A function of its own, so that all it goes by is in registers.
 #[inline(never)]
 pub(super) fn run<'j, const SPACED: bool>(mut json: &'j [u8], values: &mut Vec<f64>) -> &'j [u8] {
-    while let Some((value, length, b',')) = reached(json).and_then(number) {
+    // Not by `and_then`: a number of its own function would be handed over by memory.
+    while let Some(text) = reached(json)
+        && let Some((value, length, b',')) = number(text)
+    {
         values.push(value);
         json = &json[length + 1..];
         if SPACED && let [b' ', rest @ ..] = json {

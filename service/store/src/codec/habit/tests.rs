@@ -26,8 +26,9 @@ fn walked(len: i64, seed: u64) -> Columns {
 /// What is written of each with one habit, and whether by it.
 fn written(blocks: impl IntoIterator<Item = Columns>, habit: &mut Habit) -> Vec<(usize, bool)> {
     let write = |columns: Columns| {
-        let codes = columns.channels.iter().map(|(channel, _)| *channel as u8);
-        let by_habit = habit.suits(codes);
+        let scale = |column: &Column| column.decimals().map(|(_, scale)| scale);
+        let known = columns.channels.iter().map(|(channel, column)| (*channel as u8, scale(column)));
+        let by_habit = habit.suits(known);
         let block = frame::encode_by(&columns, habit);
         assert_eq!(decode_columns(&block, columns.len).unwrap(), columns);
         (block.len(), by_habit)
@@ -41,7 +42,7 @@ fn anew(columns: &Columns) -> usize {
 
 #[test]
 fn what_was_found_twice_is_gone_by_and_looked_for_again() {
-    let blocks = || (0..40).map(|seed| drilled(380 + 10 * (seed % 5), u64::try_from(seed).unwrap()));
+    let blocks = || (0..60).map(|seed| drilled(380 + 10 * (seed % 5), u64::try_from(seed).unwrap()));
     let told = written(blocks(), &mut Habit::default());
     let by_habit: Vec<bool> = told.iter().map(|(_, by_habit)| *by_habit).collect();
     let again = 2 + usize::from(BY_HABIT);
