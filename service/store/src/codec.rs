@@ -112,7 +112,7 @@ mod range;
 mod rice;
 pub(crate) mod zeros;
 
-pub(crate) use column::decimal;
+pub(crate) use column::extend_decimals;
 pub use column::{Column, Columns, Time};
 #[cfg(test)]
 pub(crate) use frame::tests::cycle as cycle_of_every_field;

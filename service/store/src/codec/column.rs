@@ -62,7 +62,9 @@ impl Column {
     pub fn into_values(self) -> Vec<f64> {
         match self {
             Self::Decimal { scale, values } => {
-                values.into_iter().map(|integer| decimal(integer, scale)).collect()
+                let mut decimals = Vec::with_capacity(values.len());
+                extend_decimals(&mut decimals, &values, scale);
+                decimals
             }
             Self::Exact(bits) => bits.into_iter().map(f64::from_bits).collect(),
         }
@@ -120,8 +122,27 @@ fn next_scale(value: f64, scale: u8) -> u8 {
 }
 
 #[expect(clippy::cast_precision_loss, reason = "integers of the canonical form are below 2^53")]
-pub(crate) fn decimal(integer: i64, scale: u8) -> f64 {
+pub(super) fn decimal(integer: i64, scale: u8) -> f64 {
     integer as f64 / POWERS[usize::from(scale)]
+}
+
+/// Appends the decimals of that scale that integers stand for: the same as [`decimal`] of each, several at once.
+pub(crate) fn extend_decimals(decimals: &mut Vec<f64>, integers: &[i64], scale: u8) {
+    // Small enough to be added to the bits of ROUNDER: a conversion by itself is made for one at a time.
+    const SMALL: i64 = 1 << 51;
+    let small =
+        |integer: i64| f64::from_bits(ROUNDER.to_bits().wrapping_add(integer.cast_unsigned())) - ROUNDER;
+    for integers in integers.chunks(AT_ONCE) {
+        let beyond = |integer: &i64| integer.wrapping_add(SMALL) & !(2 * SMALL - 1);
+        if integers.iter().fold(0, |all, integer| all | beyond(integer)) != 0 {
+            decimals.extend(integers.iter().map(|integer| decimal(*integer, scale)));
+        } else if scale == 0 {
+            decimals.extend(integers.iter().map(|integer| small(*integer)));
+        } else {
+            let power = POWERS[usize::from(scale)];
+            decimals.extend(integers.iter().map(|integer| small(*integer) / power));
+        }
+    }
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "integral and below 2^53")]
@@ -205,6 +226,20 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn many_decimals_are_those_one_by_one(
+            integers in prop::collection::vec(
+                prop_oneof![4 => -1000_i64..1000, 4 => -(1_i64 << 51)..1 << 51, 1 => any::<i64>(), 1 => Just(-(1 << 51))],
+                0..200,
+            ),
+            scale in 0..=MAX_SCALE,
+        ) {
+            let mut decimals = vec![7.0];
+            extend_decimals(&mut decimals, &integers, scale);
+            let one_by_one = integers.iter().map(|integer| decimal(*integer, scale).to_bits());
+            prop_assert!(decimals[1..].iter().map(|value| value.to_bits()).eq(one_by_one));
+        }
+
         #[test]
         fn many_at_once_are_the_same_as_one_by_one(
             values in prop::collection::vec(

@@ -103,7 +103,58 @@ fn a_batch_is_frame_after_frame() {
     assert_eq!(frames(b"{}", 9).unwrap(), [b"{}"]);
 }
 
+/// A frame of one column of decimals, by the differences that it is to hold.
+fn frame_of(differences: &[i64], places: u8) -> Vec<u8> {
+    let mut frame = vec![0; HEAD];
+    frame.extend_from_slice(&(1_u32 << (Field::Samples as u8)).to_le_bytes());
+    for text in ["c1", "T1", "O1"] {
+        frame.push(2);
+        frame.extend_from_slice(text.as_bytes());
+    }
+    frame.extend_from_slice(&0_i64.to_le_bytes());
+    frame.push(0);
+    frame.extend_from_slice(&10.0_f64.to_le_bytes());
+    frame.extend_from_slice(&u32::try_from(differences.len()).unwrap().to_le_bytes());
+    frame.extend_from_slice(&[1, Channel::DepthMm as u8, places]);
+    for difference in differences {
+        put_varint(&mut frame, ((difference << 1) ^ (difference >> 63)).cast_unsigned());
+    }
+    frame.extend_from_slice(&[0; CHECKSUM]);
+    sealed(frame)
+}
+
+fn differences() -> impl Strategy<Value = Vec<i64>> {
+    let short = || prop::collection::vec(-64_i64..64, 0..40);
+    let any = prop_oneof![-300_i64..300, -(1_i64 << 53)..=1 << 53, any::<i64>()];
+    (short(), prop::collection::vec(any, 0..3), short(), prop::collection::vec(-70_i64..70, 0..150))
+        .prop_map(|(a, b, c, d)| [a, b, c, d].concat())
+}
+
 proptest! {
+    /// Several at once as one by one: the same decimals, and the same refusals.
+    #[test]
+    fn integers_are_the_sums_of_their_differences(differences in differences(), places in 0_u8..=9) {
+        let mut integer = 0_i64;
+        let one_by_one: Option<Vec<u64>> = differences
+            .iter()
+            .map(|difference| {
+                integer = integer.wrapping_add(*difference);
+                #[expect(clippy::cast_precision_loss, reason = "below 2^53")]
+                let value = integer as f64 / 10_f64.powi(places.into());
+                (integer.unsigned_abs() < 1 << 53).then(|| value.to_bits())
+            })
+            .collect();
+        let frame = frame_of(&differences, places);
+        let read = read(&frame, 1000).map(|post| {
+            let samples = post.samples.unwrap();
+            samples.columns[0].1.iter().map(|value| value.to_bits()).collect::<Vec<_>>()
+        });
+        prop_assert_eq!(
+            read,
+            one_by_one.ok_or(WireError::Malformed("an integer is not below 2^53"))
+        );
+    }
+
     #[test]
     fn random_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         prop_assert!(read(&bytes, 1000).is_err());
