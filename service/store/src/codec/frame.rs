@@ -168,7 +168,8 @@ impl ResidualsWriter {
         Self { coder: ans::Writer::new(values / 4), of_column: Vec::new(), symbols: Vec::new() }
     }
 
-    /// Writes the residuals of a column of decimals; as `usual`, where that is known and needs no guide.
+    /// Writes the residuals of a column of decimals; by the usual law where that is known, and the usual predictor where it has no
+    /// guide.
     fn code(&mut self, column: &Column, guided: Option<&Guided>, usual: Option<Usual>) -> Option<Coded> {
         let Column::Decimal { values, .. } = column else { return None };
         let &first = values.first()?;

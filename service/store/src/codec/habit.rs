@@ -1,7 +1,7 @@
 //! How the columns of a machine's blocks were predicted of late.
 //!
 //! What a column follows, and how it is predicted best, is seldom another from one cycle of an operation to the next, and
-//! finding it is a quarter of writing a block. So it is looked for twice, and where the same is found it is gone by for the next
+//! finding it is a fifth of writing a block (docs/performance.md). So it is looked for twice, and where the same is found it is gone by for the next
 //! blocks: until one of their columns takes clearly more than it did, or so many have come that it is time to look again. Any way
 //! to predict suits any values, so that a block which is written by habit is read as every other; at worst it is longer.
 
@@ -15,7 +15,7 @@ use feedwright_core::cycle::Cycle;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Machines' operations of which a habit is kept, 300 to 700 bytes each.
+/// Machines' operations of which a habit is kept, 40 bytes for each column.
 const PLACES: usize = 512;
 /// Blocks that are written by habit before all is looked for again.
 const BY_HABIT: u8 = 31;
@@ -72,7 +72,11 @@ impl Habits {
 
     fn keep(&self, of: u64, habit: Habit) {
         if let Some(place) = place_of(&mut self.places(), of) {
-            *place = Some(Place { of, habit });
+            // Of two blocks that were written at once the second had none: what the first brings back stays.
+            let is_kept = |kept: &Place| kept.of == of && kept.habit.stands && !habit.stands;
+            if !place.as_ref().is_some_and(is_kept) {
+                *place = Some(Place { of, habit });
+            }
         }
     }
 }

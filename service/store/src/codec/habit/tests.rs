@@ -6,6 +6,9 @@ use super::super::{encode, encode_samples};
 use super::*;
 use feedwright_core::cycle::{Channel, CycleDraft};
 use proptest::prelude::*;
+use proptest::test_runner::{Config, TestRunner};
+use std::cell::Cell;
+use std::collections::BTreeMap;
 
 /// The same channels as those of a drilled hole, each of which walks by itself.
 fn walked(len: i64, seed: u64) -> Columns {
@@ -124,43 +127,87 @@ fn each_machine_has_its_own_habit_and_there_are_only_so_many() {
     assert!(used > PLACES / 2, "{used} places are used");
 }
 
-fn any_column(len: usize) -> impl Strategy<Value = Column> {
+/// What a column of a sequence of blocks is: its channel's code and scale stay, as a habit asks, and its values do not.
+fn any_form() -> impl Strategy<Value = Option<u8>> {
+    prop_oneof![5 => (0_u8..4).prop_map(Some), 1 => Just(None)]
+}
+
+/// Values as a control quantises them, some that are far off, the widest there are, and such as go straight on.
+fn any_values(len: usize) -> impl Strategy<Value = Vec<i64>> {
+    const WIDEST: i64 = (1 << 53) - 1;
     prop_oneof![
-        (0_u8..4, prop::collection::vec(-1000_i64..1000, len))
-            .prop_map(|(scale, values)| Column::Decimal { scale, values }),
-        (0_u8..4, prop::collection::vec(-(1_i64 << 50)..1 << 50, len))
-            .prop_map(|(scale, values)| Column::Decimal { scale, values }),
-        (any::<i32>(), -50_i64..50).prop_map(move |(first, step)| {
-            let values = (0..).map(|k| i64::from(first) + k * step).take(len).collect();
-            Column::Decimal { scale: 0, values }
-        }),
-        prop::collection::vec(any::<u64>(), len).prop_map(Column::Exact),
+        prop::collection::vec(-1000_i64..1000, len),
+        prop::collection::vec(prop_oneof![9 => -30_i64..30, 1 => -(1_i64 << 44) - 1..(1 << 44) + 2], len),
+        prop::collection::vec(prop_oneof![Just(-WIDEST), Just(WIDEST), -5_i64..5], len),
+        (any::<i32>(), -50_i64..50)
+            .prop_map(move |(first, step)| (0..).map(|k| i64::from(first) + k * step).take(len).collect()),
     ]
 }
 
-prop_compose! {
-    fn any_columns()(len in prop_oneof![1_usize..4, 30_usize..90])(
-        channels in prop::collection::btree_map(prop::sample::select(Channel::ALL), any_column(len), 1..8),
-        times in prop::option::of(any_column(len)),
-        len in Just(len),
-    ) -> Columns {
-        let time = times.map_or(Time::Period(10.0_f64.to_bits()), Time::Stamps);
-        Columns { len, time, channels: channels.into_iter().collect() }
+fn any_column(len: usize, form: Option<u8>) -> BoxedStrategy<Column> {
+    match form {
+        Some(scale) => any_values(len).prop_map(move |values| Column::Decimal { scale, values }).boxed(),
+        None => prop::collection::vec(any::<u64>(), len).prop_map(Column::Exact).boxed(),
     }
 }
 
-proptest! {
-    /// Whatever was written before, and however unlike it is: a habit is made to be gone by wherever the channels let it.
-    #[test]
-    fn blocks_that_are_written_by_habit_come_back(blocks in prop::collection::vec(any_columns(), 2..5)) {
+/// A block of those channels; of those of a drilled hole, some are as they were in one, where columns follow others.
+fn any_block(channels: BTreeMap<Channel, Option<u8>>, has_times: bool) -> impl Strategy<Value = Columns> {
+    let len = prop_oneof![1_usize..7, 30_usize..36, 60_usize..90, 255_usize..259];
+    len.prop_flat_map(move |len| {
+        let times = any_column(len, Some(0)).prop_map(move |times| has_times.then_some(times));
+        let each: Vec<_> = channels
+            .iter()
+            .map(|(channel, form)| (Just(*channel), any_column(len, *form), any::<bool>()))
+            .collect();
+        (times, each, any::<u64>()).prop_map(move |(times, each, seed)| {
+            let hole = drilled(i64::try_from(len).unwrap(), seed % 1000);
+            let drilled = |channel: Channel| hole.channels.iter().find(|(of, _)| *of == channel);
+            let channels = each.into_iter().map(|(channel, column, is_drilled)| {
+                let scale = |column: &Column| column.decimals().map(|(_, scale)| scale);
+                match drilled(channel).filter(|(_, of)| is_drilled && scale(of) == scale(&column)) {
+                    Some((_, of)) => (channel, of.clone()),
+                    None => (channel, column),
+                }
+            });
+            let time = times.map_or(Time::Period(10.0_f64.to_bits()), Time::Stamps);
+            Columns { len, time, channels: channels.collect() }
+        })
+    })
+}
+
+/// Blocks of one machine: each of the same channels, and unlike the others in everything else.
+fn any_blocks() -> impl Strategy<Value = Vec<Columns>> {
+    let of_hole = drilled(40, 1).channels.into_iter().map(|(channel, column)| {
+        let scale = column.decimals().map(|(_, scale)| scale);
+        (channel, scale)
+    });
+    let channels = prop_oneof![
+        prop::collection::btree_map(prop::sample::select(Channel::ALL), any_form(), 1..8),
+        Just(of_hole.collect::<BTreeMap<_, _>>()),
+    ];
+    (channels, any::<bool>())
+        .prop_flat_map(|(channels, has_times)| prop::collection::vec(any_block(channels, has_times), 2..6))
+}
+
+/// Whatever was written before, and however unlike it is: a habit is made to be gone by.
+#[test]
+fn blocks_that_are_written_by_habit_come_back() {
+    let by_habit = Cell::new(0);
+    let mut runner = TestRunner::new(Config { source_file: Some(file!()), ..Config::default() });
+    let told = runner.run(&any_blocks(), |blocks| {
         let mut habit = Habit::default();
-        for columns in &blocks {
-            let block = frame::encode_by(columns, &mut habit);
-            prop_assert_eq!(&decode_columns(&block, columns.len).unwrap(), columns);
+        for columns in blocks {
+            by_habit.set(by_habit.get() + usize::from(written([columns], &mut habit)[0].1));
             habit.stands = true;
         }
-    }
+        Ok(())
+    });
+    told.unwrap();
+    assert!(by_habit.get() > 100, "{} blocks went by habit", by_habit.get());
+}
 
+proptest! {
     #[test]
     fn a_cycle_that_comes_again_has_the_same_samples_and_hash(seed in any::<u64>(), len in 20_i64..200) {
         let habits = Habits::default();
