@@ -30,6 +30,12 @@ impl fmt::Display for Violation {
 
 impl std::error::Error for Violation {}
 
+/// A number for a message: by a power of ten where its digits alone would fill the line.
+fn shown(value: f64) -> String {
+    let is_usual = value == 0.0 || (1e-9..1e16).contains(&value.abs());
+    if is_usual { value.to_string() } else { format!("{value:e}") }
+}
+
 /// A closed range that a quantity has to lie in, with its unit for the message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
@@ -56,7 +62,7 @@ impl Range {
             return Err(Violation::new(
                 path,
                 "out_of_range",
-                format!("must be within {} to {} {}, is {value}", self.min, self.max, self.unit),
+                format!("must be within {} to {} {}, is {}", self.min, self.max, self.unit, shown(value)),
             ));
         }
         // Adding zero turns −0.0 into 0.0, so that equal content has equal bits on both databases.
@@ -72,5 +78,20 @@ impl Range {
                 None
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_hundreds_of_digits_are_told_by_their_power_of_ten() {
+        let told = |value: f64| Range::new(1.0, 2.0, "mm").check("depth_mm", value).unwrap_err().message;
+        assert_eq!(told(1e308), "must be within 1 to 2 mm, is 1e308");
+        assert_eq!(told(-1.5e-300), "must be within 1 to 2 mm, is -1.5e-300");
+        assert_eq!(told(0.0), "must be within 1 to 2 mm, is 0");
+        assert_eq!(told(-100_000.25), "must be within 1 to 2 mm, is -100000.25");
+        assert_eq!(told(1e15), "must be within 1 to 2 mm, is 1000000000000000");
     }
 }

@@ -241,6 +241,15 @@ impl PostgresStore {
         }
     }
 
+    /// Runs reads; the server holds every row to its table's constraints.
+    async fn held_to_constraints<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        self.snapshot(work).await
+    }
+
     /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
     async fn snapshot<T, F>(&self, work: F) -> StoreResult<T>
     where

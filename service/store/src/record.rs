@@ -777,7 +777,7 @@ pub struct Dropped {
 /// What is wrong with something stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreFault {
-    /// What it is about: `cycle`, `samples`, `hash`, `summary`, `file`.
+    /// What it is about: `cycle`, `samples`, `hash`, `summary`, `table`, `file`.
     pub kind: &'static str,
     /// Which one, as in `M1/c0001`.
     pub key: String,

@@ -235,6 +235,16 @@ impl SqliteStore {
         task.await.map_err(panicked)?
     }
 
+    /// Runs reads on the connection that writes: one that only reads leaves a table's constraints out of its schema, and finds
+    /// nothing that breaks them.
+    async fn held_to_constraints<T, F>(&self, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+    {
+        self.write(work).await
+    }
+
     async fn shut(&self) {
         self.inner.gate.shut().await;
         self.inner.checkpoints.stop().await;

@@ -2,7 +2,7 @@
 
 use super::commands::{Served, feedwright, succeed};
 use super::full_disk::with_room;
-use crate::store::given::{Given, Run, shop, stored};
+use crate::store::given::{Given, RIGHT_INDEX, Run, WRONG_INDEX, shop, stored};
 use feedwright_store::{SqliteOptions, SqliteStore, Store};
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use std::path::{Path, PathBuf};
@@ -95,6 +95,17 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
     change("UPDATE cycles SET mean_spindle_load_percent = mean_spindle_load_percent - 1 WHERE cycle_id = 'c00005'")
         .await;
     succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());
+    // Nor over cycles that an index does not find.
+    change("UPDATE tool_wear SET folded = folded + 1").await;
+    change(WRONG_INDEX).await;
+    let (found, said) = fail(feedwright(&other, &["check", "--repair"]).output().unwrap());
+    assert!(found.contains("fault: file sqlite: row 1 missing from index cycles_by_tool\n"), "{found}");
+    assert!(found.contains(" is not folded again, since the file is at fault\n"), "{found}");
+    assert!(said.contains("faults are left"), "{said}");
+    change(RIGHT_INDEX).await;
+    let said = succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());
+    assert!(said.contains("fault: wear M1/T1: folded again"), "{said}");
+    succeed(feedwright(&other, &["check"]).output().unwrap());
     // A block that is damaged stays damaged, and stays named.
     let mut conn = tables(&other).await;
     let zeros = "UPDATE cycle_samples SET block = zeroblob(length(block)) WHERE cycle_id = 'c00007'";

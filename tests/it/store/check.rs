@@ -12,6 +12,7 @@ use std::collections::BTreeSet;
 
 stories!(with tables:
     a_summary_that_is_not_its_cycles_is_named_with_its_columns,
+    a_number_that_is_not_finite_is_named_like_any_other,
     what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same,
     whatever_clock_registered_an_operation_its_cycles_are_sound,
     wear_is_not_folded_over_doubtful_cycles,
@@ -109,6 +110,86 @@ async fn a_summary_that_is_not_its_cycles_is_named_with_its_columns(given: &Give
     let found = checked(&*store).await;
     let [("summary", "M1/c00008", detail)] = told(&found)[..] else { panic!("{:?}", found.faults) };
     assert!(detail.contains("duration_ms is 1 instead of 2000"), "{detail}");
+}
+
+async fn a_number_that_is_not_finite_is_named_like_any_other(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    // Whoever gets such a number past the tables: their constraints do not let it in.
+    let (without, numbers): (&[&'static str], &[&str]) = if given.is_postgres() {
+        let dropped = &[
+            "ALTER TABLE cycles DROP CONSTRAINT cycles_rated_power_joules_range",
+            "ALTER TABLE cycles DROP CONSTRAINT cycles_mean_spindle_load_percent_range",
+            "ALTER TABLE cycles DROP CONSTRAINT cycles_coverage_range",
+        ];
+        (dropped, &["'Infinity'", "'-Infinity'", "'NaN'"])
+    } else {
+        (&[], &["9e999", "-9e999"])
+    };
+    for statement in without {
+        given.raw(*statement).await.unwrap();
+    }
+    for column in ["rated_power_joules", "mean_spindle_load_percent", "coverage"] {
+        given
+            .raw(AssertSqlSafe(format!(
+                "CREATE TABLE kept AS SELECT {column} AS was FROM cycles WHERE cycle_id = 'c00003'"
+            )))
+            .await
+            .unwrap();
+        for number in numbers {
+            let unchecked = if given.is_postgres() { "" } else { "PRAGMA ignore_check_constraints = ON; " };
+            let change =
+                format!("{unchecked}UPDATE cycles SET {column} = {number} WHERE cycle_id = 'c00003'");
+            given.raw(AssertSqlSafe(change)).await.unwrap();
+            let found = checked(&*store).await;
+            let [("summary", "M1/c00003", detail)] = told(&found)[..] else {
+                panic!("{column} {number}: {:?}", found.faults)
+            };
+            assert!(detail.contains(column), "{number}: {detail}");
+            assert_eq!(found.doubtful, BTreeSet::from(["T1".try_into().unwrap()]), "{column} {number}");
+        }
+        let back = format!("UPDATE cycles SET {column} = (SELECT was FROM kept) WHERE cycle_id = 'c00003'");
+        given.raw(AssertSqlSafe(back)).await.unwrap();
+        given.raw("DROP TABLE kept").await.unwrap();
+        assert_eq!(told(&checked(&*store).await), [], "{column}");
+    }
+}
+
+/// SQLite itself tells them, and tells them only who may write.
+#[tokio::test]
+async fn rows_that_a_table_would_refuse_are_named() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    eight(&*store).await;
+    assert_eq!(store.check_tables().await.unwrap(), []);
+    let changes: [(&'static str, &'static str, &str); 4] = [
+        (
+            "UPDATE tools SET version = -5 WHERE tool_id = 'T1'",
+            "UPDATE tools SET version = 1 WHERE tool_id = 'T1'",
+            "tools",
+        ),
+        (
+            "UPDATE cycles SET quantities = quantities + 1 WHERE cycle_id = 'c00003'",
+            "UPDATE cycles SET quantities = quantities - 1 WHERE cycle_id = 'c00003'",
+            "cycles",
+        ),
+        (
+            "UPDATE cycles SET profile_id = 'x' WHERE cycle_id = 'c00003'",
+            "UPDATE cycles SET profile_id = NULL WHERE cycle_id = 'c00003'",
+            "cycles",
+        ),
+        ("UPDATE tool_wear SET version = -version", "UPDATE tool_wear SET version = -version", "tool_wear"),
+    ];
+    for (change, back, table) in changes {
+        let unchecked = format!("PRAGMA ignore_check_constraints = ON; {change}");
+        given.raw(AssertSqlSafe(unchecked)).await.unwrap();
+        let found = store.check_tables().await.unwrap();
+        let told: BTreeSet<_> = found.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+        assert_eq!(told, BTreeSet::from([("table", table)]), "{change}");
+        given.raw(back).await.unwrap();
+        assert_eq!(store.check_tables().await.unwrap(), [], "{change}");
+    }
+    given.done().await;
 }
 
 async fn what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same(given: &Given) {

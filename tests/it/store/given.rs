@@ -297,6 +297,16 @@ pub(crate) fn event(kind: ToolEventKind, at: Timestamp) -> ToolEvent {
     ToolEvent { kind, at, first_cycle: None, reason: Some("as the story goes".to_owned()) }
 }
 
+/// Makes what stands in an index another thing than the index says: no table has changed, and rows are not found by it.
+pub(crate) const WRONG_INDEX: &str = "PRAGMA writable_schema = ON;
+    UPDATE sqlite_schema SET sql = replace(sql, '(tool_id,', '(operation_id,') WHERE name = 'cycles_by_tool';
+    PRAGMA writable_schema = RESET";
+
+/// Puts that right.
+pub(crate) const RIGHT_INDEX: &str = "PRAGMA writable_schema = ON;
+    UPDATE sqlite_schema SET sql = replace(sql, '(operation_id,', '(tool_id,') WHERE name = 'cycles_by_tool';
+    PRAGMA writable_schema = RESET";
+
 /// How a story's cycle differs from the usual one.
 #[derive(Clone)]
 pub(crate) struct Run {

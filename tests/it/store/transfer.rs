@@ -1,7 +1,7 @@
 //! Whole databases: backed up under load, restored, copied from a cell to the plant and back.
 
 use super::feed_profiles::activated;
-use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored};
+use super::given::{Given, Run, WRONG_INDEX, at, commit, engineer, event, machine, shop, stored};
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::units::Timestamp;
 use feedwright_store::transfer::{
@@ -13,6 +13,8 @@ use feedwright_store::{
     QuarantineEntry, Repair, Role, SampleRetention, SessionRecord, SqliteOptions, SqliteStore, Store,
     TokenRecord, WatchSettings,
 };
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -420,10 +422,10 @@ async fn a_target_that_somebody_else_wrote_is_refused_by_table_and_key() {
         ),
     ] {
         target(name).await.close().await;
-        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join(name));
-        let mut conn = sqlx::ConnectOptions::connect(&options).await.unwrap();
+        let options = SqliteConnectOptions::new().filename(folder.path().join(name));
+        let mut conn = options.connect().await.unwrap();
         assert_eq!(sqlx::query(sql).execute(&mut conn).await.unwrap().rows_affected(), 1, "{name}");
-        sqlx::Connection::close(conn).await.unwrap();
+        conn.close().await.unwrap();
         assert_eq!(refused(name).await, told, "{name}");
     }
     source.done().await;
@@ -473,6 +475,15 @@ async fn a_backup_under_load_is_one_state_and_restores() {
     std::fs::write(&turned, bytes).unwrap();
     let refused = restore_to_sqlite(&turned, &folder.path().join("none.sqlite3")).await.unwrap_err();
     assert!(refused.to_string().contains("is not what was backed up"), "{refused}");
+    assert!(!folder.path().join("none.sqlite3").exists());
+    // So is one whose tables are as they were, and an index is not.
+    let unindexed = folder.path().join("unindexed.sqlite3");
+    std::fs::copy(&backup, &unindexed).unwrap();
+    let mut conn = SqliteConnectOptions::new().filename(&unindexed).connect().await.unwrap();
+    sqlx::query(WRONG_INDEX).execute(&mut conn).await.unwrap();
+    conn.close().await.unwrap();
+    let refused = restore_to_sqlite(&unindexed, &folder.path().join("none.sqlite3")).await.unwrap_err();
+    assert!(refused.to_string().contains("missing from index cycles_by_tool"), "{refused}");
     assert!(!folder.path().join("none.sqlite3").exists());
     let refused = restore_to_sqlite(&restored, &folder.path().join("none.sqlite3")).await.unwrap_err();
     assert!(refused.to_string().contains("is no backup"), "{refused}");

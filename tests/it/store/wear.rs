@@ -30,8 +30,13 @@ stories!(
 );
 
 mod tables {
-    super::stories!(with tables: a_damaged_cache_is_found_and_repaired);
-    use super::a_damaged_cache_is_found_and_repaired;
+    super::stories!(with tables:
+        a_damaged_cache_is_found_and_repaired,
+        a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says,
+    );
+    use super::{
+        a_damaged_cache_is_found_and_repaired, a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says,
+    };
 }
 
 /// The fold as the book has it: every cycle once, in order, nothing cached.
@@ -402,8 +407,11 @@ async fn a_damaged_cache_is_found_and_repaired(given: &Given) {
     let runs: Vec<Run> = (1..=300).map(|n| Run { sampled: false, ..Run::nth(n) }).collect();
     commit(&*store, &runs).await;
     let good = given.wear_states().await;
-    let damages: [&'static str; 3] = [
+    let damages: [&'static str; 6] = [
         "UPDATE tool_wear SET folded = folded - 1",
+        "UPDATE tool_wear_checkpoints SET last_started_at_us = last_started_at_us - 8000000000",
+        "UPDATE tool_wear_checkpoints SET last_seq = NULL",
+        "UPDATE tool_wear_checkpoints SET last_cycle_id = 'c00001'",
         "UPDATE tool_wear_checkpoints SET last_cycle_id = 'c00001', state = (SELECT state FROM tool_wear)",
         "DELETE FROM tool_wear",
     ];
@@ -415,4 +423,24 @@ async fn a_damaged_cache_is_found_and_repaired(given: &Given) {
         assert_clean(&*store).await;
         assert_eq!(given.wear_states().await, good, "{damage}");
     }
+}
+
+async fn a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let runs: Vec<Run> = (1..=300)
+        .map(|n| Run { sampled: false, load: 30.0 + f64::from(n % 11) * 0.1, ..Run::nth(n) })
+        .collect();
+    let late = &runs[199];
+    let live: Vec<Run> = runs.iter().filter(|run| run.id != late.id).cloned().collect();
+    commit(&*store, &live).await;
+    // As if it had counted only what is older than the late one.
+    let earlier = "UPDATE tool_wear_checkpoints SET last_started_at_us = last_started_at_us - 6000000000";
+    assert_eq!(given.raw(earlier).await.unwrap(), 1);
+    let found = store.check_wear(Repair::No).await.unwrap();
+    assert_eq!(found.different, [("M1".try_into().unwrap(), "T1".try_into().unwrap())]);
+    stored(&*store, late).await;
+    let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!(verdict, naive(&runs, true, WearSettings::default()));
+    assert_clean(&*store).await;
 }

@@ -226,7 +226,9 @@ fn any_cycle_id_of(body: &[u8]) -> Option<String> {
     struct OnlyId {
         cycle_id: String,
     }
-    serde_json::from_slice::<OnlyId>(body).ok().map(|body| body.cycle_id)
+    let read = serde_json::from_slice::<OnlyId>(body).ok().map(|body| body.cycle_id);
+    // What is no JSON for a number such as NaN is kept too.
+    read.or_else(|| scan::text_of(body, "cycle_id"))
 }
 
 fn parse(json: &[u8], max_samples: usize) -> Result<Body, BodyError> {
@@ -359,7 +361,7 @@ fn word<T>(
     let parsed = parse(text);
     if parsed.is_none() {
         let shown: String = text.chars().take(40).collect();
-        wrong.push(Violation::new(path, "unknown_word", format!("{shown:?} is not a {path} that is known")));
+        wrong.push(Violation::new(path, "unknown_word", format!("{shown:?} is no {path} that is known")));
     }
     parsed
 }

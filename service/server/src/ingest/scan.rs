@@ -10,16 +10,28 @@ const LITERALS: [&str; 8] = ["NaN", "nan", "Infinity", "-Infinity", "inf", "-inf
 
 /// Path and literal of the first number that is not finite, where the text is JSON but for such numbers.
 pub(crate) fn first_non_finite(json: &[u8]) -> Option<(String, String)> {
+    scanned(json, "")?.found
+}
+
+/// The text of a field of the outermost object, where the text is JSON but for such numbers; the first of several.
+pub(crate) fn text_of(json: &[u8], field: &str) -> Option<String> {
+    serde_json::from_str(scanned(json, field)?.wanted?).ok()
+}
+
+fn scanned<'a>(json: &'a [u8], field: &'a str) -> Option<Scan<'a>> {
     let text = std::str::from_utf8(json).ok()?;
-    let mut scan = Scan { rest: text.trim_start(), path: String::new(), found: None };
+    let mut scan = Scan { rest: text.trim_start(), path: String::new(), found: None, field, wanted: None };
     scan.value(0)?;
-    scan.rest.trim_start().is_empty().then_some(scan.found).flatten()
+    scan.rest.trim_start().is_empty().then_some(scan)
 }
 
 struct Scan<'a> {
     rest: &'a str,
     path: String,
     found: Option<(String, String)>,
+    /// A field of the outermost object, and its value as it stands.
+    field: &'a str,
+    wanted: Option<&'a str>,
 }
 
 impl<'a> Scan<'a> {
@@ -53,7 +65,11 @@ impl<'a> Scan<'a> {
                 self.path.push('.');
             }
             self.path.push_str(name);
+            let begins = self.rest;
             self.value(depth + 1)?;
+            if depth == 0 && name == self.field && self.wanted.is_none() {
+                self.wanted = Some(begins[..begins.len() - self.rest.len()].trim_end());
+            }
             self.path.truncate(base);
             if self.eat(",").is_none() {
                 return self.eat("}");
@@ -145,6 +161,22 @@ mod tests {
         assert_eq!(found(r#"{"a":{"x":"]}\""},"b":[[],[ -Infinity ]]}"#), at("b[1][0]", "-Infinity"));
         assert_eq!(found(r#"{"a":1e999}"#), at("a", "1e999"));
         assert_eq!(found(r#"{"a":-1E+400,"b":true}"#), at("a", "-1E+400"));
+    }
+
+    #[test]
+    fn a_field_is_told_beside_numbers_that_are_not_finite() {
+        let told = |json: &str| text_of(json.as_bytes(), "cycle_id");
+        let id = |text: &str| Some(text.to_owned());
+        assert_eq!(told(r#"{"a":[NaN],"cycle_id": "c\u0031" ,"b":{"cycle_id":"x"}}"#), id("c1"));
+        assert_eq!(told(r#"{"b":{"cycle_id":"x"},"cycle_id":"c1","cycle_id":"c2"}"#), id("c1"));
+        for none in [
+            r#"{"cycle_id":NaN}"#,
+            r#"{"b":{"cycle_id":"x"}}"#,
+            r#"[{"cycle_id":"x"}]"#,
+            r#"{"cycle_id":"x""#,
+        ] {
+            assert_eq!(told(none), None, "{none}");
+        }
     }
 
     #[test]

@@ -110,7 +110,7 @@ pub fn check(
     }
     let mut word = |path: &str, text: &Option<String>, known: &dyn Fn(&str) -> bool| {
         if text.as_deref().is_some_and(|text| !known(text)) {
-            wrong.push(Violation::new(path, "unknown_word", format!("is not a {path} that is known")));
+            wrong.push(Violation::new(path, "unknown_word", format!("is no {path} that is known")));
         }
     };
     word("process", &meta.process, &|text| Process::parse(text).is_some());

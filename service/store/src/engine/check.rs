@@ -8,7 +8,7 @@ use crate::locks::Locks;
 use crate::rows::{count, id};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
-use feedwright_core::wear::{FOLD_VERSION, ToolFold};
+use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -41,19 +41,32 @@ fn state(row: &StateRow) -> State {
     (row.fold_version, wear::plain_state(&row.state).map(Cow::into_owned))
 }
 
+#[derive(sqlx::FromRow)]
+struct CheckpointRow {
+    #[sqlx(flatten)]
+    state: StateRow,
+    last_started_at_us: i64,
+    last_seq: Option<i64>,
+    last_cycle_id: String,
+}
+
+/// Start, count and id of the last cycle that a checkpoint has counted.
+type Last = (i64, Option<i64>, String);
+
 /// What is cached of a tool: the state of each machine and its checkpoints.
 async fn cached(
     conn: &mut Conn,
     tool: &ToolId,
-) -> StoreResult<(BTreeMap<MachineId, (i64, State)>, BTreeMap<(MachineId, i64), State>)> {
+) -> StoreResult<(BTreeMap<MachineId, (i64, State)>, BTreeMap<(MachineId, i64), (State, Last)>)> {
     let states: Vec<StateRow> = sqlx::query_as::<Db, _>(
         "SELECT machine_id, folded, fold_version, state FROM tool_wear WHERE tool_id = $1",
     )
     .bind(tool.as_str())
     .fetch_all(&mut *conn)
     .await?;
-    let checkpoints: Vec<StateRow> = sqlx::query_as::<Db, _>(
-        "SELECT machine_id, folded, fold_version, state FROM tool_wear_checkpoints WHERE tool_id = $1",
+    let checkpoints: Vec<CheckpointRow> = sqlx::query_as::<Db, _>(
+        "SELECT machine_id, folded, fold_version, state, last_started_at_us, last_seq, last_cycle_id
+         FROM tool_wear_checkpoints WHERE tool_id = $1",
     )
     .bind(tool.as_str())
     .fetch_all(&mut *conn)
@@ -63,10 +76,16 @@ async fn cached(
         by_machine.insert(id("machine_id", &row.machine_id)?, (row.folded, state(&row)));
     }
     let mut by_count = BTreeMap::new();
-    for row in checkpoints {
-        by_count.insert((id("machine_id", &row.machine_id)?, row.folded), state(&row));
+    for CheckpointRow { state: row, last_started_at_us, last_seq, last_cycle_id } in checkpoints {
+        let last = (last_started_at_us, last_seq, last_cycle_id);
+        by_count.insert((id("machine_id", &row.machine_id)?, row.folded), (state(&row), last));
     }
     Ok((by_machine, by_count))
+}
+
+fn last_of(order: &OrderKey) -> StoreResult<Last> {
+    let seq = order.seq.map(|seq| count("last_seq", seq)).transpose()?;
+    Ok((order.started_at.micros(), seq, order.cycle.as_str().to_owned()))
 }
 
 /// Compares one tool's caches with its fold, checkpoints included. Returns the rows compared and those that differ; with
@@ -88,6 +107,12 @@ pub(super) async fn tool(conn: &mut Conn, tool: &ToolId, repair: bool) -> StoreR
         Some((_, state)) => state.as_deref() == Some(&fold.to_bytes()),
         None => false,
     };
+    // A late cycle is counted from the last checkpoint whose key is before it.
+    let checkpoint_holds = |found: Option<&(State, Last)>, fold: &ToolFold| -> StoreResult<bool> {
+        let Some((state, of)) = found else { return Ok(holds(None, fold)) };
+        let last = fold.last().map(last_of).transpose()?;
+        Ok(holds(Some(state), fold) && (state.0 != version || last.as_ref() == Some(of)))
+    };
     let mut different = Vec::new();
     for machine in &machines {
         let mut walk = Walk::new(&events);
@@ -104,7 +129,7 @@ pub(super) async fn tool(conn: &mut Conn, tool: &ToolId, repair: bool) -> StoreR
                     .map_err(|error| error.of_cycle(&row.machine_id, &row.cycle_id))?;
                 if walk.at_checkpoint() {
                     let found = checkpoints.remove(&(machine.clone(), count("folded", walk.folded())?));
-                    same &= holds(found.as_ref(), walk.fold());
+                    same &= checkpoint_holds(found.as_ref(), walk.fold())?;
                 }
             }
         }

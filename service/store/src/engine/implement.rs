@@ -589,7 +589,7 @@ impl Store for Engine {
     }
 
     async fn check_tables(&self) -> StoreResult<Vec<StoreFault>> {
-        snapshot!(self, |conn| verify::tables(conn).await)
+        self.held_to_constraints(|conn| Box::pin(async move { verify::tables(conn).await })).await
     }
 
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {

@@ -473,8 +473,10 @@ async fn checkpoint_before(
     .bind(cycle)
     .fetch_optional(&mut *conn)
     .await?;
+    // The fold knows by itself how far it goes: a key that says otherwise would leave cycles out.
+    let is_before = |fold: &ToolFold| fold.last().is_some_and(|last| Place::of(last) < *from);
     if let Some(row) = row
-        && let Some(fold) = readable(row.fold_version, &row.state)
+        && let Some(fold) = readable(row.fold_version, &row.state).filter(is_before)
     {
         return Ok(Some((fold, number("folded", row.folded)?)));
     }

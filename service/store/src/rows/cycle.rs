@@ -188,9 +188,10 @@ pub(crate) struct Difference {
     pub(crate) again: String,
 }
 
-/// Whether two sums of the same numbers are the same but for the order in which they were added.
+/// Whether two sums of the same numbers are the same but for the order in which they were added. By the smaller of both: infinity
+/// is within a part of itself.
 fn same(a: f64, b: f64) -> bool {
-    (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
+    (a - b).abs() <= 1e-9 * a.abs().min(b.abs())
 }
 
 /// A row of `cycles` with whether samples are kept for it.
@@ -616,6 +617,13 @@ pub(crate) mod tests {
         fn below(self) -> Self {
             self.next_down()
         }
+    }
+
+    #[test]
+    fn sums_are_the_same_within_what_adding_rounds() {
+        assert!(same(0.0, 0.0) && same(-3.5, -3.5) && same(866.81, 866.81 * (1.0 + 1e-10)));
+        let others = [866.82, 0.0, -866.81, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
+        assert!(others.iter().all(|other| !same(866.81, *other) && !same(*other, 866.81)));
     }
 
     #[test]

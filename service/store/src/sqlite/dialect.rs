@@ -41,11 +41,27 @@ pub(super) async fn make_room(_conn: &mut Conn, _now: Timestamp) -> StoreResult<
     Ok(())
 }
 
-/// What SQLite finds wrong with its own pages and indexes.
+/// What SQLite finds wrong with its own pages and indexes, and which tables hold rows that they would refuse: the latter only on
+/// a connection that may write, as others leave constraints out of their schema.
 pub(super) async fn integrity(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
     let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *conn).await?;
-    let fault = |detail| StoreFault { kind: "file", key: "sqlite".to_owned(), detail };
-    Ok(found.into_iter().filter(|line| line != "ok").map(fault).collect())
+    Ok(found.into_iter().filter(|line| line != "ok").map(fault_of).collect())
+}
+
+fn fault_of(line: String) -> StoreFault {
+    let of_table =
+        ["CHECK constraint failed in ", "NULL value in "].iter().find_map(|what| line.strip_prefix(what));
+    match of_table {
+        Some(of) => {
+            let table = of.split('.').next().unwrap_or(of).to_owned();
+            StoreFault {
+                kind: "table",
+                key: table,
+                detail: format!("a row of it is none that it takes: {line}"),
+            }
+        }
+        None => StoreFault { kind: "file", key: "sqlite".to_owned(), detail: line },
+    }
 }
 
 /// The one writer holds the database: there is nobody to be locked out.

@@ -157,9 +157,8 @@ async fn seal(
     // A single file: whoever copies a backup copies one thing.
     sqlx::query("PRAGMA journal_mode = DELETE").fetch_all(side.conn()).await?;
     forget_journal(&mut side).await?;
-    let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(10)").fetch_all(side.conn()).await?;
-    if found != ["ok"] {
-        return Err(file(path, format!("SQLite finds the copy damaged: {}", found.join("; "))));
+    if let Some(damage) = damage_of(&mut side).await? {
+        return Err(file(path, format!("SQLite finds the copy damaged: {damage}")));
     }
     let sums = match known {
         Some(sums) => sums,
@@ -187,6 +186,13 @@ async fn seal(
     }
     Box::new(side).close().await;
     Ok(sums)
+}
+
+/// What SQLite finds wrong with pages, indexes and rows of a file. An index that says something else than its table leaves rows
+/// out of answers, and is in no table's sum.
+async fn damage_of(side: &mut SqliteSide) -> Result<Option<String>, TransferError> {
+    let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(10)").fetch_all(side.conn()).await?;
+    Ok((found != ["ok"]).then(|| found.join("; ")))
 }
 
 /// The groups' journal is the source's: whoever is restored from the copy makes one of its own.
@@ -243,10 +249,11 @@ async fn checked(backup: &Path, side: &mut SqliteSide) -> Result<Vec<(String, Ta
                 TransferError::Store(_) => file(backup, "is no backup of this program"),
                 told => told,
             })?;
-    let sums = sums_of(side).await.map_err(|error| match of_backup(backup, error) {
+    let damaged = |error| match of_backup(backup, error) {
         TransferError::Store(error) => file(backup, format!("is damaged: {error}")),
         other => other,
-    })?;
+    };
+    let sums = sums_of(side).await.map_err(damaged)?;
     for (name, rows, digest) in &written {
         let right = sums.iter().any(|(table, sum)| {
             table == name && i64::try_from(sum.rows).ok() == Some(*rows) && sum.digest.as_slice() == digest
@@ -257,6 +264,9 @@ async fn checked(backup: &Path, side: &mut SqliteSide) -> Result<Vec<(String, Ta
     }
     if written.len() != sums.len() {
         return Err(file(backup, "is damaged: a table is there that was not backed up"));
+    }
+    if let Some(damage) = damage_of(side).await.map_err(damaged)? {
+        return Err(file(backup, format!("is damaged: {damage}")));
     }
     Ok(sums)
 }

@@ -122,6 +122,8 @@ fn text_without_control_characters_only() {
     assert_eq!(cycle_id_of(br#"{"cycle_id":"a\u0000b"}"#).as_deref(), Some("a\u{fffd}b"));
     let long = format!(r#"{{"cycle_id":"{}"}}"#, "é".repeat(1000));
     assert_eq!(cycle_id_of(long.as_bytes()), Some("é".repeat(128)));
+    let not_finite = br#"{"cycle_id":"c\u0031","samples":{"depth_mm":[NaN,-Infinity]}}"#;
+    assert_eq!(cycle_id_of(not_finite).as_deref(), Some("c1"));
 }
 
 #[test]
