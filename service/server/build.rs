@@ -15,6 +15,11 @@ fn main() {
     // A megabyte of relocations, which stays resident after the start, packed into some kilobytes. Debian has read these
     // since version 12 (glibc 2.36).
     println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
+    // The linker holds each function's name against each line of the script: minutes where nothing is optimised, and so nothing is
+    // left out or put together.
+    if variable("OPT_LEVEL") == "0" {
+        return;
+    }
     // A copy: two checkouts may build into one folder, and the one that this was run for may be gone.
     let script = std::path::Path::new(&variable("OUT_DIR")).join("often.ld");
     std::fs::copy("often.ld", &script)
