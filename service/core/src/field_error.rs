@@ -3,6 +3,7 @@
 //! Constructors of the process modules return it; the HTTP layer prefixes the path of the object that held the
 //! field. Nothing here allocates unless `std` is on, so that a controller board can report a bad setting too.
 
+use crate::shown::Shown;
 use core::fmt;
 
 /// A refused field and what is wrong with it.
@@ -77,7 +78,9 @@ impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NotFinite => f.write_str("must be a finite number"),
-            Self::OutOfRange { value, min, max } => write!(f, "is {value}, must lie within {min} and {max}"),
+            Self::OutOfRange { value, min, max } => {
+                write!(f, "is {}, must lie within {min} and {max}", Shown(*value))
+            }
             Self::Inverted => f.write_str("starts above its end"),
             Self::Empty => f.write_str("must not be empty"),
             Self::TooMany { count, max } => write!(f, "makes {count} elements, at most {max} are accepted"),

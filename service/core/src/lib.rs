@@ -11,6 +11,7 @@
 
 pub mod contact;
 pub mod field_error;
+mod shown;
 pub mod vibratory;
 
 #[cfg(feature = "std")]

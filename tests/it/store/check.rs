@@ -192,6 +192,23 @@ async fn rows_that_a_table_would_refuse_are_named() {
     given.done().await;
 }
 
+/// What SQLite leaves out of a list that is full may be a fault of the file.
+#[tokio::test]
+async fn a_list_of_faults_that_is_full_says_so() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    let runs: Vec<Run> = (1..=120).map(|n| Run { sampled: false, ..Run::nth(n) }).collect();
+    shop(&*store).await;
+    commit(&*store, &runs).await;
+    let refused = "PRAGMA ignore_check_constraints = ON; UPDATE cycles SET profile_id = 'x'";
+    given.raw(refused).await.unwrap();
+    let found = store.check_tables().await.unwrap();
+    let told: BTreeSet<_> = found.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+    assert_eq!(told, BTreeSet::from([("table", "cycles"), ("file", "sqlite")]));
+    assert!(found.last().unwrap().detail.contains("there may be more"), "{found:?}");
+    given.done().await;
+}
+
 async fn what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same(given: &Given) {
     let store = given.store();
     shop(&*store).await;

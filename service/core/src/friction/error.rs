@@ -1,5 +1,6 @@
 //! The one error of every constructor here: which field, a stable code, and a sentence for a person.
 
+use crate::shown::Shown;
 use std::borrow::Cow;
 use std::fmt;
 
@@ -110,7 +111,7 @@ pub(crate) fn between(field: &'static str, value: f64, low: f64, high: f64) -> R
     if (low..=high).contains(&value) {
         Ok(value)
     } else {
-        let text = format!("must be between {low} and {high}, not {value}");
+        let text = format!("must be between {low} and {high}, not {}", Shown(value));
         Err(Invalid::new(field, InvalidCode::OutOfRange, text))
     }
 }
@@ -121,7 +122,7 @@ pub(crate) fn positive(field: &'static str, value: f64, high: f64) -> Result<f64
     if value > 0.0 && value <= high {
         Ok(value)
     } else {
-        let text = format!("must be above 0 and at most {high}, not {value}");
+        let text = format!("must be above 0 and at most {high}, not {}", Shown(value));
         Err(Invalid::new(field, InvalidCode::OutOfRange, text))
     }
 }

@@ -226,9 +226,12 @@ fn any_cycle_id_of(body: &[u8]) -> Option<String> {
     struct OnlyId {
         cycle_id: String,
     }
-    let read = serde_json::from_slice::<OnlyId>(body).ok().map(|body| body.cycle_id);
-    // What is no JSON for a number such as NaN is kept too.
-    read.or_else(|| scan::text_of(body, "cycle_id"))
+    match serde_json::from_slice::<OnlyId>(body) {
+        Ok(body) => Some(body.cycle_id),
+        // What is no JSON for a number such as NaN is kept too.
+        Err(error) if error.is_syntax() => scan::text_of(body, "cycle_id"),
+        Err(_) => None,
+    }
 }
 
 fn parse(json: &[u8], max_samples: usize) -> Result<Body, BodyError> {

@@ -10,31 +10,66 @@ const LITERALS: [&str; 8] = ["NaN", "nan", "Infinity", "-Infinity", "inf", "-inf
 
 /// Path and literal of the first number that is not finite, where the text is JSON but for such numbers.
 pub(crate) fn first_non_finite(json: &[u8]) -> Option<(String, String)> {
-    scanned(json, "")?.found
-}
-
-/// The text of a field of the outermost object, where the text is JSON but for such numbers; the first of several.
-pub(crate) fn text_of(json: &[u8], field: &str) -> Option<String> {
-    serde_json::from_str(scanned(json, field)?.wanted?).ok()
-}
-
-fn scanned<'a>(json: &'a [u8], field: &'a str) -> Option<Scan<'a>> {
-    let text = std::str::from_utf8(json).ok()?;
-    let mut scan = Scan { rest: text.trim_start(), path: String::new(), found: None, field, wanted: None };
+    let mut scan = Scan::of(std::str::from_utf8(json).ok()?);
     scan.value(0)?;
-    scan.rest.trim_start().is_empty().then_some(scan)
+    scan.rest.trim_start().is_empty().then_some(scan.found).flatten()
 }
+
+/// The text of a field of the outermost object, where all before it is JSON but for such numbers. It is looked for in the
+/// first [`MOST_LOOKED_THROUGH`] bytes.
+pub(crate) fn text_of(json: &[u8], field: &str) -> Option<String> {
+    let begins = json.get(..MOST_LOOKED_THROUGH).unwrap_or(json);
+    let text = match std::str::from_utf8(begins) {
+        Ok(text) => text,
+        Err(error) => std::str::from_utf8(&begins[..error.valid_up_to()]).ok()?,
+    };
+    let mut scan = Scan::of(text);
+    scan.eat("{")?;
+    loop {
+        let name = scan.string()?;
+        scan.eat(":")?;
+        let value = scan.rest;
+        scan.value(1)?;
+        if name == field {
+            return serde_json::from_str(value[..value.len() - scan.rest.len()].trim_end()).ok();
+        }
+        scan.eat(",")?;
+    }
+}
+
+/// Some milliseconds: whoever asks for a field is not to hold up others.
+const MOST_LOOKED_THROUGH: usize = 1 << 20;
 
 struct Scan<'a> {
     rest: &'a str,
-    path: String,
+    /// Where it is.
+    steps: Vec<Step<'a>>,
     found: Option<(String, String)>,
-    /// A field of the outermost object, and its value as it stands.
-    field: &'a str,
-    wanted: Option<&'a str>,
+}
+
+/// A step of a path.
+#[derive(Clone, Copy)]
+enum Step<'a> {
+    Field(&'a str),
+    Element(usize),
 }
 
 impl<'a> Scan<'a> {
+    fn of(text: &'a str) -> Self {
+        Self { rest: text.trim_start(), steps: Vec::new(), found: None }
+    }
+
+    fn path(&self) -> String {
+        let mut path = String::new();
+        for step in &self.steps {
+            match step {
+                Step::Field(name) => path.extend([if path.is_empty() { "" } else { "." }, name]),
+                Step::Element(index) => path.push_str(&format!("[{index}]")),
+            }
+        }
+        path
+    }
+
     fn value(&mut self, depth: usize) -> Option<()> {
         if depth > MAX_DEPTH {
             return None;
@@ -57,20 +92,12 @@ impl<'a> Scan<'a> {
         if self.eat("}").is_some() {
             return Some(());
         }
-        let base = self.path.len();
         loop {
             let name = self.string()?;
             self.eat(":")?;
-            if base > 0 {
-                self.path.push('.');
-            }
-            self.path.push_str(name);
-            let begins = self.rest;
+            self.steps.push(Step::Field(name));
             self.value(depth + 1)?;
-            if depth == 0 && name == self.field && self.wanted.is_none() {
-                self.wanted = Some(begins[..begins.len() - self.rest.len()].trim_end());
-            }
-            self.path.truncate(base);
+            self.steps.pop();
             if self.eat(",").is_none() {
                 return self.eat("}");
             }
@@ -82,14 +109,11 @@ impl<'a> Scan<'a> {
         if self.eat("]").is_some() {
             return Some(());
         }
-        let base = self.path.len();
         let mut index = 0_usize;
         loop {
-            if self.found.is_none() {
-                self.path.push_str(&format!("[{index}]"));
-            }
+            self.steps.push(Step::Element(index));
             self.value(depth + 1)?;
-            self.path.truncate(base);
+            self.steps.pop();
             index += 1;
             if self.eat(",").is_none() {
                 return self.eat("]");
@@ -124,7 +148,7 @@ impl<'a> Scan<'a> {
         let not_finite = LITERALS.contains(&literal)
             || is_json_number(literal)? && literal.parse::<f64>().ok()?.is_infinite();
         if not_finite && self.found.is_none() {
-            self.found = Some((self.path.clone(), literal.to_owned()));
+            self.found = Some((self.path(), literal.to_owned()));
         }
         Some(())
     }
@@ -168,13 +192,16 @@ mod tests {
         let told = |json: &str| text_of(json.as_bytes(), "cycle_id");
         let id = |text: &str| Some(text.to_owned());
         assert_eq!(told(r#"{"a":[NaN],"cycle_id": "c\u0031" ,"b":{"cycle_id":"x"}}"#), id("c1"));
-        assert_eq!(told(r#"{"b":{"cycle_id":"x"},"cycle_id":"c1","cycle_id":"c2"}"#), id("c1"));
-        for none in [
-            r#"{"cycle_id":NaN}"#,
-            r#"{"b":{"cycle_id":"x"}}"#,
-            r#"[{"cycle_id":"x"}]"#,
-            r#"{"cycle_id":"x""#,
-        ] {
+        assert_eq!(told(r#" {"b":{"cycle_id":"x"},"cycle_id":"c1","b":NaN}"#), id("c1"));
+        let far = |values: usize| format!(r#"{{"a":[{}NaN],"cycle_id":"ä"}}"#, "1,".repeat(values));
+        assert_eq!(told(&far(1000)), id("ä"));
+        assert_eq!(told(&far(MOST_LOOKED_THROUGH / 2)), None);
+        // Cut within a letter.
+        let cut = format!(r#"{{"cycle_id":"c1","a":"{}"#, "ä".repeat(MOST_LOOKED_THROUGH));
+        assert_eq!(told(&cut), id("c1"));
+        for none in
+            [r#"{"cycle_id":NaN}"#, r#"{"b":{"cycle_id":"x"}}"#, r#"[{"cycle_id":"x"}]"#, r#"{"cycle_id":"x"#]
+        {
             assert_eq!(told(none), None, "{none}");
         }
     }

@@ -22,7 +22,7 @@ const FIFTH: u8 = 5;
 const GUIDED: u8 = 0x08;
 const EXACT: u8 = 15;
 const COMPRESSED: u8 = 0x80;
-const TIMES: u8 = 0;
+pub(super) const TIMES: u8 = 0;
 const CHECKSUM: usize = 8;
 /// Channels and times.
 const MAX_BLOCKS: usize = 17;

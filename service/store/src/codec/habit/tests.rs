@@ -30,8 +30,12 @@ fn walked(len: i64, seed: u64) -> Columns {
 fn written(blocks: impl IntoIterator<Item = Columns>, habit: &mut Habit) -> Vec<(usize, bool)> {
     let write = |columns: Columns| {
         let scale = |column: &Column| column.decimals().map(|(_, scale)| scale);
-        let known = columns.channels.iter().map(|(channel, column)| (*channel as u8, scale(column)));
-        let by_habit = habit.suits(known);
+        let times = match &columns.time {
+            Time::Period(_) => None,
+            Time::Stamps(times) => Some((frame::TIMES, scale(times))),
+        };
+        let channels = columns.channels.iter().map(|(channel, column)| (*channel as u8, scale(column)));
+        let by_habit = habit.suits(times.into_iter().chain(channels));
         let block = frame::encode_by(&columns, habit);
         assert_eq!(decode_columns(&block, columns.len).unwrap(), columns);
         (block.len(), by_habit)
@@ -204,7 +208,7 @@ fn blocks_that_are_written_by_habit_come_back() {
         Ok(())
     });
     told.unwrap();
-    assert!(by_habit.get() > 100, "{} blocks went by habit", by_habit.get());
+    assert!(by_habit.get() > 200, "{} blocks went by habit", by_habit.get());
 }
 
 proptest! {
