@@ -785,6 +785,14 @@ pub struct StoreFault {
     pub detail: String,
 }
 
+impl StoreFault {
+    /// Whether a fault of the tables may leave cycles out of what is read, or show them elsewhere, as an index does that is
+    /// wrong: what is folded of them then may be no fold of them.
+    pub fn may_hide_cycles(&self) -> bool {
+        self.kind == "file" || (self.kind == "table" && self.key == "cycles")
+    }
+}
+
 /// What the check of a page of cycles found.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CheckPage {

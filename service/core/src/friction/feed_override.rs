@@ -4,6 +4,7 @@
 //! [`OverrideBounds::clamp`], so that no law, however wrong, can leave the machine's or the profile's limits.
 
 use super::error::{Invalid, InvalidCode, finite};
+use crate::shown::Shown;
 
 /// No control takes more: FANUC's override ends at 254 %, SINUMERIK's at 200 %.
 pub const HIGHEST_OVERRIDE_PERCENT: f64 = 255.0;
@@ -30,11 +31,12 @@ impl OverrideRange {
         finite("min_percent", min_percent)?;
         finite("max_percent", max_percent)?;
         if !(min_percent > 0.0 && min_percent <= NEUTRAL_PERCENT) {
-            let text = format!("must be above 0 and at most 100, not {min_percent}");
+            let text = format!("must be above 0 and at most 100, not {}", Shown(min_percent));
             return Err(Invalid::new("min_percent", InvalidCode::OutOfRange, text));
         }
         if !(NEUTRAL_PERCENT..=HIGHEST_OVERRIDE_PERCENT).contains(&max_percent) {
-            let text = format!("must be between 100 and {HIGHEST_OVERRIDE_PERCENT}, not {max_percent}");
+            let text =
+                format!("must be between 100 and {HIGHEST_OVERRIDE_PERCENT}, not {}", Shown(max_percent));
             return Err(Invalid::new("max_percent", InvalidCode::OutOfRange, text));
         }
         Ok(Self { min: min_percent, max: max_percent })

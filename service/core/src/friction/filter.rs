@@ -1,6 +1,7 @@
 //! Load filter of the adaptive feed law: inertia, current reading and forecast (Stryczek & Błaszczak 2020, Eq. 1).
 
 use super::error::{Invalid, InvalidCode, finite};
+use crate::shown::Shown;
 
 /// How far the weights' sum may be from 1 before they are refused; only rounding is forgiven.
 const SUM_TOLERANCE: f64 = 1e-9;
@@ -32,7 +33,7 @@ impl FilterWeights {
         finite("forecast", forecast)?;
         let sum = inertia + current + forecast;
         if (sum - 1.0).abs() > SUM_TOLERANCE {
-            let text = format!("the three weights must sum to 1, not {sum}");
+            let text = format!("the three weights must sum to 1, not {}", Shown(sum));
             return Err(Invalid::new("weights", InvalidCode::Inconsistent, text));
         }
         let weights = Self { inertia, current, forecast };

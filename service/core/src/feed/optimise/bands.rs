@@ -5,6 +5,7 @@ use super::propose::{Proposal, optimise};
 use super::recording::RecordedCycle;
 use super::settings::{Settings, SettingsParams};
 use crate::friction::error::{Invalid, InvalidCode};
+use crate::shown::Shown;
 
 /// Most bands.
 pub const MOST_BANDS: usize = 8;
@@ -34,7 +35,7 @@ pub fn check_edges(edges: &[f64]) -> Result<(), Invalid> {
     }
     for (at, edge) in edges.iter().enumerate() {
         if !(0.5..=3.0).contains(edge) {
-            let text = format!("must be within 0.5 to 3, is {edge}");
+            let text = format!("must be within 0.5 to 3, is {}", Shown(*edge));
             return Err(Invalid::new(format!("edges[{at}]"), InvalidCode::OutOfRange, text));
         }
         if at > 0 && *edge <= edges[at - 1] {

@@ -56,14 +56,14 @@ impl Average {
         }
         let middle = self.next + length / 2;
         let (index, depth_mm) = self.places[if middle >= length { middle - length } else { middle }];
-        let [ways, feed_drives, spindles] = &self.columns;
-        let (mut way_mm, mut feed_drive, mut spindle) = (0.0, 0.0, 0.0);
-        let rows = ways[..length].iter().zip(&feed_drives[..length]).zip(&spindles[..length]);
-        for ((way, drive), load) in rows {
-            way_mm += way;
-            feed_drive += drive;
-            spindle += load;
+        let columns = self.columns.each_ref().map(|column| &column[..length]);
+        let mut means = [0.0; 3];
+        for row in 0..length {
+            for (mean, column) in means.iter_mut().zip(columns) {
+                *mean += column[row];
+            }
         }
+        let [way_mm, feed_drive, spindle] = means;
         Some(Row { index, depth_mm, way_mm, feed_drive, spindle })
     }
 }
