@@ -774,6 +774,9 @@ pub struct Dropped {
     pub more: bool,
 }
 
+/// Tables of which a tool's wear is folded.
+const FOLDED: [&str; 4] = ["cycles", "operations", "tools", "tool_events"];
+
 /// What is wrong with something stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreFault {
@@ -786,10 +789,10 @@ pub struct StoreFault {
 }
 
 impl StoreFault {
-    /// Whether a fault of the tables may leave cycles out of what is read, or show them elsewhere, as an index does that is
-    /// wrong: what is folded of them then may be no fold of them.
-    pub fn may_hide_cycles(&self) -> bool {
-        self.kind == "file" || (self.kind == "table" && self.key == "cycles")
+    /// Whether a fault of the tables may have wear folded of something else than was taken in: it may leave cycles out of what
+    /// is read, or show them elsewhere, as an index does that is wrong, or it is in what a fold rests on besides.
+    pub fn may_mislead_wear(&self) -> bool {
+        self.kind == "file" || (self.kind == "table" && FOLDED.contains(&self.key.as_str()))
     }
 }
 

@@ -17,7 +17,7 @@ const PAGE: u32 = 200;
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// Folds wear again where the cache differs from it, but not over cycles that say something else than was taken in, nor in a
-    /// file whose pages, indexes or cycles SQLite finds at fault.
+    /// file in whose pages, indexes, cycles, operations, tools or events SQLite finds faults.
     /// Nothing else can be repaired: what is damaged is named.
     #[arg(long)]
     repair: bool,
@@ -56,10 +56,10 @@ async fn of_backup(backup: &std::path::Path, at: &std::path::Path) -> anyhow::Re
 
 async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
     let mut faults = 0_u64;
-    let mut cycles_are_found = true;
+    let mut foldable = true;
     for fault in store.check_tables().await? {
         faults += 1;
-        cycles_are_found &= !fault.may_hide_cycles();
+        foldable &= !fault.may_mislead_wear();
         print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))?;
     }
     let (mut checked, mut dropped, mut unverified, mut after) = (0, 0, 0, None);
@@ -86,13 +86,13 @@ async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
              were not computed again\n"
         ))?;
     }
-    let repair = if repair && cycles_are_found { Repair::AllBut(&doubtful) } else { Repair::No };
+    let repair = if repair && foldable { Repair::AllBut(&doubtful) } else { Repair::No };
     let wear = store.check_wear(repair).await?;
     for (machine, tool) in &wear.different {
         let done = if repair.folds(tool) {
             "folded again"
-        } else if !cycles_are_found {
-            "the cache is not the fold over the cycles that are found, and is not folded again, since the file is at fault"
+        } else if !foldable {
+            "the cache is not the fold over what is found, and is not folded again, since the file is at fault"
         } else if doubtful.contains(tool) {
             "the cache is not the fold over the cycles, and is not folded again, since some of them are at fault"
         } else {
