@@ -27,4 +27,3 @@ const shapes = {
   out: '<path d="M6.5 2H2.5v12h4M7 8h7M11 5l3 3-3 3"/>',
 };
 export const icon = (name, label) => trusted(S(shapes[name] ?? shapes.none, label));
-export const brand = trusted('<svg viewBox="0 0 22 22" aria-hidden="true"><rect width="22" height="22" rx="4" fill="var(--ink)"/><path d="M3.5 16.5 8 15l3-8.5 3.2 4.3 4.3-5.3" fill="none" stroke="var(--surface)" stroke-width="1.8" stroke-linejoin="round" stroke-linecap="round"/><circle cx="11" cy="6.5" r="2" fill="var(--surface)"/></svg>');

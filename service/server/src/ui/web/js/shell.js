@@ -1,5 +1,5 @@
 // The frame around every page: navigation on top (charts need the width), whether it is live, who is signed in.
-import { icon, brand } from "./icons.js";
+import { icon } from "./icons.js";
 import { $, element, fill, html, put } from "./html.js";
 import { ApiError, ask, may, session } from "./api.js";
 import { failure } from "./states.js";
@@ -22,18 +22,16 @@ function switchTheme() {
 /** Puts the frame up at once; what needs the session follows when it is known. */
 export function shell(title) {
   document.title = title ? `${title} \u2013 Feedwright` : "Feedwright";
-  const bar = element(html`<header class="topbar">
-    <a class="brand" href="/">${brand}<span>Feedwright</span></a>
-    <nav class="nav" aria-label="${t("app.main")}">${pages.map(([id, path, sign, kind]) => html`<a href="${path}" class="${kind ?? ""}" ${id === name() ? html`aria-current="page"` : ""}>${icon(sign)}<span>${t(`nav.${id}`)}</span></a>`)}</nav>
-    <div class="right">
+  // The bar itself is in the document, so that it is painted before any module is there.
+  const bar = $(".topbar");
+  bar.append(element(html`<nav class="nav" aria-label="${t("app.main")}">${pages.map(([id, path, sign, kind]) => html`<a href="${path}" class="${kind ?? ""}" ${id === name() ? html`aria-current="page"` : ""}>${icon(sign)}<span>${t(`nav.${id}`)}</span></a>`)}</nav>`), element(html`<div class="right">
       <span class="live" id="live" data-state="polled" role="status"><span class="dot"></span><span class="live-text"></span></span>
       <span class="who" id="who"></span>
       <button class="btn quiet" id="language" lang="${language === "de" ? "en" : "de"}" aria-label="${t("app.languageLabel")}">${t("app.language")}</button>
       <button class="btn quiet" id="theme" aria-label="${t("app.theme")}">${icon("sun")}</button>
       <a class="btn quiet phone-only" href="/settings" aria-label="${t("nav.settings")}" title="${t("nav.settings")}">${icon("more")}</a>
       <button class="btn quiet" id="sign-out" aria-label="${t("sign.out")}" title="${t("sign.out")}" hidden>${icon("out")}</button>
-    </div></header>`);
-  document.body.prepend(bar);
+    </div>`));
   document.body.prepend(element(html`<a class="skip" href="#main">${t("app.skip")}</a>`));
   $("#theme").addEventListener("click", switchTheme);
   $("#language").addEventListener("click", () => setLanguage(language === "de" ? "en" : "de"));

@@ -1,11 +1,11 @@
-import { $, element, fill, html } from "../html.js";
+import { $, element, fill, html, trusted } from "../html.js";
 import { ApiError, post } from "../api.js";
-import { brand, icon } from "../icons.js";
+import { icon } from "../icons.js";
 import { told, language, setLanguage, t } from "../text.js";
 
 document.title = `${t("sign.title")} \u2013 Feedwright`;
 fill($("#main"), html`<section class="sign panel">
-  <header class="sign-head"><span class="brand">${brand}<span>Feedwright</span></span><button class="btn quiet" id="language" lang="${language === "de" ? "en" : "de"}" aria-label="${t("app.languageLabel")}">${t("app.language")}</button></header>
+  <header class="sign-head"><span class="brand">${trusted($(".topbar .brand").innerHTML)}</span><button class="btn quiet" id="language" lang="${language === "de" ? "en" : "de"}" aria-label="${t("app.languageLabel")}">${t("app.language")}</button></header>
   <h1>${t("sign.title")}</h1><p class="muted">${t("sign.what")}</p>
   <form id="form" novalidate>
     <label for="token">${t("sign.token")}</label>
