@@ -6,13 +6,43 @@
 use super::decimal;
 use feedwright_store::codec::{Column, Columns, Time};
 use std::io::Result;
+use std::sync::LazyLock;
 
 /// Most places that are written here: a decimal with more may be written with an exponent.
 const MOST_PLACES: u8 = 4;
-/// Integers below have five digits at the most: with sign, point and comma they fill a word.
+/// Integers below have five digits at the most: with point and comma they are within a word.
 const FIVE_DIGITS: u64 = 100_000;
 /// Bytes of a word.
 const WORD: usize = 8;
+/// Values that are put together before they are copied, and bytes that each of them takes at the most: a sign besides.
+const TOGETHER: usize = 32;
+const MOST_BYTES: usize = WORD + 1;
+
+/// Digits of whole numbers, the first in the lowest byte: as many as stand before the point where one place is behind it.
+static WHOLE: LazyLock<Box<[u32]>> =
+    LazyLock::new(|| (0..10_000).map(|number| text(&number.to_string())).collect());
+/// By how many places there are, the point, the digits behind it but for zeros at the end, and a comma.
+static BEHIND: [LazyLock<Box<[u64]>>; MOST_PLACES as usize] = [
+    LazyLock::new(|| behind(1, 10)),
+    LazyLock::new(|| behind(2, 100)),
+    LazyLock::new(|| behind(3, 1_000)),
+    LazyLock::new(|| behind(4, 10_000)),
+];
+
+fn behind(places: usize, numbers: u32) -> Box<[u64]> {
+    let text_of = |number: u32| {
+        let digits = format!("{number:0places$}");
+        // One place is always shown: 140.0.
+        let (first, others) = digits.split_at(1);
+        text(&format!(".{first}{},", others.trim_end_matches('0')))
+    };
+    (0..numbers).map(text_of).collect()
+}
+
+/// The bytes of a short text as an integer, the first one lowest.
+fn text<T: From<u8> + std::ops::Shl<u32, Output = T> + std::ops::BitOr<Output = T>>(text: &str) -> T {
+    text.bytes().rev().fold(T::from(0), |word, byte| word << 8 | T::from(byte))
+}
 
 /// The columns as `SamplesBody` would write them.
 pub(super) fn json(columns: Columns) -> Result<Vec<u8>> {
@@ -61,42 +91,34 @@ fn column(out: &mut Vec<u8>, column: Column) -> Result<()> {
 
 /// An array of the values, each times `factor` below [`FIVE_DIGITS`], with `places`, of which there are 1 to 4.
 ///
-/// Each is put together in a word, its first byte lowest, without asking how long it is.
+/// What stands before the point and behind it is looked up, and put together in a word without asking how long either is.
+#[expect(clippy::cast_possible_truncation, reason = "numbers of five digits")]
 fn decimals(out: &mut Vec<u8>, values: &[i64], (places, factor): (u32, u64)) {
+    let (whole, behind) = (&*WHOLE, &*BEHIND[places as usize - 1]);
+    let scale = 10_u64.pow(places);
+    // Rounded up, it is exact for numbers so small.
+    let inverse = (1_u64 << 32).div_ceil(scale);
     out.push(b'[');
-    let mut at = out.len();
-    out.resize(at + values.len() * WORD, 0);
-    let before = 5 - places;
-    let (whole, point) = ((1_u64 << (8 * before)) - 1, u64::from(b'.') << (8 * before));
-    for value in values {
-        let digits = digits(value.unsigned_abs() * factor);
-        // Bits of zeros that are not shown: but for one digit before the point and one behind it.
-        let leading = (digits.trailing_zeros() & !7).min(8 * (before - 1));
-        let trailing = ((digits.leading_zeros() - 24) & !7).min(8 * (places - 1));
-        let shown = digits | 0x30_3030_3030;
-        let text = ((shown & whole) | point | ((shown & !whole) << 8)) >> leading;
-        let bits = 48 - leading - trailing;
-        let end = 1_u64 << bits;
-        let text = (text & (end - 1)) | (end * u64::from(b','));
-        let negative = u64::from(*value < 0);
-        let text = (text << (8 * negative)) | (u64::from(b'-') * negative);
-        out[at..at + WORD].copy_from_slice(&text.to_le_bytes());
-        at += (bits / 8 + 1) as usize + usize::from(*value < 0);
+    for values in values.chunks(TOGETHER) {
+        let mut texts = [0; TOGETHER * MOST_BYTES];
+        let mut at = 0;
+        for value in values {
+            let number = value.unsigned_abs() * factor;
+            let before = (number * inverse) >> 32;
+            let whole = whole[before as usize];
+            let behind = behind[(number - before * scale) as usize];
+            // Digits and commas have two bits of zeros on top.
+            let text = u64::from(whole) | behind << (34 - whole.leading_zeros());
+            texts[at] = b'-';
+            at += usize::from(*value < 0);
+            texts[at..at + WORD].copy_from_slice(&text.to_le_bytes());
+            at += (66 - text.leading_zeros()) as usize / 8;
+        }
+        out.extend_from_slice(&texts[..at]);
     }
     // The last comma; a column holds one value at the least.
-    out.truncate(at - 1);
+    out.pop();
     out.push(b']');
-}
-
-/// The digits of a number below [`FIVE_DIGITS`], the highest in the lowest byte.
-const fn digits(number: u64) -> u64 {
-    // Products with the inverses, rounded up, are exact for numbers so small; pairs are divided side by side.
-    let first = (number * 429_497) >> 32;
-    let rest = number - first * 10_000;
-    let hundreds = (rest * 5_243) >> 19;
-    let pairs = hundreds | ((rest - hundreds * 100) << 16);
-    let tens = ((pairs * 103) >> 10) & 0x000f_000f;
-    first | ((tens | ((pairs - tens * 10) << 8)) << 8)
 }
 
 #[cfg(test)]
@@ -107,12 +129,14 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn digits_stand_in_their_order() {
-        for number in 0..FIVE_DIGITS {
-            let bytes = digits(number).to_le_bytes();
-            let text: String = bytes[..5].iter().map(|digit| char::from(b'0' + digit)).collect();
-            assert_eq!(text, format!("{number:05}"));
-            assert_eq!(bytes[5..], [0; 3]);
+    fn every_decimal_of_five_digits_is_written() {
+        for places in 1..=u32::from(MOST_PLACES) {
+            let all: Vec<i64> = (1 - FIVE_DIGITS as i64..FIVE_DIGITS as i64).collect();
+            let mut out = Vec::new();
+            decimals(&mut out, &all, (places, 1));
+            let values: Vec<f64> =
+                all.iter().map(|value| *value as f64 / 10_f64.powi(places as i32)).collect();
+            assert!(out == serde_json::to_vec(&values).unwrap(), "{places} places");
         }
     }
 

@@ -262,10 +262,12 @@ impl Following {
 
     /// Puts values back together behind the first; `None` where a residual is missing.
     pub(super) fn restore<R: Residuals>(self, said: &[i64], values: &mut [i64], mut reader: R) -> Option<R> {
-        let mut before = Off(off(*said.first()?, *values.first()?));
+        let (first, residuals) = values.split_first_mut()?;
+        let mut before = Off(off(*said.first()?, *first));
+        reader.read(residuals)?;
         for (places, memory) in self.counts(values.len()) {
             for (value, &said) in values[places.clone()].iter_mut().zip(&said[places]) {
-                *value = before.next(said).wrapping_add(reader.next()?);
+                *value = before.next(said).wrapping_add(*value);
                 before.follow(off(said, *value), memory);
             }
         }

@@ -39,6 +39,8 @@ const COUNT: u32 = 7;
 /// A symbol is looked up by this part of 2^12, from the first one of it on.
 const PART: u32 = 4;
 const PARTS: usize = (WHOLE >> PART) as usize;
+/// No table has more symbols.
+const MOST_SYMBOLS: usize = 256;
 
 /// Residuals that a distribution is chosen by, and that the first mean is of.
 const TRIED: usize = 32;
@@ -98,11 +100,14 @@ struct Tables {
     of_mean: Box<[Table]>,
     /// The symbols of all tables.
     symbols: Box<[Symbol]>,
-    /// Where the share of each begins.
-    starts: Box<[u16]>,
-    /// Of each table, for each part of 2^12, the symbol whose share it begins in.
-    first_of_part: Box<[[u8; PARTS]]>,
+    /// What each table is read by.
+    places: Box<[Places; TABLES]>,
+    /// The number of the table for a mean.
+    number_of_mean: Box<[u8]>,
 }
+
+/// How many they are, rounded up to what no number of six bits is beyond.
+const TABLES: usize = 64;
 
 /// Where a table's symbols are.
 #[derive(Debug, Clone, Copy)]
@@ -111,7 +116,56 @@ struct Table {
     middle: u32,
     reach: u32,
     /// Its number.
-    number: u32,
+    number: u8,
+}
+
+/// Where the shares of a table's symbols lie. Numbers of symbols are bytes, and there is an entry for every byte.
+#[derive(Debug)]
+struct Places {
+    /// Where each begins, and behind the last one 2^12.
+    starts: [u16; MOST_SYMBOLS + 1],
+    /// For each part of 2^12, the symbol whose share it begins in.
+    first_of_part: [u8; PARTS],
+    /// The number of the symbol of the residual 0, and of the escape.
+    middle: u8,
+    escape: u8,
+}
+
+impl Places {
+    const NONE: Self =
+        Self { starts: [1 << BITS; MOST_SYMBOLS + 1], first_of_part: [0; PARTS], middle: 0, escape: 0 };
+
+    /// Of shares that are 2^12 together, the last of them the escape's.
+    #[expect(clippy::cast_possible_truncation, reason = "fewer than 256 symbols, parts of 2^12")]
+    fn of(shares: &[u32]) -> Self {
+        let mut starts = Self::NONE.starts;
+        let mut start = 0;
+        for (begins, share) in starts.iter_mut().zip(shares) {
+            *begins = start as u16;
+            start += share;
+        }
+        let first = |part: usize| starts.partition_point(|start| usize::from(*start) <= part << PART) - 1;
+        let escape = (shares.len() - 1) as u8;
+        Self {
+            first_of_part: std::array::from_fn(|part| first(part) as u8),
+            starts,
+            middle: escape / 2,
+            escape,
+        }
+    }
+
+    /// The symbol whose share a place below 2^12 lies in, with where that begins and how large it is.
+    #[inline(always)]
+    fn at(&self, place: u32) -> (u8, u32, u32) {
+        let mut symbol = self.first_of_part[(place >> PART) as usize % PARTS];
+        let end = |symbol: u8| u32::from(self.starts[usize::from(symbol) + 1]);
+        // Shares of a part are the fewer the larger they are.
+        while place >= end(symbol) {
+            symbol = symbol.wrapping_add(1);
+        }
+        let start = u32::from(self.starts[usize::from(symbol)]);
+        (symbol, start, end(symbol) - start)
+    }
 }
 
 /// The shares of −r to r, and of the escape.
@@ -152,32 +206,30 @@ impl Tables {
         reason = "shares of 2^12, and fewer than 256 symbols of a table"
     )]
     fn of(law: Law) -> Self {
-        let (mut symbols, mut all_starts, mut first_of_part) = (Vec::new(), Vec::new(), Vec::new());
+        let mut symbols = Vec::new();
+        let mut places = Box::new([const { Places::NONE }; TABLES]);
         let tables: Vec<Table> = (FIRST_LEVEL..LEVELS)
             .map(|level| {
                 let shares = shares(law, level);
-                let starts: Vec<u32> =
-                    (0..shares.len()).map(|symbol| shares[..symbol].iter().sum()).collect();
-                let first = |part| starts.partition_point(|start| *start <= (part as u32) << PART) - 1;
-                first_of_part.push(std::array::from_fn(|part| first(part) as u8));
+                let number = level - FIRST_LEVEL;
                 let reach = (shares.len() / 2 - 1) as u32;
-                let middle = symbols.len() as u32 + reach;
-                let table = Table { middle, reach, number: (level - FIRST_LEVEL) as u32 };
-                symbols.extend(starts.iter().zip(&shares).map(|(start, share)| Symbol::new(*start, *share)));
-                all_starts.extend(starts.iter().map(|start| *start as u16));
+                let table = Table { middle: symbols.len() as u32 + reach, reach, number: number as u8 };
+                let starts =
+                    shares.iter().scan(0, |start, share| Some(std::mem::replace(start, *start + share)));
+                symbols.extend(starts.zip(&shares).map(|(start, share)| Symbol::new(start, *share)));
+                places[number] = Places::of(&shares);
                 table
             })
             .collect();
-        // The last table's last symbol ends where another one would begin.
-        all_starts.push(0);
         let of_level: [Table; LEVELS] =
             std::array::from_fn(|level| tables[level.saturating_sub(FIRST_LEVEL)]);
+        let of_mean: Box<[Table]> = (0..MEANS).map(|mean| of_level[level(mean | 1) as usize]).collect();
         Self {
             of_level,
-            of_mean: (0..MEANS).map(|mean| of_level[level(mean | 1) as usize]).collect(),
+            number_of_mean: of_mean.iter().map(|table| table.number).collect(),
+            of_mean,
             symbols: symbols.into(),
-            starts: all_starts.into(),
-            first_of_part: first_of_part.into(),
+            places,
         }
     }
 
@@ -202,22 +254,10 @@ impl Tables {
         self.symbols[(table.middle + table.reach + 1) as usize]
     }
 
-    /// The residual whose share a place lies in, the escape being beyond the reach, with where that share begins and ends.
+    /// Where a table's shares lie.
     #[inline(always)]
-    fn at(&self, table: Table, place: u32) -> (i64, u32, u32) {
-        let symbols = 2 * table.reach + 1;
-        let starts = &self.starts[(table.middle - table.reach) as usize..][..=symbols as usize + 1];
-        let mut symbol =
-            u32::from(self.first_of_part[table.number as usize][(place >> PART) as usize % PARTS]);
-        // Shares of a part are the fewer the larger they are.
-        let mut end = u32::from(starts[symbol as usize + 1]);
-        while symbol < symbols && place >= end {
-            symbol += 1;
-            end = u32::from(starts[symbol as usize + 1]);
-        }
-        let start = u32::from(starts[symbol as usize]);
-        let end = if symbol == symbols { WHOLE } else { end };
-        (i64::from(symbol) - i64::from(table.reach), start, end)
+    fn places(&self, number: u8) -> &Places {
+        &self.places[usize::from(number) % TABLES]
     }
 }
 
@@ -366,31 +406,63 @@ impl<'a> NoiseReader<'a> {
         let scale = Scale::new(first_level.min(MOST_LEVEL));
         (first_level <= MOST_LEVEL).then(|| Self { coder, tables: law.tables(), scale })
     }
+}
 
-    /// What is not one symbol.
-    #[cold]
+impl NoiseReader<'_> {
+    /// Reads residuals as long as they are one symbol each. Says how many they were. A function of its own, so that all it goes by
+    /// is in registers.
     #[inline(never)]
-    fn rest(mut coder: ans::Reader<'a>, rest: Option<i64>, plain: u32) -> Option<(ans::Reader<'a>, i64)> {
-        let residual = match rest {
-            Some(rest) => rest << plain | coder.take_plain(plain)?.cast_signed(),
-            None => escaped(&mut coder)?,
-        };
-        Some((coder, residual))
+    fn read_usual(&mut self, residuals: &mut [i64]) -> usize {
+        let (tables, mut coder, mut scale) = (self.tables, self.coder, self.scale);
+        let mut read = 0;
+        for residual in residuals {
+            let mean = usize::try_from(scale.mean).unwrap_or(usize::MAX);
+            let Some(number) = tables.number_of_mean.get(mean) else { break };
+            let places = tables.places(*number);
+            let (symbol, start, share) = places.at(coder.place());
+            if symbol == places.escape || coder.take(start, share).is_none() {
+                break;
+            }
+            *residual = i64::from(symbol) - i64::from(places.middle);
+            scale.follow_small(residual.unsigned_abs());
+            read += 1;
+        }
+        (self.coder, self.scale) = (coder, scale);
+        read
     }
 }
 
 impl Residuals for NoiseReader<'_> {
-    #[inline(always)]
+    #[inline(never)]
     fn next(&mut self) -> Option<i64> {
         let (table, plain) = self.scale.next(self.tables);
-        let (mut residual, start, end) = self.tables.at(table, self.coder.place());
-        self.coder.take(start, end - start)?;
-        let escapes = residual > i64::from(table.reach);
-        if escapes || plain > 0 {
-            (self.coder, residual) = Self::rest(self.coder, (!escapes).then_some(residual), plain)?;
-        }
+        let places = self.tables.places(table.number);
+        let (symbol, start, share) = places.at(self.coder.place());
+        self.coder.take(start, share)?;
+        let residual = if symbol == places.escape {
+            escaped(&mut self.coder)?
+        } else {
+            let rest = i64::from(symbol) - i64::from(places.middle);
+            rest << plain | self.coder.take_plain(plain)?.cast_signed()
+        };
         self.scale.follow(residual);
         Some(residual)
+    }
+
+    fn read(&mut self, mut residuals: &mut [i64]) -> Option<()> {
+        loop {
+            let usual = self.read_usual(residuals);
+            residuals = &mut residuals[usual..];
+            // What stopped it, and all that have plain bits besides.
+            loop {
+                let Some((residual, rest)) = residuals.split_first_mut() else { return Some(()) };
+                *residual = self.next()?;
+                residuals = rest;
+                if self.scale.mean < MEANS {
+                    break;
+                }
+            }
+        }
     }
 }
 
@@ -440,10 +512,13 @@ mod tests {
             let mut coder = ans::Reader::new(&bytes).unwrap();
             for ((residuals, law), level) in columns.iter().zip(levels) {
                 let mut reader = NoiseReader::new(coder, *law, level).unwrap();
-                for residual in residuals {
-                    prop_assert_eq!(reader.next(), Some(*residual));
-                }
+                let mut together = vec![0; residuals.len()];
+                prop_assert_eq!(reader.read(&mut together), Some(()));
+                prop_assert_eq!(&together, residuals);
+                let mut one_by_one = NoiseReader::new(coder, *law, level).unwrap();
+                prop_assert!(residuals.iter().all(|residual| one_by_one.next() == Some(*residual)));
                 coder = reader.coder;
+                prop_assert_eq!(format!("{coder:?}"), format!("{:?}", one_by_one.coder));
             }
             prop_assert!(coder.is_at_end());
         }

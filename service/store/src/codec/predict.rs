@@ -92,22 +92,29 @@ impl<const N: usize, const SUM: i64, const WEIGHTED: i64, const OVER: i64> Fit<N
         }));
     }
 
-    fn restore<R: Residuals>(values: &mut [i64], mut reader: R) -> Option<R> {
-        let Some(first) = values.get(..N) else { return Some(reader) };
+    fn restore(values: &mut [i64]) {
+        let Some(first) = values.get(..N) else { return };
         let mut fit = Self::of(sums(first));
         for at in N..values.len() {
-            let value = fit.next().wrapping_add(reader.next()?);
+            let value = fit.next().wrapping_add(values[at]);
             fit.follow(value, values[at - N]);
             values[at] = value;
         }
-        Some(reader)
     }
 }
 
-/// Reads residuals. Handed on and back by value, so that it can stay in registers while a column is read.
+/// Reads residuals.
 pub(super) trait Residuals {
     /// The next residual; `None` where there is none.
     fn next(&mut self) -> Option<i64>;
+
+    /// The next residuals; `None` where there are fewer.
+    fn read(&mut self, residuals: &mut [i64]) -> Option<()> {
+        for residual in residuals {
+            *residual = self.next()?;
+        }
+        Some(())
+    }
 }
 
 impl Predictor {
@@ -169,18 +176,24 @@ impl Predictor {
     }
 
     /// Puts values back together behind the first; `None` where a residual is missing.
-    pub(super) fn restore<R: Residuals>(self, values: &mut [i64], reader: R) -> Option<R> {
+    ///
+    /// All residuals are read before, into their places: what reading goes by and what predicting goes by have the registers in
+    /// turn.
+    pub(super) fn restore<R: Residuals>(self, values: &mut [i64], mut reader: R) -> Option<R> {
+        let Some((_, residuals)) = values.split_first_mut() else { return Some(reader) };
+        reader.read(residuals)?;
         let reach = self.reach().min(values.len());
-        let reader = fill(&mut values[..reach], 1, reader, |before| Self::Last.next(before))?;
+        add(&mut values[..reach], 1, |before| Self::Last.next(before));
         // A loop for each, so that none asks at every value which it is.
         match self {
-            Self::Last => fill(values, reach, reader, |before| Self::Last.next(before)),
-            Self::Line => fill(values, reach, reader, |before| Self::Line.next(before)),
-            Self::Mean => fill(values, reach, reader, |before| Self::Mean.next(before)),
-            Self::MeanLine => fill(values, reach, reader, |before| Self::MeanLine.next(before)),
-            Self::Fit8 => Fit8::restore(values, reader),
-            Self::Fit16 => Fit16::restore(values, reader),
+            Self::Last => add(values, reach, |before| Self::Last.next(before)),
+            Self::Line => add(values, reach, |before| Self::Line.next(before)),
+            Self::Mean => add(values, reach, |before| Self::Mean.next(before)),
+            Self::MeanLine => add(values, reach, |before| Self::MeanLine.next(before)),
+            Self::Fit8 => Fit8::restore(values),
+            Self::Fit16 => Fit16::restore(values),
         }
+        Some(reader)
     }
 
     /// The predictor whose residuals are the smallest at [`tried`] places, with the sum of their sizes; of several the first.
@@ -236,22 +249,16 @@ pub(super) fn tried(len: usize) -> impl Iterator<Item = Range<usize>> {
         .take_while(move |places| places.end <= len)
 }
 
-/// Puts values back together, those before `from` being there.
-fn fill<R: Residuals>(
-    values: &mut [i64],
-    from: usize,
-    mut reader: R,
-    predict: impl Fn([i64; 4]) -> i64,
-) -> Option<R> {
-    let Some((there, rest)) = values.split_at_mut_checked(from) else { return Some(reader) };
+/// Adds what is predicted to residuals, the values before `from` being there.
+fn add(values: &mut [i64], from: usize, predict: impl Fn([i64; 4]) -> i64) {
+    let Some((there, rest)) = values.split_at_mut_checked(from) else { return };
     let mut newest = there.iter().rev().copied();
     let mut before = [(); 4].map(|()| newest.next().unwrap_or(0));
     for value in rest {
-        *value = predict(before).wrapping_add(reader.next()?);
+        *value = predict(before).wrapping_add(*value);
         let [a, b, c, _] = before;
         before = [*value, a, b, c];
     }
-    Some(reader)
 }
 
 /// Small integers of either sign as small ones without.

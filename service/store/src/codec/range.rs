@@ -215,6 +215,11 @@ impl Residuals for Zeros {
     fn next(&mut self) -> Option<i64> {
         Some(0)
     }
+
+    fn read(&mut self, residuals: &mut [i64]) -> Option<()> {
+        residuals.fill(0);
+        Some(())
+    }
 }
 
 impl Residuals for RangeReader<'_> {
