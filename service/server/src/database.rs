@@ -67,7 +67,13 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
                 ..PostgresOptions::default()
             };
             let store = Arc::new(PostgresStore::open(url.expose_secret(), options).await?);
-            store.make_room(Clock::system().now()).await?;
+            match store.make_room(Clock::system().now()).await {
+                // Somebody reads; retention makes them.
+                Err(StoreError::Unavailable(why)) => {
+                    tracing::warn!(%why, "partitions for the months ahead are made later");
+                }
+                outcome => outcome?,
+            }
             Ok(Database { store, lock: None })
         }
     }

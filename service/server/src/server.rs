@@ -139,8 +139,7 @@ async fn first_admin_token(
     }
     let issued = Issued::new("first start", Role::Admin, None, clock)?;
     let actor = Actor { token: "cli".to_owned(), role: Role::Admin };
-    store.create_token(issued.record, &actor).await?;
-    Ok(Some(issued.text))
+    Ok(store.create_first_token(issued.record, &actor).await?.then_some(issued.text))
 }
 
 /// A server that serves.

@@ -360,6 +360,8 @@ pub trait Store: Send + Sync + 'static {
 
     /// Keeps a token.
     async fn create_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<()>;
+    /// Keeps the first token there is; `false`, with nothing kept, where there is one.
+    async fn create_first_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<bool>;
     /// The token of that hash, revoked or not.
     async fn token_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>>;
     /// Tokens by id.

@@ -524,3 +524,100 @@ async fn postgres_drops_a_partition_when_nothing_of_it_is_kept() {
     assert_eq!(drops[0].cycles, 3, "those of a partition are counted too");
     given.done().await;
 }
+
+const WAITS: &str = "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
+                     WHERE datname = current_database() AND wait_event_type = 'Lock')";
+
+/// Runs a step of dropping beside a change of another server that it has to wait for, until it did wait for it.
+async fn beside(given: &Given, change: &'static str) -> Dropped {
+    let store = given.store();
+    let mut other = PgConnection::connect(&given.address()).await.unwrap();
+    loop {
+        let mut changing = other.begin().await.unwrap();
+        sqlx::query(change).execute(&mut *changing).await.unwrap();
+        let step = {
+            let store = Arc::clone(&store);
+            tokio::spawn(async move { store.drop_some(3, at(125 * DAY)).await })
+        };
+        while !step.is_finished()
+            && !sqlx::query_scalar::<_, bool>(WAITS).fetch_one(&mut *changing).await.unwrap()
+        {}
+        let waited = !step.is_finished();
+        // A server that is very slow may give up waiting: then all is as it was.
+        if waited {
+            changing.commit().await.unwrap();
+        } else {
+            changing.rollback().await.unwrap();
+        }
+        match step.await.unwrap() {
+            Ok(dropped) if waited => {
+                other.close().await.unwrap();
+                return dropped;
+            }
+            outcome => assert!(matches!(outcome, Err(StoreError::Unavailable(_))) && !waited, "{outcome:?}"),
+        }
+    }
+}
+
+async fn counts(store: &dyn Store) -> u64 {
+    let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+    drops.iter().map(|drop| drop.cycles).sum()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_another_server_deletes_from_a_partition_is_not_counted_with_it() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    store.make_room(at(0)).await.unwrap();
+    year(&*store).await;
+    store.decide_drops(days(30), at(125 * DAY)).await.unwrap();
+    // It has deleted January's cycle, and counted it.
+    let dropped = beside(
+        &given,
+        "WITH gone AS (DELETE FROM cycle_samples_202601 RETURNING 1)
+         UPDATE sample_drops SET cycles = cycles + (SELECT count(*) FROM gone)",
+    )
+    .await;
+    assert_eq!(dropped.cycles, 0);
+    let (_, rest) = run(&*store, days(30), 125 * DAY).await;
+    assert_eq!((rest.cycles, counts(&*store).await), (2, 3), "each is counted once");
+    given.done().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_goes_while_its_decision_moves_is_counted() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    store.make_room(at(0)).await.unwrap();
+    year(&*store).await;
+    store.decide_drops(days(30), at(125 * DAY)).await.unwrap();
+    let dropped = beside(&given, "UPDATE sample_drops SET before_us = before_us + 1").await;
+    assert_eq!((dropped.cycles, counts(&*store).await), (1, 1));
+    given.done().await;
+}
+
+/// A backup reads samples for as long as it takes: nobody waits behind a server that wants to make partitions meanwhile.
+#[tokio::test]
+async fn whoever_reads_samples_is_not_waited_for() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    store.make_room(at(0)).await.unwrap();
+    let mut other = PgConnection::connect(&given.address()).await.unwrap();
+    let mut reading = other.begin().await.unwrap();
+    sqlx::query("SELECT count(*) FROM cycle_samples").execute(&mut *reading).await.unwrap();
+    store.make_room(at(0)).await.expect("nothing is to be made");
+    let refused = store.make_room(at(40 * DAY)).await;
+    assert!(matches!(refused, Err(StoreError::Unavailable(_))), "{refused:?}");
+    stored(&*store, &Run::nth(1)).await;
+    reading.commit().await.unwrap();
+    store.make_room(at(40 * DAY)).await.unwrap();
+    other.close().await.unwrap();
+    given.done().await;
+}

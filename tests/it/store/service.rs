@@ -6,7 +6,11 @@ use feedwright_store::{
 };
 use std::sync::Arc;
 
-stories!(the_quarantine_is_bounded_and_keeps_a_body_once, a_token_is_known_by_its_hash_until_revoked);
+stories!(
+    the_quarantine_is_bounded_and_keeps_a_body_once,
+    a_token_is_known_by_its_hash_until_revoked,
+    of_servers_that_begin_together_one_makes_the_first_token,
+);
 
 mod tables {
     super::stories!(with tables: the_audit_only_grows, the_tables_refuse_what_is_no_number);
@@ -25,6 +29,27 @@ fn entry(id: &str, cycle: Option<&str>) -> QuarantineEntry {
         settled: None,
         size: 0,
     }
+}
+
+async fn of_servers_that_begin_together_one_makes_the_first_token(store: Arc<dyn Store>) {
+    let first = |at: u8| {
+        let token = TokenRecord {
+            id: format!("first {at}"),
+            name: "first start".to_owned(),
+            hash: [at; 32],
+            role: Role::Admin,
+            machine: None,
+            created_at: super::given::at(1),
+            revoked_at: None,
+        };
+        let store = Arc::clone(&store);
+        tokio::spawn(async move { store.create_first_token(token, &engineer()).await.unwrap() })
+    };
+    let made = futures_util::future::join_all((0..8).map(first)).await;
+    let made: Vec<bool> = made.into_iter().map(Result::unwrap).collect();
+    assert_eq!(made.iter().filter(|made| **made).count(), 1, "{made:?}");
+    assert_eq!(store.tokens(Page { after: None, limit: 9 }).await.unwrap().len(), 1);
+    assert_eq!(store.audit(Page { after: None, limit: 9 }).await.unwrap().len(), 1);
 }
 
 async fn the_quarantine_is_bounded_and_keeps_a_body_once(store: Arc<dyn Store>) {

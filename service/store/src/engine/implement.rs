@@ -715,6 +715,11 @@ impl Store for Engine {
         write!(self, |conn| tokens::create(conn, &token, &actor).await)
     }
 
+    async fn create_first_token(&self, token: TokenRecord, actor: &Actor) -> StoreResult<bool> {
+        let actor = actor.clone();
+        write!(self, |conn| tokens::create_first(conn, &token, &actor).await)
+    }
+
     async fn token_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
         read!(self.reader_of_others(), |conn| tokens::by_hash(conn, hash).await)
     }

@@ -3,7 +3,7 @@
 pub(super) mod gone;
 
 use super::{CLOCK_AHEAD_US, Conn, Db, audit, dialect, machines};
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::precondition;
 use crate::record::{
@@ -17,6 +17,8 @@ use serde_json::json;
 const DAY_US: i64 = 86_400_000_000;
 /// Rows that are looked at a time when sizes are added up.
 const SIZES_PAGE: i64 = 2_000;
+/// So often in a row a decision is looked for that another server moves.
+const MOST_MOVES: usize = 10;
 /// Decisions of one machine that are read: 27 years of one a day.
 const MOST_DROPS: i64 = 10_000;
 
@@ -295,17 +297,26 @@ pub(super) async fn drop_partition(conn: &mut Conn, now: Timestamp) -> StoreResu
     Ok(dropped)
 }
 
-/// Adds to the counts of the newest decision.
+/// Adds to the counts of the newest decision. Where another server moves that decision meanwhile, the row that was looked up is there no
+/// longer, and the next statement sees where it is: nothing goes uncounted.
 async fn counted(conn: &mut Conn, machine: &str, cycles: i64, bytes: i64) -> StoreResult<()> {
-    sqlx::query::<Db>(
-        "UPDATE sample_drops SET cycles = cycles + $2, bytes = bytes + $3
-         WHERE machine_id = $1
-           AND before_us = (SELECT MAX(before_us) FROM sample_drops WHERE machine_id = $1)",
-    )
-    .bind(machine)
-    .bind(cycles)
-    .bind(bytes)
-    .execute(&mut *conn)
-    .await?;
-    Ok(())
+    if cycles == 0 {
+        return Ok(());
+    }
+    for _ in 0..MOST_MOVES {
+        let counted = sqlx::query::<Db>(
+            "UPDATE sample_drops SET cycles = cycles + $2, bytes = bytes + $3
+             WHERE machine_id = $1
+               AND before_us = (SELECT MAX(before_us) FROM sample_drops WHERE machine_id = $1)",
+        )
+        .bind(machine)
+        .bind(cycles)
+        .bind(bytes)
+        .execute(&mut *conn)
+        .await?;
+        if counted.rows_affected() > 0 {
+            return Ok(());
+        }
+    }
+    Err(StoreError::Unavailable(format!("the decision on samples of {machine} moves on and on").into()))
 }

@@ -1,7 +1,8 @@
 //! Tokens: only the hash of a secret is ever here.
 
-use super::{Conn, Db, audit};
+use super::{Conn, Db, audit, dialect};
 use crate::error::StoreResult;
+use crate::locks::Locks;
 use crate::record::{Actor, Page, TokenRecord};
 use crate::rows::TokenRow;
 use feedwright_core::ids::MachineId;
@@ -34,6 +35,16 @@ pub(super) async fn create(conn: &mut Conn, token: &TokenRecord, actor: &Actor) 
     let machine = token.machine.as_ref().map(MachineId::as_str);
     let detail = json!({ "name": token.name, "role": token.role.as_str(), "machine": machine });
     audit::add(conn, actor, token.created_at, "token.create", format!("token/{}", token.id), &detail).await
+}
+
+/// The same where there is no token at all; whether there was none. Of servers that begin together one makes the first.
+pub(super) async fn create_first(conn: &mut Conn, token: &TokenRecord, actor: &Actor) -> StoreResult<bool> {
+    dialect::lock(conn, &Locks::subject("first token", "")).await?;
+    let is_first = list(conn, &Page { after: None, limit: 1 }).await?.is_empty();
+    if is_first {
+        create(conn, token, actor).await?;
+    }
+    Ok(is_first)
 }
 
 pub(super) async fn by_hash(conn: &mut Conn, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {

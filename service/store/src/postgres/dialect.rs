@@ -33,12 +33,12 @@ pub(super) async fn age_horizon(conn: &mut Conn, at_us: i64) -> StoreResult<i64>
 }
 
 /// Drops the oldest partition that had ended by then and of which nothing is kept; says what it held by machine: cycles and bytes. It waits for no
-/// more than two seconds for whoever reads.
+/// more than a second for whoever reads, as posts wait behind it.
 pub(super) async fn drop_partition(
     conn: &mut Conn,
     ended: Timestamp,
 ) -> StoreResult<Option<Vec<(String, i64, i64)>>> {
-    sqlx::query("SET LOCAL lock_timeout = '2s'").execute(&mut *conn).await?;
+    sqlx::query("SET LOCAL lock_timeout = '1s'").execute(&mut *conn).await?;
     lock(conn, &Locks::subject("partitions", "")).await?;
     let held: Vec<(Option<String>, i64, i64)> =
         sqlx::query_as("SELECT machine_id, cycles, bytes FROM cycle_samples_drop_partition($1)")
@@ -51,8 +51,10 @@ pub(super) async fn drop_partition(
     Ok(done.then(|| held.collect()))
 }
 
-/// Makes the partitions of the months ahead.
+/// Makes the partitions of the months ahead. Whoever reads samples, as a backup does for as long as it takes, is in the way of that, and
+/// every post would wait behind it: it gives up soon, as there are partitions for a year, and is tried again.
 pub(super) async fn make_room(conn: &mut Conn, now: Timestamp) -> StoreResult<()> {
+    sqlx::query("SET LOCAL lock_timeout = '300ms'").execute(&mut *conn).await?;
     lock(conn, &Locks::subject("partitions", "")).await?;
     sqlx::query("SELECT cycle_samples_make_partitions($1, $2)")
         .bind(now.micros())

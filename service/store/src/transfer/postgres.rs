@@ -124,7 +124,13 @@ impl Side for PostgresSide {
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {
-        sqlx::query("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY").execute(&mut self.conn).await?;
+        // It idles while the other side is read, and reads whole tables, whatever limits a role has for its questions.
+        sqlx::raw_sql(
+            "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; SET LOCAL statement_timeout = 0;
+             SET LOCAL idle_in_transaction_session_timeout = 0",
+        )
+        .execute(&mut self.conn)
+        .await?;
         Ok(())
     }
 
