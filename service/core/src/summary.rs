@@ -43,6 +43,13 @@ pub struct Context<'a> {
     pub operation: Option<&'a Operation>,
 }
 
+impl Context<'_> {
+    /// The speed of a cycle that names one, else that of its operation, rpm.
+    pub fn commanded_rpm(&self, of_cycle: Option<f64>) -> Option<f64> {
+        of_cycle.or_else(|| self.operation.and_then(|operation| operation.spindle_speed_rpm))
+    }
+}
+
 /// The summary of one cycle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CycleSummary {
@@ -170,9 +177,7 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
             column(Channel::OverridePercent),
             column(Channel::OperatorOverridePercent),
         ]);
-    let commanded = cycle
-        .spindle_speed_rpm
-        .or_else(|| context.operation.and_then(|operation| operation.spindle_speed_rpm));
+    let commanded = context.commanded_rpm(cycle.spindle_speed_rpm);
     let told = energy::by_basis(samples, &clock, commanded, context);
     let mut flags = loads::flags(samples);
     flags.insert_if(told.is_beyond_calibration, Flag::BeyondCalibration);

@@ -1,6 +1,6 @@
 //! The course of one stored cycle: filtered loads, energy so far, stages and overloads, from the core's functions.
 
-use feedwright_core::cycle::{Channel, Samples, TimeBase};
+use feedwright_core::cycle::{Channel, Samples};
 use feedwright_core::friction::filter::{FilterWeights, LoadFilter};
 use feedwright_core::friction::stages::{Mark, StageConfig, Stages, find_stages};
 use feedwright_core::summary::{Context, EnergyBasis, energy_course};
@@ -125,20 +125,17 @@ fn energy(stored: &StoredCycle, samples: &Samples, around: &Surroundings) -> Opt
         calibration: around.calibration.as_ref(),
         operation: around.operation.as_ref(),
     };
-    let joules = energy_course(samples, stored.cycle.spindle_speed_rpm, context, best.basis)?;
+    let commanded = context.commanded_rpm(stored.cycle.spindle_speed_rpm);
+    let joules = energy_course(samples, commanded, context, best.basis)?;
     let whole = *joules.last()?;
     // The machine may have been rated or fitted anew since: then this is not the course of that energy.
     let same = (whole - best.total_joules).abs() <= SAME_ENERGY * best.total_joules.abs().max(1.0);
     same.then_some((best.basis, joules))
 }
 
-#[expect(clippy::cast_precision_loss, reason = "sample counts are far below 2^53")]
 fn place(samples: &Samples, index: usize) -> Place {
-    let time_ms = match samples.time() {
-        TimeBase::Period { period_ms } => index as f64 * period_ms,
-        TimeBase::Stamps { time_ms } => time_ms.get(index).copied().unwrap_or_default(),
-    };
-    Place { index, time_ms, depth_mm: samples.column(Channel::DepthMm).map(|depth| depth[index]) }
+    let depth_mm = samples.column(Channel::DepthMm).map(|depth| depth[index]);
+    Place { index, time_ms: samples.time_ms(index), depth_mm }
 }
 
 fn overloads(

@@ -6,6 +6,8 @@
 
 mod files;
 
+use crate::http::negotiate::accepts_gzip;
+use crate::http::precondition::is_known;
 use crate::http::problem::Problem;
 use axum::extract::Path;
 use axum::response::{IntoResponse, Response};
@@ -58,12 +60,13 @@ pub(crate) async fn file(Path((version, name)): Path<(String, String)>, headers:
 }
 
 fn answer(file: &File, asked: &HeaderMap, cache: &'static str) -> Response {
-    let known = asked.get_all(header::IF_NONE_MATCH).into_iter().filter_map(|tags| tags.to_str().ok());
-    let mut known = known.flat_map(|tags| tags.split(',')).map(str::trim);
-    let accepted =
-        asked.get(header::ACCEPT_ENCODING).and_then(|value| value.to_str().ok()).unwrap_or_default();
-    let zipped = file.gzip.as_ref().filter(|_| accepted.contains("gzip"));
-    let mut response = match known.any(|tag| tag == file.etag) {
+    let zipped = file.gzip.as_ref().filter(|_| accepts_gzip(asked));
+    // The bytes are others, and so is their tag.
+    let etag = match zipped {
+        Some(_) => format!("{}-gzip\"", file.etag.trim_end_matches('"')),
+        None => file.etag.clone(),
+    };
+    let mut response = match is_known(asked, &etag) {
         true => StatusCode::NOT_MODIFIED.into_response(),
         false => zipped.unwrap_or(&file.bytes).clone().into_response(),
     };
@@ -72,7 +75,7 @@ fn answer(file: &File, asked: &HeaderMap, cache: &'static str) -> Response {
     let fixed: [(HeaderName, &str); 8] = [
         (header::CONTENT_TYPE, file.kind),
         (header::CACHE_CONTROL, cache),
-        (header::ETAG, &file.etag),
+        (header::ETAG, &etag),
         (header::VARY, "accept-encoding"),
         (header::CONTENT_SECURITY_POLICY, POLICY),
         (header::REFERRER_POLICY, "no-referrer"),

@@ -357,7 +357,7 @@ pub struct LevelPoint {
     pub key: CycleKey,
     /// Its operation.
     pub operation: OperationId,
-    /// The level as run: 1 is the new tool; `None` before a ratio was counted.
+    /// The level that is judged: 1 is the new tool; `None` before there is one, and for a tool that was never known to be new.
     pub level: Option<f64>,
 }
 

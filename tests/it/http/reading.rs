@@ -1,9 +1,10 @@
 //! Reading: samples of a cycle, series and summaries, in every form that clients ask for.
 
-use super::app::{Answer, App, operation};
+use super::app::{Answer, App, operation, tool};
 use feedwright_store::Role;
 use http::StatusCode;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 crate::engines::on_both!(
     samples_come_chosen_in_a_range_and_few_enough_for_a_screen,
@@ -14,6 +15,10 @@ crate::engines::on_both!(
     buckets_hold_every_cycle_once_and_gaps_are_no_zeros,
     a_range_without_cycles_has_empty_buckets_of_every_measure,
     the_last_cycles_of_a_tool_and_how_worn_it_was_after_each,
+    the_level_of_a_series_is_the_one_that_is_judged,
+    a_course_has_the_times_and_the_energy_of_its_summary,
+    a_bound_that_is_finer_than_what_is_kept_parts_it_all_the_same,
+    an_absurd_energy_costs_no_cycle,
 );
 
 const SAMPLES: &str = "/v1/machines/M1/cycles/s1/samples";
@@ -310,7 +315,7 @@ async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {
     assert_eq!(series[0]["time"][0], "2026-05-04T05:25:00Z");
     let level = series[1]["value"].as_array().unwrap().last().unwrap().clone();
     let wear = app.get("/v1/tools/T1/wear").await.json();
-    assert_eq!(wear["level"]["as_run"], level, "{wear}");
+    assert_eq!(wear["level"]["value"], level, "{wear}");
 
     let path = "/v1/series?tool=T1&bucket=10m&from=2026-05-04T05:00:00Z&to=2026-05-04T05:30:00Z";
     let bucketed = app.get(&format!("{path}&measures=wear_level_ratio")).await.json();
@@ -335,4 +340,104 @@ async fn the_last_cycles_of_a_tool_and_how_worn_it_was_after_each() {
     assert_eq!((items.len(), &items[0]["cycle_id"]), (30, &json!("c0")));
     assert_eq!(items[0]["energy_reported_joules"], 1000.0);
     assert!(items[0]["energy_rated_power_joules"].is_null());
+}
+
+async fn the_level_of_a_series_is_the_one_that_is_judged() {
+    let app = shop().await;
+    // A program whose feed varies hides wear from the energy as run, until reference cycles tell it.
+    for number in 0..40 {
+        let mut cycle =
+            reported(number, &format!("2026-05-04T05:{number:02}:00Z"), 1000.0 + 2.0 * f64::from(number));
+        let is_reference = number < 10 || number % 5 == 0;
+        cycle["strategy"] = json!(if is_reference { "f_const" } else { "f_ac" });
+        cycle["reference_cycle"] = json!(is_reference);
+        post(&app, cycle).await;
+    }
+    let told = app.get("/v1/series?tool=T1&last=100&measures=wear_level_ratio").await.json();
+    let series = &told["series"][0];
+    let life = app.get("/v1/tools/T1/life").await.json();
+    let texts = |column: &Value| -> Vec<String> {
+        column.as_array().unwrap().iter().map(|text| text.as_str().unwrap().to_owned()).collect()
+    };
+    let judged = texts(&life["cycle_id"]).into_iter().zip(life["level"].as_array().unwrap());
+    let judged: BTreeMap<String, &Value> = judged.filter(|(_, level)| !level.is_null()).collect();
+    let levels = texts(&series["cycle_id"]).into_iter().zip(series["value"].as_array().unwrap());
+    assert!(judged.len() > 20, "{life}");
+    assert_eq!(levels.collect::<BTreeMap<_, _>>(), judged);
+    assert_eq!(life["decides"].as_array().unwrap().last().unwrap(), "reference_cycles", "{life}");
+    assert_ne!(life["wear"]["level"]["as_run"], life["wear"]["level"]["value"], "as run it is another one");
+
+    // What was never known to be new has no level.
+    assert_eq!(app.put("/v1/tools/T2", tool()).await.status, StatusCode::CREATED);
+    let event = json!({"kind": "mounted_used", "at": "2026-05-04T04:00:00Z"});
+    let mounted = app.call(Role::Engineer, "POST", "/v1/tools/T2/events", &[], Some(event)).await;
+    assert_eq!(mounted.status, StatusCode::CREATED, "{mounted:?}");
+    for number in 40..50 {
+        let mut cycle = reported(number, &format!("2026-05-04T05:{number:02}:30Z"), 1000.0);
+        cycle["tool"] = json!("T2");
+        post(&app, cycle).await;
+    }
+    let told = app.get("/v1/series?tool=T2&last=100&measures=wear_level_ratio").await.json();
+    let has_none = |one: &Value| one["value"].as_array().is_none_or(Vec::is_empty);
+    assert!(told["series"].as_array().unwrap().iter().all(has_none), "{told}");
+}
+
+async fn a_course_has_the_times_and_the_energy_of_its_summary() {
+    let app = App::registered().await;
+    let with_speed = json!({"name": "Bushing M8", "process": "friction", "spindle_speed_rpm": 2400.0, "spindle_load_set_percent": 40.0});
+    assert_eq!(app.put("/v1/operations/O1", with_speed).await.status, StatusCode::CREATED);
+    let load = json!([0, 0, 0, 0, 90, 90, 90, 90, 0, 0, 0, 0, 0]);
+    let torque = json!([1, 2, 3, 4, 5, 6, 7, 6, 5, 4, 3, 2, 1]);
+    let times: Vec<u32> = (1..=13).map(|at| 100 * at).collect();
+    for (id, time) in [("period", ("period_ms", json!(100))), ("stamps", ("time_ms", json!(times)))] {
+        let samples = json!({time.0: time.1, "spindle_load_percent": load, "torque_newton_metres": torque});
+        post(
+            &app,
+            json!({"cycle_id": id, "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:00:00Z", "samples": samples}),
+        )
+        .await;
+    }
+    let course = async |id: &str| app.get(&format!("/v1/machines/M1/cycles/{id}/course")).await.json();
+    let (by_period, by_stamps) = (course("period").await, course("stamps").await);
+    assert_eq!(by_period["overloads"], by_stamps["overloads"]);
+    let overload = &by_period["overloads"][0]["from"];
+    assert_eq!(overload["time_ms"], json!(100.0 * (overload["index"].as_f64().unwrap() + 1.0)));
+    let cycle = app.get("/v1/machines/M1/cycles/period").await.json();
+    assert_eq!(by_period["energy_basis"], "dynamometer");
+    let whole = by_period["energy_joules"].as_array().unwrap().last().unwrap().as_f64().unwrap();
+    let told = cycle["summary"]["energy"][0]["total_joules"].as_f64().unwrap();
+    assert!((whole - told).abs() < 1e-9 * told, "{whole} {told}");
+}
+
+async fn a_bound_that_is_finer_than_what_is_kept_parts_it_all_the_same() {
+    let app = shop().await;
+    post(&app, reported(1, "2026-05-04T05:00:00.000001Z", 1000.0)).await;
+    for (bounds, found) in [
+        ("from=2026-05-04T05:00:00.000001Z", 1),
+        ("from=2026-05-04T05:00:00.0000005Z", 1),
+        ("from=2026-05-04T05:00:00.0000015Z", 0),
+        ("to=2026-05-04T05:00:00.0000015Z", 1),
+        ("to=2026-05-04T05:00:00.000001Z", 0),
+    ] {
+        for list in ["cycles", "summaries"] {
+            let told = app.get(&format!("/v1/{list}?machine=M1&{bounds}")).await.json();
+            assert_eq!(told["items"].as_array().unwrap().len(), found, "{list} {bounds}");
+        }
+    }
+}
+
+/// An energy that the API takes, and that is no energy of this tool: the cycles after it are stored like those before.
+async fn an_absurd_energy_costs_no_cycle() {
+    let app = shop().await;
+    for (number, joules) in
+        (0..).zip([5.5, 5.5, 5.5, 5.5, 5.5, 5.5, 1e12, 5.5, -1e12, 5.5, 1e12, 1e12, 1e12, 1e12, 5.5, 5.5])
+    {
+        post(&app, reported(number, &format!("2026-05-04T05:{number:02}:00Z"), joules)).await;
+        let wear = app.get("/v1/tools/T1/wear").await.json();
+        for name in ["as_run", "lowest", "highest", "value", "sd"] {
+            assert!(wear["level"][name].as_f64().is_none_or(|level| level.abs() <= 1e6), "{number}: {wear}");
+        }
+    }
+    let all = app.get("/v1/cycles?machine=M1").await.json();
+    assert_eq!(all["items"].as_array().unwrap().len(), 16);
 }

@@ -8,7 +8,7 @@ use super::WORN_LEVEL;
 use super::fold::ToolFold;
 use super::key::KeyState;
 use super::trend::TrendPoints;
-use super::verdict::{FeedEvidence, Level, LevelBasis, Masked, ReferenceCycles};
+use super::verdict::{FeedEvidence, Level, LevelBasis, MOST_LEVEL, Masked, ReferenceCycles};
 use crate::friction::relation::Estimate;
 use crate::friction::wear::{Compensated, Reference, compensate};
 use crate::summary::{DepthDigest, median, median_in_place};
@@ -240,15 +240,16 @@ impl ToolFold {
     /// The level that [`ToolFold::decision`] found, with what it is the median of.
     pub(super) fn level_evidence(&self, decision: Option<Decision>) -> Option<Level> {
         let (decision, window) = (decision?, self.window());
+        let told = |level: f64| level.clamp(-MOST_LEVEL, MOST_LEVEL);
         Some(Level {
-            as_run: self.level()?,
-            lowest: window.iter().copied().fold(f64::INFINITY, f64::min),
-            highest: window.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            as_run: told(self.level()?),
+            lowest: told(window.iter().copied().fold(f64::INFINITY, f64::min)),
+            highest: told(window.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
             n: u32::try_from(window.len()).unwrap_or(u32::MAX),
             window: self.window,
             decides: decision.basis,
-            value: decision.level,
-            sd: decision.sd,
+            value: told(decision.level),
+            sd: decision.sd.map(told),
         })
     }
 

@@ -260,7 +260,11 @@ pub struct FeedEvidence {
     pub references: Option<ReferenceCycles>,
 }
 
-/// The level of wear.
+/// The largest level that is told, and the least below 0. A machine may report any energy: what is a million times that of the new
+/// tool is beyond all wear, and how far beyond says nothing.
+pub const MOST_LEVEL: f64 = 1e6;
+
+/// The level of wear. No number of it is beyond [`MOST_LEVEL`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Level {
     /// Median of the last counted ratios, as run: 1 is the new tool.

@@ -258,8 +258,8 @@ impl CyclesQuery {
             machine: text(&self.machine).map(|id| MachineId::parse("machine", id)).transpose()?,
             tool: text(&self.tool).map(|id| ToolId::parse("tool", id)).transpose()?,
             operation: text(&self.operation).map(|id| OperationId::parse("operation", id)).transpose()?,
-            from: text(&self.from).map(|at| time::read("from", at)).transpose()?,
-            to: text(&self.to).map(|at| time::read("to", at)).transpose()?,
+            from: text(&self.from).map(|at| time::read_bound("from", at)).transpose()?,
+            to: text(&self.to).map(|at| time::read_bound("to", at)).transpose()?,
         })
     }
 }

@@ -50,11 +50,28 @@ fn best(headers: &HeaderMap) -> Option<Format> {
         .map(|(_, format)| format)
 }
 
+/// Whether gzip is as welcome as what is not compressed: `Accept-Encoding` with its weights (RFC 9110, section 12.5.3).
+pub fn accepts_gzip(headers: &HeaderMap) -> bool {
+    let values = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    let codings: Vec<_> = values.flat_map(|value| value.split(',')).filter_map(weighted).collect();
+    let of = |names: &[&str]| {
+        codings.iter().find(|(name, _)| names.contains(&name.as_str())).map(|(_, weight)| *weight)
+    };
+    let gzip = of(&["gzip", "x-gzip"]).or_else(|| of(&["*"])).unwrap_or(0);
+    gzip > 0 && gzip >= of(&["identity"]).unwrap_or(0)
+}
+
 /// A media range in lower case, with its weight in thousandths; none where it cannot be read.
 fn range(text: &str) -> Option<(String, u16)> {
+    let (range, weight) = weighted(text)?;
+    range.split_once('/').filter(|(kind, of)| !kind.is_empty() && !of.is_empty())?;
+    Some((range, weight))
+}
+
+/// A part of a list in lower case, without its parameters, with its weight in thousandths; none where that cannot be read.
+fn weighted(text: &str) -> Option<(String, u16)> {
     let mut parts = text.split(';');
     let range = parts.next()?.trim().to_ascii_lowercase();
-    range.split_once('/').filter(|(kind, of)| !kind.is_empty() && !of.is_empty())?;
     let mut weight = 1000;
     for parameter in parts {
         if let Some((name, value)) = parameter.split_once('=')
@@ -102,6 +119,31 @@ mod tests {
             headers.append(header::ACCEPT, line.parse().unwrap());
         }
         best(&headers)
+    }
+
+    #[test]
+    fn gzip_is_taken_where_it_is_welcome() {
+        for (accepted, welcome) in [
+            (&["gzip"][..], true),
+            (&["deflate, GZIP;q=0.5"], true),
+            (&["br", "x-gzip"], true),
+            (&["*"], true),
+            (&["gzip;q=0"], false),
+            (&["gzip;q=0, *"], false),
+            (&["*;q=0"], false),
+            (&["x-gzipped"], false),
+            (&["identity, gzip;q=0.5"], false),
+            (&["identity;q=0.5, gzip;q=1.0"], true),
+            (&["gzip;q=2"], false),
+            (&[""], false),
+            (&[], false),
+        ] {
+            let mut headers = HeaderMap::new();
+            for line in accepted {
+                headers.append(header::ACCEPT_ENCODING, line.parse().unwrap());
+            }
+            assert_eq!(accepts_gzip(&headers), welcome, "{accepted:?}");
+        }
     }
 
     #[test]

@@ -36,14 +36,19 @@ fn version(tag: &str) -> Option<u64> {
     tag.strip_prefix('"')?.strip_suffix('"')?.parse().ok().filter(|&version| version > 0)
 }
 
+/// Whether the client has what this ETag names: `If-None-Match`, where weak ones count, and `*` names anything that is there.
+pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
+    let lists = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
+    let mut tags = lists.flat_map(|list| list.split(',')).map(str::trim);
+    tags.any(|tag| tag == "*" || tag.strip_prefix("W/").unwrap_or(tag) == etag)
+}
+
 /// Answers a read: 304 where the client has this version.
 pub fn answer_read<T: Serialize>(headers: &HeaderMap, at: u64, view: &T) -> Response {
-    let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok());
-    let has = |tags: &str| {
-        tags.split(',').map(|tag| tag.trim().trim_start_matches("W/")).any(|tag| version(tag) == Some(at))
-    };
-    let tag = [(header::ETAG, etag(at))];
-    if known.is_some_and(has) {
+    let tag = etag(at);
+    let has = tag.to_str().is_ok_and(|tag| is_known(headers, tag));
+    let tag = [(header::ETAG, tag)];
+    if has {
         return (StatusCode::NOT_MODIFIED, tag).into_response();
     }
     (tag, axum::Json(view)).into_response()

@@ -17,9 +17,12 @@ use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
 use futures_util::stream;
-use http::{HeaderValue, StatusCode, header};
+use http::{HeaderName, HeaderValue, StatusCode, header};
 use serde::Deserialize;
 use utoipa::IntoParams;
+
+/// The same address answers in several forms.
+const VARIES: [(HeaderName, HeaderValue); 1] = [(header::VARY, HeaderValue::from_static("accept"))];
 
 /// Which samples of a cycle.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -76,9 +79,8 @@ pub(super) async fn get_samples(
         let Some(columns) = state.store.cycle_columns(&machine, &id).await? else {
             return Err(no_samples(&state, &machine, &id).await?);
         };
-        let vary = [(header::VARY, HeaderValue::from_static("accept"))];
         let json = columns::json(columns).map_err(|error| Problem::internal(error.to_string()))?;
-        return Ok((vary, decimal::body(json)).into_response());
+        return Ok((VARIES, decimal::body(json)).into_response());
     }
     let turn = state.exports.turn().await?;
     let Some(samples) = state.store.cycle_samples(&machine, &id).await? else {
@@ -92,7 +94,7 @@ pub(super) async fn get_samples(
     drop(turn);
     if format == Format::Json && !wanted.in_rows {
         let body = selected.body(&samples);
-        return decimal::answer(&body, body.values());
+        return Ok((VARIES, decimal::answer(&body, body.values())?).into_response());
     }
     let name = format!("{machine}-{id}");
     let fields = selected.fields();

@@ -1,7 +1,7 @@
 //! Series of what cycles amounted to: in buckets over time, or the last ones by themselves.
 
 use super::decimal;
-use super::dto::series::{BucketBody, BucketSeriesBody, SeriesAnswer, SeriesBody};
+use super::dto::series::{BucketBody, BucketSeriesBody, OneSeriesBody, SeriesAnswer, SeriesBody};
 use super::dto::time;
 use super::export::{self, PIECE};
 use super::extract::Query;
@@ -163,8 +163,8 @@ impl Asked {
             machine: text(&query.machine).map(|id| MachineId::parse("machine", id)).transpose()?,
             tool: text(&query.tool).map(|id| ToolId::parse("tool", id)).transpose()?,
             operation: text(&query.operation).map(|id| OperationId::parse("operation", id)).transpose()?,
-            from: text(&query.from).map(|at| time::read("from", at)).transpose()?,
-            to: text(&query.to).map(|at| time::read("to", at)).transpose()?,
+            from: text(&query.from).map(|at| time::read_bound("from", at)).transpose()?,
+            to: text(&query.to).map(|at| time::read_bound("to", at)).transpose()?,
         };
         let by = match text(&query.by) {
             Some(word) => GroupBy::parse(word).ok_or_else(|| {
@@ -217,20 +217,17 @@ impl Answer<'_> {
         match self {
             Self::Values(series) => value_series::json(by, series),
             Self::Buckets(buckets, series) => {
-                let body = SeriesBody::Buckets {
-                    by: by.as_str(),
-                    series: series
-                        .iter()
-                        .map(|(key, values)| BucketSeriesBody {
-                            key: key.into(),
-                            group: group(key),
-                            points: (0..buckets.count())
-                                .zip(&values.buckets)
-                                .map(|(at, spread)| BucketBody::of(buckets.begin(at), *spread))
-                                .collect(),
-                        })
-                        .collect(),
-                };
+                let all = series.iter().map(|(key, values)| {
+                    let points = (0..buckets.count()).zip(&values.buckets);
+                    OneSeriesBody::Buckets(BucketSeriesBody {
+                        key: key.into(),
+                        group: group(key),
+                        points: points
+                            .map(|(at, spread)| BucketBody::of(buckets.begin(at), *spread))
+                            .collect(),
+                    })
+                });
+                let body = SeriesBody { by: by.as_str(), series: all.collect() };
                 decimal::json(&body, series.len() * buckets.count() * VALUES_OF_BUCKET)
             }
         }

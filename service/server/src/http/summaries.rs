@@ -66,8 +66,8 @@ pub(super) async fn get_summaries(
         machine: text(&query.machine).map(|id| MachineId::parse("machine", id)).transpose()?,
         tool: text(&query.tool).map(|id| ToolId::parse("tool", id)).transpose()?,
         operation: text(&query.operation).map(|id| OperationId::parse("operation", id)).transpose()?,
-        from: text(&query.from).map(|at| time::read("from", at)).transpose()?,
-        to: text(&query.to).map(|at| time::read("to", at)).transpose()?,
+        from: text(&query.from).map(|at| time::read_bound("from", at)).transpose()?,
+        to: text(&query.to).map(|at| time::read_bound("to", at)).transpose()?,
     };
     if let Some(machine) = &filter.machine
         && state.store.machine(machine).await?.is_none()

@@ -77,7 +77,7 @@ fn texts<'a, 'p>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::http::dto::series::{SeriesBody, ValueSeriesBody};
+    use crate::http::dto::series::{OneSeriesBody, SeriesBody, ValueSeriesBody};
     use crate::series::{Measure, SeriesKey};
     use feedwright_core::units::Timestamp;
     use feedwright_store::CyclePoint;
@@ -85,15 +85,17 @@ mod tests {
 
     /// The body that the API describes.
     fn described(by: GroupBy, series: &Series<Vec<Value<'_>>>) -> String {
-        let series = series.iter().map(|(key, values)| ValueSeriesBody {
-            key: key.into(),
-            group: group(key),
-            time: values,
-            machine: values,
-            cycle_id: values,
-            value: values,
+        let series = series.iter().map(|(key, values)| {
+            OneSeriesBody::Cycles(ValueSeriesBody {
+                key: key.into(),
+                group: group(key),
+                time: values,
+                machine: values,
+                cycle_id: values,
+                value: values,
+            })
         });
-        let body = SeriesBody::Cycles { by: by.as_str(), series: series.collect() };
+        let body = SeriesBody { by: by.as_str(), series: series.collect() };
         String::from_utf8(decimal::json(&body, 0).unwrap()).unwrap()
     }
 

@@ -291,7 +291,14 @@ impl CycleIntake {
                 return Err(StoreError::OutcomeUnknown(why.into()).into());
             }
         };
-        match outcome? {
+        let committed = match outcome {
+            // Nothing that this server takes should come to it; if it does, nothing of it is lost.
+            Err(error @ StoreError::Refused { .. }) => {
+                return Err(self.refuse(&cycle.machine, json, error.into(), refused).await);
+            }
+            outcome => outcome?,
+        };
+        match committed {
             Committed::Stored(answer) => Ok(Accepted { cycle, new: true, answer }),
             Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),
             Committed::UnknownMachine => Err(unknown_machine(&cycle.machine)),

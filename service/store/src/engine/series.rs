@@ -218,7 +218,7 @@ pub(super) async fn cycles_of_tool(conn: &mut Conn, tool: &ToolId) -> StoreResul
     .await?)
 }
 
-/// The level after each cycle of a tool that began within the range, as the fold over all its machines has it.
+/// The level that is judged after each cycle of a tool that began within the range, as the fold over all its machines has it.
 pub(super) async fn levels(
     conn: &mut Conn,
     tool: &ToolId,
@@ -255,7 +255,7 @@ pub(super) async fn levels(
                 levels.push(LevelPoint {
                     key: (order.started_at, order.machine, order.cycle),
                     operation: id("operation_id", &row.operation_id)?,
-                    level: walk.fold().level(),
+                    level: walk.fold().judged_level().map(|level| level.value),
                 });
             }
         }

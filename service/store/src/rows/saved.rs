@@ -4,7 +4,7 @@ use super::{AdviceBody, CycleRow, count, float};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{AlarmKind, IssuedRecommendation};
 use feedwright_core::ids::{MachineId, ToolId};
-use feedwright_core::wear::{Level, LevelBasis, Remaining};
+use feedwright_core::wear::{Level, LevelBasis, MOST_LEVEL, Remaining};
 use std::sync::Arc;
 
 /// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
@@ -161,10 +161,7 @@ pub(crate) struct IssuedRow {
     pub(crate) tool_id: String,
 }
 
-/// Largest number that is kept of a level. The tables are checked against the same.
-const MOST_LEVEL: f64 = 1_000_000.0;
-
-/// A number of a level on its way into its column.
+/// A number of a level on its way into its column. The tables are checked against the same range.
 fn level_number(column: &str, least: f64, value: f64) -> StoreResult<f64> {
     let value = float(column, value)?;
     if (least..=MOST_LEVEL).contains(&value) { Ok(value) } else { Err(out_of_range(column)) }

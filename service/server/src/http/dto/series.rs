@@ -10,29 +10,28 @@ use utoipa::ToSchema;
 
 /// Series of what cycles amounted to.
 #[derive(Debug, Serialize, ToSchema)]
+pub struct SeriesBody<'a> {
+    /// By what cycles are put together: `fleet`, `machine`, `tool` or `operation`.
+    pub by: &'static str,
+    /// A series per measure, basis and group.
+    pub series: Vec<OneSeriesBody<'a>>,
+}
+
+/// One series.
+#[derive(Debug, Serialize, ToSchema)]
 #[serde(untagged)]
-pub enum SeriesBody<'a> {
+pub enum OneSeriesBody<'a> {
     /// In buckets over time.
-    Buckets {
-        /// By what cycles are put together: `fleet`, `machine`, `tool` or `operation`.
-        by: &'static str,
-        /// A series per measure, basis and group.
-        series: Vec<BucketSeriesBody<'a>>,
-    },
+    Buckets(BucketSeriesBody<'a>),
     /// The last cycles by themselves.
-    Cycles {
-        /// By what cycles are put together.
-        by: &'static str,
-        /// A series per measure, basis and group.
-        series: Vec<ValueSeriesBody<'a>>,
-    },
+    Cycles(ValueSeriesBody<'a>),
 }
 
 /// Series as `layout` says: columns, or rows where those were asked for.
 #[derive(Serialize, ToSchema)]
 #[serde(untagged)]
 pub enum SeriesAnswer {
-    /// With `layout=columns`, or without.
+    /// With `layout=series`, or without.
     Columns(SeriesBody<'static>),
     /// With `layout=rows`.
     Rows {

@@ -109,15 +109,33 @@ const FRACTION_DIGITS: usize = 9;
 
 /// Reads RFC 3339 with any offset, from the year 1 on; a time finer than a microsecond is the last whole one before it.
 pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
+    read_rounded(path, text, |_| 0)
+}
+
+/// Reads where a range begins or ends. What is kept is of whole microseconds: of a finer time, what lies before it lies before
+/// the next whole one.
+pub fn read_bound(path: &str, text: &str) -> Result<Timestamp, Violation> {
+    read_rounded(path, text, i128::from)
+}
+
+/// Rounded down, with so many microseconds more where the text is finer than one.
+fn read_rounded(path: &str, text: &str, more: impl Fn(bool) -> i128) -> Result<Timestamp, Violation> {
     let invalid = |message| Violation::new(path, "invalid_timestamp", message);
     if !is_rfc3339(text) {
         return Err(invalid("must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z"));
     }
     let nanos = within_digits(text).parse::<jiff::Timestamp>().ok().map(jiff::Timestamp::as_nanosecond);
-    let at = nanos.and_then(|nanos| i64::try_from(nanos.div_euclid(1000)).ok());
+    let at = nanos.and_then(|nanos| i64::try_from(nanos.div_euclid(1000) + more(is_finer(text))).ok());
     at.filter(|micros| *micros >= FIRST_US).map(Timestamp::from_micros).ok_or_else(|| {
         invalid("must be a time that there is, from 0001-01-01T00:00:00Z to 9999-12-30T22:00:00Z")
     })
+}
+
+/// Whether a text of RFC 3339 has digits other than 0 behind the microseconds.
+fn is_finer(text: &str) -> bool {
+    let fraction = text.split_once('.').map_or("", |(_, fraction)| fraction);
+    let digits = fraction.bytes().take_while(u8::is_ascii_digit);
+    digits.skip(6).any(|digit| digit != b'0')
 }
 
 /// The same without digits of the second that are finer than [`FRACTION_DIGITS`]: RFC 3339 allows any number of them.
@@ -207,6 +225,21 @@ mod tests {
         }
         for text in ["", "yesterday", "2025-11-21", "2025-11-21T03:20:28", "1763695228"] {
             assert_eq!(read("at", text).unwrap_err().code, "invalid_timestamp", "{text}");
+        }
+    }
+
+    #[test]
+    fn what_lies_before_a_bound_lies_before_the_microsecond_it_is_rounded_to() {
+        for (text, micros) in [
+            ("1970-01-01T00:00:00.000001Z", 1),
+            ("1970-01-01T00:00:00.0000010000Z", 1),
+            ("1970-01-01T00:00:00.0000010001Z", 2),
+            ("1970-01-01T00:00:00.0000015Z", 2),
+            ("1970-01-01T01:00:00.0000010000000000001+01:00", 2),
+            ("1969-12-31T23:59:59.9999995Z", 0),
+            ("1969-12-31T23:59:59.9999985Z", -1),
+        ] {
+            assert_eq!(read_bound("from", text), Ok(Timestamp::from_micros(micros)), "{text}");
         }
     }
 

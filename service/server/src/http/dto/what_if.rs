@@ -187,8 +187,8 @@ impl FilterBody {
             operation: text(&self.operation)
                 .map(|id| OperationId::parse(&path("operation"), id))
                 .transpose()?,
-            from: text(&self.from).map(|at| time::read(&path("from"), at)).transpose()?,
-            to: text(&self.to).map(|at| time::read(&path("to"), at)).transpose()?,
+            from: text(&self.from).map(|at| time::read_bound(&path("from"), at)).transpose()?,
+            to: text(&self.to).map(|at| time::read_bound(&path("to"), at)).transpose()?,
         })
     }
 }

@@ -27,13 +27,13 @@ const ROWS = [
 const CHANNELS = { fd: "feed_drive_load_percent", sp: "spindle_load_percent", f: "feed_actual_mm_min", fpr: "feed_programmed_mm_min", ovr: "override_percent", thrust: "thrust_newtons", torque: "torque_newton_metres", power: "spindle_power_watts", z: "depth_mm" };
 
 /** A distance of two samples above this many usual ones is a gap, as the stored cycle's flags have it. */
-const GAP = 2.5;
+const GAP = 3;
 const median = (values) => { const list = values.filter(Number.isFinite).sort((a, b) => a - b); return list.length ? list[list.length >> 1] : Infinity; };
 /** A cycle with its curves over both axes. */
 function curves(cycle, samples, course) {
   const length = Object.values(samples).find((column) => Array.isArray(column))?.length ?? 0;
   const contact = course?.contact?.time_ms ?? 0;
-  const at = Array.from({ length }, (_, i) => ((samples.time_ms ? samples.time_ms[i] : i * samples.period_ms) - contact) / 1000);
+  const at = Array.from({ length }, (_, i) => ((samples.time_ms ? samples.time_ms[i] : (i + 1) * samples.period_ms) - contact) / 1000);
   const columns = Object.fromEntries(Object.entries(CHANNELS).filter(([, name]) => samples[name]).map(([key, name]) => [key, samples[name]]));
   columns.t = at;
   columns.ffd = course?.filtered_feed_drive_load_percent ?? columns.fd;
