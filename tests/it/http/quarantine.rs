@@ -5,6 +5,8 @@ use feedwright_core::ids::MachineId;
 use feedwright_store::{QuarantineBounds, QuarantineEntry, Role};
 use http::StatusCode;
 use serde_json::{Value, json};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 
 crate::engines::on_both!(
     an_entry_is_shown_with_its_body_and_discarded_with_a_reason,
@@ -91,4 +93,35 @@ async fn a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays() {
     let stored = app.call(Role::Viewer, "GET", "/v1/machines/M1/cycles/c-1", &[], None).await;
     assert_eq!(stored.status, StatusCode::OK, "{stored:?}");
     assert!(app.get("/v1/quarantine").await.json()["items"].as_array().unwrap().is_empty());
+}
+
+/// What the server takes, the database takes too; where that is not so, the machine may forget the cycle all the same.
+#[tokio::test]
+async fn what_the_database_refuses_is_kept_in_quarantine() {
+    let app = App::registered().await;
+    let file = app.state.config.data_dir.join("feedwright.sqlite3");
+    let mut conn = SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    let refuses = "CREATE TRIGGER refuses BEFORE INSERT ON cycles WHEN NEW.cycle_id = 'c-2'
+                   BEGIN SELECT RAISE(ABORT, 'not this one'); END";
+    sqlx::raw_sql(refuses).execute(&mut conn).await.unwrap();
+    conn.close().await.unwrap();
+    for (id, status) in [
+        ("c-1", StatusCode::CREATED),
+        ("c-2", StatusCode::UNPROCESSABLE_ENTITY),
+        ("c-3", StatusCode::CREATED),
+    ] {
+        let cycle = json!({"cycle_id": id, "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:00:00Z",
+                           "reported": {"energy_joules": 1000.0}});
+        let answer =
+            app.call(Role::Machine, "POST", "/v1/machines/M1/cycles", &[], Some(cycle.clone())).await;
+        assert_eq!(answer.status, status, "{id}: {answer:?}");
+        if status == StatusCode::UNPROCESSABLE_ENTITY {
+            assert_eq!(answer.code(), "refused_by_database");
+            let entry = answer.json()["quarantine_id"].as_str().unwrap().to_owned();
+            let kept = app.get(&format!("/v1/quarantine/{entry}")).await.json();
+            assert_eq!(kept["cycle_id"], "c-2");
+            let body: Value = serde_json::from_str(kept["body"].as_str().unwrap()).unwrap();
+            assert_eq!(body, cycle);
+        }
+    }
 }

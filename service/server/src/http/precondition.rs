@@ -64,3 +64,29 @@ pub fn answer_put<T: Serialize>(outcome: PutOutcome, place: &str, view: &T) -> R
         _ => ([tag], axum::Json(view)).into_response(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tag_is_known_from_a_list_weak_or_not_and_by_a_star() {
+        for (lines, known) in [
+            (&["\"3\""][..], true),
+            (&["W/\"3\""], true),
+            (&["\"1\", W/\"3\""], true),
+            (&["\"1\"", "\"3\""], true),
+            (&["*"], true),
+            (&["\"33\""], false),
+            (&["3"], false),
+            (&[""], false),
+            (&[], false),
+        ] {
+            let mut headers = HeaderMap::new();
+            for line in lines {
+                headers.append(header::IF_NONE_MATCH, line.parse().unwrap());
+            }
+            assert_eq!(is_known(&headers, "\"3\""), known, "{lines:?}");
+        }
+    }
+}
