@@ -319,7 +319,7 @@ impl Motion<'_> {
         Calibrated::Told(Terms { spindle, feed_drive })
     }
 
-    /// Trapezoid over a channel in watts; intervals that are gaps carry nothing.
+    /// Trapezoid over a channel in watts; a gap counts as one usual interval.
     fn integrate(&self, watts: &[f64]) -> f64 {
         self.power_steps(watts).iter().sum()
     }

@@ -365,6 +365,14 @@ impl CycleIntake {
                 ),
                 60,
             ),
+            Err(StoreError::Refused { constraint }) => Problem::unavailable(
+                "quarantine_refused",
+                format!(
+                    "the cycle is refused ({}), and the quarantine does not take it: {constraint}",
+                    problem.code
+                ),
+                60,
+            ),
             Err(error) => error.into(),
         }
     }

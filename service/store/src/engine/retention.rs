@@ -253,6 +253,8 @@ pub(super) async fn decide(
 
 /// Deletes the next few samples that decisions name; says how many, and whether there may be more.
 pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropped> {
+    // Whoever drops a partition has locked that, and asks for the table; this asks for the table, and then for its partitions.
+    dialect::lock(conn, &Locks::subject("partitions", "")).await?;
     let machine: Option<String> = sqlx::query_scalar::<Db, _>(
         "SELECT d.machine_id FROM sample_drops d
          WHERE EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = d.machine_id

@@ -38,7 +38,10 @@ pub(super) async fn drop_partition(
     conn: &mut Conn,
     ended: Timestamp,
 ) -> StoreResult<Option<Vec<(String, i64, i64)>>> {
-    sqlx::query("SET LOCAL lock_timeout = '1s'").execute(&mut *conn).await?;
+    // A month of a plant is looked through; nobody waits for that.
+    sqlx::raw_sql("SET LOCAL lock_timeout = '1s'; SET LOCAL statement_timeout = '10min'")
+        .execute(&mut *conn)
+        .await?;
     lock(conn, &Locks::subject("partitions", "")).await?;
     let held: Vec<(Option<String>, i64, i64)> =
         sqlx::query_as("SELECT machine_id, cycles, bytes FROM cycle_samples_drop_partition($1)")

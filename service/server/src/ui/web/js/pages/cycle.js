@@ -28,7 +28,7 @@ const CHANNELS = { fd: "feed_drive_load_percent", sp: "spindle_load_percent", f:
 
 /** A distance of two samples above this many usual ones is a gap, as the stored cycle's flags have it. */
 const GAP = 3;
-const median = (values) => { const list = values.filter(Number.isFinite).sort((a, b) => a - b); return list.length ? list[list.length >> 1] : Infinity; };
+const median = (values) => { const list = values.filter(Number.isFinite).sort((a, b) => a - b), half = list.length >> 1; return list.length === 0 ? Infinity : list.length % 2 ? list[half] : (list[half - 1] + list[half]) / 2; };
 /** A cycle with its curves over both axes. */
 function curves(cycle, samples, course) {
   const length = Object.values(samples).find((column) => Array.isArray(column))?.length ?? 0;
@@ -42,12 +42,13 @@ function curves(cycle, samples, course) {
   const steps = [], first = [];
   for (let i = 0; i < length; i++) if (i === 0 || at[i] > at[steps.at(-1)]) { steps.push(i); if (at[i] >= -APPROACH_S) first.push(i); }
   // Where nothing was measured for longer than usual the lines break: what lies between is not known.
-  const usual = median(at.slice(1).map((value, i) => value - at[i]));
+  const apart = samples.time_ms?.slice(1).map((value, i) => value - samples.time_ms[i]) ?? [];
+  const usual = median(apart.filter((ms) => ms > 0));
   const track = (places, x) => {
     const kept = Object.entries(columns).filter(([, column]) => column), xs = [], made = Object.fromEntries(kept.map(([key]) => [key, []]));
     places.forEach((i, n) => {
       const before = places[n - 1];
-      if (n && at[before + 1] - at[before] > GAP * usual) { xs.push((x[before] + x[i]) / 2); for (const [key] of kept) made[key].push(null); }
+      if (n && apart[before] > GAP * usual) { xs.push((x[before] + x[i]) / 2); for (const [key] of kept) made[key].push(null); }
       xs.push(x[i]);
       for (const [key, column] of kept) made[key].push(column[i]);
     });
