@@ -4,11 +4,12 @@ use super::given::{Given, Run, at, commit, engineer, shop, stored, stories};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_store::{
     CycleFilter, DropReason, Dropped, PAST, Page, Precondition, PutOutcome, SampleRetention, SamplesGone,
-    Store, StoreError,
+    Store, StoreError, StoreResult,
 };
 use sqlx::{Connection, PgConnection};
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::task::JoinHandle;
 
 stories!(
     without_a_limit_nothing_goes,
@@ -26,6 +27,9 @@ stories!(
 );
 
 const DAY: i64 = 86_400;
+/// Whether anybody waits for a lock.
+const WAITS: &str = "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
+                     WHERE datname = current_database() AND wait_event_type = 'Lock')";
 const FOR_EVER: SampleRetention = SampleRetention { days: None, bytes: None };
 
 const fn days(days: u32) -> SampleRetention {
@@ -481,9 +485,7 @@ async fn postgres_deletes_nothing_by_a_decision_that_was_taken_back_meanwhile() 
         assert_eq!((step.cycles, step.bytes), (0, 0));
     };
     let taken_back = async {
-        let waiting = "SELECT EXISTS (SELECT 1 FROM pg_locks l JOIN pg_database d ON d.oid = l.database
-                       WHERE d.datname = current_database() AND l.locktype = 'advisory' AND NOT l.granted)";
-        while !sqlx::query_scalar::<_, bool>(waiting).fetch_one(&mut *taking_back).await.unwrap() {}
+        while !sqlx::query_scalar::<_, bool>(WAITS).fetch_one(&mut *taking_back).await.unwrap() {}
         sqlx::query("DELETE FROM sample_drops").execute(&mut *taking_back).await.unwrap();
         taking_back.commit().await.unwrap();
     };
@@ -525,9 +527,6 @@ async fn postgres_drops_a_partition_when_nothing_of_it_is_kept() {
     given.done().await;
 }
 
-const WAITS: &str = "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
-                     WHERE datname = current_database() AND wait_event_type = 'Lock')";
-
 /// Runs a step of dropping beside a change of another server that it has to wait for, until it did wait for it.
 async fn beside(given: &Given, change: &'static str) -> Dropped {
     let store = given.store();
@@ -535,10 +534,7 @@ async fn beside(given: &Given, change: &'static str) -> Dropped {
     loop {
         let mut changing = other.begin().await.unwrap();
         sqlx::query(change).execute(&mut *changing).await.unwrap();
-        let step = {
-            let store = Arc::clone(&store);
-            tokio::spawn(async move { store.drop_some(3, at(125 * DAY)).await })
-        };
+        let step = dropping(&store);
         while !step.is_finished()
             && !sqlx::query_scalar::<_, bool>(WAITS).fetch_one(&mut *changing).await.unwrap()
         {}
@@ -559,6 +555,21 @@ async fn beside(given: &Given, change: &'static str) -> Dropped {
     }
 }
 
+/// A year of which January, February and March are to go, month by month.
+async fn decided(given: &Given) -> Arc<dyn Store> {
+    let store = given.store();
+    store.make_room(at(0)).await.unwrap();
+    year(&*store).await;
+    store.decide_drops(days(30), at(125 * DAY)).await.unwrap();
+    store
+}
+
+/// A step of dropping, by a server of its own.
+fn dropping(store: &Arc<dyn Store>) -> JoinHandle<StoreResult<Dropped>> {
+    let store = Arc::clone(store);
+    tokio::spawn(async move { store.drop_some(3, at(125 * DAY)).await })
+}
+
 async fn counts(store: &dyn Store) -> u64 {
     let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
     drops.iter().map(|drop| drop.cycles).sum()
@@ -569,10 +580,7 @@ async fn what_another_server_deletes_from_a_partition_is_not_counted_with_it() {
     let Some(given) = Given::postgres().await else {
         return;
     };
-    let store = given.store();
-    store.make_room(at(0)).await.unwrap();
-    year(&*store).await;
-    store.decide_drops(days(30), at(125 * DAY)).await.unwrap();
+    let store = decided(&given).await;
     // It has deleted January's cycle, and counted it.
     let dropped = beside(
         &given,
@@ -592,10 +600,7 @@ async fn what_goes_while_its_decision_moves_is_counted() {
     let Some(given) = Given::postgres().await else {
         return;
     };
-    let store = given.store();
-    store.make_room(at(0)).await.unwrap();
-    year(&*store).await;
-    store.decide_drops(days(30), at(125 * DAY)).await.unwrap();
+    let store = decided(&given).await;
     let dropped = beside(&given, "UPDATE sample_drops SET before_us = before_us + 1").await;
     assert_eq!((dropped.cycles, counts(&*store).await), (1, 1));
     given.done().await;
@@ -630,20 +635,14 @@ async fn a_partition_is_asked_for_after_its_table() {
     let Some(given) = Given::postgres().await else {
         return;
     };
-    let store = given.store();
-    store.make_room(at(0)).await.unwrap();
-    year(&*store).await;
-    store.decide_drops(days(30), at(125 * DAY)).await.unwrap();
+    let store = decided(&given).await;
     let mut other = PgConnection::connect(&given.address()).await.unwrap();
     let has_table = "SELECT EXISTS (SELECT 1 FROM pg_locks WHERE relation = 'cycle_samples'::regclass
                                         AND mode = 'AccessExclusiveLock' AND granted)";
     loop {
         let mut reading = other.begin().await.unwrap();
         sqlx::query("SELECT count(*) FROM cycle_samples_202601").execute(&mut *reading).await.unwrap();
-        let step = {
-            let store = Arc::clone(&store);
-            tokio::spawn(async move { store.drop_some(3, at(125 * DAY)).await })
-        };
+        let step = dropping(&store);
         let (mut waits, mut has) = (false, false);
         while !step.is_finished() && !waits {
             waits = sqlx::query_scalar(WAITS).fetch_one(&mut *reading).await.unwrap();

@@ -406,9 +406,7 @@ impl<'a> NoiseReader<'a> {
         let scale = Scale::new(first_level.min(MOST_LEVEL));
         (first_level <= MOST_LEVEL).then(|| Self { coder, tables: law.tables(), scale })
     }
-}
 
-impl NoiseReader<'_> {
     /// Reads residuals as long as they are one symbol each. Says how many they were. A function of its own, so that all it goes by
     /// is in registers.
     #[inline(never)]

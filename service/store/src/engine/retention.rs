@@ -302,6 +302,7 @@ pub(super) async fn drop_partition(conn: &mut Conn, now: Timestamp) -> StoreResu
 /// Adds to the counts of the newest decision. Where another server moves that decision meanwhile, the row that was looked up is there no
 /// longer, and the next statement sees where it is: nothing goes uncounted.
 async fn counted(conn: &mut Conn, machine: &str, cycles: i64, bytes: i64) -> StoreResult<()> {
+    // By a decision that was taken back nothing went, and it is there no longer.
     if cycles == 0 {
         return Ok(());
     }

@@ -107,25 +107,21 @@ pub fn after_ms(at: Timestamp, millis: f64) -> Timestamp {
 /// Digits of a second that the library reads.
 const FRACTION_DIGITS: usize = 9;
 
-/// Reads RFC 3339 with any offset, from the year 1 on; a time finer than a microsecond is the last whole one before it.
-pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
-    read_rounded(path, text, |_| 0)
-}
-
 /// Reads where a range begins or ends. What is kept is of whole microseconds: of a finer time, what lies before it lies before
 /// the next whole one.
 pub fn read_bound(path: &str, text: &str) -> Result<Timestamp, Violation> {
-    read_rounded(path, text, i128::from)
+    let whole = read(path, text)?;
+    Ok(if is_finer(text) { Timestamp::from_micros(whole.micros().saturating_add(1)) } else { whole })
 }
 
-/// Rounded down, with so many microseconds more where the text is finer than one.
-fn read_rounded(path: &str, text: &str, more: impl Fn(bool) -> i128) -> Result<Timestamp, Violation> {
+/// Reads RFC 3339 with any offset, from the year 1 on; a time finer than a microsecond is the last whole one before it.
+pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
     let invalid = |message| Violation::new(path, "invalid_timestamp", message);
     if !is_rfc3339(text) {
         return Err(invalid("must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z"));
     }
     let nanos = within_digits(text).parse::<jiff::Timestamp>().ok().map(jiff::Timestamp::as_nanosecond);
-    let at = nanos.and_then(|nanos| i64::try_from(nanos.div_euclid(1000) + more(is_finer(text))).ok());
+    let at = nanos.and_then(|nanos| i64::try_from(nanos.div_euclid(1000)).ok());
     at.filter(|micros| *micros >= FIRST_US).map(Timestamp::from_micros).ok_or_else(|| {
         invalid("must be a time that there is, from 0001-01-01T00:00:00Z to 9999-12-30T22:00:00Z")
     })
