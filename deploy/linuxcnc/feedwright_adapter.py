@@ -58,6 +58,7 @@ class Envelope:
         self.wish, self.expires, self.overload = None, 0.0, False
         self.refused = 0
         self.stepped = None
+        self.followed = None  # the answer that the last step went by: its override, and until when it holds
 
     def begin(self):
         """A new cycle starts at 100 %."""
@@ -91,7 +92,8 @@ class Envelope:
         with self.lock:
             passed = min(0.1, max(0.0, now - self.stepped)) if self.stepped is not None else 0.0
             self.stepped = now
-            if self.wish is not None and now < self.expires:
+            self.followed = (self.wish, self.expires) if self.wish is not None and now < self.expires else None
+            if self.followed:
                 target = self.wish
             elif self.overload or (self.on_loss == "hold" and self.applied <= 100.0):
                 # Never up while an overload is not acknowledged; and never above 100 without an answer.
@@ -527,7 +529,8 @@ def main():
                           round(applied, 3), round(loads[0], 2), round(loads[1], 2), round(rpm, 1))
                 stream.add(cycle, sample)
                 if trace:
-                    trace.write(json.dumps([cycle.id, now, *sample]) + "\n")
+                    followed = envelope.followed or (None, None)
+                    trace.write(json.dumps([cycle.id, now, *sample, *followed]) + "\n")
             pins["connected"], pins["overload"] = stream.connected, envelope.overload
             pins["stored"], pins["refused"] = stream.stored, envelope.refused
             # On a fixed grid: a period that was missed is left out, not made up for.
