@@ -2,7 +2,7 @@
 
 use super::{drilled, model_machine, number};
 use crate::shop::{Shop, at};
-use feedwright_core::friction::twin::PaperStrategies;
+use feedwright_core::friction::twin::{PAPER_SPINDLE_RPM, PaperStrategies};
 use serde_json::{Value, json};
 
 async fn shop_with_history() -> Shop {
@@ -149,4 +149,28 @@ async fn what_cannot_be_asked_is_refused() {
     let empty = shop.post("/v1/machines/F1/cycles/c20/what-if", &json!({})).await;
     assert_eq!((empty.status, &empty.body["code"]), (422, &json!("cycle_not_usable")), "{}", empty.text);
     assert_eq!(empty.body["reason"], "no_samples");
+}
+
+#[tokio::test]
+async fn a_cycle_that_names_no_speed_ran_at_that_of_its_operation() {
+    let shop = shop_with_history().await;
+    let mut cycle = drilled(20, &PaperStrategies::new().unwrap().linear, "f_lin", false);
+    cycle["operation"] = json!("O2");
+    cycle.as_object_mut().unwrap().remove("spindle_speed_rpm");
+    assert_eq!(shop.cycle("F1", &cycle).await.status, 201);
+    let of_it = "/v1/machines/F1/cycles/c20/what-if";
+    let unknown = shop.post(of_it, &json!({})).await;
+    assert_eq!(
+        (unknown.status, &unknown.body["reason"]),
+        (422, &json!("no_spindle_speed")),
+        "{}",
+        unknown.text
+    );
+    let operation = json!({"name": "Bush", "process": "friction", "programmed_feed_mm_min": 150,
+                           "spindle_speed_rpm": PAPER_SPINDLE_RPM});
+    assert_eq!(shop.put("/v1/operations/O2", &operation).await.status, 201);
+    let known = shop.post(of_it, &json!({})).await;
+    assert_eq!(known.status, 200, "{}", known.text);
+    let error = number(&known.body["model_error"]["energy_relative"]);
+    assert!(error.abs() < 0.06, "{error}");
 }

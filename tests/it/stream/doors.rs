@@ -1,8 +1,8 @@
 //! Who gets in, and what is too much.
 
-use super::client::{Came, Machine, samples};
+use super::client::{Came, Machine, posted, samples};
 use crate::live::Served;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
 
 #[tokio::test]
@@ -129,5 +129,35 @@ async fn a_cycle_longer_or_larger_than_permitted_is_neutral_and_ends_incomplete(
     let told = advice["reasons"].as_array().unwrap();
     assert!(told.iter().any(|reason| reason["code"] == "cut_short"), "{advice}");
     assert_eq!(advice["override_percent"], 100.0);
+    served.server.shutdown().await.unwrap();
+}
+
+/// No body says that it is a part only: taken out of quarantine under another id, it would count as a whole cycle.
+#[tokio::test]
+async fn a_part_of_a_cycle_is_one_after_its_quarantine_too() {
+    let served = Served::start(&[("stream.samples_per_cycle", "20")]).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    machine.samples(0, 20).await;
+    machine.samples(20, 25).await;
+    // A counter that restarted: the id belongs to another cycle by the time that this one ends.
+    let (status, _) = served.send("POST", "/v1/machines/M1/cycles", Some(posted("c1", 10))).await;
+    assert_eq!(status, 201);
+    let refused = machine.end(25).await;
+    assert_eq!(refused["code"], "cycle_conflict", "{refused}");
+    let entry = format!("/v1/quarantine/{}", refused["quarantine_id"].as_str().unwrap());
+    let kept = served.get(&entry).await;
+    assert_eq!(kept["problem"]["cut_short"], true, "{kept}");
+
+    let mut body: Value = serde_json::from_str(kept["body"].as_str().unwrap()).unwrap();
+    body["cycle_id"] = json!("boot2-c1");
+    let settle = json!({"action": "reingest", "reason": "its counter restarted", "body": body.to_string()});
+    let (status, settled) = served.send("POST", &entry, Some(settle)).await;
+    assert_eq!(status, 200, "{settled}");
+    let flags = settled["answer"]["summary"]["flags"].to_string();
+    assert!(flags.contains("incomplete") && flags.contains("cut_short"), "{flags}");
+    assert_eq!(served.get("/v1/tools/T1/wear").await["excluded"]["cut_short"], 1);
     served.server.shutdown().await.unwrap();
 }

@@ -85,7 +85,7 @@ async fn reingest(
     let intake = state.intake.clone();
     let body = repaired.map_or_else(|| Bytes::from(kept), Bytes::from);
     // In a task of its own: a client that hangs up must not stop a commit half-way.
-    let task = async move { intake.reingest(&entry.machine, body).await };
+    let task = async move { intake.reingest(&entry, body).await };
     state.lifecycle.spawn(task).await.map_err(|error| Problem::internal(error.to_string()))?
 }
 

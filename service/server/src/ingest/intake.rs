@@ -60,16 +60,20 @@ struct Ready {
 struct Queued {
     cycle: Arc<Cycle>,
     json: Bytes,
+    cut_short: bool,
     answered: Answered,
 }
 
 impl Ready {
     /// What is handed to the writer, and what makes it a queued one with the writer's answer.
     fn part(self) -> (NewCycle, impl FnOnce(Answered) -> Queued) {
-        let (cycle, json) = (Arc::clone(&self.cycle.cycle), self.json);
-        (self.cycle, move |answered| Queued { cycle, json, answered })
+        let (cycle, json, cut_short) = (Arc::clone(&self.cycle.cycle), self.json, self.cycle.cut_short);
+        (self.cycle, move |answered| Queued { cycle, json, cut_short, answered })
     }
 }
+
+/// Member of a problem: what was refused is a part of a cycle, not the whole of it.
+const CUT_SHORT: &str = "cut_short";
 
 /// What becomes of a body that is refused for its content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -219,7 +223,13 @@ impl CycleIntake {
     }
 
     /// Everything before the queue: reading, summary, blocks and hash.
-    async fn prepare(&self, machine: &MachineId, json: Bytes, refused: Refused) -> Result<Ready, Problem> {
+    async fn prepare(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        cut_short: bool,
+        refused: Refused,
+    ) -> Result<Ready, Problem> {
         let now = self.clock.now();
         let cycle = match self.decode(machine, json.clone(), now).await? {
             Ok(cycle) => cycle,
@@ -233,7 +243,9 @@ impl CycleIntake {
                 if !self.knows(machine).await? {
                     return Err(unknown_machine(machine));
                 }
-                return Err(self.refuse(machine, json, Problem::invalid(violations), refused).await);
+                return Err(self
+                    .refuse(machine, json, cut_short, Problem::invalid(violations), refused)
+                    .await);
             }
         };
         // Where it has to be asked for, it is in a task of its own.
@@ -255,7 +267,7 @@ impl CycleIntake {
         let cycle = Arc::new(cycle.with_samples(None));
         let generation = Some(generation);
         Ok(Ready {
-            cycle: NewCycle { cycle, received_at: now, encoded, summary, generation, cut_short: false },
+            cycle: NewCycle { cycle, received_at: now, encoded, summary, generation, cut_short },
             json,
         })
     }
@@ -274,7 +286,7 @@ impl CycleIntake {
 
     /// Everything after the queue: what the commit came to.
     async fn settle(&self, queued: Queued, refused: Refused) -> Result<Accepted, Problem> {
-        let Queued { cycle, json, mut answered } = queued;
+        let Queued { cycle, json, cut_short, mut answered } = queued;
         let outcome = match self.pulse.wait(&mut answered).await {
             Waited::Answered(outcome) => outcome,
             Waited::Closed => return Err(closing()),
@@ -294,7 +306,7 @@ impl CycleIntake {
         let committed = match outcome {
             // Nothing that this server takes should come to it; if it does, nothing of it is lost.
             Err(error @ StoreError::Refused { .. }) => {
-                return Err(self.refuse(&cycle.machine, json, error.into(), refused).await);
+                return Err(self.refuse(&cycle.machine, json, cut_short, error.into(), refused).await);
             }
             outcome => outcome?,
         };
@@ -312,7 +324,7 @@ impl CycleIntake {
                         cycle.id
                     ),
                 );
-                Err(self.refuse(&cycle.machine, json, problem, refused).await)
+                Err(self.refuse(&cycle.machine, json, cut_short, problem, refused).await)
             }
         }
     }
@@ -338,10 +350,19 @@ impl CycleIntake {
     }
 
     /// Keeps a refused body in quarantine, so that its machine may forget it, and names it in the problem.
-    async fn refuse(&self, machine: &MachineId, json: Bytes, problem: Problem, refused: Refused) -> Problem {
+    async fn refuse(
+        &self,
+        machine: &MachineId,
+        json: Bytes,
+        cut_short: bool,
+        problem: Problem,
+        refused: Refused,
+    ) -> Problem {
         if refused == Refused::StaysInQuarantine {
             return problem;
         }
+        // No body says so, and whoever takes it out again has to know.
+        let problem = if cut_short { problem.member(CUT_SHORT, true) } else { problem };
         let entry = QuarantineEntry {
             id: uuid::Uuid::now_v7().to_string(),
             machine: machine.clone(),
@@ -386,7 +407,7 @@ impl CycleIntake {
         json: Bytes,
         refused: Refused,
     ) -> Result<Accepted, Problem> {
-        let result = match self.prepare(machine, json, refused).await {
+        let result = match self.prepare(machine, json, false, refused).await {
             Ok(ready) => {
                 let (cycle, queued) = ready.part();
                 match self.writer().and_then(|writer| writer.enqueue(cycle).map_err(problem_of)) {
@@ -408,14 +429,11 @@ impl CycleIntake {
         json: Bytes,
         refused: Refused,
     ) -> Result<Accepted, Problem> {
-        let result = match self.prepare(machine, json, refused).await {
-            Ok(mut ready) => {
-                ready.cycle.cut_short = true;
-                match self.enqueue_patiently(ready).await {
-                    Ok(queued) => self.settle(queued, refused).await,
-                    Err(problem) => Err(problem),
-                }
-            }
+        let result = match self.prepare(machine, json, true, refused).await {
+            Ok(ready) => match self.enqueue_patiently(ready).await {
+                Ok(queued) => self.settle(queued, refused).await,
+                Err(problem) => Err(problem),
+            },
             Err(problem) => Err(problem),
         };
         self.told.observe(machine, refused, &result);
@@ -434,7 +452,7 @@ impl CycleIntake {
             // Each that has to ask waits its own time: one is enough.
             let ready = match &away {
                 Some(problem) => Err(problem.clone()),
-                None => self.prepare(machine, json, refused).await,
+                None => self.prepare(machine, json, false, refused).await,
             };
             away = away.or_else(|| ready.as_ref().err().filter(|problem| problem.is_of_outage()).cloned());
             prepared.push(ready);
@@ -464,9 +482,14 @@ impl CycleIntake {
     }
 
     /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have
-    /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again.
-    pub async fn reingest(&self, machine: &MachineId, body: Bytes) -> Result<serde_json::Value, Problem> {
-        let accepted = self.accept(machine, body, Refused::StaysInQuarantine).await?;
+    /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again. What was
+    /// a part of a cycle when it was refused stays one.
+    pub async fn reingest(&self, entry: &QuarantineEntry, body: Bytes) -> Result<serde_json::Value, Problem> {
+        let (machine, refused) = (&entry.machine, Refused::StaysInQuarantine);
+        let accepted = match was_cut_short(entry) {
+            true => self.accept_incomplete(machine, body, refused).await?,
+            false => self.accept(machine, body, refused).await?,
+        };
         let answer = crate::http::dto::cycle::CycleAnswerBody::of(&accepted);
         serde_json::to_value(answer).map_err(|error| Problem::internal(error.to_string()))
     }
@@ -482,6 +505,11 @@ impl CycleIntake {
             tracing::error!(%error, "the writer ended abnormally");
         }
     }
+}
+
+fn was_cut_short(entry: &QuarantineEntry) -> bool {
+    let problem = serde_json::from_str::<serde_json::Value>(&entry.problem);
+    problem.is_ok_and(|problem| problem[CUT_SHORT] == true)
 }
 
 fn unknown_machine(machine: &MachineId) -> Problem {

@@ -7,7 +7,7 @@ use feedwright_core::friction::relation::FeedSource;
 use feedwright_core::friction::whatif::StoredCycle as CoreCycle;
 use feedwright_core::machine::Calibration;
 use feedwright_core::machine::{LoadReference, Machine};
-use feedwright_core::summary::way_in_contact;
+use feedwright_core::summary::{Context, way_in_contact};
 use feedwright_core::units::Strategy;
 use feedwright_store::CycleMeta;
 use std::f64::consts::TAU;
@@ -125,14 +125,14 @@ pub struct ContactCycle {
 }
 
 impl ContactCycle {
-    /// Cuts a cycle to its contact.
+    /// Cuts a cycle to its contact. Its speed is what the cycle names, else what was measured, else its operation's.
     pub fn new(
         meta: &CycleMeta,
         samples: &Samples,
-        machine: &Machine,
-        calibration: Option<&Calibration>,
+        context: Context<'_>,
         idle: Option<IdleLoads>,
     ) -> Result<Self, Unusable> {
+        let Context { machine, calibration, .. } = context;
         let column = |channel| samples.column(channel).ok_or(Unusable::MissingChannel);
         let depth = column(Channel::DepthMm)?;
         let feed_drive = column(Channel::FeedDriveLoadPercent)?;
@@ -147,8 +147,10 @@ impl ContactCycle {
         }
         let speeds =
             samples.column(Channel::SpindleSpeedRpm).map(|speed| median(&speed[range.clone()]).abs());
-        let spindle_rpm =
-            meta.spindle_speed_rpm.or(speeds).filter(|rpm| *rpm > 0.0).ok_or(Unusable::NoSpeed)?;
+        let spindle_rpm = context
+            .commanded_rpm(meta.spindle_speed_rpm.or(speeds))
+            .filter(|rpm| *rpm > 0.0)
+            .ok_or(Unusable::NoSpeed)?;
         let (rated_torque_nm, torque_source) = rated_torque_nm(machine, calibration, spindle_rpm);
         let (idle, idle_source) = match (idle, idle_loads(&feed_drive[..contact], &spindle[..contact])) {
             (Some(given), _) => (given, IdleSource::Given),

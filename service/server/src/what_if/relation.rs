@@ -5,6 +5,7 @@ use feedwright_core::cycle::Samples;
 use feedwright_core::friction::relation::{RelationConfig, RelationParams};
 use feedwright_core::friction::whatif::LoadRelations;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
+use feedwright_core::summary::Context;
 use feedwright_core::units::{Strategy, Timestamp};
 use feedwright_store::{CycleFilter, CycleMeta, Page, Store, StoreResult, StoredCycle, Surroundings};
 use std::collections::HashMap;
@@ -82,7 +83,12 @@ impl Library {
         let Some(around) = self.around(meta).await? else { return Ok(Err(Unusable::Refused)) };
         let samples: Option<Samples> = self.store.cycle_samples(&meta.machine, &meta.id).await?;
         let Some(samples) = samples else { return Ok(Err(Unusable::NoSamples)) };
-        Ok(ContactCycle::new(meta, &samples, &around.machine, around.calibration.as_ref(), self.idle))
+        let context = Context {
+            machine: &around.machine,
+            calibration: around.calibration.as_ref(),
+            operation: around.operation.as_ref(),
+        };
+        Ok(ContactCycle::new(meta, &samples, context, self.idle))
     }
 
     /// The relation for a cycle; `None` where nothing teaches one.
