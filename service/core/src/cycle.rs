@@ -216,7 +216,7 @@ impl Cycle {
         if draft
             .law_version
             .as_ref()
-            .is_some_and(|text| text.is_empty() || text.len() > Self::MAX_LAW_VERSION)
+            .is_some_and(|text| text.is_empty() || text.chars().count() > Self::MAX_LAW_VERSION)
         {
             wrong.push(Violation::new(
                 "law_version",

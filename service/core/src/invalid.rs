@@ -17,10 +17,32 @@ pub struct Violation {
 }
 
 impl Violation {
-    /// Names a violation at `path`.
+    /// Names a violation at `path`. Both texts may repeat what came in, which may be as long as a body: they are [`bounded`].
     pub fn new(path: impl Into<String>, code: &'static str, message: impl Into<String>) -> Self {
-        Self { path: path.into(), code, message: message.into() }
+        Self { path: bounded(path.into(), MOST_PATH), code, message: bounded(message.into(), MOST_MESSAGE) }
     }
+}
+
+/// Longest path that is told, bytes: some deeply nested fields with long names.
+const MOST_PATH: usize = 400;
+/// Longest message that is told, bytes: more than the names of all fields of anything that is taken in.
+const MOST_MESSAGE: usize = 2000;
+
+/// A text of at most so many bytes: of a longer one the beginning and the end, with `…` between.
+#[must_use]
+pub fn bounded(text: String, most: usize) -> String {
+    const CUT: &str = "…";
+    if text.len() <= most {
+        return text;
+    }
+    let half = most.saturating_sub(CUT.len()) / 2;
+    let head = text.floor_char_boundary(half);
+    let tail = text.ceil_char_boundary(text.len() - half);
+    let mut short = String::with_capacity(head + CUT.len() + text.len() - tail);
+    short.push_str(&text[..head]);
+    short.push_str(CUT);
+    short.push_str(&text[tail..]);
+    short
 }
 
 impl fmt::Display for Violation {
@@ -73,5 +95,23 @@ impl Range {
                 None
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_a_long_text_both_ends_are_told() {
+        assert_eq!(bounded("a short one".to_owned(), 11), "a short one");
+        assert_eq!(bounded("0123456789ab".to_owned(), 11), "0123…89ab");
+        // Never within a character, and never longer than permitted.
+        for most in 3..40 {
+            let short = bounded("Vorschubübersteuerung µm ".repeat(3), most);
+            assert!(short.len() <= most && short.contains('…'), "{most}: {short}");
+        }
+        let violation = Violation::new("k".repeat(1 << 20), "unknown_field", "k".repeat(1 << 20));
+        assert!(violation.path.len() <= MOST_PATH && violation.message.len() <= MOST_MESSAGE);
     }
 }

@@ -38,9 +38,10 @@ pub fn read<'de, T: Deserialize<'de>>(json: &'de [u8]) -> Result<T, Wrong> {
 fn located<'de, T: Deserialize<'de>>(json: &'de [u8], error: &serde_json::Error) -> Wrong {
     let malformed = || Wrong::Malformed(error.to_string());
     // A torn text may break a rule of ours before its tear: whether it is JSON at all comes first.
-    if serde_json::from_slice::<IgnoredAny>(json).is_err() {
+    if let Err(torn) = serde_json::from_slice::<IgnoredAny>(json) {
         // Meant as JSON but for a word like NaN: named like every other bad field.
-        return first_non_finite(json).map_or_else(malformed, |(path, literal)| {
+        let torn = || Wrong::Malformed(torn.to_string());
+        return first_non_finite(json).map_or_else(torn, |(path, literal)| {
             Wrong::Field(Violation::new(path, "not_finite", format!("must be a finite number, is {literal}")))
         });
     }
@@ -212,6 +213,8 @@ mod tests {
         {
             assert_eq!(refused(json), (String::new(), "malformed"), "{json}");
         }
+        let Err(Wrong::Malformed(why)) = read::<Outer>(br#"{"other":5,"#) else { panic!("it is torn") };
+        assert!(why.starts_with("EOF"), "of the tear, not of a rule that was broken before: {why}");
         let deep = format!("{{\"any\":{}{}}}", "[".repeat(1000), "]".repeat(1000));
         assert_eq!(refused(&deep).1, "malformed", "nested deeper than is followed");
     }

@@ -56,6 +56,17 @@ pub enum StoreError {
 }
 
 impl StoreError {
+    /// Of tables that could not be brought up to this program's: those of a later one are said to be that.
+    pub(crate) fn of_migration(error: sqlx::migrate::MigrateError) -> Self {
+        Self::Database(match error {
+            sqlx::migrate::MigrateError::VersionMissing(number) => format!(
+                "it was written by a later version of this program: its migration {number} is not known here"
+            )
+            .into(),
+            error => Box::new(error),
+        })
+    }
+
     /// What is damaged, with the cycle that it was found in.
     pub(crate) fn of_cycle(self, machine: &str, cycle: &str) -> Self {
         match self {

@@ -343,7 +343,7 @@ pub trait Store: Send + Sync + 'static {
         page: Page<String>,
     ) -> StoreResult<Vec<QuarantineEntry>>;
     /// One quarantine entry with its body as it came.
-    async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Vec<u8>)>>;
+    async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Option<Vec<u8>>)>>;
     /// Settles a quarantine entry; `false` where there is no unsettled one of that id.
     async fn settle_quarantine(
         &self,

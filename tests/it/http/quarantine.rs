@@ -125,3 +125,63 @@ async fn what_the_database_refuses_is_kept_in_quarantine() {
         }
     }
 }
+
+async fn change(app: &App, statement: &'static str) {
+    let file = app.state.config.data_dir.join("feedwright.sqlite3");
+    let mut conn = SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    assert_eq!(sqlx::raw_sql(statement).execute(&mut conn).await.unwrap().rows_affected(), 1);
+    conn.close().await.unwrap();
+}
+
+/// A body in which a bit has turned is still a body: taken in, it would be what no machine has measured.
+#[tokio::test]
+async fn a_body_that_is_not_what_came_is_told_and_never_taken_in() {
+    let app = App::registered().await;
+    let body = json!({"cycle_id": "c-1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:00:00Z",
+                      "reported": {"energy_joules": 1000.0}});
+    for id in ["q1", "q2"] {
+        keep(&app, id, format!("{body}{id}").as_bytes()).await;
+    }
+    assert_eq!(app.state.store.check_tables().await.unwrap(), []);
+    change(&app, "UPDATE quarantine SET body_hash = zeroblob(32) WHERE quarantine_id = 'q1'").await;
+    change(&app, "UPDATE quarantine SET body = x'00' WHERE quarantine_id = 'q2'").await;
+    let faults = app.state.store.check_tables().await.unwrap();
+    let named: Vec<_> = faults.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+    assert_eq!(named, [("quarantine", "q1"), ("quarantine", "q2")]);
+    for id in ["q1", "q2"] {
+        let told = app.get(&format!("/v1/quarantine/{id}")).await.json();
+        assert_eq!(
+            (&told["body_damaged"], &told["body"], &told["body_base64"]),
+            (&json!(true), &json!(null), &json!(null))
+        );
+        let refused = settle(&app, id, json!({"action": "reingest", "reason": "again"})).await;
+        assert_eq!((refused.status, refused.code()), (StatusCode::CONFLICT, "body_damaged".to_owned()));
+    }
+    assert_eq!(app.get("/v1/machines/M1/cycles/c-1").await.status, StatusCode::NOT_FOUND);
+    let repaired = json!({"action": "reingest", "reason": "from the control", "body": body.to_string()});
+    assert_eq!(settle(&app, "q1", repaired).await.status, StatusCode::OK);
+    assert_eq!(
+        settle(&app, "q2", json!({"action": "discard", "reason": "lost"})).await.status,
+        StatusCode::OK
+    );
+    assert_eq!(app.get("/v1/machines/M1/cycles/c-1").await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn of_repairs_that_come_together_one_is_stored() {
+    let app = App::registered().await;
+    keep(&app, "q1", b"{}").await;
+    let repairs = (1..=4).map(|number| {
+        let body = json!({"cycle_id": format!("c-{number}"), "tool": "T1", "operation": "O1",
+                          "started_at": "2026-05-04T05:00:00Z", "reported": {"energy_joules": 1000.0}});
+        settle(&app, "q1", json!({"action": "reingest", "reason": "by hand", "body": body.to_string()}))
+    });
+    let answers = futures_util::future::join_all(repairs).await;
+    let settled = answers.iter().filter(|answer| answer.status == StatusCode::OK).count();
+    assert_eq!(settled, 1, "{answers:?}");
+    assert!(
+        answers.iter().all(|answer| answer.status == StatusCode::OK || answer.code() == "already_settled")
+    );
+    let stored = app.get("/v1/cycles?machine=M1").await.json();
+    assert_eq!(stored["items"].as_array().unwrap().len(), 1, "{stored}");
+}

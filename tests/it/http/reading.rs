@@ -194,6 +194,7 @@ async fn what_cannot_be_read_says_why() {
         ("bucket=1h", "from", "missing"),
         ("bucket=soon&from=2026-05-04T00:00:00Z", "bucket", "invalid_duration"),
         ("bucket=1s&from=2020-01-01T00:00:00Z", "bucket", "too_many_buckets"),
+        ("bucket=5300w&from=0001-01-01T00:00:00Z", "bucket", "out_of_range"),
         ("bucket=1h&from=2027-01-01T00:00:00Z", "to", "empty_range"),
         ("bucket=1h&from=yesterday", "from", "invalid_timestamp"),
         ("last=0", "last", "out_of_range"),

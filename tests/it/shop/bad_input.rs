@@ -111,6 +111,9 @@ async fn bodies_that_are_torn_too_large_or_foreign_are_refused_and_not_kept() {
     let request = shop.client.post(shop.url(CYCLES)).header("content-type", "application/json");
     let brotli = shop.send(request.header("content-encoding", "br").body("x")).await;
     assert_eq!(refused(&brotli), (415, code("unsupported_media_type")));
+    let request = shop.client.post(shop.url(CYCLES)).header("content-type", "application/json");
+    let twice = request.header("content-encoding", "gzip").header("content-encoding", "zstd");
+    assert_eq!(refused(&shop.send(twice.body("x")).await), (415, code("unsupported_media_type")));
     let elsewhere = shop.cycle("M9", &reported(1, 1.0)).await;
     assert_eq!(refused(&elsewhere), (404, code("unknown_machine")));
     let bad_elsewhere = shop.post_raw("/v1/machines/M9/cycles", "application/json", r#"{"x":1}"#).await;
@@ -160,4 +163,31 @@ async fn what_was_quarantined_can_be_repaired_and_taken_in() {
     assert_eq!(taken.status, 200, "{}", taken.text);
     assert_eq!(shop.get("/v1/machines/M1/cycles/c1").await.status, 200);
     assert_eq!(shop.get("/v1/quarantine").await.body["items"].as_array().unwrap().len(), 0, "settled");
+}
+
+/// Whatever is repeated of a body in an answer, and kept beside it, is short: a name of megabytes packs into a few bytes.
+#[tokio::test]
+async fn what_is_told_of_a_body_is_short_however_long_its_names_are() {
+    let shop = Shop::open().await;
+    let long = "k".repeat(1 << 20);
+    for (body, path) in [
+        (json!({ &long: 1 }), "kkk"),
+        (json!({"cycle_id": "c1", "seq": &long}), "seq"),
+        (json!({"cycle_id": "c1", "samples": {"period_ms": 10, &long: [1]}}), "samples.kkk"),
+    ] {
+        let answer = shop.cycle("M1", &body).await;
+        assert_eq!(answer.status, 422, "{}", &answer.text[..1000]);
+        assert!(answer.text.len() < 10_000, "{path}: {} bytes", answer.text.len());
+        assert!(answer.body["errors"][0]["path"].as_str().unwrap().starts_with(path), "{}", answer.text);
+        let entry = format!("/v1/quarantine/{}", answer.body["quarantine_id"].as_str().unwrap());
+        let kept = shop.get(&entry).await;
+        assert!(kept.body["problem"].to_string().len() < 10_000, "{path}");
+        assert_eq!(
+            kept.body["body"].as_str().unwrap().len(),
+            body.to_string().len(),
+            "it is kept as it came"
+        );
+    }
+    let torn = shop.post_raw(CYCLES, "application/json", format!(r#"{{"{long}":"#)).await;
+    assert!(torn.status == 400 && torn.text.len() < 10_000, "{} bytes", torn.text.len());
 }

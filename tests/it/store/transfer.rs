@@ -485,6 +485,17 @@ async fn a_backup_under_load_is_one_state_and_restores() {
     let refused = restore_to_sqlite(&unindexed, &folder.path().join("none.sqlite3")).await.unwrap_err();
     assert!(refused.to_string().contains("missing from index cycles_by_tool"), "{refused}");
     assert!(!folder.path().join("none.sqlite3").exists());
+    // Rows are copied as an index orders them: what it leaves out would be in neither side's sum.
+    let (from, to) = (Address::Sqlite(unindexed), Address::Sqlite(folder.path().join("copied.sqlite3")));
+    let refused = copy(&from, &to, &mut |_, _, _| {}).await.unwrap_err();
+    assert!(refused.to_string().contains("missing from index cycles_by_tool"), "{refused}");
+    assert!(!folder.path().join("copied.sqlite3").exists(), "{refused}");
+    // The log of a database that was there before would be written over the new one.
+    let log = folder.path().join("none.sqlite3-wal");
+    std::fs::write(&log, [1; 100]).unwrap();
+    let refused = restore_to_sqlite(&backup, &folder.path().join("none.sqlite3")).await.unwrap_err();
+    assert!(refused.to_string().contains("none.sqlite3-wal"), "{refused}");
+    std::fs::remove_file(&log).unwrap();
     let refused = restore_to_sqlite(&restored, &folder.path().join("none.sqlite3")).await.unwrap_err();
     assert!(refused.to_string().contains("is no backup"), "{refused}");
     given.done().await;

@@ -16,6 +16,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, Sq
 use std::path::{Path, PathBuf};
 
 super::given::stories!(with tables:
+    a_database_of_a_later_version_is_told_as_one,
     what_a_database_of_before_holds_is_all_there_and_goes_on,
     folds_of_other_rules_are_folded_again,
 );
@@ -404,4 +405,19 @@ async fn folds_of_other_rules_are_folded_again(given: &Given) {
     assert_eq!(given.raw(AssertSqlSafe(flags)).await.unwrap(), 1);
     assert_eq!(store.check_cycles(None, 400).await.unwrap().faults, []);
     store.close().await;
+}
+
+async fn a_database_of_a_later_version_is_told_as_one(given: &Given) {
+    let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time)
+                 SELECT 9999, 'of a later version', success, checksum, 0 FROM _sqlx_migrations
+                 WHERE version = (SELECT MAX(version) FROM _sqlx_migrations)";
+    assert_eq!(given.raw(later).await.unwrap(), 1);
+    let refused = if given.is_postgres() {
+        PostgresStore::open(&given.address(), PostgresOptions::default()).await.map(drop)
+    } else {
+        SqliteStore::open(given.file(), SqliteOptions::default()).await.map(drop)
+    };
+    let error = refused.unwrap_err();
+    let told = std::error::Error::source(&error).unwrap().to_string();
+    assert!(told.contains("later version") && told.contains("9999"), "{told}");
 }

@@ -161,3 +161,36 @@ async fn a_part_of_a_cycle_is_one_after_its_quarantine_too() {
     assert_eq!(served.get("/v1/tools/T1/wear").await["excluded"]["cut_short"], 1);
     served.server.shutdown().await.unwrap();
 }
+
+/// What an end is answered is about the cycle that its machine means: an answer to an earlier one would have it forget the later.
+#[tokio::test]
+async fn an_end_is_never_answered_by_the_cycle_before() {
+    let served = Served::start(&[]).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut machine = Machine::connect(&served, &token).await;
+    let code = |answer: &Value| answer["code"].as_str().map(str::to_owned);
+    machine.start("c1", json!({})).await;
+    machine.samples(0, 5).await;
+    assert_eq!(machine.end(5).await["status"], 201);
+    assert_eq!(machine.end(5).await["answer"]["cycle_id"], "c1", "its answer may have been lost");
+    // Refused at its start.
+    for change in [json!({"seq": u64::MAX}), json!({"law_version": "é".repeat(65)}), json!({"nonsense": 1})]
+    {
+        let refused = machine.start("c2", change).await;
+        assert_eq!(refused["type"], "error", "{refused}");
+        machine.samples(0, 3).await;
+        assert_eq!(code(&machine.end(3).await).as_deref(), Some("no_cycle"));
+        assert_eq!(machine.ask(json!({"type": "end", "cycle_id": "c1"})).await["type"], "stored");
+    }
+    assert_eq!(machine.start("c3", json!({"law_version": "é".repeat(64)})).await["type"], "started");
+    machine.samples(0, 3).await;
+    // Refused at its end: it is in quarantine, and nothing is stored.
+    let refused = machine.ask(json!({"type": "end", "samples": 3, "outcome": "nonsense"})).await;
+    assert!(refused["quarantine_id"].is_string(), "{refused}");
+    assert_eq!(code(&machine.end(3).await).as_deref(), Some("no_cycle"));
+    // Not known to this server: the machine is to send it again, and forgets that when it does not.
+    assert_eq!(machine.ask(json!({"type": "resume", "cycle_id": "c9"})).await["restart_from"], 0);
+    assert_eq!(code(&machine.end(3).await).as_deref(), Some("no_cycle"));
+    served.server.shutdown().await.unwrap();
+}

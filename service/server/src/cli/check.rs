@@ -1,6 +1,7 @@
 //! `feedwright check`: every block, every hash, every summary against its samples, wear against its fold.
 
 use super::{Settings, log, print};
+use crate::config::Engine;
 use crate::database::{self, Database};
 use anyhow::{Context, bail};
 use clap::Args;
@@ -36,6 +37,12 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
         let outcome = of_backup(backup, &folder.join("check.sqlite3")).await;
         std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
         return outcome;
+    }
+    // Opening makes what is not there: nothing would be found wrong with the wrong folder.
+    if let Engine::Sqlite(path) = config.engine()
+        && !path.exists()
+    {
+        bail!("there is no database {}", path.display());
     }
     let Database { store, lock } = database::open(&config)
         .await

@@ -343,7 +343,13 @@ fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encodin
             ));
         }
     };
-    let header = headers.get(header::CONTENT_ENCODING).map(|value| value.to_str().unwrap_or("?"));
+    // Several lines are one list, and none of several encodings is taken.
+    let mut given = headers.get_all(header::CONTENT_ENCODING).iter();
+    let header = match (given.next(), given.next()) {
+        (Some(one), None) => Some(one.to_str().unwrap_or("?")),
+        (Some(_), Some(_)) => Some("?"),
+        (None, _) => None,
+    };
     let encoding = Encoding::parse(header)
         .ok_or_else(|| unsupported("the content encoding must be gzip or zstd, or none"))?;
     Ok((form, encoding))

@@ -5,7 +5,7 @@
 //! the request's id and logs the private part.
 
 use axum::response::{IntoResponse, Response};
-use feedwright_core::invalid::Violation;
+use feedwright_core::invalid::{Violation, bounded};
 use feedwright_store::StoreError;
 use http::{HeaderName, HeaderValue, StatusCode, header};
 use serde::Serialize;
@@ -15,6 +15,8 @@ use utoipa::ToSchema;
 
 /// Most violations listed in one document; a column of 200 000 bad values would otherwise be answered in full.
 pub const MAX_VIOLATIONS: usize = 100;
+/// Longest detail, bytes.
+const MOST_DETAIL: usize = 4000;
 
 /// An error on its way to the client.
 #[derive(Debug, Clone)]
@@ -78,10 +80,15 @@ pub struct FieldError<'a> {
 impl Problem {
     /// A problem with a status, a stable code and a public sentence.
     pub fn new(status: StatusCode, code: &'static str, detail: impl Into<Cow<'static, str>>) -> Self {
+        // It may repeat what came in, which may be as long as a body.
+        let detail = match detail.into() {
+            Cow::Owned(text) => Cow::Owned(bounded(text, MOST_DETAIL)),
+            told => told,
+        };
         Self {
             status,
             code,
-            detail: detail.into(),
+            detail,
             errors: Vec::new(),
             members: serde_json::Map::new(),
             headers: Vec::new(),

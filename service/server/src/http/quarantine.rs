@@ -12,7 +12,7 @@ use crate::state::AppState;
 use axum::extract::State;
 use bytes::Bytes;
 use feedwright_core::ids::MachineId;
-use feedwright_store::QuarantineEntry;
+use feedwright_store::Actor;
 use http::StatusCode;
 
 /// Lists what could not be accepted, oldest first; what is settled only where it is asked for.
@@ -54,6 +54,21 @@ pub(super) async fn settle(
     Json(body): Json<SettleBody>,
 ) -> Result<axum::Json<Settled>, Problem> {
     body.check()?;
+    let actor = caller.actor();
+    let own = state.clone();
+    // In a task of its own: a client that hangs up must not stop a commit half-way.
+    let task = async move { settle_alone(&own, id, body, actor).await };
+    state.lifecycle.spawn(task).await.map_err(|error| Problem::internal(error.to_string()))?.map(axum::Json)
+}
+
+async fn settle_alone(
+    state: &AppState,
+    id: String,
+    body: SettleBody,
+    actor: Actor,
+) -> Result<Settled, Problem> {
+    // One at a time: of two repairs of an entry that come together, both would be stored, and one told that it was not.
+    let _settling = state.intake.settling().await;
     let found = state.store.quarantine_entry(&id).await?;
     let (entry, kept) = found.ok_or_else(|| Problem::not_found("quarantine entry", &id))?;
     if entry.settled.is_some() {
@@ -63,30 +78,26 @@ pub(super) async fn settle(
         QuarantineAction::Discard => (format!("discarded: {}", body.reason), None),
         QuarantineAction::Reingest => {
             let repaired = if body.body.is_some() { "repaired and re-ingested" } else { "re-ingested" };
-            let answer = reingest(&state, entry, body.body, kept).await?;
+            let taken = body.body.map(Bytes::from).or_else(|| kept.map(Bytes::from)).ok_or_else(damaged)?;
+            let answer = state.intake.reingest(&entry, taken).await?;
             (format!("{repaired}: {}", body.reason), Some(answer))
         }
     };
     // A crash before this line leaves an entry open whose cycle is stored: settling it again finds it known.
-    let (actor, now) = (caller.actor(), state.clock.now());
+    let now = state.clock.now();
     let (settled, told) = (id.clone(), how.clone());
     let settle = state
         .commit(|store| async move { store.settle_quarantine(&settled, &told, &actor, now).await })
         .await?;
-    if settle { Ok(axum::Json(Settled { id, how, answer })) } else { Err(already_settled()) }
+    if settle { Ok(Settled { id, how, answer }) } else { Err(already_settled()) }
 }
 
-async fn reingest(
-    state: &AppState,
-    entry: QuarantineEntry,
-    repaired: Option<String>,
-    kept: Vec<u8>,
-) -> Result<serde_json::Value, Problem> {
-    let intake = state.intake.clone();
-    let body = repaired.map_or_else(|| Bytes::from(kept), Bytes::from);
-    // In a task of its own: a client that hangs up must not stop a commit half-way.
-    let task = async move { intake.reingest(&entry, body).await };
-    state.lifecycle.spawn(task).await.map_err(|error| Problem::internal(error.to_string()))?
+fn damaged() -> Problem {
+    Problem::new(
+        StatusCode::CONFLICT,
+        "body_damaged",
+        "what is kept of the body is not what came: send it repaired, or discard the entry",
+    )
 }
 
 fn already_settled() -> Problem {

@@ -25,7 +25,7 @@ use http::StatusCode;
 use std::error::Error;
 use std::sync::{Arc, RwLock};
 use std::time::Duration;
-use tokio::sync::{Mutex, Semaphore};
+use tokio::sync::{Mutex, MutexGuard, Semaphore};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -95,6 +95,7 @@ pub struct CycleIntake {
     writer: RwLock<Option<WriterHandle>>,
     writing: Mutex<Option<JoinHandle<()>>>,
     preparing: Semaphore,
+    settling: Mutex<()>,
     singles: Unpacker,
     batches: Unpacker,
     habits: Habits,
@@ -194,6 +195,7 @@ impl CycleIntake {
             writer: RwLock::new(Some(writer)),
             writing: Mutex::new(Some(writing)),
             preparing: Semaphore::new(BATCHES_PREPARED),
+            settling: Mutex::new(()),
             singles: Unpacker::default(),
             batches: Unpacker::default(),
             habits: Habits::default(),
@@ -479,6 +481,11 @@ impl CycleIntake {
         // What never was in the queue is not committed.
         let answered = self.pulse.while_it_beats(coming).await.ok_or_else(Problem::database_unavailable)?;
         answered.map(queued).map_err(problem_of)
+    }
+
+    /// The right to settle an entry of the quarantine: one at a time.
+    pub(crate) async fn settling(&self) -> MutexGuard<'_, ()> {
+        self.settling.lock().await
     }
 
     /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have

@@ -12,6 +12,8 @@ pub struct Table {
     file: String,
     columns: BTreeMap<String, Vec<String>>,
     rows: usize,
+    /// Where each row begins.
+    lines: Vec<u64>,
 }
 
 impl Table {
@@ -34,10 +36,11 @@ impl Table {
                 (Some(_), Some(_)) => return Err(refuse(format!("has the column {name:?} twice"))),
             }
         }
-        let mut rows = 0;
+        let (mut rows, mut lines) = (0, Vec::new());
         for record in reader.records() {
             let record = record.map_err(|error| refuse(error.to_string()))?;
             rows += 1;
+            lines.push(record.position().map_or(0, |begins| line_of(bytes, begins)));
             if rows > MAX_ROWS {
                 return Err(refuse(format!("has more than {MAX_ROWS} rows")));
             }
@@ -46,7 +49,7 @@ impl Table {
             }
         }
         let columns = places.into_iter().map(|(name, _, cells)| (name, cells)).collect();
-        Ok(Self { file: file.to_owned(), columns, rows })
+        Ok(Self { file: file.to_owned(), columns, rows, lines })
     }
 
     /// How many rows there are.
@@ -72,11 +75,20 @@ impl Table {
         }
     }
 
-    fn refuse(&self, row: usize, column: &str, message: &str) -> ReplayError {
-        // The header is line 1, so row 0 stands in line 2.
-        let message = format!("line {}, column {column:?}: {message}", row + 2);
+    /// What is wrong with a cell, by the line in which its row begins.
+    pub(super) fn refuse(&self, row: usize, column: &str, message: &str) -> ReplayError {
+        let line = self.lines.get(row).copied().unwrap_or_default();
+        let message = format!("line {line}, column {column:?}: {message}");
         ReplayError::Recording { file: self.file.clone(), message }
     }
+}
+
+/// The line in which a record begins: the blank lines before it are the reader's, too.
+fn line_of(bytes: &[u8], begins: &csv::Position) -> u64 {
+    let from = usize::try_from(begins.byte()).unwrap_or(usize::MAX);
+    let before =
+        bytes.get(from..).unwrap_or_default().iter().take_while(|byte| matches!(byte, b'\r' | b'\n'));
+    begins.line() + before.filter(|byte| **byte == b'\n').count() as u64
 }
 
 #[cfg(test)]
@@ -94,6 +106,13 @@ mod tests {
         assert!((table.number("a", 1).unwrap() - 2.0).abs() < 1e-12);
         let said = table.number("b", 1).unwrap_err().to_string();
         assert!(said.contains("f.csv") && said.contains("line 3"), "{said}");
+    }
+
+    #[test]
+    fn names_the_line_whatever_stands_before() {
+        let csv = b"a,b\n\n\"two\nlines\",1\n\nx,none\n";
+        let said = Table::read("f.csv", csv, b',', &wanted(&["b"])).unwrap().number("b", 1).unwrap_err();
+        assert!(said.to_string().contains("line 6,"), "{said}");
     }
 
     #[test]

@@ -69,9 +69,8 @@ impl Timeline {
                 let mut times = Vec::with_capacity(rows.len());
                 for row in rows.clone() {
                     let cell = table.cell(&self.column, row)?;
-                    let time: jiff::Timestamp = cell.parse().map_err(|_| ReplayError::Recording {
-                        file: self.column.clone(),
-                        message: format!("line {}: {cell:?} is no RFC 3339 time", row + 2),
+                    let time: jiff::Timestamp = cell.parse().map_err(|_| {
+                        table.refuse(row, &self.column, &format!("{cell:?} is no RFC 3339 time"))
                     })?;
                     times.push(time.as_microsecond());
                 }

@@ -87,8 +87,15 @@ impl Collecting<'_> {
     }
 }
 
+/// Widest bucket, a hundred years in µs: of wider ones the edges are no times any more.
+const WIDEST_US: i64 = 36_525 * 86_400 * 1_000_000;
+
 /// Checks that the buckets can be answered.
 fn countable(buckets: Buckets, width_us: i64) -> Result<Buckets, Problem> {
+    if width_us > WIDEST_US {
+        let message = "must be at most 36525d, that is a hundred years";
+        return Err(Violation::new("bucket", "out_of_range", message).into());
+    }
     if buckets.count() <= MAX_BUCKETS {
         return Ok(buckets);
     }

@@ -265,6 +265,7 @@ impl Connection {
         self.state.metrics.stream_refusal(violation.code);
         let n = self.number();
         let mut held = self.ownership.held()?;
+        held.ended_last = false;
         let standing = held.cycle.as_mut().map(|cycle| {
             let answer = cycle.running.fault(now, LoopReason::Malformed);
             answer::standing(cycle, &answer)
@@ -276,7 +277,8 @@ impl Connection {
     fn refuse(&mut self, now: Timestamp, re: u32, problem: &Problem) -> Option<Out> {
         self.state.metrics.stream_refusal(problem.code);
         let n = self.number();
-        let held = self.ownership.held()?;
+        let mut held = self.ownership.held()?;
+        held.ended_last = false;
         let standing = held.cycle.as_ref().map(|cycle| answer::standing(cycle, &cycle.running.standing(now)));
         Some(Out::Text(answer::text(&answer::problem(n, Some(re), problem, standing))))
     }
@@ -416,6 +418,7 @@ impl Connection {
         let left = match self.ownership.held() {
             Some(mut held) => {
                 let left = held.cycle.replace(begun);
+                held.ended_last = false;
                 self.state.streams.charge(&mut held);
                 left
             }
@@ -434,7 +437,7 @@ impl Connection {
 
     fn resume(&mut self, now: Timestamp, message: &ResumeMessage) -> Option<Out> {
         let n = self.number();
-        let held = self.ownership.held()?;
+        let mut held = self.ownership.held()?;
         let running = held.cycle.as_ref().filter(|cycle| cycle.id.as_str() == message.cycle_id);
         if let Some(cycle) = running {
             let text = answer::text(&ResumedMessage {
@@ -462,6 +465,8 @@ impl Connection {
                 answer,
             })));
         }
+        // The machine has a cycle that is not known here, and means that from now on.
+        held.ended_last = false;
         Some(Out::Text(answer::text(&ResumedMessage {
             kind: "resumed",
             n,
@@ -518,6 +523,7 @@ impl Connection {
             Ok(Ok(stored)) => {
                 if let Some(mut held) = self.ownership.held() {
                     held.ended = Some((id, stored.status, stored.answer.clone()));
+                    held.ended_last = true;
                     self.state.streams.charge(&mut held);
                 }
                 answer::text(&StoredMessage {
@@ -552,7 +558,7 @@ impl Connection {
         let Some(cycle) = held.cycle.as_ref().filter(|cycle| asked.is_none_or(|id| id == cycle.id.as_str()))
         else {
             return Some(match &held.ended {
-                Some((id, status, answer)) if asked.is_none_or(|asked| asked == id.as_str()) => {
+                Some((id, status, answer)) if asked.map_or(held.ended_last, |asked| asked == id.as_str()) => {
                     Ending::Known(*status, answer.clone())
                 }
                 _ => Ending::Refused(no_cycle().into()),
@@ -572,6 +578,7 @@ impl Connection {
                 return Some(Ending::Refused(problem));
             }
         }
+        held.ended_last = false;
         held.cycle.take().map(Box::new).map(Ending::Cycle)
     }
 

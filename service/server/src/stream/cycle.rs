@@ -116,6 +116,9 @@ pub fn check(
     word("process", &meta.process, &|text| Process::parse(text).is_some());
     word("strategy", &meta.strategy, &|text| Strategy::parse(text).is_some());
     word("mode", &meta.mode, &|text| Mode::parse(text).is_some());
+    if meta.seq.is_some_and(|seq| i64::try_from(seq).is_err()) {
+        wrong.push(Violation::new("seq", "out_of_range", "must be within 0 to 9223372036854775807"));
+    }
     text::optional("law_version", meta.law_version.as_deref(), Cycle::MAX_LAW_VERSION, &mut wrong);
     if let Some(text) = &meta.recommendation_id {
         keep(RecommendationId::parse("recommendation_id", text), &mut wrong);

@@ -50,6 +50,9 @@ pub struct Held {
     pub cycle: Option<StreamedCycle>,
     /// The last cycle that was stored, with its answer: asked for again when the answer was lost.
     pub ended: Option<(CycleId, u16, serde_json::Value)>,
+    /// Whether an end that names no cycle means that one: nothing was begun since, nor refused. Else a machine would take
+    /// its answer for that of a cycle that was never stored.
+    pub ended_last: bool,
     /// Bytes of samples that the cycle was charged.
     charged: usize,
 }

@@ -687,7 +687,7 @@ impl Store for Engine {
         read!(self, |conn| quarantine::list(conn, machine, open, &page).await)
     }
 
-    async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Vec<u8>)>> {
+    async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Option<Vec<u8>>)>> {
         read!(self, |conn| quarantine::get(conn, id).await)
     }
 

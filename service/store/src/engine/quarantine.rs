@@ -120,23 +120,53 @@ struct WithBody {
     #[sqlx(flatten)]
     entry: QuarantineRow,
     body: Vec<u8>,
+    body_hash: Vec<u8>,
 }
 
-pub(super) async fn get(conn: &mut Conn, id: &str) -> StoreResult<Option<(QuarantineEntry, Vec<u8>)>> {
-    let row: Option<WithBody> = sqlx::query_as::<Db, _>(select!(", body", "WHERE quarantine_id = $1"))
-        .bind(id)
-        .fetch_optional(&mut *conn)
-        .await?;
+pub(super) async fn get(
+    conn: &mut Conn,
+    id: &str,
+) -> StoreResult<Option<(QuarantineEntry, Option<Vec<u8>>)>> {
+    let row: Option<WithBody> =
+        sqlx::query_as::<Db, _>(select!(", body, body_hash", "WHERE quarantine_id = $1"))
+            .bind(id)
+            .fetch_optional(&mut *conn)
+            .await?;
     let Some(row) = row else {
         return Ok(None);
     };
     let entry = row.entry.entry()?;
-    // The size was written beside the body: it bounds what is unpacked.
-    let body = usize::try_from(entry.size)
-        .ok()
-        .and_then(|size| zstd::bulk::decompress(&row.body, size).ok())
-        .ok_or_else(|| StoreError::Damaged { what: format!("body of quarantine entry {id}") })?;
+    let body = unpacked(entry.size, &row.body, &row.body_hash);
     Ok(Some((entry, body)))
+}
+
+/// A body as it came; `None` where it is not that any more. The size was written beside it: it bounds what is unpacked.
+fn unpacked(size: u64, packed: &[u8], hash: &[u8]) -> Option<Vec<u8>> {
+    let body = zstd::bulk::decompress(packed, usize::try_from(size).ok()?).ok()?;
+    (blake3::hash(&body).as_bytes() == hash).then_some(body)
+}
+
+/// Entries whose bodies are not what came: whoever took one of them in again would store what no machine has measured.
+pub(super) async fn damaged(conn: &mut Conn) -> StoreResult<Vec<String>> {
+    let mut damaged = Vec::new();
+    let mut after = String::new();
+    loop {
+        // One at a time: a body may be as long as a batch.
+        let row: Option<WithBody> = sqlx::query_as::<Db, _>(select!(
+            ", body, body_hash",
+            "WHERE quarantine_id > $1 ORDER BY quarantine_id LIMIT 1"
+        ))
+        .bind(&after)
+        .fetch_optional(&mut *conn)
+        .await?;
+        let Some(row) = row else { return Ok(damaged) };
+        let id = row.entry.quarantine_id.clone();
+        let size = row.entry.entry().map(|entry| entry.size);
+        if size.ok().and_then(|size| unpacked(size, &row.body, &row.body_hash)).is_none() {
+            damaged.push(id.clone());
+        }
+        after = id;
+    }
 }
 
 pub(super) async fn settle(

@@ -3,7 +3,7 @@
 
 mod context;
 
-use super::{Conn, Db, cycles, dialect, retention};
+use super::{Conn, Db, cycles, dialect, quarantine, retention};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{CheckPage, EncodedCycle, NewCycle, StoreFault};
@@ -140,6 +140,10 @@ async fn summary(
     (cycle, hash): (Cycle, [u8; 32]),
 ) -> StoreResult<Summary> {
     row.readable()?;
+    if row.summary_version > i64::from(SUMMARY_VERSION) {
+        let what = format!("its summary is of version {}, later than this program's", row.summary_version);
+        return Ok(Summary::Differs(what));
+    }
     if row.summary_version != i64::from(SUMMARY_VERSION) {
         return Ok(Summary::Unverified);
     }
@@ -179,6 +183,24 @@ pub(super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
     .bind(MOST_STRAYS)
     .fetch_all(&mut *conn)
     .await?;
+    faults.extend(quarantine::damaged(conn).await?.into_iter().map(|key| StoreFault {
+        kind: "quarantine",
+        key,
+        detail: "its body is not what came".to_owned(),
+    }));
+    let silent: Vec<(String,)> = sqlx::query_as::<Db, _>(
+        "SELECT r.recommendation_id FROM recommendations r WHERE NOT EXISTS (
+             SELECT 1 FROM advices a WHERE a.advice_hash = r.advice_hash)
+         ORDER BY r.recommendation_id LIMIT $1",
+    )
+    .bind(MOST_STRAYS)
+    .fetch_all(&mut *conn)
+    .await?;
+    faults.extend(silent.into_iter().map(|(key,)| StoreFault {
+        kind: "recommendation",
+        key,
+        detail: "what it advised is not there".to_owned(),
+    }));
     faults.extend(strays.into_iter().map(|(machine, cycle)| StoreFault {
         kind: "samples",
         key: format!("{machine}/{cycle}"),

@@ -50,7 +50,7 @@ impl PostgresStore {
         let mut migrating = direct.clone().application_name("feedwright migrations").connect().await?;
         assert_durable(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
-        MIGRATIONS.run(&mut migrating).await.map_err(|error| StoreError::Database(Box::new(error)))?;
+        MIGRATIONS.run(&mut migrating).await.map_err(StoreError::of_migration)?;
         migrating.close().await?;
 
         let mut connect: PgConnectOptions = url.parse()?;

@@ -202,7 +202,7 @@ impl AlarmRow {
 /// A row of `quarantine` without its body.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct QuarantineRow {
-    quarantine_id: String,
+    pub(crate) quarantine_id: String,
     machine_id: String,
     cycle_id: Option<String>,
     received_at_us: i64,

@@ -462,14 +462,17 @@ struct Found {
 }
 
 /// What a journal holds; `None` where it holds none: one that is all zeros was being made, and
-/// where no record is whole none was acknowledged.
+/// where no record is whole none was acknowledged. It has its whole length on the disk before its head is written: one with
+/// a head and another length was cut, and one without it that is not all zeros was written over.
 fn held(file: &mut File, path: &Path) -> StoreResult<Option<Found>> {
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut bytes)).map_err(not_writable)?;
-    let Some(head) = bytes.get(..HEAD).filter(|head| head.iter().any(|byte| *byte != 0)) else {
+    if bytes.iter().all(|byte| *byte == 0) {
         return Ok(None);
-    };
-    let Some((id, multiple)) = id_of(head) else {
+    }
+    let is_whole = |multiple| multiple != BLOCK || bytes.len() as u64 == CAPACITY;
+    let known = bytes.get(..HEAD).and_then(id_of).filter(|(_, multiple)| is_whole(*multiple));
+    let Some((id, multiple)) = known else {
         let what =
             format!("{} is damaged, or of a later version: it may hold acknowledged cycles", path.display());
         return Err(StoreError::NotWritable(what.into()));

@@ -98,7 +98,7 @@ impl SqliteStore {
         // Of a file that is there already it changes nothing, and readers may not ask for it.
         let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
-        MIGRATIONS.run(&mut writer).await.map_err(|error| StoreError::Database(Box::new(error)))?;
+        MIGRATIONS.run(&mut writer).await.map_err(StoreError::of_migration)?;
         let mut groups = GroupWriter::open(path, options.patience)?;
         if options.alone {
             groups.plan_journal(path, options.commit_after);

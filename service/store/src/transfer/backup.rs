@@ -55,8 +55,23 @@ fn settle(from: &Path, to: &Path) -> Result<u64, TransferError> {
     Ok(bytes)
 }
 
+/// Neither the file, nor what SQLite would take for the new file's own: the log of one that was there before would be
+/// written over it when it is opened next.
 fn absent(path: &Path) -> Result<(), TransferError> {
-    if path.exists() { Err(file(path, "is there already; nothing was written")) } else { Ok(()) }
+    if path.exists() {
+        return Err(file(path, "is there already; nothing was written"));
+    }
+    for beside in ["-wal", "-journal"] {
+        let mut name = path.as_os_str().to_owned();
+        name.push(beside);
+        let left = PathBuf::from(name);
+        if left.metadata().is_ok_and(|found| found.len() > 0) {
+            let what =
+                "is left of the database that was there, and may hold acknowledged cycles: move it away";
+            return Err(file(&left, what));
+        }
+    }
+    Ok(())
 }
 
 /// Removes a file that was being made, and what SQLite keeps beside it.
@@ -190,7 +205,7 @@ async fn seal(
 
 /// What SQLite finds wrong with pages, indexes and rows of a file. An index that says something else than its table leaves rows
 /// out of answers, and is in no table's sum.
-async fn damage_of(side: &mut SqliteSide) -> Result<Option<String>, TransferError> {
+pub(super) async fn damage_of(side: &mut SqliteSide) -> Result<Option<String>, TransferError> {
     let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(10)").fetch_all(side.conn()).await?;
     Ok((found != ["ok"]).then(|| found.join("; ")))
 }

@@ -1,6 +1,8 @@
 //! From one database into another.
 
+use super::backup::damage_of;
 use super::digest::{Summing, of_table};
+use super::failure::{file, of_source};
 use super::moves::{Drops, Goes, Moves, SURPLUS};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
@@ -28,7 +30,18 @@ impl Address {
 
     async fn source(&self) -> Result<Box<dyn Side>, TransferError> {
         Ok(match self {
-            Self::Sqlite(path) => Box::new(SqliteSide::read(path).await?),
+            Self::Sqlite(path) => {
+                let mut side = SqliteSide::read(path).await.map_err(|error| of_source(path, error))?;
+                // Rows are read by their indexes: one that is damaged leaves some out, and both sums are without them.
+                match damage_of(&mut side).await {
+                    Ok(None) => Box::new(side),
+                    found => {
+                        Box::new(side).close().await;
+                        let found = found.map_err(|error| of_source(path, error))?.unwrap_or_default();
+                        return Err(file(path, format!("is damaged: {found}; nothing was copied")));
+                    }
+                }
+            }
             Self::Postgres(url) => Box::new(PostgresSide::connect(url).await?),
         })
     }

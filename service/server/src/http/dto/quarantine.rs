@@ -79,15 +79,19 @@ pub struct QuarantineDetail {
     pub body: Option<String>,
     /// Its body in base64, where it is not.
     pub body_base64: Option<String>,
+    /// Whether what is kept is not what came, by its hash: then neither is told.
+    pub body_damaged: bool,
 }
 
-impl From<(QuarantineEntry, Vec<u8>)> for QuarantineDetail {
-    fn from((entry, body): (QuarantineEntry, Vec<u8>)) -> Self {
-        let (body, body_base64) = match String::from_utf8(body) {
-            Ok(text) => (Some(text), None),
-            Err(error) => (None, Some(STANDARD.encode(error.as_bytes()))),
+impl From<(QuarantineEntry, Option<Vec<u8>>)> for QuarantineDetail {
+    fn from((entry, body): (QuarantineEntry, Option<Vec<u8>>)) -> Self {
+        let body_damaged = body.is_none();
+        let (body, body_base64) = match body.map(String::from_utf8) {
+            Some(Ok(text)) => (Some(text), None),
+            Some(Err(error)) => (None, Some(STANDARD.encode(error.as_bytes()))),
+            None => (None, None),
         };
-        Self { entry: entry.into(), body, body_base64 }
+        Self { entry: entry.into(), body, body_base64, body_damaged }
     }
 }
 

@@ -262,6 +262,44 @@ fn one_that_is_of_no_known_form_is_left_alone() {
     }
 }
 
+/// Its whole length is on the disk before its head is: what is shorter was cut, and what has records and no head written over.
+#[test]
+fn one_that_was_cut_or_lost_its_head_is_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mut conn) = given(folder.path());
+    let mut journal = Journal::open(&path, &conn).unwrap();
+    let mut ends = Vec::new();
+    conn.execute_batch("BEGIN").unwrap();
+    for value in 0..3 {
+        journal.begin(&conn).unwrap();
+        insert(&mut journal, &conn, &Value::Integer(value));
+        journal.append().unwrap();
+        ends.push(journal.at);
+    }
+    conn.execute_batch("ROLLBACK").unwrap();
+    let at = journal.path.clone();
+    drop(journal);
+    let good = std::fs::read(&at).unwrap();
+    let cut = |length: u64| good[..usize::try_from(length).unwrap()].to_vec();
+    let headless = [vec![0; HEAD], good[HEAD..].to_vec()].concat();
+    for (what, bytes) in [
+        ("behind the head", cut(FIRST)),
+        ("behind the first record", cut(ends[0])),
+        ("within the last", cut(ends[2] - 1)),
+        ("behind the last", cut(ends[2])),
+        ("without its head", headless),
+    ] {
+        std::fs::write(&at, bytes).unwrap();
+        let refused = take_up(&path, &mut conn).expect_err(what);
+        let StoreError::NotWritable(why) = refused else { panic!("{what}: {refused}") };
+        assert!(why.to_string().contains("is damaged"), "{what}: {why}");
+        assert_eq!(all(&conn), [], "{what}");
+    }
+    std::fs::write(&at, good).unwrap();
+    take_up(&path, &mut conn).unwrap();
+    assert_eq!(all(&conn).len(), 3);
+}
+
 #[test]
 fn two_do_not_have_one() {
     let folder = tempfile::tempdir().unwrap();
