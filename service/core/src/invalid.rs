@@ -26,7 +26,7 @@ impl Violation {
 /// Longest path that is told, bytes: some deeply nested fields with long names.
 const MOST_PATH: usize = 400;
 /// Longest message that is told, bytes: more than the names of all fields of anything that is taken in.
-const MOST_MESSAGE: usize = 2000;
+const MOST_MESSAGE: usize = 1000;
 
 /// A text of at most so many bytes: of a longer one the beginning and the end, with `…` between.
 #[must_use]
@@ -36,8 +36,9 @@ pub fn bounded(text: String, most: usize) -> String {
         return text;
     }
     let half = most.saturating_sub(CUT.len()) / 2;
-    let head = text.floor_char_boundary(half);
-    let tail = text.ceil_char_boundary(text.len() - half);
+    let is_boundary = |at: &usize| text.is_char_boundary(*at);
+    let head = (0..=half).rev().find(is_boundary).unwrap_or_default();
+    let tail = (text.len() - half..=text.len()).find(is_boundary).unwrap_or(text.len());
     let mut short = String::with_capacity(head + CUT.len() + text.len() - tail);
     short.push_str(&text[..head]);
     short.push_str(CUT);

@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 /// Most violations listed in one document; a column of 200 000 bad values would otherwise be answered in full.
 pub const MAX_VIOLATIONS: usize = 100;
 /// Longest detail, bytes.
-const MOST_DETAIL: usize = 4000;
+const MOST_DETAIL: usize = 2000;
 
 /// An error on its way to the client.
 #[derive(Debug, Clone)]
