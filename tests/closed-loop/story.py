@@ -226,7 +226,7 @@ class Between(threading.Thread):
         fatal = read("fatal")
         if not fatal or read("dead") or b'"override_percent":' not in payload:
             return
-        told = json.loads(payload)["override_percent"]
+        told = json.loads(payload).get("override_percent")
         if told is not None and told < float(fatal):
             self.service.process.kill()
             self.service.process.wait()
@@ -445,17 +445,16 @@ def judge(service, between):
 
     # What follows is told by the adapter's own clock, so that it holds on a computer that is late, too.
     dead = json.loads(read("dead"))
-    after = next(k for k, s in enumerate(killed) if s[0] > dead["at"])
-    end = next(k for k, s in enumerate(killed) if k >= after and s[9] is None)
-    follows, without = killed[after:end], killed[end:]
-    held = max([s[0] - dead["at"] for s in follows], default=0.0)
-    print(f"killed at {dead['told']:.0f} %: held for {held:.2f} s more, {without[0][5]:.0f} % at first without an answer")
-    # The last answer may still have been under way.
-    arrived = next((k for k, s in enumerate(follows) if s[9] == dead["told"]), 0)
-    assert all(s[9] == dead["told"] for s in follows[arrived:]), "the last answer holds until it expires"
+    first = next(k for k, s in enumerate(killed) if s[9] == dead["told"])
+    end = next(k for k, s in enumerate(killed) if k > first and s[9] is None)
+    follows, without = killed[first:end], killed[end:]
+    print(f"killed at {dead['told']:.0f} %: held for {follows[-1][0] - dead['at']:.2f} s more, "
+          f"{without[0][5]:.0f} % at first without an answer")
     for s in follows:
+        assert s[9] == dead["told"], f"the last answer holds until it expires: {s}"
         assert s[5] <= s[9] + 0.001, f"never above what was answered: {s}"
         assert s[10] <= dead["at"] + VALID_S, f"an answer holds for as long as it says, not longer: {s}"
+    assert without[0][0] >= follows[-1][10], "nor shorter, though its server is gone"
     assert all(s[9] is None for s in without), "nobody answers"
     for a, b in zip(killed[end - 1 :], without):
         back = min(100.0, a[5] + 500.0 * min(0.1, b[0] - a[0]))

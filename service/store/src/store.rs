@@ -342,7 +342,7 @@ pub trait Store: Send + Sync + 'static {
         open: bool,
         page: Page<String>,
     ) -> StoreResult<Vec<QuarantineEntry>>;
-    /// One quarantine entry with its body as it came.
+    /// One quarantine entry with its body as it came; without it where what is kept of it is not that any more.
     async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Option<Vec<u8>>)>>;
     /// Settles a quarantine entry; `false` where there is no unsettled one of that id.
     async fn settle_quarantine(

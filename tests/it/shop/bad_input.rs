@@ -191,3 +191,18 @@ async fn what_is_told_of_a_body_is_short_however_long_its_names_are() {
     let torn = shop.post_raw(CYCLES, "application/json", format!(r#"{{"{long}":"#)).await;
     assert!(torn.status == 400 && torn.text.len() < 10_000, "{} bytes", torn.text.len());
 }
+
+/// The forms of a cycle differ in what they can say of nothing: it is one cycle all the same.
+#[tokio::test]
+async fn a_time_of_minus_nothing_is_none() {
+    let shop = Shop::open().await;
+    let at = |first: &str| {
+        format!(
+            r#"{{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"2026-05-04T06:00:00Z",
+                "samples":{{"time_ms":[{first},10,20],"spindle_load_percent":[1,2,3]}}}}"#
+        )
+    };
+    assert_eq!(shop.post_raw(CYCLES, "application/json", at("-0.0")).await.status, 201);
+    let again = shop.post_raw(CYCLES, "application/json", at("0")).await;
+    assert_eq!(again.status, 200, "{}", again.text);
+}

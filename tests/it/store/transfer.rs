@@ -495,6 +495,12 @@ async fn a_backup_under_load_is_one_state_and_restores() {
     std::fs::write(&log, [1; 100]).unwrap();
     let refused = restore_to_sqlite(&backup, &folder.path().join("none.sqlite3")).await.unwrap_err();
     assert!(refused.to_string().contains("none.sqlite3-wal"), "{refused}");
+    let opened = SqliteStore::open(folder.path().join("none.sqlite3"), SqliteOptions::default()).await;
+    let Err(feedwright_store::StoreError::NotWritable(why)) = opened else {
+        panic!("a database was made beside its log")
+    };
+    assert!(why.to_string().contains("none.sqlite3-wal"), "{why}");
+    assert_eq!(std::fs::read(&log).unwrap(), [1; 100]);
     std::fs::remove_file(&log).unwrap();
     let refused = restore_to_sqlite(&restored, &folder.path().join("none.sqlite3")).await.unwrap_err();
     assert!(refused.to_string().contains("is no backup"), "{refused}");

@@ -1,6 +1,6 @@
 //! Who gets in, and what is too much.
 
-use super::client::{Came, Machine, posted, samples};
+use super::client::{Came, Machine, frame, posted, samples};
 use crate::live::Served;
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
@@ -189,8 +189,28 @@ async fn an_end_is_never_answered_by_the_cycle_before() {
     let refused = machine.ask(json!({"type": "end", "samples": 3, "outcome": "nonsense"})).await;
     assert!(refused["quarantine_id"].is_string(), "{refused}");
     assert_eq!(code(&machine.end(3).await).as_deref(), Some("no_cycle"));
+    // Nor is a cycle that runs on the one that is meant, where another one was to begin.
+    machine.start("c4", json!({})).await;
+    machine.samples(0, 3).await;
+    for change in [json!({"seq": u64::MAX}), json!({"nonsense": 1})] {
+        assert_eq!(machine.start("c5", change).await["type"], "error");
+        assert_eq!(code(&machine.samples(3, 5).await).as_deref(), Some("no_cycle"));
+        machine.send(Message::Binary(frame(77, 3, 5).into())).await;
+        let Came::Text(refused) = machine.came().await else { panic!("a refusal is text") };
+        assert_eq!(code(&refused).as_deref(), Some("no_cycle"));
+        assert_eq!(code(&machine.end(5).await).as_deref(), Some("no_cycle"));
+        let resumed = machine.ask(json!({"type": "resume", "cycle_id": "c4"})).await;
+        assert_eq!(resumed["resume_from"], 3, "{resumed}");
+    }
+    assert_eq!(machine.samples(3, 5).await["type"], "override");
+    let stored = machine.end(5).await;
+    assert_eq!(
+        (&stored["answer"]["cycle_id"], &stored["answer"]["summary"]["sample_count"]),
+        (&json!("c4"), &json!(5))
+    );
     // Not known to this server: the machine is to send it again, and forgets that when it does not.
     assert_eq!(machine.ask(json!({"type": "resume", "cycle_id": "c9"})).await["restart_from"], 0);
+    assert_eq!(machine.ask(json!({"type": "resume", "cycle_id": "k".repeat(50_000)})).await["type"], "error");
     assert_eq!(code(&machine.end(3).await).as_deref(), Some("no_cycle"));
     served.server.shutdown().await.unwrap();
 }

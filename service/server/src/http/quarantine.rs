@@ -68,7 +68,7 @@ async fn settle_alone(
     actor: Actor,
 ) -> Result<Settled, Problem> {
     // One at a time: of two repairs of an entry that come together, both would be stored, and one told that it was not.
-    let _settling = state.intake.settling().await;
+    let _settling = state.intake.settling().await?;
     let found = state.store.quarantine_entry(&id).await?;
     let (entry, kept) = found.ok_or_else(|| Problem::not_found("quarantine entry", &id))?;
     if entry.settled.is_some() {

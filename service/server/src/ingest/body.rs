@@ -392,7 +392,11 @@ fn started_at(started: Started, now: Timestamp) -> Result<Timestamp, Violation> 
 fn columns(body: SamplesBody, max_samples: usize, wrong: &mut Vec<Violation>) -> Option<Samples> {
     let time = match (body.period_ms, body.time_ms) {
         (Some(period_ms), None) => TimeBase::Period { period_ms },
-        (None, Some(time_ms)) => TimeBase::Stamps { time_ms },
+        // As every other value: −0 is 0. Not where stored blocks are read, as some of before have it in their hash.
+        (None, Some(mut time_ms)) => {
+            time_ms.iter_mut().for_each(|stamp| *stamp += 0.0);
+            TimeBase::Stamps { time_ms }
+        }
         (None, None) => {
             wrong.push(Violation::new(
                 "samples.period_ms",

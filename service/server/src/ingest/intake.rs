@@ -483,9 +483,11 @@ impl CycleIntake {
         answered.map(queued).map_err(problem_of)
     }
 
-    /// The right to settle an entry of the quarantine: one at a time.
-    pub(crate) async fn settling(&self) -> MutexGuard<'_, ()> {
-        self.settling.lock().await
+    /// The right to settle an entry of the quarantine on this server: one at a time. Refused where those before take as long as
+    /// a post may.
+    pub(crate) async fn settling(&self) -> Result<MutexGuard<'_, ()>, Problem> {
+        let busy = |_| Problem::unavailable("settling", "other entries are being settled", 5);
+        timeout(PATIENCE, self.settling.lock()).await.map_err(busy)
     }
 
     /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have

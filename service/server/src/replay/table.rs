@@ -88,6 +88,10 @@ fn line_of(bytes: &[u8], begins: &csv::Position) -> u64 {
     let from = usize::try_from(begins.byte()).unwrap_or(usize::MAX);
     let before =
         bytes.get(from..).unwrap_or_default().iter().take_while(|byte| matches!(byte, b'\r' | b'\n'));
+    // The reader counts line feeds, and takes a file for lines that has none of them.
+    if !bytes.contains(&b'\n') {
+        return 1 + begins.record();
+    }
     begins.line() + before.filter(|byte| **byte == b'\n').count() as u64
 }
 

@@ -19,6 +19,7 @@ use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket};
 use bytes::{Bytes, BytesMut};
 use feedwright_core::closed_loop::monitor::{MOST_BLOCK, Monitor};
 use feedwright_core::closed_loop::{Answer, Batch, LoopReason, LoopReasons, SampleAdvice};
+use feedwright_core::ids::CycleId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::Timestamp;
 use feedwright_core::vibratory::peak_to_peak::{ControllerInput, ControllerSettings, VibrationSample};
@@ -255,7 +256,12 @@ impl Connection {
                     Incoming::Vibration(message) => Some(self.vibration(message)),
                 }
             }
-            Err(unreadable) => self.fault(now, unreadable.n, &unreadable.violation),
+            Err(unreadable) => {
+                if unreadable.begins {
+                    self.ownership.held()?.leave(None);
+                }
+                self.fault(now, unreadable.n, &unreadable.violation)
+            }
         }
     }
 
@@ -288,8 +294,7 @@ impl Connection {
         let most = self.state.config.stream.samples_per_message;
         let mut held = self.ownership.held()?;
         let fits = held
-            .cycle
-            .as_ref()
+            .meant()
             .map_or_else(|| Err(no_cycle()), |cycle| cycle.order(message, most, &mut self.ordered));
         if let Err(violation) = fits {
             drop(held);
@@ -324,7 +329,7 @@ impl Connection {
         self.unreadable = 0;
         match frame {
             Frame::Samples { n: re } => {
-                let fits = held.cycle.as_ref().map_or_else(
+                let fits = held.meant().map_or_else(
                     || Err(no_cycle()),
                     |cycle| cycle.fits(self.ordered.count, self.ordered.times_ms.len(), most),
                 );
@@ -356,14 +361,14 @@ impl Connection {
     }
 
     async fn start(&mut self, now: Timestamp, message: StartMessage) -> Option<Out> {
-        let re = message.n;
-        let checked = match cycle::check(message, now, &self.state.config.stream) {
-            Ok(checked) => checked,
-            Err(violations) => return self.refuse(now, re, &Problem::invalid(violations)),
+        let (re, id) = (message.n, message.cycle_id.clone());
+        let begun = match cycle::check(message, now, &self.state.config.stream) {
+            Ok(checked) => self.begin(checked).await,
+            Err(violations) => Err(Problem::invalid(violations)),
         };
-        match self.begin(checked).await {
-            Ok(()) => {}
-            Err(problem) => return self.refuse(now, re, &problem),
+        if let Err(problem) = begun {
+            self.ownership.held()?.leave(Some(&id));
+            return self.refuse(now, re, &problem);
         }
         let n = self.number();
         let held = self.ownership.held()?;
@@ -418,7 +423,7 @@ impl Connection {
         let left = match self.ownership.held() {
             Some(mut held) => {
                 let left = held.cycle.replace(begun);
-                held.ended_last = false;
+                (held.ended_last, held.unmeant) = (false, false);
                 self.state.streams.charge(&mut held);
                 left
             }
@@ -436,8 +441,12 @@ impl Connection {
     }
 
     fn resume(&mut self, now: Timestamp, message: &ResumeMessage) -> Option<Out> {
+        if let Err(violation) = CycleId::parse("cycle_id", &message.cycle_id) {
+            return self.fault(now, Some(message.n), &violation);
+        }
         let n = self.number();
         let mut held = self.ownership.held()?;
+        held.unmeant &= held.cycle.as_ref().is_none_or(|cycle| cycle.id.as_str() != message.cycle_id);
         let running = held.cycle.as_ref().filter(|cycle| cycle.id.as_str() == message.cycle_id);
         if let Some(cycle) = running {
             let text = answer::text(&ResumedMessage {
@@ -457,6 +466,7 @@ impl Connection {
             && id.as_str() == message.cycle_id
         {
             let (status, answer) = (*status, answer.clone());
+            held.ended_last = held.cycle.is_none();
             return Some(Out::Text(answer::text(&StoredMessage {
                 kind: "stored",
                 n,
@@ -465,8 +475,7 @@ impl Connection {
                 answer,
             })));
         }
-        // The machine has a cycle that is not known here, and means that from now on.
-        held.ended_last = false;
+        held.leave(None);
         Some(Out::Text(answer::text(&ResumedMessage {
             kind: "resumed",
             n,
@@ -481,7 +490,7 @@ impl Connection {
     fn heartbeat(&mut self, now: Timestamp, re: u32) -> Option<Out> {
         let n = self.number();
         let held = self.ownership.held()?;
-        Some(Out::Text(match &held.cycle {
+        Some(Out::Text(match held.meant() {
             Some(cycle) => answer::text(&OverrideMessage {
                 kind: "heartbeat",
                 n,
@@ -555,8 +564,11 @@ impl Connection {
     fn take_ended(&self, message: &EndMessage) -> Option<Ending> {
         let mut held = self.ownership.held()?;
         let asked = message.cycle_id.as_deref();
-        let Some(cycle) = held.cycle.as_ref().filter(|cycle| asked.is_none_or(|id| id == cycle.id.as_str()))
-        else {
+        let meant = match asked {
+            None => held.meant(),
+            Some(id) => held.cycle.as_ref().filter(|cycle| id == cycle.id.as_str()),
+        };
+        let Some(cycle) = meant else {
             return Some(match &held.ended {
                 Some((id, status, answer)) if asked.map_or(held.ended_last, |asked| asked == id.as_str()) => {
                     Ending::Known(*status, answer.clone())

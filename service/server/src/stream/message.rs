@@ -279,6 +279,8 @@ pub enum Incoming {
 pub struct Unreadable {
     /// Its number, where that could be read.
     pub n: Option<u32>,
+    /// Whether it would have begun a cycle.
+    pub begins: bool,
     /// What is wrong.
     pub violation: Violation,
 }
@@ -296,7 +298,10 @@ pub fn read(text: &str) -> Result<Incoming, Unreadable> {
     }
     let head: Head<'_> = parse(text)?;
     match head.kind.as_ref() {
-        "start" => parse(text).map(Box::new).map(Incoming::Start),
+        "start" => {
+            let start = parse(text).map_err(|unreadable| Unreadable { begins: true, ..unreadable })?;
+            Ok(Incoming::Start(Box::new(start)))
+        }
         "samples" => parse(text).map(Incoming::Samples),
         "end" => parse(text).map(Box::new).map(Incoming::End),
         "resume" => parse(text).map(Incoming::Resume),
@@ -305,6 +310,7 @@ pub fn read(text: &str) -> Result<Incoming, Unreadable> {
         "vibration" => parse(text).map(Incoming::Vibration),
         _ => Err(Unreadable {
             n: number_of(text),
+            begins: false,
             violation: Violation::new("type", "unknown_type", "is no type of message that is known"),
         }),
     }
@@ -319,7 +325,7 @@ fn parse<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, Unreadable> {
             }
             Wrong::Field(violation) => violation,
         };
-        Unreadable { n: number_of(text), violation }
+        Unreadable { n: number_of(text), begins: false, violation }
     })
 }
 

@@ -53,8 +53,23 @@ pub struct Held {
     /// Whether an end that names no cycle means that one: nothing was begun since, nor refused. Else a machine would take
     /// its answer for that of a cycle that was never stored.
     pub ended_last: bool,
+    /// The machine has begun another cycle, which was refused, while this one runs: what names none is not this one's.
+    pub unmeant: bool,
     /// Bytes of samples that the cycle was charged.
     charged: usize,
+}
+
+impl Held {
+    /// The cycle that is meant by what names none.
+    pub fn meant(&self) -> Option<&StreamedCycle> {
+        self.cycle.as_ref().filter(|_| !self.unmeant)
+    }
+
+    /// A machine has begun or taken up something that is not known here: what names no cycle is about that from now on.
+    pub fn leave(&mut self, begun: Option<&str>) {
+        self.ended_last = false;
+        self.unmeant = self.cycle.as_ref().is_some_and(|running| begun != Some(running.id.as_str()));
+    }
 }
 
 /// The right to use a slot.

@@ -147,10 +147,9 @@ impl ContactCycle {
         }
         let speeds =
             samples.column(Channel::SpindleSpeedRpm).map(|speed| median(&speed[range.clone()]).abs());
-        let spindle_rpm = context
-            .commanded_rpm(meta.spindle_speed_rpm.or(speeds))
-            .filter(|rpm| *rpm > 0.0)
-            .ok_or(Unusable::NoSpeed)?;
+        let turning = |rpm: &f64| *rpm > 0.0;
+        let of_cycle = meta.spindle_speed_rpm.or(speeds).filter(turning);
+        let spindle_rpm = context.commanded_rpm(of_cycle).filter(turning).ok_or(Unusable::NoSpeed)?;
         let (rated_torque_nm, torque_source) = rated_torque_nm(machine, calibration, spindle_rpm);
         let (idle, idle_source) = match (idle, idle_loads(&feed_drive[..contact], &spindle[..contact])) {
             (Some(given), _) => (given, IdleSource::Given),

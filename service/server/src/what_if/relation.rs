@@ -98,11 +98,14 @@ impl Library {
         cycle: &ContactCycle,
     ) -> StoreResult<Option<Arc<Learned>>> {
         let meta = &stored.cycle;
+        // A cycle that names no speed ran at its operation's.
+        let operation_rpm =
+            self.around(meta).await?.and_then(|around| around.operation.as_ref()?.spindle_speed_rpm);
         let key = Key {
             machine: meta.machine.clone(),
             tool: meta.tool.clone(),
             operation: meta.operation.clone(),
-            speed_bits: meta.spindle_speed_rpm.map(f64::to_bits),
+            speed_bits: meta.spindle_speed_rpm.or(operation_rpm).map(f64::to_bits),
             strategy: meta.strategy,
             law: meta.law_version.clone(),
             life_began: self.life_of(meta).await?,
@@ -110,7 +113,8 @@ impl Library {
         if let Some(known) = self.learned.get(&key) {
             return Ok(known.clone());
         }
-        let learned = self.learn(meta, key.life_began, cycle.deepest_mm()).await?.map(Arc::new);
+        let learned =
+            self.learn(meta, (operation_rpm, key.life_began), cycle.deepest_mm()).await?.map(Arc::new);
         self.learned.insert(key, learned.clone());
         Ok(learned)
     }
@@ -139,7 +143,7 @@ impl Library {
     async fn learn(
         &mut self,
         meta: &CycleMeta,
-        from: Option<Timestamp>,
+        (operation_rpm, from): (Option<f64>, Option<Timestamp>),
         deepest_mm: f64,
     ) -> StoreResult<Option<Learned>> {
         let filter = CycleFilter {
@@ -155,7 +159,7 @@ impl Library {
         let Ok(config) = RelationConfig::new(params) else { return Ok(None) };
         let mut relations = LoadRelations::new(config);
         let mut taught = Vec::new();
-        for row in rows.iter().filter(|row| is_alike(meta, &row.cycle)) {
+        for row in rows.iter().filter(|row| is_alike(meta, &row.cycle, operation_rpm)) {
             if taught.len() == MOST_LEARNED {
                 break;
             }
@@ -168,8 +172,9 @@ impl Library {
     }
 }
 
-fn is_alike(one: &CycleMeta, other: &CycleMeta) -> bool {
-    let speed = match (one.spindle_speed_rpm, other.spindle_speed_rpm) {
+/// Whether two cycles of an operation ran alike, at the operation's speed where they name none.
+fn is_alike(one: &CycleMeta, other: &CycleMeta, operation_rpm: Option<f64>) -> bool {
+    let speed = match (one.spindle_speed_rpm.or(operation_rpm), other.spindle_speed_rpm.or(operation_rpm)) {
         (Some(a), Some(b)) => (a - b).abs() <= SAME_SPEED * a.abs().max(b.abs()),
         (a, b) => a.is_none() && b.is_none(),
     };

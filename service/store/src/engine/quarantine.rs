@@ -47,17 +47,30 @@ pub(super) async fn add(
     bounds: QuarantineBounds,
 ) -> StoreResult<String> {
     dialect::lock(conn, &Locks::subject("quarantine", "")).await?;
-    let standing: Option<String> = sqlx::query_scalar::<Db, _>(
-        "SELECT quarantine_id FROM quarantine
-         WHERE machine_id = $1 AND COALESCE(cycle_id, '') = $2 AND body_hash = $3",
-    )
+    let standing: Option<WithBody> = sqlx::query_as::<Db, _>(select!(
+        ", body, body_hash",
+        "WHERE machine_id = $1 AND COALESCE(cycle_id, '') = $2 AND body_hash = $3"
+    ))
     .bind(entry.machine.as_str())
     .bind(entry.cycle.as_deref().unwrap_or(""))
     .bind(packed.hash.as_slice())
     .fetch_optional(&mut *conn)
     .await?;
     if let Some(standing) = standing {
-        return Ok(standing);
+        let id = standing.entry.quarantine_id.clone();
+        // Whoever sends it may forget it afterwards: what is kept has to be what came.
+        if standing.body().is_none() {
+            sqlx::query::<Db>(
+                "UPDATE quarantine SET body = $2, size = $3, stored_bytes = $4 WHERE quarantine_id = $1",
+            )
+            .bind(&id)
+            .bind(&packed.body)
+            .bind(count("size", packed.size)?)
+            .bind(count("stored_bytes", packed.body.len() as u64)?)
+            .execute(&mut *conn)
+            .await?;
+        }
+        return Ok(id);
     }
     let (entries, bytes): (i64, i64) = sqlx::query_as::<Db, _>(
         "SELECT COUNT(*), CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine
@@ -123,6 +136,19 @@ struct WithBody {
     body_hash: Vec<u8>,
 }
 
+impl WithBody {
+    /// The body as it came; `None` where what is kept is not that any more.
+    fn body(&self) -> Option<Vec<u8>> {
+        let size = u64::try_from(self.entry.size).ok()?;
+        // The frame's own size has to be the one that was written beside it: a damaged one would have anything reserved.
+        let framed = zstd::zstd_safe::get_frame_content_size(&self.body).ok()?;
+        let body =
+            zstd::bulk::decompress(&self.body, usize::try_from(size).ok().filter(|_| framed == Some(size))?)
+                .ok()?;
+        (blake3::hash(&body).as_bytes() == self.body_hash.as_slice()).then_some(body)
+    }
+}
+
 pub(super) async fn get(
     conn: &mut Conn,
     id: &str,
@@ -135,22 +161,14 @@ pub(super) async fn get(
     let Some(row) = row else {
         return Ok(None);
     };
-    let entry = row.entry.entry()?;
-    let body = unpacked(entry.size, &row.body, &row.body_hash);
-    Ok(Some((entry, body)))
-}
-
-/// A body as it came; `None` where it is not that any more. The size was written beside it: it bounds what is unpacked.
-fn unpacked(size: u64, packed: &[u8], hash: &[u8]) -> Option<Vec<u8>> {
-    let body = zstd::bulk::decompress(packed, usize::try_from(size).ok()?).ok()?;
-    (blake3::hash(&body).as_bytes() == hash).then_some(body)
+    Ok(Some((row.entry.entry()?, row.body())))
 }
 
 /// Entries whose bodies are not what came: whoever took one of them in again would store what no machine has measured.
-pub(super) async fn damaged(conn: &mut Conn) -> StoreResult<Vec<String>> {
+pub(super) async fn damaged(conn: &mut Conn, most: i64) -> StoreResult<Vec<String>> {
     let mut damaged = Vec::new();
     let mut after = String::new();
-    loop {
+    while i64::try_from(damaged.len()).is_ok_and(|found| found < most) {
         // One at a time: a body may be as long as a batch.
         let row: Option<WithBody> = sqlx::query_as::<Db, _>(select!(
             ", body, body_hash",
@@ -159,14 +177,13 @@ pub(super) async fn damaged(conn: &mut Conn) -> StoreResult<Vec<String>> {
         .bind(&after)
         .fetch_optional(&mut *conn)
         .await?;
-        let Some(row) = row else { return Ok(damaged) };
-        let id = row.entry.quarantine_id.clone();
-        let size = row.entry.entry().map(|entry| entry.size);
-        if size.ok().and_then(|size| unpacked(size, &row.body, &row.body_hash)).is_none() {
-            damaged.push(id.clone());
+        let Some(row) = row else { break };
+        after.clone_from(&row.entry.quarantine_id);
+        if row.body().is_none() {
+            damaged.push(after.clone());
         }
-        after = id;
     }
+    Ok(damaged)
 }
 
 pub(super) async fn settle(

@@ -183,7 +183,7 @@ pub(super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
     .bind(MOST_STRAYS)
     .fetch_all(&mut *conn)
     .await?;
-    faults.extend(quarantine::damaged(conn).await?.into_iter().map(|key| StoreFault {
+    faults.extend(quarantine::damaged(conn, MOST_STRAYS).await?.into_iter().map(|key| StoreFault {
         kind: "quarantine",
         key,
         detail: "its body is not what came".to_owned(),

@@ -209,7 +209,7 @@ pub(crate) struct QuarantineRow {
     code: String,
     problem: String,
     content_type: String,
-    size: i64,
+    pub(crate) size: i64,
     settled_at_us: Option<i64>,
     settled_how: Option<String>,
 }

@@ -58,6 +58,18 @@ impl Files {
     }
 }
 
+/// What SQLite has left of a database that stood under a name, and is not there: its log or journal, where something is in
+/// it. SQLite would write it over the file that comes there next, or empty it, and with it what was acknowledged.
+pub(crate) fn log_left(database: &Path) -> Option<PathBuf> {
+    let beside = |end: &str| {
+        let mut name = database.as_os_str().to_owned();
+        name.push(end);
+        PathBuf::from(name)
+    };
+    let holds_something = |left: &PathBuf| left.metadata().is_ok_and(|found| found.len() > 0);
+    ["-wal", "-journal"].map(beside).into_iter().find(holds_something).filter(|_| !database.exists())
+}
+
 fn missing(path: &Path, error: &io::Error) -> StoreError {
     let what = match error.kind() {
         io::ErrorKind::NotFound => format!("{} was removed while it was open", path.display()),

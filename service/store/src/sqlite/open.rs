@@ -2,7 +2,7 @@
 
 use super::block_reader::BlockReader;
 use super::checkpoint::Checkpoints;
-use super::files::{Files, Identity};
+use super::files::{Files, Identity, log_left};
 use super::group_writer::GroupWriter;
 use super::readers::Readers;
 use super::writing::{Writer, Writing};
@@ -92,6 +92,14 @@ impl SqliteStore {
         // Before a migration, its statements being of the tables as they were; and before the file is made, as a journal
         // that is left of one says that it is missing.
         super::take_up(path).await?;
+        if let Some(log) = log_left(path) {
+            let what = format!(
+                "{} is left of a database that is not there any more, and may hold acknowledged cycles: put it back, or move the log \
+                 away",
+                log.display()
+            );
+            return Err(StoreError::NotWritable(what.into()));
+        }
         create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
         let found = Identity::of(path)?;
         let connect = settings(path, options.patience);

@@ -48,6 +48,8 @@ fn settle(from: &Path, to: &Path) -> Result<u64, TransferError> {
         made.metadata()
     });
     let bytes = synced.map_err(|error| io(to, "cannot be written", &error))?.len();
+    // It took its time: a server may have made a database there meanwhile.
+    absent(to)?;
     std::fs::rename(from, to).map_err(|error| io(to, "cannot be made", &error))?;
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let synced = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
@@ -61,15 +63,9 @@ fn absent(path: &Path) -> Result<(), TransferError> {
     if path.exists() {
         return Err(file(path, "is there already; nothing was written"));
     }
-    for beside in ["-wal", "-journal"] {
-        let mut name = path.as_os_str().to_owned();
-        name.push(beside);
-        let left = PathBuf::from(name);
-        if left.metadata().is_ok_and(|found| found.len() > 0) {
-            let what =
-                "is left of the database that was there, and may hold acknowledged cycles: move it away";
-            return Err(file(&left, what));
-        }
+    if let Some(left) = crate::sqlite::log_left(path) {
+        let what = "is left of the database that was there, and may hold acknowledged cycles: move it away";
+        return Err(file(&left, what));
     }
     Ok(())
 }
