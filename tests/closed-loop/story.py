@@ -400,7 +400,7 @@ def judge(service, between):
         assert trace[-1][2] > END_DEPTH - 2.0, f"{name} ran to {trace[-1][2]} mm"
 
     # now, at_ms, depth, programmed, actual, applied, feed drive, spindle, rpm; the answer followed, and until when
-    checked, worst, beyond = 0, 0.0, 0
+    checked, worst, beyond, punctual = 0, 0.0, 0, 0
     for trace in traces:
         for k, sample in enumerate(trace):
             # 20 ms for the control and one batch of the adapter: what was asked for in that time. Above 100 % a batch
@@ -418,11 +418,15 @@ def judge(service, between):
             worst, checked = max(worst, off), checked + 1
             if off > 0.01:
                 beyond += 1
+                around = trace[max(0, k - 12) : k + 6]
+                if all(b[0] - a[0] < 0.015 for a, b in zip(around, around[1:])):
+                    punctual += 1
+                    assert off <= 0.03, f"{100 * off:.1f} % off where every period was on time: {sample}"
                 print("off", off, low, high, *trace[max(0, k - 12) : k + 6], sep="\n  ")
     print(f"velocity: {checked} samples, worst {100 * worst:.2f} % from programmed x override, {beyond} beyond 1 %")
     # A kernel without real time runs the servo thread and the task late now and then, which no sample tells: while one
     # of them stands still, whatever was asked for is not done yet.
-    assert checked > 1000 and beyond <= checked / 50
+    assert checked > 1000 and beyond <= checked / 50 and punctual <= checked / 500
 
     def relative(trace):
         drive, spindle = filtered([s[6] for s in trace]), filtered([s[7] for s in trace])

@@ -210,9 +210,7 @@ impl Cycle {
         {
             *speed = checked;
         }
-        if draft.seq.is_some_and(|seq| i64::try_from(seq).is_err()) {
-            wrong.push(Violation::new("seq", "out_of_range", "must be within 0 to 9223372036854775807"));
-        }
+        check_seq(draft.seq, &mut wrong);
         if draft
             .law_version
             .as_ref()
@@ -258,6 +256,13 @@ impl Cycle {
     /// Gives the fields back.
     pub fn into_draft(self) -> CycleDraft {
         self.0
+    }
+}
+
+/// Checks the number that a control counts its cycles by, which databases keep as a signed one.
+pub fn check_seq(seq: Option<u64>, wrong: &mut Vec<Violation>) {
+    if seq.is_some_and(|seq| i64::try_from(seq).is_err()) {
+        wrong.push(Violation::new("seq", "out_of_range", "must be within 0 to 9223372036854775807"));
     }
 }
 

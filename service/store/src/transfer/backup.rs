@@ -4,7 +4,7 @@
 //! the same form, so that a backup of either is checked by the same sums and restored into either. What fails is told of the
 //! file that it failed with, and leaves nothing half made behind.
 
-use super::copy::{Address, copy, transfer};
+use super::copy::{Address, copy_sound, transfer};
 use super::digest::of_table;
 use super::failure::{file, io, of_backup, of_source, of_target};
 use super::postgres::PostgresSide;
@@ -333,7 +333,7 @@ pub async fn restore_to_postgres(
     let outcome = async {
         stage(backup, &staged).await?;
         let (from, to) = (Address::Sqlite(staged.clone()), Address::Postgres(to.to_owned()));
-        copy(&from, &to, &mut |_, _, _| {}).await
+        copy_sound(&from, &to, &mut |_, _, _| {}).await
     }
     .await;
     discard(&staged);

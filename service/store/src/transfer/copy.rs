@@ -31,19 +31,22 @@ impl Address {
     async fn source(&self) -> Result<Box<dyn Side>, TransferError> {
         Ok(match self {
             Self::Sqlite(path) => {
-                let mut side = SqliteSide::read(path).await.map_err(|error| of_source(path, error))?;
-                // Rows are read by their indexes: one that is damaged leaves some out, and both sums are without them.
-                match damage_of(&mut side).await {
-                    Ok(None) => Box::new(side),
-                    found => {
-                        Box::new(side).close().await;
-                        let found = found.map_err(|error| of_source(path, error))?.unwrap_or_default();
-                        return Err(file(path, format!("is damaged: {found}; nothing was copied")));
-                    }
-                }
+                Box::new(SqliteSide::read(path).await.map_err(|error| of_source(path, error))?)
             }
             Self::Postgres(url) => Box::new(PostgresSide::connect(url).await?),
         })
+    }
+
+    /// Rows of SQLite are read by their indexes: one that is damaged leaves some out, and both sums are without them.
+    async fn is_sound(&self) -> Result<(), TransferError> {
+        let Self::Sqlite(path) = self else { return Ok(()) };
+        let mut side = SqliteSide::read(path).await.map_err(|error| of_source(path, error))?;
+        let damage = damage_of(&mut side).await.map_err(|error| of_source(path, error));
+        Box::new(side).close().await;
+        match damage? {
+            None => Ok(()),
+            Some(damage) => Err(file(path, format!("is damaged: {damage}; nothing was copied"))),
+        }
     }
 
     /// Opened by the store itself, and so migrated, before anything is written.
@@ -71,6 +74,16 @@ impl Address {
 /// that moved on in the source since follow it (see [`super::moves`]). `told` hears of each table when it is done. Returns
 /// each table with its sum.
 pub async fn copy(
+    from: &Address,
+    to: &Address,
+    told: &mut (dyn FnMut(&str, TableSum, u64) + Send),
+) -> Result<Vec<(String, TableSum)>, TransferError> {
+    from.is_sound().await?;
+    copy_sound(from, to, told).await
+}
+
+/// As [`copy`], of a source in which no damage was found.
+pub(super) async fn copy_sound(
     from: &Address,
     to: &Address,
     told: &mut (dyn FnMut(&str, TableSum, u64) + Send),
