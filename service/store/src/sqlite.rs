@@ -19,7 +19,7 @@ mod open;
 mod readers;
 mod writing;
 
-pub(crate) use files::log_left;
+pub(crate) use files::{beside, log_left};
 pub(crate) use journal::is_left;
 pub(crate) use open::MIGRATIONS;
 pub use open::SqliteOptions;

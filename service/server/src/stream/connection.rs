@@ -8,7 +8,7 @@ use super::message::{
     self, EndMessage, Incoming, MonitorMessage, ResumeMessage, SamplesMessage, StartMessage, VibrationMessage,
 };
 use super::overload::{self, Overload};
-use super::slots::{Held, Ownership};
+use super::slots::{Held, Ownership, Unnamed};
 use crate::auth::Caller;
 use crate::http::dto::mirror::{To, violation};
 use crate::http::dto::time;
@@ -271,7 +271,7 @@ impl Connection {
         self.state.metrics.stream_refusal(violation.code);
         let n = self.number();
         let mut held = self.ownership.held()?;
-        held.ended_last = false;
+        held.refuse();
         let standing = held.cycle.as_mut().map(|cycle| {
             let answer = cycle.running.fault(now, LoopReason::Malformed);
             answer::standing(cycle, &answer)
@@ -284,7 +284,7 @@ impl Connection {
         self.state.metrics.stream_refusal(problem.code);
         let n = self.number();
         let mut held = self.ownership.held()?;
-        held.ended_last = false;
+        held.refuse();
         let standing = held.cycle.as_ref().map(|cycle| answer::standing(cycle, &cycle.running.standing(now)));
         Some(Out::Text(answer::text(&answer::problem(n, Some(re), problem, standing))))
     }
@@ -423,7 +423,7 @@ impl Connection {
         let left = match self.ownership.held() {
             Some(mut held) => {
                 let left = held.cycle.replace(begun);
-                (held.ended_last, held.unmeant) = (false, false);
+                held.unnamed = Unnamed::Running;
                 self.state.streams.charge(&mut held);
                 left
             }
@@ -446,7 +446,6 @@ impl Connection {
         }
         let n = self.number();
         let mut held = self.ownership.held()?;
-        held.unmeant &= held.cycle.as_ref().is_none_or(|cycle| cycle.id.as_str() != message.cycle_id);
         let running = held.cycle.as_ref().filter(|cycle| cycle.id.as_str() == message.cycle_id);
         if let Some(cycle) = running {
             let text = answer::text(&ResumedMessage {
@@ -458,6 +457,7 @@ impl Connection {
                 restart_from: None,
                 standing: Some(answer::standing(cycle, &cycle.running.standing(now))),
             });
+            held.unnamed = Unnamed::Running;
             drop(held);
             show(&self.state, &self.ownership.slot, MachineState::Running);
             return Some(Out::Text(text));
@@ -466,7 +466,9 @@ impl Connection {
             && id.as_str() == message.cycle_id
         {
             let (status, answer) = (*status, answer.clone());
-            held.ended_last = held.cycle.is_none();
+            if held.cycle.is_none() {
+                held.unnamed = Unnamed::Ended;
+            }
             return Some(Out::Text(answer::text(&StoredMessage {
                 kind: "stored",
                 n,
@@ -532,7 +534,7 @@ impl Connection {
             Ok(Ok(stored)) => {
                 if let Some(mut held) = self.ownership.held() {
                     held.ended = Some((id, stored.status, stored.answer.clone()));
-                    held.ended_last = true;
+                    held.unnamed = Unnamed::Ended;
                     self.state.streams.charge(&mut held);
                 }
                 answer::text(&StoredMessage {
@@ -570,7 +572,9 @@ impl Connection {
         };
         let Some(cycle) = meant else {
             return Some(match &held.ended {
-                Some((id, status, answer)) if asked.map_or(held.ended_last, |asked| asked == id.as_str()) => {
+                Some((id, status, answer))
+                    if asked.map_or(held.unnamed == Unnamed::Ended, |asked| asked == id.as_str()) =>
+                {
                     Ending::Known(*status, answer.clone())
                 }
                 _ => Ending::Refused(no_cycle().into()),
@@ -590,7 +594,6 @@ impl Connection {
                 return Some(Ending::Refused(problem));
             }
         }
-        held.ended_last = false;
         held.cycle.take().map(Box::new).map(Ending::Cycle)
     }
 

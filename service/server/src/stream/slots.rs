@@ -50,25 +50,42 @@ pub struct Held {
     pub cycle: Option<StreamedCycle>,
     /// The last cycle that was stored, with its answer: asked for again when the answer was lost.
     pub ended: Option<(CycleId, u16, serde_json::Value)>,
-    /// Whether an end that names no cycle means that one: nothing was begun since, nor refused. Else a machine would take
-    /// its answer for that of a cycle that was never stored.
-    pub ended_last: bool,
-    /// The machine has begun another cycle, which was refused, while this one runs: what names none is not this one's.
-    pub unmeant: bool,
+    /// What a message that names no cycle is about.
+    pub unnamed: Unnamed,
     /// Bytes of samples that the cycle was charged.
     charged: usize,
 }
 
+/// What a message that names no cycle is about. A machine that has begun another cycle, which was refused, or was refused
+/// anything else since the last one ended, would else take the answer for that of a cycle that was never stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Unnamed {
+    /// No cycle that is known here.
+    #[default]
+    Nothing,
+    /// The cycle that runs.
+    Running,
+    /// The last cycle that was stored.
+    Ended,
+}
+
 impl Held {
-    /// The cycle that is meant by what names none.
+    /// The running cycle that is meant by what names none.
     pub fn meant(&self) -> Option<&StreamedCycle> {
-        self.cycle.as_ref().filter(|_| !self.unmeant)
+        self.cycle.as_ref().filter(|_| self.unnamed == Unnamed::Running)
     }
 
     /// A machine has begun or taken up something that is not known here: what names no cycle is about that from now on.
     pub fn leave(&mut self, begun: Option<&str>) {
-        self.ended_last = false;
-        self.unmeant = self.cycle.as_ref().is_some_and(|running| begun != Some(running.id.as_str()));
+        let runs = self.cycle.as_ref().is_some_and(|running| begun == Some(running.id.as_str()));
+        self.unnamed = if runs { Unnamed::Running } else { Unnamed::Nothing };
+    }
+
+    /// Something was refused: an end that names no cycle may be about that, and not about the one that was stored.
+    pub fn refuse(&mut self) {
+        if self.unnamed == Unnamed::Ended {
+            self.unnamed = Unnamed::Nothing;
+        }
     }
 }
 

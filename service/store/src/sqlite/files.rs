@@ -31,6 +31,16 @@ impl Identity {
     }
 }
 
+/// How the name of SQLite's log ends.
+const LOG: &str = "-wal";
+
+/// The file whose name is another one's with something behind it.
+pub(crate) fn beside(file: &Path, end: &str) -> PathBuf {
+    let mut name = file.as_os_str().to_owned();
+    name.push(end);
+    name.into()
+}
+
 /// The database's file and its log, as they were when they were opened.
 #[derive(Debug)]
 pub(super) struct Files([(PathBuf, Identity); 2]);
@@ -39,9 +49,7 @@ impl Files {
     /// Of a database that is open, and has its log; `found` is the file before the first of its connections was.
     pub(super) fn of(path: &Path, found: Identity) -> StoreResult<Self> {
         // SQLite follows a link, and keeps its log beside what the link leads to.
-        let mut log = path.canonicalize().map_err(|error| missing(path, &error))?.into_os_string();
-        log.push("-wal");
-        let log = PathBuf::from(log);
+        let log = beside(&path.canonicalize().map_err(|error| missing(path, &error))?, LOG);
         let opened = Identity::of(&log)?;
         let files = Self([(path.to_owned(), found), (log, opened)]);
         files.are_there()?;
@@ -61,13 +69,9 @@ impl Files {
 /// What SQLite has left of a database that stood under a name, and is not there: its log or journal, where something is in
 /// it. SQLite would write it over the file that comes there next, or empty it, and with it what was acknowledged.
 pub(crate) fn log_left(database: &Path) -> Option<PathBuf> {
-    let beside = |end: &str| {
-        let mut name = database.as_os_str().to_owned();
-        name.push(end);
-        PathBuf::from(name)
-    };
     let holds_something = |left: &PathBuf| left.metadata().is_ok_and(|found| found.len() > 0);
-    ["-wal", "-journal"].map(beside).into_iter().find(holds_something).filter(|_| !database.exists())
+    let left = [LOG, "-journal"].map(|end| beside(database, end)).into_iter().find(holds_something);
+    left.filter(|_| !database.exists())
 }
 
 fn missing(path: &Path, error: &io::Error) -> StoreError {

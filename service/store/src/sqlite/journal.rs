@@ -33,7 +33,7 @@ mod tests;
 
 use self::blocks::{BLOCK, Blocks, up};
 use self::records::{Records, latest_epoch};
-use super::files::Identity;
+use super::files::{Identity, beside};
 use super::open::SETTINGS;
 use crate::error::{StoreError, StoreResult};
 use rusqlite::types::{ToSqlOutput, ValueRef};
@@ -103,9 +103,7 @@ pub(super) fn path_of(database: &Path) -> io::Result<PathBuf> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => database.to_owned(),
         found => found?,
     };
-    let mut path = found.into_os_string();
-    path.push("-groups");
-    Ok(path.into())
+    Ok(beside(&found, "-groups"))
 }
 
 impl Journal {

@@ -10,6 +10,7 @@ use super::failure::{file, io, of_backup, of_source, of_target};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
 use super::{Side, TableSum, TransferError};
+use crate::sqlite::{beside, log_left};
 use crate::store::Store;
 use crate::{SqliteOptions, SqliteStore};
 use feedwright_core::units::Timestamp;
@@ -27,9 +28,7 @@ pub struct BackupReport {
 
 /// The name under which a file is made until it is whole.
 fn partial(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".partial");
-    name.into()
+    beside(path, ".partial")
 }
 
 /// A fresh, empty file for its owner only.
@@ -63,7 +62,7 @@ fn absent(path: &Path) -> Result<(), TransferError> {
     if path.exists() {
         return Err(file(path, "is there already; nothing was written"));
     }
-    if let Some(left) = crate::sqlite::log_left(path) {
+    if let Some(left) = log_left(path) {
         let what = "is left of the database that was there, and may hold acknowledged cycles: move it away";
         return Err(file(&left, what));
     }
@@ -72,12 +71,11 @@ fn absent(path: &Path) -> Result<(), TransferError> {
 
 /// Removes a file that was being made, and what SQLite keeps beside it.
 fn discard(making: &Path) {
-    for beside in ["", "-journal", "-wal", "-shm"] {
-        let mut name = making.as_os_str().to_owned();
-        name.push(beside);
-        match std::fs::remove_file(&name) {
+    for end in ["", "-journal", "-wal", "-shm"] {
+        let file = beside(making, end);
+        match std::fs::remove_file(&file) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                tracing::warn!(%error, file = %Path::new(&name).display(), "what was half made stays behind");
+                tracing::warn!(%error, file = %file.display(), "what was half made stays behind");
             }
             _ => {}
         }
