@@ -2,7 +2,7 @@
 //! the months ahead are made. Summaries are kept for ever.
 
 use crate::state::AppState;
-use feedwright_store::StoreResult;
+use feedwright_store::{Dropped, StoreResult};
 
 /// Runs until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
@@ -35,14 +35,29 @@ pub async fn run(state: &AppState) -> StoreResult<()> {
         tracing::info!(%machine, reason, "samples are dropped");
         state.metrics.samples_dropping(decision.reason);
     }
-    while !state.lifecycle.is_stopping() {
-        let dropped = state.store.drop_some(config.step_cycles, state.clock.now()).await?;
-        state.metrics.samples_dropped(dropped);
-        if !dropped.more {
-            break;
-        }
-        // Live posts have the writer between two steps.
-        tokio::time::sleep(config.pause()).await;
+    // Nor of one of these, whose cycles then go one by one.
+    if let Err(error) = drop_partitions(state).await {
+        tracing::warn!(%error, "no partition is dropped whole until the next run");
     }
+    while !state.lifecycle.is_stopping()
+        && goes_on(state, state.store.drop_some(config.step_cycles).await?).await
+    {}
     Ok(())
+}
+
+async fn drop_partitions(state: &AppState) -> StoreResult<()> {
+    while !state.lifecycle.is_stopping()
+        && goes_on(state, state.store.drop_partition(state.clock.now()).await?).await
+    {}
+    Ok(())
+}
+
+/// After a step; whether more is to go.
+async fn goes_on(state: &AppState, dropped: Dropped) -> bool {
+    state.metrics.samples_dropped(dropped);
+    if dropped.more {
+        // Live posts have the writer between two steps.
+        tokio::time::sleep(state.config.retention.pause()).await;
+    }
+    dropped.more
 }

@@ -290,8 +290,14 @@ pub trait Store: Send + Sync + 'static {
     ) -> StoreResult<BTreeMap<CycleId, SamplesGone>>;
     /// Decides for every machine which samples are to go; `otherwise` holds where a machine has no say of its own.
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>>;
-    /// Drops some of the samples that decisions name, `most` cycles in one short transaction, or one whole partition.
-    async fn drop_some(&self, most: u32, now: Timestamp) -> StoreResult<Dropped>;
+    /// Drops the oldest partition of which nothing is kept, where the engine has partitions.
+    ///
+    /// # Errors
+    ///
+    /// `Unavailable` where whoever reads it is in the way for longer than posts can wait.
+    async fn drop_partition(&self, now: Timestamp) -> StoreResult<Dropped>;
+    /// Drops some of the samples that decisions name, `most` cycles in one short transaction.
+    async fn drop_some(&self, most: u32) -> StoreResult<Dropped>;
     /// Makes room for what comes: the partitions of the months ahead.
     async fn make_room(&self, now: Timestamp) -> StoreResult<()>;
 

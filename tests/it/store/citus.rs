@@ -100,6 +100,30 @@ async fn every_table_is_placed_and_every_key_of_a_distributed_one_holds_its_colu
     given.done().await;
 }
 
+/// What is changed of tables that are distributed already: Citus adds a constraint to one by a statement of its own, or with its column.
+/// Migration 20 does not, and is for databases that are not distributed yet.
+#[test]
+fn later_migrations_change_what_is_distributed() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../migrations/postgres");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let changes: Vec<&str> = text
+            .split(';')
+            .filter(|one| one.contains("ALTER TABLE") && one.contains("ADD CONSTRAINT"))
+            .collect();
+        seen += changes.len();
+        if path.file_name().unwrap().to_string_lossy().as_ref() > "0021" {
+            for change in changes {
+                let steps = ["ADD ", "DROP ", "ALTER COLUMN "].map(|word| change.matches(word).count());
+                assert_eq!(steps, [1, 0, 0], "{}: {change}", path.display());
+            }
+        }
+    }
+    assert!(seen > 0, "migrations with constraints are found");
+}
+
 /// The statements in a source: its string literals that name a join, in one line each.
 fn joins(source: &str) -> Vec<String> {
     let flat = source.split_whitespace().collect::<Vec<_>>().join(" ");

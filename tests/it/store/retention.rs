@@ -48,13 +48,19 @@ async fn year(store: &dyn Store) {
 async fn run(store: &dyn Store, otherwise: SampleRetention, seconds: i64) -> (usize, Dropped) {
     let decided = store.decide_drops(otherwise, at(seconds)).await.unwrap().len();
     let mut all = Dropped::default();
+    let mut partitions = true;
     loop {
-        let step = store.drop_some(3, at(seconds)).await.unwrap();
+        let step = if partitions {
+            store.drop_partition(at(seconds)).await.unwrap()
+        } else {
+            store.drop_some(3).await.unwrap()
+        };
         all.cycles += step.cycles;
         all.bytes += step.bytes;
-        if !step.more {
+        if !step.more && !partitions {
             return (decided, all);
         }
+        partitions &= step.more;
     }
 }
 
@@ -328,11 +334,11 @@ async fn what_goes_while_a_decision_is_taken_back_is_told_too(store: Arc<dyn Sto
     super::given::commit(&*store, &runs).await;
     let none = SampleRetention { days: None, bytes: Some(1) };
     assert_eq!(store.decide_drops(none, at(41 * DAY)).await.unwrap().len(), 1);
-    assert_eq!(store.drop_some(3, at(41 * DAY)).await.unwrap().cycles, 3);
+    assert_eq!(store.drop_some(3).await.unwrap().cycles, 3);
     let dropping = async {
         let mut dropped = 3;
         loop {
-            let step = store.drop_some(2, at(41 * DAY)).await.unwrap();
+            let step = store.drop_some(2).await.unwrap();
             dropped += step.cycles;
             if !step.more {
                 return dropped;
@@ -484,7 +490,7 @@ async fn postgres_deletes_nothing_by_a_decision_that_was_taken_back_meanwhile() 
     let lock = sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(key("retention/M1"));
     lock.execute(&mut *taking_back).await.unwrap();
     let dropping = async {
-        let step = store.drop_some(3, at(DAY)).await.unwrap();
+        let step = store.drop_some(3).await.unwrap();
         assert_eq!((step.cycles, step.bytes), (0, 0));
     };
     let taken_back = async {
@@ -567,10 +573,10 @@ async fn decided(given: &Given) -> Arc<dyn Store> {
     store
 }
 
-/// A step of dropping, by a server of its own.
+/// A partition is dropped, by a server of its own.
 fn dropping(store: &Arc<dyn Store>) -> JoinHandle<StoreResult<Dropped>> {
     let store = Arc::clone(store);
-    tokio::spawn(async move { store.drop_some(3, at(125 * DAY)).await })
+    tokio::spawn(async move { store.drop_partition(at(125 * DAY)).await })
 }
 
 async fn counts(store: &dyn Store) -> u64 {
@@ -627,6 +633,27 @@ async fn whoever_reads_samples_is_not_waited_for() {
     stored(&*store, &Run::nth(1)).await;
     reading.commit().await.unwrap();
     store.make_room(at(40 * DAY)).await.unwrap();
+    other.close().await.unwrap();
+    given.done().await;
+}
+
+/// Whoever reads a partition is in the way of dropping it, and not of what it held going cycle by cycle.
+#[tokio::test]
+async fn postgres_deletes_from_a_partition_that_is_read() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = decided(&given).await;
+    let mut other = PgConnection::connect(&given.address()).await.unwrap();
+    let mut reading = other.begin().await.unwrap();
+    sqlx::query("SELECT count(*) FROM cycle_samples_202601").execute(&mut *reading).await.unwrap();
+    let refused = store.drop_partition(at(125 * DAY)).await;
+    assert!(matches!(refused, Err(StoreError::Unavailable(_))), "{refused:?}");
+    assert_eq!((store.drop_some(10).await.unwrap().cycles, counts(&*store).await), (3, 3));
+    reading.commit().await.unwrap();
+    assert_eq!(run(&*store, days(30), 125 * DAY).await, (0, Dropped::default()), "they are empty");
+    let gone = given.raw("SELECT 1 FROM cycle_samples_202601").await;
+    assert!(gone.is_err(), "{gone:?}");
     other.close().await.unwrap();
     given.done().await;
 }

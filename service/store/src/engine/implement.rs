@@ -569,11 +569,11 @@ impl Store for Engine {
         }
     }
 
-    async fn drop_some(&self, most: u32, now: Timestamp) -> StoreResult<Dropped> {
-        let whole = write!(self, |conn| retention::drop_partition(conn, now).await)?;
-        if whole.more {
-            return Ok(whole);
-        }
+    async fn drop_partition(&self, now: Timestamp) -> StoreResult<Dropped> {
+        write!(self, |conn| retention::drop_partition(conn, now).await)
+    }
+
+    async fn drop_some(&self, most: u32) -> StoreResult<Dropped> {
         let dropped = write!(self, |conn| retention::delete_some(conn, most).await)?;
         let freed = self.give_back().await?;
         Ok(Dropped { more: dropped.more || freed, ..dropped })

@@ -6,8 +6,9 @@ use async_trait::async_trait;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
 use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
 
-/// Months that the function of the migrations makes partitions for in one call.
-const MONTHS_AT_A_TIME: i32 = 400;
+/// Months that the function of the migrations makes partitions for in one call. Where a table stands on several nodes, each of its
+/// shards is locked with each partition: four years at a time fit into what PostgreSQL has for locks.
+const MONTHS_AT_A_TIME: i32 = 48;
 const MONTH_US: i64 = 28 * 86_400_000_000;
 
 pub(super) struct PostgresSide {

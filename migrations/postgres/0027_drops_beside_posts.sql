@@ -1,0 +1,37 @@
+-- What is kept of a partition is asked for its first row alone, also where it stands on several nodes: Citus gathers all that a
+-- question without a limit may find. What it holds is counted by itself, which Citus plans as it stands; and there the table is locked
+-- before its partition, as Citus locks every partition of a table for each post that goes through the coordinator: posts wait while a
+-- partition is counted that is about to be dropped, where they and the drop would wait for each other.
+CREATE OR REPLACE FUNCTION cycle_samples_drop_partition(until_us BIGINT)
+RETURNS TABLE (machine_id TEXT, cycles BIGINT, bytes BIGINT) LANGUAGE plpgsql AS $$
+DECLARE
+    is_kept CONSTANT TEXT := 'SELECT EXISTS (SELECT 1 FROM %I AS s WHERE NOT EXISTS (
+        SELECT 1 FROM sample_drops d WHERE d.machine_id = s.machine_id AND d.before_us >= $1) LIMIT 1)';
+    part RECORD;
+    kept BOOLEAN;
+    machines TEXT[];
+    counts BIGINT[];
+    sizes BIGINT[];
+BEGIN
+    FOR part IN SELECT * FROM cycle_samples_partitions() AS p WHERE p.to_us <= until_us ORDER BY p.from_us LOOP
+        EXECUTE format(is_kept, part.name) INTO kept USING part.to_us;
+        CONTINUE WHEN kept;
+        IF to_regclass('pg_catalog.pg_dist_partition') IS NOT NULL THEN
+            LOCK TABLE ONLY cycle_samples IN SHARE MODE;
+        END IF;
+        EXECUTE format('LOCK TABLE %I IN SHARE MODE', part.name);
+        -- Statements of their own: they see what was committed until the lock was there.
+        EXECUTE format(is_kept, part.name) INTO kept USING part.to_us;
+        CONTINUE WHEN kept;
+        EXECUTE format(
+            'SELECT array_agg(h.machine), array_agg(h.held), array_agg(h.size)
+             FROM (SELECT s.machine_id AS machine, count(*) AS held,
+                          coalesce(sum(length(s.block)), 0)::BIGINT AS size
+                   FROM %I AS s GROUP BY s.machine_id) AS h', part.name)
+            INTO machines, counts, sizes;
+        EXECUTE format('DROP TABLE %I', part.name);
+        RETURN QUERY SELECT * FROM unnest(machines, counts, sizes);
+        RETURN QUERY SELECT NULL::TEXT, 0::BIGINT, 0::BIGINT;
+        RETURN;
+    END LOOP;
+END $$;
