@@ -93,12 +93,14 @@ impl Fault {
             // I/O error, data or index corrupted
             "58030" | "XX001" | "XX002" => Self::NotWritable,
             // read-only transaction (a demoted server: another one takes over), serialisation, deadlock, lock not
-            // available, statement or session timed out
-            "25006" | "40001" | "40P01" | "55P03" | "57014" | "25P03" => Self::Unavailable,
+            // available, statement or session timed out; a right, or a database, that somebody has taken away
+            "25006" | "40001" | "40P01" | "55P03" | "57014" | "25P03" | "42501" | "3D000" => {
+                Self::Unavailable
+            }
             _ if code.starts_with("22") || code.starts_with("23") => Self::Refused,
-            // connection, resources (a full disk among them: the server undid the change, and goes on once there is room),
+            // connection, login, resources (a full disk among them: the server undid the change, and goes on once there is room),
             // operator intervention (shutdown, restart)
-            _ if ["08", "53", "57"].iter().any(|class| code.starts_with(class)) => Self::Unavailable,
+            _ if ["08", "28", "53", "57"].iter().any(|class| code.starts_with(class)) => Self::Unavailable,
             _ => Self::Other,
         }
     }

@@ -2,7 +2,7 @@
 
 use super::listening::Listening;
 use crate::store::operations::Cluster;
-use feedwright_store::{PostgresOptions, PostgresStore};
+use feedwright_store::{PostgresOptions, PostgresStore, Store};
 use serde_json::{Value, json};
 use sqlx::{Connection, Executor, PgConnection};
 use std::sync::Arc;
@@ -18,6 +18,78 @@ fn cycle(number: usize) -> Value {
         "started_at": format!("2026-05-04T05:{:02}:{:02}Z", number / 60, number % 60),
         "reported": {"energy_joules": 1000.0},
     })
+}
+
+/// Somebody has commits no longer wait for the disk, takes the role's rights away, or does not let it in any more.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_taken_away_under_a_running_server_is_told_and_taken_up_again() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    // The tables are those of another role, as after a restore.
+    let options = || PostgresOptions { patience: Duration::from_secs(1), ..PostgresOptions::default() };
+    PostgresStore::open(&cluster.url(), options()).await.unwrap().close().await;
+    let rights = "CREATE ROLE plain LOGIN; GRANT ALL ON ALL TABLES IN SCHEMA public TO plain;
+                  GRANT ALL ON ALL SEQUENCES IN SCHEMA public TO plain; GRANT ALL ON SCHEMA public TO plain";
+    let mut admin = PgConnection::connect(&cluster.url()).await.unwrap();
+    admin.execute(rights).await.unwrap();
+    let store =
+        PostgresStore::open(&cluster.url().replace("feedwright@", "plain@"), options()).await.unwrap();
+    let Listening { server, address, client, admin: token, dir: _dir } =
+        Listening::before(Arc::new(store)).await;
+    let post = async |number: usize| {
+        let post = client.post(format!("{address}/v1/machines/M1/cycles")).bearer_auth(&token);
+        let answer = post.json(&cycle(number)).send().await.unwrap();
+        (answer.status().as_u16(), answer.headers().contains_key("retry-after"))
+    };
+    let ready = async || client.get(format!("{address}/readyz")).send().await.unwrap().status().as_u16();
+    assert_eq!((post(0).await.0, ready().await), (201, 200));
+    let changes = [
+        (
+            "ALTER SYSTEM SET synchronous_commit = off; SELECT pg_reload_conf()",
+            "ALTER SYSTEM RESET synchronous_commit; SELECT pg_reload_conf()",
+        ),
+        ("REVOKE INSERT ON cycles FROM plain", "GRANT INSERT ON cycles TO plain"),
+        (
+            "ALTER ROLE plain NOLOGIN;
+             SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE usename = 'plain'",
+            "ALTER ROLE plain LOGIN",
+        ),
+    ];
+    let mut stored = 1;
+    for (away, back) in changes {
+        for statement in away.split(';') {
+            admin.execute(sqlx::AssertSqlSafe(statement)).await.unwrap();
+        }
+        let mut looks = 0;
+        loop {
+            let (status, retry) = post(stored).await;
+            match status {
+                // Until it has reached every session.
+                201 => stored += 1,
+                _ => assert_eq!((status, retry), (503, true), "{away}"),
+            }
+            if status == 503 && ready().await == 503 {
+                break;
+            }
+            looks += 1;
+            assert!(looks < LOOKS, "it is never told: {away}");
+            tokio::time::sleep(BETWEEN).await;
+        }
+        for statement in back.split(';') {
+            admin.execute(sqlx::AssertSqlSafe(statement)).await.unwrap();
+        }
+        let mut looks = 0;
+        while !matches!(post(stored).await.0, 200 | 201) || ready().await != 200 {
+            looks += 1;
+            assert!(looks < LOOKS, "it never takes writes again: {back}");
+            tokio::time::sleep(BETWEEN).await;
+        }
+        stored += 1;
+    }
+    let wear = client.get(format!("{address}/v1/tools/T1/wear")).bearer_auth(&token).send().await.unwrap();
+    assert_eq!(wear.json::<Value>().await.unwrap()["cycles"], stored, "each is counted once");
+    server.shutdown().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

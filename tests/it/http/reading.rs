@@ -5,6 +5,7 @@ use feedwright_store::Role;
 use http::StatusCode;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use tower::ServiceExt;
 
 crate::engines::on_both!(
     samples_come_chosen_in_a_range_and_few_enough_for_a_screen,
@@ -19,6 +20,7 @@ crate::engines::on_both!(
     a_course_has_the_times_and_the_energy_of_its_summary,
     a_bound_that_is_finer_than_what_is_kept_parts_it_all_the_same,
     an_absurd_energy_costs_no_cycle,
+    small_answers_do_not_wait_for_large_ones_and_those_are_few_until_they_are_read,
 );
 
 const SAMPLES: &str = "/v1/machines/M1/cycles/s1/samples";
@@ -441,4 +443,51 @@ async fn an_absurd_energy_costs_no_cycle() {
     }
     let all = app.get("/v1/cycles?machine=M1").await.json();
     assert_eq!(all["items"].as_array().unwrap().len(), 16);
+}
+
+async fn small_answers_do_not_wait_for_large_ones_and_those_are_few_until_they_are_read() {
+    let app = shop().await;
+    sampled(&app).await;
+    let load: Vec<f64> = (0..100_000).map(|k| f64::from(k % 1000) / 10.0).collect();
+    let body = json!({
+        "cycle_id": "large", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:30:00Z",
+        "samples": {"period_ms": 1, "spindle_load_percent": load},
+    });
+    post(&app, body).await;
+    let large = async |accept| {
+        let request = http::Request::get(SAMPLES.replace("s1", "large"))
+            .header("authorization", format!("Bearer {}", app.token(Role::Viewer)))
+            .header("accept", accept)
+            .body(axum::body::Body::empty())
+            .unwrap();
+        app.router.clone().oneshot(request).await.unwrap()
+    };
+    let free = || std::iter::from_fn(|| app.state.exports.at_once()).collect::<Vec<_>>();
+    let turns = free();
+    assert!((2..100).contains(&turns.len()), "{} of a bounded number", turns.len());
+    for path in [
+        SAMPLES,
+        "/v1/series?tool=T1&last=10",
+        "/v1/series?tool=T1&bucket=1h&from=2026-05-04T00:00:00Z&to=2026-05-05T00:00:00Z",
+        "/v1/summaries?last=10",
+    ] {
+        for accept in ["application/json", "text/csv"] {
+            assert_eq!(get_as(&app, path, accept).await.status, StatusCode::OK, "{path} {accept}");
+        }
+    }
+    let waited = tokio::time::timeout(std::time::Duration::from_millis(200), large("text/csv")).await;
+    assert!(waited.is_err(), "it is answered beyond the bound: {:?}", waited.map(|answer| answer.status()));
+
+    // An answer has its turn as long as it is not read.
+    let most = turns.len();
+    drop(turns);
+    for accept in ["application/json", "text/csv"] {
+        let answers = [large(accept).await, large(accept).await];
+        assert_eq!(free().len(), most - 2, "{accept}");
+        for answer in answers {
+            assert_eq!(answer.status(), StatusCode::OK);
+            assert!(axum::body::to_bytes(answer.into_body(), usize::MAX).await.unwrap().len() > 400_000);
+        }
+        assert_eq!(free().len(), most, "{accept}");
+    }
 }

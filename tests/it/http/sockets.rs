@@ -134,6 +134,31 @@ async fn a_client_that_does_not_read_its_answers_is_dropped() {
     running.server.shutdown().await.unwrap();
 }
 
+/// It reads all the time, and less in the time that an answer may stand still than what the system keeps for a connection.
+#[tokio::test]
+async fn a_client_that_reads_slowly_gets_its_answers_whole() {
+    let running = start(&[("server.body_stall_timeout_ms", "2000")]).await;
+    let mut slow = running.connect().await;
+    let whole = reqwest::get(format!("http://{}/docs/swagger-ui-bundle.js", running.address));
+    let whole = whole.await.unwrap().bytes().await.unwrap().len();
+    // More than the system keeps for it.
+    let answers = 20_000_000_usize.div_ceil(whole);
+    let ask = "GET /docs/swagger-ui-bundle.js HTTP/1.1\r\nhost: x\r\n\r\n".repeat(answers);
+    slow.write_all(ask.as_bytes()).await.unwrap();
+    let (mut read, mut buffer) = (0, vec![0; 32 << 10]);
+    let mut ticks = tokio::time::interval(Duration::from_millis(100));
+    while read < answers * whole {
+        // 320 kB/s for more than two such times, and then what is left.
+        if read < 2_000_000 {
+            ticks.tick().await;
+        }
+        let came = tokio::time::timeout(LONG, slow.read(&mut buffer)).await.expect("it goes on").unwrap();
+        assert!(came > 0, "cut off after {read} bytes of {answers} answers of {whole}");
+        read += came;
+    }
+    running.server.shutdown().await.unwrap();
+}
+
 #[tokio::test]
 async fn beyond_the_bound_connections_wait_and_are_served_when_there_is_room() {
     let running = start(&[("server.max_connections", "2")]).await;

@@ -7,7 +7,7 @@ use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
     Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Repair, Store,
 };
-use sqlx::{Connection, PgConnection};
+use sqlx::{Connection, Executor, PgConnection};
 use std::sync::Arc;
 
 async fn replica(given: &Given) -> Arc<dyn Store> {
@@ -128,6 +128,32 @@ async fn a_read_only_server_is_refused() {
     let address = format!("{}?options=-c%20default_transaction_read_only=on", given.address());
     let refused = PostgresStore::open(&address, PostgresOptions::default()).await;
     assert!(matches!(refused, Err(feedwright_store::StoreError::NotWritable(_))), "{:?}", refused.err());
+    given.done().await;
+}
+
+#[tokio::test]
+async fn a_database_that_cannot_hold_every_name_is_refused_and_left_as_it_is() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let mut admin = PgConnection::connect(&given.address()).await.unwrap();
+    let name = format!("latin_{}", std::process::id());
+    let make = format!("CREATE DATABASE {name} ENCODING LATIN1 LOCALE 'C' TEMPLATE template0");
+    admin.execute(sqlx::AssertSqlSafe(make)).await.unwrap();
+    let address = given.address();
+    let (server, _) = address.rsplit_once('/').unwrap();
+    let address = format!("{server}/{name}");
+    let refused = PostgresStore::open(&address, PostgresOptions::default()).await.err().unwrap();
+    assert!(format!("{refused:?}").contains("needs a database in UTF8"), "{refused:?}");
+    let mut there = PgConnection::connect(&address).await.unwrap();
+    let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM pg_tables WHERE schemaname = 'public'")
+        .fetch_one(&mut there)
+        .await
+        .unwrap();
+    assert_eq!(tables, 0);
+    there.close().await.unwrap();
+    admin.execute(sqlx::AssertSqlSafe(format!("DROP DATABASE {name}"))).await.unwrap();
+    admin.close().await.unwrap();
     given.done().await;
 }
 

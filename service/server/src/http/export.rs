@@ -1,42 +1,117 @@
 //! Tables as answers: streamed piece by piece, so many at a time.
 
 use super::problem::Problem;
-use crate::state::AppState;
 use crate::table::{Field, Format, Row, TableError, writer};
 use axum::body::Body;
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures_util::stream::{self, Stream, StreamExt};
 use http::{HeaderValue, header};
+use hyper::body::{Body as HttpBody, Frame, SizeHint};
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// Tables and whole recordings that are held in memory at a time: each may be a cycle of the largest size.
-const MAX_EXPORTS: usize = 16;
+const MAX_LARGE: usize = 16;
+/// Small ones besides, so that they do not wait for clients that read large ones slowly.
+const MAX_SMALL: usize = 32;
 /// A client waits so long for its turn.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Values of an answer that is small: 2 MiB as doubles.
+const MOST_SMALL_VALUES: usize = 1 << 18;
+/// Bytes of a text for which no turn is kept while it is sent.
+const MOST_SMALL_BYTES: u64 = 256 << 10;
 /// Rows of samples that are written at a time.
 pub const PIECE: usize = 8192;
 
 /// How many are under way.
 #[derive(Debug, Clone)]
-pub struct Exports(Arc<Semaphore>);
+pub struct Exports {
+    large: Arc<Semaphore>,
+    small: Arc<Semaphore>,
+}
 
 impl Default for Exports {
     fn default() -> Self {
-        Self(Arc::new(Semaphore::new(MAX_EXPORTS)))
+        Self { large: Arc::new(Semaphore::new(MAX_LARGE)), small: Arc::new(Semaphore::new(MAX_SMALL)) }
+    }
+}
+
+/// The right to hold an answer in memory. It goes along with the answer until that is read, or nobody reads it any more.
+#[derive(Debug)]
+pub struct Turn {
+    _permit: OwnedSemaphorePermit,
+}
+
+/// What an answer takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Size {
+    /// At most 2 MiB.
+    Small,
+    /// As much as the largest cycle.
+    Large,
+}
+
+impl Size {
+    /// Of so many values.
+    pub const fn of(values: usize) -> Self {
+        if values > MOST_SMALL_VALUES { Self::Large } else { Self::Small }
     }
 }
 
 impl Exports {
+    /// A turn of any size, where nobody has to be waited for.
+    pub fn at_once(&self) -> Option<Turn> {
+        self.large.clone().try_acquire_owned().ok().map(|permit| Turn { _permit: permit })
+    }
+
     /// A turn; 503 where too many others have one for too long.
-    pub async fn turn(&self) -> Result<OwnedSemaphorePermit, Problem> {
-        let turn = tokio::time::timeout(PATIENCE, self.0.clone().acquire_owned()).await;
-        turn.ok().and_then(Result::ok).ok_or_else(|| {
-            let detail = format!("{MAX_EXPORTS} large answers are under way already");
+    pub async fn turn(&self, size: Size) -> Result<Turn, Problem> {
+        let (turns, most) = match size {
+            Size::Small => (&self.small, MAX_SMALL),
+            Size::Large => (&self.large, MAX_LARGE),
+        };
+        let permit = tokio::time::timeout(PATIENCE, turns.clone().acquire_owned()).await;
+        permit.ok().and_then(Result::ok).map(|permit| Turn { _permit: permit }).ok_or_else(|| {
+            let detail = format!("{most} answers of that size are under way already");
             Problem::unavailable("too_many_exports", detail, 5)
         })
+    }
+}
+
+/// An answer that keeps its turn until it is read, where it is long.
+pub fn held(response: Response, turn: Turn) -> Response {
+    if response.body().size_hint().exact().is_some_and(|bytes| bytes <= MOST_SMALL_BYTES) {
+        return response;
+    }
+    response.map(|body| Body::new(Held { body, _turn: turn }))
+}
+
+struct Held {
+    body: Body,
+    _turn: Turn,
+}
+
+impl HttpBody for Held {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
     }
 }
 
@@ -52,7 +127,7 @@ impl From<TableError> for Problem {
 /// Answers with a table of that name. What fails before the first piece is a problem document; what fails later breaks
 /// the body off, which every client sees.
 pub async fn table<S>(
-    state: &AppState,
+    turn: Turn,
     format: Format,
     name: &str,
     fields: Vec<Field>,
@@ -61,7 +136,6 @@ pub async fn table<S>(
 where
     S: Stream<Item = Result<Vec<Row>, TableError>> + Send + 'static,
 {
-    let turn = state.exports.turn().await?;
     let fields: Arc<[Field]> = fields.into();
     let mut writer = writer(format, &fields)?;
     // Asked once more after its end, where there is no piece at all.

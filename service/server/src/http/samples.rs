@@ -4,7 +4,7 @@ use super::columns;
 use super::decimal;
 use super::dto::cycle::{SamplesAnswer, SamplesBody};
 use super::dto::time;
-use super::export::{self, PIECE};
+use super::export::{self, PIECE, Size, Turn};
 use super::extract::{PathId, Query};
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
@@ -75,14 +75,22 @@ pub(super) async fn get_samples(
 ) -> Result<Response, Problem> {
     let wanted = Wanted::of(query)?;
     if wanted.is_all() && format == Format::Json && !wanted.in_rows {
-        let _turn = state.exports.turn().await?;
+        let turn = turn(&state, &machine, &id).await?;
         let Some(columns) = state.store.cycle_columns(&machine, &id).await? else {
             return Err(no_samples(&state, &machine, &id).await?);
         };
-        let json = columns::json(columns).map_err(|error| Problem::internal(error.to_string()))?;
-        return Ok((VARIES, decimal::body(json)).into_response());
+        let values = columns.len * columns.channels.len();
+        let writing = move || columns::json(columns).map_err(|error| Problem::internal(error.to_string()));
+        let json = if Size::of(values) == Size::Small {
+            writing()?
+        } else {
+            // Streams would wait for as long as it takes.
+            let written = tokio::task::spawn_blocking(writing).await;
+            written.map_err(|error| Problem::internal(error.to_string()))??
+        };
+        return Ok(export::held((VARIES, decimal::body(json)).into_response(), turn));
     }
-    let turn = state.exports.turn().await?;
+    let turn = turn(&state, &machine, &id).await?;
     let Some(samples) = state.store.cycle_samples(&machine, &id).await? else {
         return Err(no_samples(&state, &machine, &id).await?);
     };
@@ -91,14 +99,24 @@ pub(super) async fn get_samples(
     let selecting = move || wanted.select(&samples).map(|selected| (samples, selected, wanted));
     let selected = tokio::task::spawn_blocking(selecting).await;
     let (samples, selected, wanted) = selected.map_err(|error| Problem::internal(error.to_string()))??;
-    drop(turn);
     if format == Format::Json && !wanted.in_rows {
         let body = selected.body(&samples);
-        return Ok((VARIES, decimal::answer(&body, body.values())?).into_response());
+        let answer = (VARIES, decimal::answer(&body, body.values())?).into_response();
+        return Ok(export::held(answer, turn));
     }
     let name = format!("{machine}-{id}");
     let fields = selected.fields();
-    export::table(&state, format, &name, fields, selected.pieces(samples, cycle.cycle.started_at)).await
+    export::table(turn, format, &name, fields, selected.pieces(samples, cycle.cycle.started_at)).await
+}
+
+/// The right to hold a cycle's samples. How large they are is looked up only where so many are held that it matters.
+async fn turn(state: &AppState, machine: &MachineId, id: &CycleId) -> Result<Turn, Problem> {
+    if let Some(turn) = state.exports.at_once() {
+        return Ok(turn);
+    }
+    let cycle = state.store.cycle(machine, id).await?;
+    let samples = cycle.map_or(0, |cycle| cycle.summary.sample_count as usize);
+    state.exports.turn(Size::of(samples.saturating_mul(1 + Channel::ALL.len()))).await
 }
 
 /// Why a cycle has no samples to show.

@@ -3,7 +3,7 @@
 use super::decimal;
 use super::dto::series::{BucketBody, BucketSeriesBody, OneSeriesBody, SeriesAnswer, SeriesBody};
 use super::dto::time;
-use super::export::{self, PIECE};
+use super::export::{self, PIECE, Size};
 use super::extract::Query;
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
@@ -84,7 +84,7 @@ pub(super) async fn get_series(
     {
         return Err(Problem::not_found("machine", machine.as_str()));
     }
-    let turn = state.exports.turn().await?;
+    let turn = state.exports.turn(asked.size()).await?;
     let (store, filter) = (&*state.store, &asked.filter);
     let cycles;
     let (answer, seen) = match asked.extent {
@@ -98,18 +98,17 @@ pub(super) async fn get_series(
             (Answer::Values(cycles.series(&asked.measures, asked.by)), cycles.count())
         }
     };
-    drop(turn);
     if seen == 0 {
         known(store, filter).await?;
     }
     if format == Format::Json && !asked.in_rows {
         let vary = [(header::VARY, HeaderValue::from_static("accept"))];
         let json = answer.json(asked.by).map_err(|error| Problem::internal(error.to_string()))?;
-        return Ok((vary, decimal::body(json)).into_response());
+        return Ok(export::held((vary, decimal::body(json)).into_response(), turn));
     }
     let (fields, rows) = answer.table(asked.by);
     let pieces: Vec<_> = rows.chunks(PIECE).map(|rows| Ok(rows.to_vec())).collect();
-    export::table(&state, format, "series", fields, stream::iter(pieces)).await
+    export::table(turn, format, "series", fields, stream::iter(pieces)).await
 }
 
 /// 404 where a tool or an operation is neither registered nor met in any cycle.
@@ -157,6 +156,18 @@ struct Asked {
 }
 
 impl Asked {
+    /// What the answer takes: of the whole fleet over time it may be all cycles there are.
+    fn size(&self) -> Size {
+        match self.extent {
+            Extent::Last(count) => Size::of(count as usize * self.measures.len()),
+            Extent::Buckets(_) => {
+                let filter = &self.filter;
+                let is_part = filter.machine.is_some() || filter.tool.is_some() || filter.operation.is_some();
+                if is_part { Size::Small } else { Size::Large }
+            }
+        }
+    }
+
     fn of(state: &AppState, query: &SeriesQuery) -> Result<Self, Problem> {
         let text = Option::as_deref;
         let mut filter = CycleFilter {
@@ -262,7 +273,7 @@ impl Answer<'_> {
                 fields.extend(["mean", "min", "max", "p50", "p95"].map(|name| Field::new(name, Kind::Float)));
                 for (key, values) in series {
                     for (at, spread) in values.buckets.iter().enumerate() {
-                        let mut row = vec![Cell::Time(buckets.begin(at).micros())];
+                        let mut row = vec![Cell::Time(time::as_shown(buckets.begin(at)).micros())];
                         row.extend(describe(key));
                         let count = spread.map_or(0, |spread| spread.count);
                         row.push(Cell::Whole(i64::try_from(count).unwrap_or(i64::MAX)));

@@ -1,7 +1,7 @@
 //! Summaries of cycles as a table: a line per cycle with all that it amounted to.
 
 use super::dto::time;
-use super::export;
+use super::export::{self, Size};
 use super::extract::Query;
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
@@ -74,6 +74,9 @@ pub(super) async fn get_summaries(
     {
         return Err(Problem::not_found("machine", machine.as_str()));
     }
+    // Page by page: only what is asked for by number is there at once.
+    let values = query.last.unwrap_or(PAGE) as usize * fields().len();
+    let turn = state.exports.turn(Size::of(values)).await?;
     let rows = |cycles: Vec<StoredCycle>| cycles.iter().map(row).collect::<Vec<Row>>();
     let pieces = match query.last {
         Some(last) if (1..=MAX_LAST).contains(&last) => {
@@ -103,7 +106,7 @@ pub(super) async fn get_summaries(
             .boxed()
         }
     };
-    export::table(&state, format, "summaries", fields(), pieces).await
+    export::table(turn, format, "summaries", fields(), pieces).await
 }
 
 const PEAKS: [(&str, &str); 5] = [
@@ -197,7 +200,8 @@ fn row(stored: &StoredCycle) -> Row {
         Cell::Float(summary.coverage),
         Cell::Whole(i64::from(summary.sample_count)),
         Cell::Truth(stored.has_samples),
-        Cell::from(flags.join(" ")),
+        // As other columns of text: what is empty is missing.
+        if flags.is_empty() { Cell::Missing } else { Cell::from(flags.join(" ")) },
     ]);
     row
 }

@@ -25,6 +25,9 @@ use tower::ServiceExt;
 
 /// Largest head of a request, and how much of a body is buffered by the connection.
 const BUFFER: usize = 64 * 1024;
+/// Bytes of answers that wait in the system to be sent, beyond what the client has room for.
+#[cfg(any(target_os = "linux", target_os = "android"))]
+const UNSENT: u32 = 64 * 1024;
 /// Waits so long after a failed accept: out of file descriptors is not cured by asking again at once.
 const AFTER_FAILED_ACCEPT: Duration = Duration::from_millis(100);
 
@@ -90,6 +93,10 @@ impl Acceptor {
     async fn serve(&self, stream: TcpStream, peer: SocketAddr, router: Router, tls: Option<TlsAcceptor>) {
         // Answers are small and wanted at once.
         let _ = stream.set_nodelay(true);
+        // The system asks for more as the client reads, and not when a third of some megabytes has gone: who reads slowly would
+        // be taken for one who does not read.
+        #[cfg(any(target_os = "linux", target_os = "android"))]
+        let _ = socket2::SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
         let Some(tls) = tls else { return self.serve_http(stream, peer, router).await };
         let patience = self.state.config.tls.handshake_timeout();
         // The handshake has its connection's permit already: silent ones are as bounded as silent requests.

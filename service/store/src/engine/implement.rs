@@ -41,6 +41,8 @@ use std::time::Duration;
 const TAKE_BACK_ATTEMPTS: u32 = 3;
 /// Machines that are read at a time.
 const MACHINES_PAGE: u32 = 100;
+/// Bytes of a block that is read on the thread of whoever asks: a millisecond or so. A larger one would hold up streams.
+const READ_AT_ONCE: usize = 32 << 10;
 /// Between two pages of cycles whose drops are named.
 const NAMES_PAUSE: Duration = Duration::from_millis(20);
 
@@ -204,7 +206,7 @@ impl Store for Engine {
             .bind(now.micros())
             .execute(&mut *conn)
             .await?;
-            Ok(())
+            dialect::may_write(conn).await
         })
     }
 
@@ -474,7 +476,16 @@ impl Store for Engine {
             Some(block) => block?,
             None => read!(self, |conn| cycles::block(conn, machine, id).await)?,
         };
-        block.map(|block| codec::decode_columns(&block, self.max_samples())).transpose()
+        let max_samples = self.max_samples();
+        match block {
+            Some(block) if block.len() > READ_AT_ONCE => {
+                tokio::task::spawn_blocking(move || codec::decode_columns(&block, max_samples))
+                    .await
+                    .map_err(|error| StoreError::Unavailable(error.into()))?
+                    .map(Some)
+            }
+            block => block.map(|block| codec::decode_columns(&block, max_samples)).transpose(),
+        }
     }
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {

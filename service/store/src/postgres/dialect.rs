@@ -7,7 +7,7 @@ pub(super) use assumed::{Assumption, MAY_ASSUME, assume, begin_assumed, undo, wr
 pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
 
 use super::{Conn, Writer};
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::StoreFault;
 use feedwright_core::units::Timestamp;
@@ -52,6 +52,20 @@ pub(super) async fn drop_partition(
     let done = !held.is_empty();
     let held = held.into_iter().filter_map(|(machine, cycles, bytes)| Some((machine?, cycles, bytes)));
     Ok(done.then(|| held.collect()))
+}
+
+/// What a probe of one row does not see: whether the role may still write what every cycle writes.
+pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
+    let not: Vec<String> = sqlx::query_scalar(
+        "SELECT name FROM unnest(ARRAY['cycles', 'cycle_samples', 'tool_wear', 'advices', 'recommendations']) AS t (name)
+         WHERE NOT (has_table_privilege(name, 'SELECT') AND has_table_privilege(name, 'INSERT'))",
+    )
+    .fetch_all(&mut *conn)
+    .await?;
+    if not.is_empty() {
+        return Ok(());
+    }
+    Err(StoreError::Unavailable(format!("the role may no longer write {}", not.join(", ")).into()))
 }
 
 /// Makes the partitions of the months ahead. Whoever reads samples, as a backup does for as long as it takes, is in the way of that, and

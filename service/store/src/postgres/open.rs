@@ -43,12 +43,15 @@ impl Default for PostgresOptions {
     }
 }
 
+const NOT_USABLE: &str = "the server is in recovery, read-only, or does not commit durably";
+
 impl PostgresStore {
     /// Connects to the database at `url`, refuses one that cannot be written durably, and migrates it under a lock.
     pub async fn open(url: &str, options: PostgresOptions) -> StoreResult<Self> {
         let direct: PgConnectOptions = options.direct.as_deref().unwrap_or(url).parse()?;
         let mut migrating = direct.clone().application_name("feedwright migrations").connect().await?;
         assert_durable(&mut migrating).await?;
+        assert_encoding(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
         MIGRATIONS.run(&mut migrating).await.map_err(StoreError::of_migration)?;
         migrating.close().await?;
@@ -83,7 +86,7 @@ impl PostgresStore {
                     if usable(conn).await? {
                         return Ok(());
                     }
-                    Err(sqlx::Error::Protocol("the server is in recovery or read-only".to_owned()))
+                    Err(sqlx::Error::Protocol(NOT_USABLE.to_owned()))
                 })
             })
             .connect_with(connect)
@@ -113,18 +116,34 @@ impl PostgresStore {
 /// the connection goes as well. Decisions are read from the primary alone, so a demoted server answers nothing.
 pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
     const ASK: &str = "SELECT now() = statement_timestamp() AS outside,
-                              NOT pg_is_in_recovery() AND current_setting('transaction_read_only') = 'off' AS writable";
+                              NOT pg_is_in_recovery() AND current_setting('transaction_read_only') = 'off' AS writable,
+                              current_setting('synchronous_commit') IN ('on', 'remote_apply')
+                                  AND current_setting('fsync') = 'on' AS durable";
     // One message: with several of them the time of the statement is that of the last and always later than `now()`,
     // and outside of a transaction a pooler hands each of them round to another server.
     let row = sqlx::raw_sql(ASK).fetch_one(&mut *conn).await?;
-    let (outside, writable): (bool, bool) = (row.try_get("outside")?, row.try_get("writable")?);
+    let outside: bool = row.try_get("outside")?;
+    let (writable, durable): (bool, bool) = (row.try_get("writable")?, row.try_get("durable")?);
     if !outside {
         tracing::error!("a connection came back inside an open transaction and is closed");
     }
     if !writable {
         tracing::warn!("a connection to a server that is in recovery or read-only is closed");
     }
-    Ok(outside && writable)
+    if !durable {
+        tracing::error!("a connection is closed: synchronous_commit or fsync was turned off on the server");
+    }
+    Ok(outside && writable && durable)
+}
+
+/// Names and reasons are in any language. SQL_ASCII keeps what it is given.
+async fn assert_encoding(conn: &mut Conn) -> StoreResult<()> {
+    let found: String = sqlx::query_scalar("SHOW server_encoding").fetch_one(&mut *conn).await?;
+    if matches!(found.as_str(), "UTF8" | "SQL_ASCII") {
+        return Ok(());
+    }
+    let detail = format!("needs a database in UTF8, this one is in {found}; nothing was changed");
+    Err(StoreError::NotWritable(detail.into()))
 }
 
 /// Acknowledging rests on these. A demoted server is refused here; one that is demoted later refuses each write.

@@ -35,6 +35,12 @@ pub(super) async fn drop_partition(
     Ok(None)
 }
 
+/// There are no rights of tables.
+#[expect(clippy::unused_async, reason = "the other engine asks for its rights")]
+pub(super) async fn may_write(_conn: &mut Conn) -> StoreResult<()> {
+    Ok(())
+}
+
 /// There are no partitions.
 #[expect(clippy::unused_async, reason = "the other engine has partitions")]
 pub(super) async fn make_room(_conn: &mut Conn, _now: Timestamp) -> StoreResult<()> {

@@ -14,6 +14,11 @@ fn in_range(at: Timestamp) -> jiff::Timestamp {
     jiff::Timestamp::from_microsecond(at.micros().max(FIRST_US)).unwrap_or(jiff::Timestamp::MAX)
 }
 
+/// The time that is shown for one: that itself, but for what was before the year 1, as the edge of a wide bucket may be.
+pub fn as_shown(at: Timestamp) -> Timestamp {
+    Timestamp::from_micros(in_range(at).as_microsecond())
+}
+
 thread_local! {
     // Nearly all times that are shown are of today.
     static SHOWER: RefCell<Shower> = RefCell::default();
@@ -274,5 +279,7 @@ mod tests {
         }
         assert_eq!(show(Timestamp::from_micros(i64::MIN)), "0001-01-01T00:00:00Z");
         assert_eq!(show_even(Timestamp::from_micros(FIRST_US - 1)), "0001-01-01T00:00:00.000000Z");
+        assert_eq!(as_shown(Timestamp::from_micros(FIRST_US - 1)).micros(), FIRST_US);
+        assert_eq!(as_shown(Timestamp::from_micros(-1)).micros(), -1);
     }
 }
