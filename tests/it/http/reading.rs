@@ -186,6 +186,16 @@ async fn what_cannot_be_read_says_why() {
         assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{query}");
         assert_eq!(answer.errors(), [(path.to_owned(), code.to_owned())], "{query}");
     }
+    post(
+        &app,
+        json!({"cycle_id": "s2", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:10:00Z",
+                      "samples": {"period_ms": 10, "spindle_load_percent": [4.1, 12.7]}}),
+    )
+    .await;
+    for asked in ["from_depth_mm", "to_depth_mm"] {
+        let answer = app.get(&format!("/v1/machines/M1/cycles/s2/samples?{asked}=1")).await;
+        assert_eq!(answer.errors(), [(asked.to_owned(), "channel_not_sampled".to_owned())]);
+    }
     for query in ["point=5", "points=many", "points=-1", "from_ms=soon"] {
         assert_eq!(app.get(&format!("{SAMPLES}?{query}")).await.code(), "invalid_query", "{query}");
     }

@@ -241,7 +241,8 @@ impl Wanted {
         let depth = samples.column(Channel::DepthMm);
         if self.depth_mm != (None, None) && depth.is_none() {
             let message = "the depth was not sampled in this cycle: choose a range of time";
-            return Err(Violation::new("from_depth_mm", "channel_not_sampled", message).into());
+            let path = if self.depth_mm.0.is_some() { "from_depth_mm" } else { "to_depth_mm" };
+            return Err(Violation::new(path, "channel_not_sampled", message).into());
         }
         let within = |(from, to): (Option<f64>, Option<f64>), value: f64| {
             from.is_none_or(|from| value >= from) && to.is_none_or(|to| value <= to)
