@@ -9,6 +9,8 @@ DECLARE
         SELECT 1 FROM sample_drops d WHERE d.machine_id = s.machine_id AND d.before_us >= $1) LIMIT 1)';
     part RECORD;
     kept BOOLEAN;
+    went BOOLEAN;
+    held_up TEXT;
     machines TEXT[];
     counts BIGINT[];
     sizes BIGINT[];
@@ -16,22 +18,36 @@ BEGIN
     FOR part IN SELECT * FROM cycle_samples_partitions() AS p WHERE p.to_us <= until_us ORDER BY p.from_us LOOP
         EXECUTE format(is_kept, part.name) INTO kept USING part.to_us;
         CONTINUE WHEN kept;
-        IF to_regclass('pg_catalog.pg_dist_partition') IS NOT NULL THEN
-            LOCK TABLE ONLY cycle_samples IN SHARE MODE;
-        END IF;
-        EXECUTE format('LOCK TABLE %I IN SHARE MODE', part.name);
-        -- Statements of their own: they see what was committed until the lock was there.
-        EXECUTE format(is_kept, part.name) INTO kept USING part.to_us;
-        CONTINUE WHEN kept;
-        EXECUTE format(
-            'SELECT array_agg(h.machine), array_agg(h.held), array_agg(h.size)
-             FROM (SELECT s.machine_id AS machine, count(*) AS held,
-                          coalesce(sum(length(s.block)), 0)::BIGINT AS size
-                   FROM %I AS s GROUP BY s.machine_id) AS h', part.name)
-            INTO machines, counts, sizes;
-        EXECUTE format('DROP TABLE %I', part.name);
+        went := FALSE;
+        -- What is undone gives its locks back: nobody is held up by a partition that stays, nor the next one by who reads this.
+        BEGIN
+            IF to_regclass('pg_catalog.pg_dist_partition') IS NOT NULL THEN
+                LOCK TABLE ONLY cycle_samples IN SHARE MODE;
+            END IF;
+            EXECUTE format('LOCK TABLE %I IN SHARE MODE', part.name);
+            -- Statements of their own: they see what was committed until the lock was there.
+            EXECUTE format(is_kept, part.name) INTO kept USING part.to_us;
+            IF kept THEN
+                RAISE EXCEPTION 'it is kept' USING ERRCODE = 'FW001';
+            END IF;
+            EXECUTE format(
+                'SELECT array_agg(h.machine), array_agg(h.held), array_agg(h.size)
+                 FROM (SELECT s.machine_id AS machine, count(*) AS held,
+                              coalesce(sum(length(s.block)), 0)::BIGINT AS size
+                       FROM %I AS s GROUP BY s.machine_id) AS h', part.name)
+                INTO machines, counts, sizes;
+            EXECUTE format('DROP TABLE %I', part.name);
+            went := TRUE;
+        EXCEPTION
+            WHEN SQLSTATE 'FW001' THEN NULL;
+            WHEN lock_not_available THEN held_up := part.name;
+        END;
+        CONTINUE WHEN NOT went;
         RETURN QUERY SELECT * FROM unnest(machines, counts, sizes);
         RETURN QUERY SELECT NULL::TEXT, 0::BIGINT, 0::BIGINT;
         RETURN;
     END LOOP;
+    IF held_up IS NOT NULL THEN
+        RAISE EXCEPTION '% is being read', held_up USING ERRCODE = 'lock_not_available';
+    END IF;
 END $$;

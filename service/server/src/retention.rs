@@ -2,7 +2,10 @@
 //! the months ahead are made. Summaries are kept for ever.
 
 use crate::state::AppState;
-use feedwright_store::{Dropped, StoreResult};
+use feedwright_store::{Dropped, StoreError, StoreResult};
+
+/// Steps of a run where whoever reads is in the way of dropping partitions.
+const STEPS_BESIDE_READERS: u32 = 200;
 
 /// Runs until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
@@ -28,21 +31,35 @@ pub async fn run(state: &AppState) -> StoreResult<()> {
     let config = state.config.retention;
     // A reader may be in the way of that for as long as it reads; it is no reason to keep what is to go.
     if let Err(error) = state.store.make_room(state.clock.now()).await {
-        tracing::warn!(%error, "partitions for the months ahead are made at the next run");
+        tracing::warn!(why = %why(&error), "partitions for the months ahead are made at the next run");
     }
     for decision in state.store.decide_drops(config.samples(), state.clock.now()).await? {
         let (machine, reason) = (&decision.machine, decision.reason.as_str());
         tracing::info!(%machine, reason, "samples are dropped");
         state.metrics.samples_dropping(decision.reason);
     }
-    // Nor of one of these, whose cycles then go one by one.
-    if let Err(error) = drop_partitions(state).await {
-        tracing::warn!(%error, "no partition is dropped whole until the next run");
+    // Nor of one of these, whose cycles then go one by one. As long as a backup reads what goes, finding what is next takes longer
+    // and longer: so many, and the rest at the next run.
+    let steps = match drop_partitions(state).await {
+        Ok(()) => u32::MAX,
+        Err(error) => {
+            tracing::warn!(why = %why(&error), "partitions are dropped whole at the next run");
+            STEPS_BESIDE_READERS
+        }
+    };
+    for _ in 0..steps {
+        if state.lifecycle.is_stopping()
+            || !goes_on(state, state.store.drop_some(config.step_cycles).await?).await
+        {
+            break;
+        }
     }
-    while !state.lifecycle.is_stopping()
-        && goes_on(state, state.store.drop_some(config.step_cycles).await?).await
-    {}
     Ok(())
+}
+
+/// What stands in the way, with its cause.
+fn why(error: &StoreError) -> String {
+    std::error::Error::source(error).map_or_else(|| error.to_string(), |cause| format!("{error}: {cause}"))
 }
 
 async fn drop_partitions(state: &AppState) -> StoreResult<()> {

@@ -135,7 +135,7 @@ impl PostgresStore {
         };
         match timeout(WORD, asked).await {
             Ok(Ok(true)) => Ok(()),
-            Ok(Ok(false)) => Err(StoreError::Unavailable("the server is in recovery or read-only".into())),
+            Ok(Ok(false)) => Err(StoreError::Unavailable(open::NOT_USABLE.into())),
             // It has no connection left, and says so (SQLSTATE class 53).
             Ok(Err(sqlx::Error::Database(error)))
                 if error.code().is_some_and(|code| code.starts_with("53")) =>

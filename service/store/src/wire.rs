@@ -5,7 +5,7 @@
 
 mod read;
 
-pub use read::{Post, PostedSamples, WireError, frames, read};
+pub use read::{Post, PostedSamples, WireError, cycle_id_of, frames, read};
 
 use crate::codec::canonical_column;
 use feedwright_core::cycle::{Cycle, Outcome, TimeBase};

@@ -129,6 +129,33 @@ impl Drop for Served {
     }
 }
 
+/// A token that nobody gets to know would be the only one for ever.
+#[test]
+fn a_first_start_whose_token_has_no_place_does_not_begin() {
+    let dir = TempDir::new().unwrap();
+    let file = dir.path().join("first-token");
+    let serve = || feedwright(&dir, &["serve", "--first-token-file", file.to_str().unwrap()]);
+    std::fs::write(&file, "of before").unwrap();
+    for _ in 0..2 {
+        let refused = serve().output().unwrap();
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(!refused.status.success() && said.contains("first-token is there already"), "{said}");
+    }
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "of before");
+    std::fs::remove_file(&file).unwrap();
+    let served = Served::run(serve(), "token is in this file");
+    let token = std::fs::read_to_string(&file).unwrap();
+    assert!(token.starts_with("fwt_") && token.ends_with('\n'), "{token}");
+    assert!(served.terminate().1);
+    // From then on it is of no concern.
+    let served = Served::run(serve(), "listening");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), token);
+    assert!(served.terminate().1);
+    let left: Vec<_> =
+        std::fs::read_dir(dir.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left.len(), 2, "{left:?}");
+}
+
 pub(crate) fn first_token(log: &str) -> String {
     let lines: Vec<_> = log.lines().filter(|line| line.contains("fwt_")).collect();
     assert_eq!(lines.len(), 1, "shown once: {log}");

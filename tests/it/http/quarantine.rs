@@ -84,6 +84,10 @@ async fn a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays() {
         1,
         "it stays, once"
     );
+    // What stays in quarantine was not refused and left to its sender.
+    let metrics = String::from_utf8(app.get("/metrics").await.body).unwrap();
+    let lost = metrics.lines().filter(|line| line.starts_with("feedwright_cycles_rejected_total{"));
+    assert!(lost.clone().count() > 5 && lost.clone().all(|line| line.ends_with("} 0")), "{metrics}");
 
     let repaired = json!({"action": "reingest", "reason": "unit was text", "body": cycle(json!(5000.0))});
     let settled = settle(&app, "q1", repaired).await;

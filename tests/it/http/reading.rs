@@ -461,7 +461,8 @@ async fn small_answers_do_not_wait_for_large_ones_and_those_are_few_until_they_a
     let load: Vec<f64> = (0..100_000).map(|k| f64::from(k % 1000) / 10.0).collect();
     let body = json!({
         "cycle_id": "large", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:30:00Z",
-        "samples": {"period_ms": 1, "spindle_load_percent": load},
+        "samples": {"period_ms": 1, "spindle_load_percent": load, "feed_drive_load_percent": load,
+                    "thrust_newtons": load},
     });
     post(&app, body).await;
     let large = async |accept| {

@@ -1,12 +1,16 @@
 //! What only real sockets show: silence, halves, stalls, bounds, and the end.
 
 use super::app::{NOW, config, machine};
+use super::listening::Listening;
 use feedwright_core::units::Timestamp;
 use feedwright_server::clock::Clock;
 use feedwright_server::database::{self, Database};
 use feedwright_server::server::{RunningServer, Server};
+use feedwright_store::{SqliteOptions, SqliteStore};
 use secrecy::ExposeSecret;
+use serde_json::json;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -157,6 +161,52 @@ async fn a_client_that_reads_slowly_gets_its_answers_whole() {
         read += came;
     }
     running.server.shutdown().await.unwrap();
+}
+
+/// The right to hold a large answer ends when it is read, and not when the connection has taken it over.
+#[tokio::test]
+async fn large_answers_are_few_until_their_clients_have_read_them() {
+    let dir = TempDir::new().unwrap();
+    let store = SqliteStore::open(&dir.path().join("shop.sqlite3"), SqliteOptions::default()).await.unwrap();
+    let Listening { server, address, client, admin, dir: _dir } = Listening::before(Arc::new(store)).await;
+    let load: Vec<f64> = (0..150_000).map(|k| f64::from(k % 1000) / 10.0).collect();
+    let cycle = json!({
+        "cycle_id": "large", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:30:00Z",
+        "samples": {"period_ms": 1, "spindle_load_percent": load, "feed_drive_load_percent": load},
+    });
+    let posted = client.post(format!("{address}/v1/machines/M1/cycles")).bearer_auth(&admin).json(&cycle);
+    assert_eq!(posted.send().await.unwrap().status().as_u16(), 201);
+    let free = || std::iter::from_fn(|| server.state().exports.at_once()).collect::<Vec<_>>().len();
+    let most = free();
+    for accept in ["application/json", "text/csv"] {
+        let ask = format!(
+            "GET /v1/machines/M1/cycles/large/samples HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\
+             accept: {accept}\r\nauthorization: Bearer {admin}\r\n\r\n"
+        );
+        let mut clients = Vec::new();
+        for _ in 0..3 {
+            let mut client = TcpStream::connect(server.local_addr).await.unwrap();
+            client.write_all(ask.as_bytes()).await.unwrap();
+            // Its head is there, so the answer is made and under way.
+            let mut head = [0; 64];
+            client.read_exact(&mut head).await.unwrap();
+            assert!(head.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&head));
+            clients.push(client);
+        }
+        assert_eq!(free(), most - clients.len(), "{accept}");
+        for mut client in clients {
+            let mut answer = Vec::new();
+            client.read_to_end(&mut answer).await.unwrap();
+            assert!(answer.len() > 1_000_000, "{accept}: {}", answer.len());
+        }
+        // The connection ends a moment after its last byte was read.
+        let begun = Instant::now();
+        while free() < most {
+            assert!(begun.elapsed() < LONG, "{accept}: it is kept for ever");
+            tokio::time::sleep(SHORT / 40).await;
+        }
+    }
+    server.shutdown().await.unwrap();
 }
 
 #[tokio::test]

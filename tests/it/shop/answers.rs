@@ -247,4 +247,15 @@ async fn prometheus_sees_what_happened() {
     shop.cycle("M1", &reported(61, 1000.0)).await;
     let text = shop.get("/metrics").await.text;
     assert!(!text.contains("feedwright_tool_wear_level_ratio{"), "{text}");
+    // Nor does it come back with a cycle of the old one that comes late.
+    assert_eq!(shop.cycle("M1", &reported(8, 1000.0)).await.status, 201);
+    let text = shop.get("/metrics").await.text;
+    assert!(!text.contains("feedwright_tool_wear_level_ratio{"), "{text}");
+    // A first torn frame is an increase of what stood at 0.
+    for reason in ["malformed_cycle", "malformed_encoding"] {
+        assert!(
+            text.contains(&format!("feedwright_cycles_rejected_total{{reason=\"{reason}\"}} 0")),
+            "{text}"
+        );
+    }
 }

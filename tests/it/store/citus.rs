@@ -114,7 +114,8 @@ fn later_migrations_change_what_is_distributed() {
             .filter(|one| one.contains("ALTER TABLE") && one.contains("ADD CONSTRAINT"))
             .collect();
         seen += changes.len();
-        if path.file_name().unwrap().to_string_lossy().as_ref() > "0021" {
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if name[..4].parse::<u32>().unwrap() > 20 {
             for change in changes {
                 let steps = ["ADD ", "DROP ", "ALTER COLUMN "].map(|word| change.matches(word).count());
                 assert_eq!(steps, [1, 0, 0], "{}: {change}", path.display());

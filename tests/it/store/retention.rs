@@ -637,7 +637,7 @@ async fn whoever_reads_samples_is_not_waited_for() {
     given.done().await;
 }
 
-/// Whoever reads a partition is in the way of dropping it, and not of what it held going cycle by cycle.
+/// Whoever reads a partition is in the way of dropping it, and neither of the next one nor of what it held going cycle by cycle.
 #[tokio::test]
 async fn postgres_deletes_from_a_partition_that_is_read() {
     let Some(given) = Given::postgres().await else {
@@ -647,11 +647,15 @@ async fn postgres_deletes_from_a_partition_that_is_read() {
     let mut other = PgConnection::connect(&given.address()).await.unwrap();
     let mut reading = other.begin().await.unwrap();
     sqlx::query("SELECT count(*) FROM cycle_samples_202601").execute(&mut *reading).await.unwrap();
+    // February and March, which nobody reads, go all the same.
+    for _ in 0..2 {
+        assert_eq!(store.drop_partition(at(125 * DAY)).await.unwrap().cycles, 1);
+    }
     let refused = store.drop_partition(at(125 * DAY)).await;
     assert!(matches!(refused, Err(StoreError::Unavailable(_))), "{refused:?}");
-    assert_eq!((store.drop_some(10).await.unwrap().cycles, counts(&*store).await), (3, 3));
+    assert_eq!((store.drop_some(10).await.unwrap().cycles, counts(&*store).await), (1, 3));
     reading.commit().await.unwrap();
-    assert_eq!(run(&*store, days(30), 125 * DAY).await, (0, Dropped::default()), "they are empty");
+    assert_eq!(run(&*store, days(30), 125 * DAY).await, (0, Dropped::default()), "it is empty");
     let gone = given.raw("SELECT 1 FROM cycle_samples_202601").await;
     assert!(gone.is_err(), "{gone:?}");
     other.close().await.unwrap();

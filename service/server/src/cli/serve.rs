@@ -8,8 +8,9 @@ use crate::server::{RunningServer, Server};
 use crate::telemetry::Telemetry;
 use anyhow::{Context, bail};
 use clap::Args;
+use feedwright_store::{Page, Store};
 use secrecy::{ExposeSecret, SecretString};
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
@@ -50,11 +51,15 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut hangup = signal(SignalKind::hangup())?;
     let Database { store, mut lock } = database::open(&config).await?;
+    let first = match first_token_file {
+        Some(file) => FirstTokenFile::made(&*store, file).await?,
+        None => None,
+    };
     let server = Server::start(config, store, Clock::system()).await?;
     if let Some(lock) = &mut lock {
         lock.publish(&server.local_addr.to_string()).context("cannot write the lock file")?;
     }
-    greet(&server, first_token_file)?;
+    greet(&server, first);
     let failed = loop {
         tokio::select! {
             _ = terminate.recv() => break None,
@@ -71,28 +76,68 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
 }
 
 /// Says where it listens; and the first token, to a person or into a file, past the log.
-fn greet(server: &RunningServer, first_token_file: Option<&Path>) -> anyhow::Result<()> {
+fn greet(server: &RunningServer, first: Option<FirstTokenFile>) {
     tracing::info!(address = %server.local_addr, "listening");
     if let Some(address) = server.metrics_addr {
         tracing::info!(%address, "metrics");
     }
-    let Some(token) = &server.first_admin_token else { return Ok(()) };
-    if let Some(file) = first_token_file {
-        leave(token, file).with_context(|| format!("cannot write {}", file.display()))?;
-        tracing::warn!(file = %file.display(), "this is the first start: the admin's token is in this file");
-        return Ok(());
+    let Some(token) = &server.first_admin_token else { return };
+    if let Some(first) = first {
+        let path = first.path.clone();
+        match first.hold(token) {
+            Ok(()) => {
+                tracing::warn!(file = %path.display(), "this is the first start: the admin's token is in this file");
+                return;
+            }
+            // It is the only one.
+            Err(error) => tracing::error!(%error, file = %path.display(), "cannot write the first token"),
+        }
     }
     eprintln!(
         "\nThis is the first start. The admin's token, shown now and never again:\n\n    {}\n\n\
          Keep it safe; make others with `feedwright token create`.\n",
         token.expose_secret()
     );
-    Ok(())
 }
 
-/// Writes a token into a file of its owner's.
-fn leave(token: &SecretString, file: &Path) -> std::io::Result<()> {
-    let mut made = OpenOptions::new().write(true).create_new(true).mode(0o600).open(file)?;
-    writeln!(made, "{}", token.expose_secret())?;
-    made.sync_all()
+/// The file of its owner's that the first token goes into, made before there is one: a token that nobody gets to know would be
+/// the only one for ever. It has its name once the token is in it, and goes where none came.
+struct FirstTokenFile {
+    path: PathBuf,
+    making: PathBuf,
+    file: File,
+}
+
+impl FirstTokenFile {
+    /// `None` where the store has tokens already.
+    async fn made(store: &dyn Store, path: &Path) -> anyhow::Result<Option<Self>> {
+        if !store.tokens(Page { after: None, limit: 1 }).await?.is_empty() {
+            return Ok(None);
+        }
+        if path.symlink_metadata().is_ok() {
+            bail!("{} is there already, and is to hold the first token: move it away", path.display());
+        }
+        let mut making = path.as_os_str().to_owned();
+        making.push(".new");
+        let making = PathBuf::from(making);
+        let file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&making);
+        let file = file.with_context(|| format!("cannot make {} for the first token", making.display()))?;
+        Ok(Some(Self { path: path.to_owned(), making, file }))
+    }
+
+    fn hold(mut self, token: &SecretString) -> std::io::Result<()> {
+        writeln!(self.file, "{}", token.expose_secret())?;
+        self.file.sync_all()?;
+        std::fs::rename(&self.making, &self.path)
+    }
+}
+
+impl Drop for FirstTokenFile {
+    fn drop(&mut self) {
+        if let Err(error) = std::fs::remove_file(&self.making)
+            && error.kind() != std::io::ErrorKind::NotFound
+        {
+            tracing::warn!(%error, file = %self.making.display(), "a file is left");
+        }
+    }
 }

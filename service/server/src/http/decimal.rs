@@ -3,7 +3,6 @@
 //! A shortest form of a double is searched for digit by digit; that of a decimal of few digits is the decimal itself.
 //! The text is that of `serde_json` to the byte.
 
-use super::problem::Problem;
 use axum::response::{IntoResponse, Response};
 use http::{HeaderValue, header};
 use serde::{Serialize, Serializer as _};
@@ -31,11 +30,6 @@ pub(super) fn json(body: &impl Serialize, values: usize) -> Result<Vec<u8>> {
 /// Appends an array of measured values.
 pub(super) fn write(out: &mut Vec<u8>, values: impl Iterator<Item = f64>) -> Result<()> {
     Ok(Serializer::with_formatter(out, Decimals::default()).collect_seq(values)?)
-}
-
-/// The answer with that body.
-pub(super) fn answer(body: &impl Serialize, values: usize) -> std::result::Result<Response, Problem> {
-    json(body, values).map(self::body).map_err(|error| Problem::internal(error.to_string()))
 }
 
 /// The answer with that JSON.

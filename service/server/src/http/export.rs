@@ -10,7 +10,7 @@ use http::{HeaderValue, header};
 use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
@@ -49,9 +49,9 @@ pub struct Turn {
 /// What an answer takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Size {
-    /// At most 2 MiB.
+    /// Some 2 MiB.
     Small,
-    /// As much as the largest cycle.
+    /// As much as the largest cycle, or as all cycles of the fleet amount to.
     Large,
 }
 
@@ -68,6 +68,12 @@ impl Exports {
         self.large.clone().try_acquire_owned().ok().map(|permit| Turn { _permit: permit })
     }
 
+    /// A turn for what turned out to be of that size: who holds little does not keep others from holding much.
+    pub fn suited(&self, turn: Turn, size: Size) -> Turn {
+        let small = (size == Size::Small).then(|| self.small.clone().try_acquire_owned().ok()).flatten();
+        small.map_or(turn, |permit| Turn { _permit: permit })
+    }
+
     /// A turn; 503 where too many others have one for too long.
     pub async fn turn(&self, size: Size) -> Result<Turn, Problem> {
         let (turns, most) = match size {
@@ -82,16 +88,23 @@ impl Exports {
     }
 }
 
+/// Bytes of a long text that are handed over to be sent at a time.
+const SLICE: usize = 64 << 10;
+
 /// An answer that keeps its turn until it is read, where it is long.
 pub fn held(response: Response, turn: Turn) -> Response {
     if response.body().size_hint().exact().is_some_and(|bytes| bytes <= MOST_SMALL_BYTES) {
         return response;
     }
-    response.map(|body| Body::new(Held { body, _turn: turn }))
+    response.map(|body| Body::new(Held { body, rest: Bytes::new(), _turn: turn }))
 }
 
+/// A body in slices: a connection takes one when it has sent those before, and would else take the whole text, and leave what
+/// goes along with it.
 struct Held {
     body: Body,
+    /// What was taken of the body, and is not sent yet.
+    rest: Bytes,
     _turn: Turn,
 }
 
@@ -103,15 +116,28 @@ impl HttpBody for Held {
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
-        Pin::new(&mut self.body).poll_frame(cx)
+        if self.rest.is_empty() {
+            match ready!(Pin::new(&mut self.body).poll_frame(cx)).transpose()?.map(Frame::into_data) {
+                None => return Poll::Ready(None),
+                Some(Err(other)) => return Poll::Ready(Some(Ok(other))),
+                Some(Ok(data)) => self.rest = data,
+            }
+        }
+        let most = self.rest.len().min(SLICE);
+        Poll::Ready(Some(Ok(Frame::data(self.rest.split_to(most)))))
     }
 
     fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
+        self.rest.is_empty() && self.body.is_end_stream()
     }
 
     fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
+        let (mut hint, rest) = (self.body.size_hint(), self.rest.len() as u64);
+        if let Some(upper) = hint.upper() {
+            hint.set_upper(upper + rest);
+        }
+        hint.set_lower(hint.lower() + rest);
+        hint
     }
 }
 

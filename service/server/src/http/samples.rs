@@ -81,7 +81,9 @@ pub(super) async fn get_samples(
         };
         let values = columns.len * columns.channels.len();
         let writing = move || columns::json(columns).map_err(|error| Problem::internal(error.to_string()));
-        let json = if Size::of(values) == Size::Small {
+        let size = Size::of(values);
+        let turn = state.exports.suited(turn, size);
+        let json = if size == Size::Small {
             writing()?
         } else {
             // Streams would wait for as long as it takes.
@@ -100,9 +102,14 @@ pub(super) async fn get_samples(
     let selected = tokio::task::spawn_blocking(selecting).await;
     let (samples, selected, wanted) = selected.map_err(|error| Problem::internal(error.to_string()))??;
     if format == Format::Json && !wanted.in_rows {
-        let body = selected.body(&samples);
-        let answer = (VARIES, decimal::answer(&body, body.values())?).into_response();
-        return Ok(export::held(answer, turn));
+        let writing = move || {
+            let body = selected.body(&samples);
+            decimal::json(&body, body.values())
+        };
+        let written = tokio::task::spawn_blocking(writing).await;
+        let json = written.map_err(|error| Problem::internal(error.to_string()))?;
+        let json = json.map_err(|error| Problem::internal(error.to_string()))?;
+        return Ok(export::held((VARIES, decimal::body(json)).into_response(), turn));
     }
     let name = format!("{machine}-{id}");
     let fields = selected.fields();

@@ -24,6 +24,8 @@ use utoipa::IntoParams;
 
 /// What a bucket takes in JSON, in numbers.
 const VALUES_OF_BUCKET: usize = 16;
+/// Cells of a row of a value and what it is of.
+const CELLS_OF_ROW: usize = 9;
 
 /// Which series.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -107,7 +109,11 @@ pub(super) async fn get_series(
         return Ok(export::held((vary, decimal::body(json)).into_response(), turn));
     }
     let (fields, rows) = answer.table(asked.by);
-    let pieces: Vec<_> = rows.chunks(PIECE).map(|rows| Ok(rows.to_vec())).collect();
+    let mut rows = rows.into_iter();
+    let pieces = std::iter::from_fn(move || {
+        let piece: Vec<Row> = rows.by_ref().take(PIECE).collect();
+        (!piece.is_empty()).then_some(Ok(piece))
+    });
     export::table(turn, format, "series", fields, stream::iter(pieces)).await
 }
 
@@ -159,11 +165,16 @@ impl Asked {
     /// What the answer takes: of the whole fleet over time it may be all cycles there are.
     fn size(&self) -> Size {
         match self.extent {
-            Extent::Last(count) => Size::of(count as usize * self.measures.len()),
-            Extent::Buckets(_) => {
+            Extent::Last(count) => Size::of(count as usize * self.measures.len() * CELLS_OF_ROW),
+            // A tool's life is thousands of cycles; all others may be as many as are read at all.
+            Extent::Buckets(width_us) => {
                 let filter = &self.filter;
-                let is_part = filter.machine.is_some() || filter.tool.is_some() || filter.operation.is_some();
-                if is_part { Size::Small } else { Size::Large }
+                let is_one = filter.tool.is_some() && matches!(self.by, GroupBy::Tool | GroupBy::Fleet);
+                let range = filter.from.zip(filter.to);
+                let buckets = range.and_then(|(from, to)| Buckets::new(from, to, width_us));
+                let buckets = buckets.map_or(0, |buckets| buckets.count());
+                let values = buckets.saturating_mul(self.measures.len() * VALUES_OF_BUCKET);
+                if is_one { Size::of(values) } else { Size::Large }
             }
         }
     }

@@ -74,20 +74,20 @@ pub(super) async fn get_summaries(
     {
         return Err(Problem::not_found("machine", machine.as_str()));
     }
+    if let Some(last) = query.last.filter(|last| !(1..=MAX_LAST).contains(last)) {
+        let message = format!("must be within 1 to {MAX_LAST}, is {last}");
+        return Err(Violation::new("last", "out_of_range", message).into());
+    }
     // Page by page: only what is asked for by number is there at once.
     let values = query.last.unwrap_or(PAGE) as usize * fields().len();
     let turn = state.exports.turn(Size::of(values)).await?;
     let rows = |cycles: Vec<StoredCycle>| cycles.iter().map(row).collect::<Vec<Row>>();
     let pieces = match query.last {
-        Some(last) if (1..=MAX_LAST).contains(&last) => {
+        Some(last) => {
             let cycles = state.store.last_cycles(&filter, last).await?;
             let pieces: Vec<_> =
                 cycles.chunks(PAGE as usize).map(|cycles| Ok(rows(cycles.to_vec()))).collect();
             stream::iter(pieces).boxed()
-        }
-        Some(last) => {
-            let message = format!("must be within 1 to {MAX_LAST}, is {last}");
-            return Err(Violation::new("last", "out_of_range", message).into());
         }
         None => {
             let store = state.store.clone();

@@ -220,7 +220,7 @@ pub fn cycle_id_of(body: &[u8]) -> Option<String> {
 
 fn any_cycle_id_of(body: &[u8]) -> Option<String> {
     if is_frame(body) {
-        return wire::read(body, usize::MAX).ok().map(|post| post.cycle_id);
+        return wire::cycle_id_of(body);
     }
     #[derive(Deserialize)]
     struct OnlyId {

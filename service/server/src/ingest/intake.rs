@@ -122,6 +122,8 @@ impl Told {
                 self.metrics.cycle_quarantined(machine, problem.code);
                 return;
             }
+            // What is asked to be taken out again and is not is still in quarantine.
+            Err(_) if refused == Refused::StaysInQuarantine => return,
             Err(problem) => {
                 self.metrics.cycle_rejected(problem.code);
                 return;
@@ -143,7 +145,7 @@ impl Told {
             let process = cycle.process.or(answer.recommendation.recommendation.process);
             self.metrics.cycle_energy(process, energy.total_joules);
         }
-        self.metrics.verdict(machine, &answer.verdict);
+        self.metrics.verdict(machine, cycle.started_at, &answer.verdict);
     }
 }
 
@@ -365,10 +367,17 @@ impl CycleIntake {
         }
         // No body says so, and whoever takes it out again has to know.
         let problem = if cut_short { problem.member(CUT_SHORT, true) } else { problem };
+        // A body that is refused may be as long as any: others would wait for it to be looked through.
+        let looked = Bytes::clone(&json);
+        let looked = tokio::task::spawn_blocking(move || body::cycle_id_of(&looked)).await;
+        let cycle = match looked {
+            Ok(cycle) => cycle,
+            Err(error) => return Problem::internal(format!("reading a cycle's id failed: {error}")),
+        };
         let entry = QuarantineEntry {
             id: uuid::Uuid::now_v7().to_string(),
             machine: machine.clone(),
-            cycle: body::cycle_id_of(&json),
+            cycle,
             received_at: self.clock.now(),
             code: problem.errors.first().map_or(problem.code, |error| error.code).to_owned(),
             problem: problem.document(None),

@@ -33,6 +33,8 @@ struct Known {
     neutral: Option<(Timestamp, &'static str)>,
     /// Its cycles, by [`CycleOutcome`].
     cycles: [IntCounter; CycleOutcome::ALL.len()],
+    /// When the newest of them began: its tool's wear is shown.
+    newest: Option<Timestamp>,
     wear_level: Option<Gauge>,
     remaining_cycles: Option<Gauge>,
 }
@@ -109,7 +111,7 @@ impl MachineMetrics {
             }
             let cycles = CycleOutcome::ALL
                 .map(|outcome| self.cycles.with_label_values(&[machine.as_str(), outcome.as_str()]));
-            let new = Known { neutral: None, cycles, wear_level: None, remaining_cycles: None };
+            let new = Known { neutral: None, cycles, newest: None, wear_level: None, remaining_cycles: None };
             known.insert(machine.clone(), new);
         }
         known.get_mut(machine).map(run)
@@ -119,8 +121,13 @@ impl MachineMetrics {
         self.labelled(machine, |known| known.cycles[outcome as usize].inc());
     }
 
-    pub(super) fn verdict(&self, machine: &MachineId, verdict: &Verdict) {
+    pub(super) fn verdict(&self, machine: &MachineId, started_at: Timestamp, verdict: &Verdict) {
         self.labelled(machine, |known| {
+            // A cycle that comes late may be of another tool than the one that ran last.
+            if known.newest.is_some_and(|newest| started_at < newest) {
+                return;
+            }
+            known.newest = Some(started_at);
             // A tool that is being learnt has no level: that of the one before it must not stay.
             let level = verdict.level.map(|level| level.value);
             set_kept(&self.wear_level, &mut known.wear_level, machine, level);

@@ -54,11 +54,19 @@ pub(super) async fn drop_partition(
     Ok(done.then(|| held.collect()))
 }
 
-/// What a probe of one row does not see: whether the role may still write what every cycle writes.
+/// What a probe of one row does not see: whether the role may still write what cycles write.
 pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
     let not: Vec<String> = sqlx::query_scalar(
-        "SELECT name FROM unnest(ARRAY['cycles', 'cycle_samples', 'tool_wear', 'advices', 'recommendations']) AS t (name)
-         WHERE NOT (has_table_privilege(name, 'SELECT') AND has_table_privilege(name, 'INSERT'))",
+        "SELECT DISTINCT name FROM (VALUES
+             ('cycles', 'SELECT'), ('cycles', 'INSERT'), ('cycle_samples', 'SELECT'), ('cycle_samples', 'INSERT'),
+             ('cycle_cuts', 'SELECT'), ('cycle_cuts', 'INSERT'), ('cycle_overrides', 'INSERT'), ('cycle_overrides', 'UPDATE'),
+             ('tool_wear', 'SELECT'), ('tool_wear', 'INSERT'), ('tool_wear', 'UPDATE'),
+             ('tool_wear_checkpoints', 'SELECT'), ('tool_wear_checkpoints', 'INSERT'),
+             ('tool_wear_checkpoints', 'UPDATE'), ('tool_wear_checkpoints', 'DELETE'),
+             ('advices', 'SELECT'), ('advices', 'INSERT'), ('recommendations', 'SELECT'), ('recommendations', 'INSERT'),
+             ('machine_contacts', 'INSERT'), ('machine_contacts', 'UPDATE'), ('alarms', 'SELECT'), ('alarms', 'INSERT'),
+             ('alarms', 'UPDATE'), ('quarantine', 'SELECT'), ('quarantine', 'INSERT'), ('quarantine', 'UPDATE')) AS t (name, needed)
+         WHERE NOT has_table_privilege(name, needed)",
     )
     .fetch_all(&mut *conn)
     .await?;

@@ -43,7 +43,7 @@ impl Default for PostgresOptions {
     }
 }
 
-const NOT_USABLE: &str = "the server is in recovery, read-only, or does not commit durably";
+pub(super) const NOT_USABLE: &str = "the server is in recovery, read-only, or does not commit durably";
 
 impl PostgresStore {
     /// Connects to the database at `url`, refuses one that cannot be written durably, and migrates it under a lock.
@@ -80,7 +80,7 @@ impl PostgresStore {
                     async move { tokio::time::timeout(asked_for, usable(conn)).await.unwrap_or(Ok(false)) },
                 )
             })
-            // A server that was demoted, or is not promoted yet, is asked again until patience ends.
+            // A server that was demoted, is not promoted yet, or does not keep what is committed, is asked again until patience ends.
             .after_connect(|conn, _| {
                 Box::pin(async move {
                     if usable(conn).await? {
@@ -104,12 +104,13 @@ impl PostgresStore {
         };
         let mut transaction = inner.begin().await?;
         assert_durable(&mut transaction).await?;
+        assert_owner(&mut transaction).await?;
         transaction.rollback().await?;
         Ok(Self { inner: Arc::new(inner) })
     }
 }
 
-/// Whether a connection is good for work: outside of any transaction, on a server that takes writes.
+/// Whether a connection is good for work: outside of any transaction, on a server that takes writes and keeps them.
 ///
 /// sqlx 0.9.0 may return a connection inside a transaction, whose begin was dropped half-way (sqlx issues 4385 and
 /// 4393). Inside a transaction `now()` is the time of its begin; inside a failed one the question itself fails, and
@@ -134,6 +135,19 @@ pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
         tracing::error!("a connection is closed: synchronous_commit or fsync was turned off on the server");
     }
     Ok(outside && writable && durable)
+}
+
+/// Partitions are made and dropped by who owns their table: a role that may only write would have none after a year.
+async fn assert_owner(conn: &mut Conn) -> StoreResult<()> {
+    const ASK: &str =
+        "SELECT pg_has_role(relowner, 'USAGE'), current_user::TEXT, relowner::REGROLE::TEXT FROM pg_class
+                       WHERE oid = 'cycle_samples'::REGCLASS";
+    let (owns, role, owner): (bool, String, String) = sqlx::query_as(ASK).fetch_one(&mut *conn).await?;
+    if owns {
+        return Ok(());
+    }
+    let detail = format!("the role {role} has to own the tables, which are those of {owner}");
+    Err(StoreError::NotWritable(detail.into()))
 }
 
 /// Names and reasons are in any language. SQL_ASCII keeps what it is given.

@@ -95,6 +95,20 @@ fn length_of(bytes: &[u8]) -> Option<usize> {
 
 /// Reads one frame. More than `max_samples` samples are refused before room is made for them.
 pub fn read(frame: &[u8], max_samples: usize) -> Read<Post> {
+    let mut input = Input(whole(frame)?);
+    let post = input.post(max_samples)?;
+    if input.0.is_empty() { Ok(post) } else { malformed("there is more after its last field") }
+}
+
+/// The cycle id of a whole frame, whatever else is in it: no room is made for its samples.
+pub fn cycle_id_of(frame: &[u8]) -> Option<String> {
+    let body = whole(frame).ok()?;
+    // After the fields that are set.
+    Input(body.get(size_of::<u32>()..)?).text().ok()
+}
+
+/// What stands between the head of a frame and its checksum.
+fn whole(frame: &[u8]) -> Read<&[u8]> {
     if !frame.starts_with(&MAGIC[..3]) {
         return malformed("it does not begin with FWC");
     }
@@ -111,9 +125,7 @@ pub fn read(frame: &[u8], max_samples: usize) -> Read<Post> {
     if crc32fast::hash(body).to_le_bytes() != sum {
         return malformed("its checksum differs");
     }
-    let mut input = Input(&body[HEAD..]);
-    let post = input.post(max_samples)?;
-    if input.0.is_empty() { Ok(post) } else { malformed("there is more after its last field") }
+    Ok(&body[HEAD..])
 }
 
 /// Integers that are made decimals at once.

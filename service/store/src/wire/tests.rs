@@ -123,6 +123,19 @@ fn frame_of(differences: &[i64], places: u8) -> Vec<u8> {
     sealed(frame)
 }
 
+#[test]
+fn an_id_is_found_without_reading_the_rest() {
+    let frame = frame_of(&[1, 2, 3], 3);
+    assert!(matches!(read(&frame, 2), Err(WireError::TooManySamples(_))), "{:?}", read(&frame, 2));
+    assert_eq!(cycle_id_of(&frame).as_deref(), Some("c1"));
+    assert_eq!(cycle_id_of(GOLDEN), read(GOLDEN, 10).ok().map(|post| post.cycle_id));
+    let mut torn = frame.clone();
+    torn[HEAD + 6] ^= 1;
+    for not in [&torn, &frame[..frame.len() - 1], b"FWC", b""] {
+        assert_eq!(cycle_id_of(not), None);
+    }
+}
+
 fn differences() -> impl Strategy<Value = Vec<i64>> {
     let short = || prop::collection::vec(-64_i64..64, 0..40);
     let any = prop_oneof![-300_i64..300, -(1_i64 << 53)..=1 << 53, any::<i64>()];
