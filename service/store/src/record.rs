@@ -790,9 +790,11 @@ pub struct StoreFault {
 
 impl StoreFault {
     /// Whether a fault of the tables may have wear folded of something else than was taken in: it may leave cycles out of what
-    /// is read, or show them elsewhere, as an index does that is wrong, or it is in what a fold rests on besides.
+    /// is read, or show them elsewhere, as an index does that is wrong, or it is in what a fold rests on besides, or what is left of
+    /// a cycle says that there was one.
     pub fn may_mislead_wear(&self) -> bool {
-        self.kind == "file" || (self.kind == "table" && FOLDED.contains(&self.key.as_str()))
+        matches!(self.kind, "file" | "samples" | "cut")
+            || (self.kind == "table" && FOLDED.contains(&self.key.as_str()))
     }
 }
 

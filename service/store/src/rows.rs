@@ -17,7 +17,9 @@ pub(crate) use cut::{CutRow, EdgeCycleRow, ReportedCutRow};
 pub(crate) use cycle::tests::RANGES as CYCLE_RANGES;
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
 pub(crate) use facts::{EventRow, FactsRow, Place, PlacedEvent};
-pub(crate) use feed_profile::{ActiveProfileRow, FeedProfileRow, ProfileVersionRow, wear_from_column};
+pub(crate) use feed_profile::{
+    ActiveProfileRow, FeedProfileRow, ProfileVersionRow, is_content_of, wear_from_column,
+};
 pub(crate) use fleet::FleetCycleRow;
 pub(crate) use library::{ModelRow, content_json, setup_json};
 pub(crate) use registry::{

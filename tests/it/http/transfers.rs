@@ -100,7 +100,7 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
     change(WRONG_INDEX).await;
     let (found, said) = fail(feedwright(&other, &["check", "--repair"]).output().unwrap());
     assert!(found.contains("fault: file sqlite: row 1 missing from index cycles_by_tool\n"), "{found}");
-    assert!(found.contains(" is not folded again, since the file is at fault\n"), "{found}");
+    assert!(found.contains(" is not folded again, since the tables are at fault\n"), "{found}");
     assert!(said.contains("faults are left"), "{said}");
     change(RIGHT_INDEX).await;
     let said = succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());

@@ -19,6 +19,7 @@ stories!(with tables:
     a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered,
     a_course_that_cannot_be_read_is_named_and_the_rest_is_checked,
     a_course_that_cannot_be_read_costs_its_cycle_alone,
+    what_is_stored_beside_cycles_is_held_too,
 );
 
 /// Eight cycles of two tools, one every ten minutes, the last without samples.
@@ -35,6 +36,43 @@ async fn eight(store: &dyn Store) {
         .collect();
     for outcome in commit(store, &runs).await {
         outcome.unwrap();
+    }
+}
+
+/// What a server would find damaged when it is asked for, and what is left of a cycle that is gone.
+async fn what_is_stored_beside_cycles_is_held_too(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    super::feed_profiles::activated(&*store, 300.0).await;
+    let overrides = feedwright_store::CycleOverrides {
+        machine: "M1".try_into().unwrap(),
+        // Before its cycle, which goes to quarantine: no fault.
+        cycle: "refused".try_into().unwrap(),
+        mode: "advise".to_owned(),
+        law_version: "1".to_owned(),
+        program_hash: None,
+        stored_at: at(0),
+        block: feedwright_store::codec::encode_overrides(&[(100.0, 1)]).unwrap(),
+    };
+    store.put_overrides(&overrides).await.unwrap();
+    assert_eq!(store.check_tables().await.unwrap(), []);
+    let cut = if given.is_postgres() { "'\\x01'" } else { "x'01'" };
+    for (damage, kind, misleads) in [
+        (format!("UPDATE cycle_overrides SET block = {cut}"), "overrides", false),
+        ("UPDATE feed_profile_versions SET content = replace(content, '300', '301')".to_owned(), "feed profile", false),
+        (
+            "UPDATE advices SET body = substr(body, 1, 20) WHERE advice_hash = (SELECT advice_hash FROM advices ORDER BY 1 LIMIT 1)"
+                .to_owned(),
+            "advice",
+            false,
+        ),
+        ("INSERT INTO cycle_cuts (machine_id, cycle_id, feed_mm_rev) VALUES ('M1', 'gone', 0.1)".to_owned(), "cut", true),
+    ] {
+        assert_eq!(given.raw(AssertSqlSafe(damage.clone())).await.unwrap(), 1, "{damage}");
+        let faults = store.check_tables().await.unwrap();
+        let of_kind: Vec<_> = faults.iter().filter(|fault| fault.kind == kind).collect();
+        assert_eq!(of_kind.len(), 1, "{damage}: {faults:?}");
+        assert_eq!(of_kind[0].may_mislead_wear(), misleads, "{damage}");
     }
 }
 

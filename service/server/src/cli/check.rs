@@ -44,9 +44,10 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     {
         bail!("there is no database {}", path.display());
     }
-    let Database { store, lock } = database::open(&config)
-        .await
-        .context("a server's own SQLite file is checked while it is stopped, or as a backup")?;
+    let Database { store, lock } = database::open(&config).await.with_context(|| match config.engine() {
+        Engine::Sqlite(_) => "a server's own SQLite file is checked while it is stopped, or as a backup",
+        Engine::Postgres(_) => "the database cannot be checked",
+    })?;
     let outcome = check(&store, arguments.repair).await;
     store.close().await;
     drop(lock);
@@ -99,7 +100,7 @@ async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
         let done = if repair.folds(tool) {
             "folded again"
         } else if !foldable {
-            "the cache is not the fold over what is found, and is not folded again, since the file is at fault"
+            "the cache is not the fold over what is found, and is not folded again, since the tables are at fault"
         } else if doubtful.contains(tool) {
             "the cache is not the fold over the cycles, and is not folded again, since some of them are at fault"
         } else {

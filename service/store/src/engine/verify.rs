@@ -2,8 +2,11 @@
 //! its samples amount to, nothing stands alone.
 
 mod context;
+mod tables;
 
-use super::{Conn, Db, cycles, dialect, quarantine, retention};
+pub(super) use tables::tables;
+
+use super::{Conn, Db, cycles, retention};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{CheckPage, EncodedCycle, NewCycle, StoreFault};
@@ -14,9 +17,6 @@ use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::summary::{Context, SUMMARY_VERSION, summarise};
 use feedwright_core::units::Timestamp;
 use std::sync::Arc;
-
-/// Rows without their other half that are named.
-const MOST_STRAYS: i64 = 1_000;
 
 macro_rules! select_sql {
     ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
@@ -169,42 +169,4 @@ async fn summary(
         return Ok(Summary::Differs(format!("it is not what the cycle amounts to: {told}")));
     }
     Ok(if same { Summary::Holds } else { Summary::Unverified })
-}
-
-/// What is wrong with the tables as a whole.
-pub(super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
-    let mut faults = dialect::integrity(conn).await?;
-    let strays: Vec<(String, String)> = sqlx::query_as::<Db, _>(
-        "SELECT s.machine_id, s.cycle_id FROM cycle_samples s WHERE NOT EXISTS (
-             SELECT 1 FROM cycles c WHERE c.machine_id = s.machine_id AND c.cycle_id = s.cycle_id
-                 AND c.received_at_us = s.received_at_us)
-         ORDER BY s.machine_id, s.cycle_id LIMIT $1",
-    )
-    .bind(MOST_STRAYS)
-    .fetch_all(&mut *conn)
-    .await?;
-    faults.extend(quarantine::damaged(conn, MOST_STRAYS).await?.into_iter().map(|key| StoreFault {
-        kind: "quarantine",
-        key,
-        detail: "its body is not what came".to_owned(),
-    }));
-    let silent: Vec<(String,)> = sqlx::query_as::<Db, _>(
-        "SELECT r.recommendation_id FROM recommendations r WHERE NOT EXISTS (
-             SELECT 1 FROM advices a WHERE a.advice_hash = r.advice_hash)
-         ORDER BY r.recommendation_id LIMIT $1",
-    )
-    .bind(MOST_STRAYS)
-    .fetch_all(&mut *conn)
-    .await?;
-    faults.extend(silent.into_iter().map(|(key,)| StoreFault {
-        kind: "recommendation",
-        key,
-        detail: "what it advised is not there".to_owned(),
-    }));
-    faults.extend(strays.into_iter().map(|(machine, cycle)| StoreFault {
-        kind: "samples",
-        key: format!("{machine}/{cycle}"),
-        detail: "they belong to no cycle".to_owned(),
-    }));
-    Ok(faults)
 }

@@ -60,6 +60,11 @@ fn content(text: &str, hash: &[u8]) -> StoreResult<(Profile, ProfileHash)> {
     Ok((profile, ProfileHash::from_bytes(kept)))
 }
 
+/// Whether a stored content can be read and has its hash.
+pub(crate) fn is_content_of(text: &str, hash: &[u8]) -> bool {
+    content(text, hash).is_ok()
+}
+
 /// A row of `feed_profile_versions`.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct ProfileVersionRow {

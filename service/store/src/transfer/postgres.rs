@@ -249,7 +249,7 @@ impl Side for PostgresSide {
         Ok(row.try_get::<Option<i64>, _>(0)?.zip(row.try_get::<Option<i64>, _>(1)?))
     }
 
-    async fn finish(&mut self, _tables: &[Table]) -> StoreResult<()> {
+    async fn finish(&mut self, tables: &[Table]) -> StoreResult<()> {
         for (table, column) in self.numbered.clone() {
             let Some((_, last)) = self.range(&table, &column).await? else { continue };
             sqlx::query("SELECT setval(pg_get_serial_sequence($1, $2), $3)")
@@ -260,7 +260,13 @@ impl Side for PostgresSide {
                 .await?;
         }
         // What was believed of the sizes of empty tables would mislead the planner.
-        sqlx::query("ANALYZE").execute(&mut self.conn).await?;
+        for table in tables {
+            QueryBuilder::<Postgres>::new(format!("ANALYZE \"{}\"", table.name))
+                .build()
+                .persistent(false)
+                .execute(&mut self.conn)
+                .await?;
+        }
         Ok(())
     }
 
