@@ -16,11 +16,13 @@ DECLARE
     sizes BIGINT[];
 BEGIN
     FOR part IN SELECT * FROM cycle_samples_partitions() AS p WHERE p.to_us <= until_us ORDER BY p.from_us LOOP
-        EXECUTE format(is_kept, part.name) INTO kept USING part.to_us;
-        CONTINUE WHEN kept;
         went := FALSE;
         -- What is undone gives its locks back: nobody is held up by a partition that stays, nor the next one by who reads this.
         BEGIN
+            EXECUTE format(is_kept, part.name) INTO kept USING part.to_us;
+            IF kept THEN
+                RAISE EXCEPTION 'it is kept' USING ERRCODE = 'FW001';
+            END IF;
             IF to_regclass('pg_catalog.pg_dist_partition') IS NOT NULL THEN
                 LOCK TABLE ONLY cycle_samples IN SHARE MODE;
             END IF;
@@ -40,7 +42,10 @@ BEGIN
             went := TRUE;
         EXCEPTION
             WHEN SQLSTATE 'FW001' THEN NULL;
-            WHEN lock_not_available THEN held_up := part.name;
+            WHEN lock_not_available THEN
+                -- Posts wait behind each that is tried. Who reads the table as a whole, as a backup does, holds up all of them.
+                EXIT WHEN held_up IS NOT NULL;
+                held_up := part.name;
         END;
         CONTINUE WHEN NOT went;
         RETURN QUERY SELECT * FROM unnest(machines, counts, sizes);
@@ -48,6 +53,6 @@ BEGIN
         RETURN;
     END LOOP;
     IF held_up IS NOT NULL THEN
-        RAISE EXCEPTION '% is being read', held_up USING ERRCODE = 'lock_not_available';
+        RAISE EXCEPTION '% is in use', held_up USING ERRCODE = 'lock_not_available';
     END IF;
 END $$;

@@ -8,7 +8,7 @@
 mod machines;
 mod registrar;
 
-use feedwright_core::ids::MachineId;
+use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::recommend::Recommendation;
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::Verdict;
@@ -319,8 +319,8 @@ impl Metrics {
     }
 
     /// Takes the verdict on the tool that ran last on a registered machine.
-    pub fn verdict(&self, machine: &MachineId, started_at: Timestamp, verdict: &Verdict) {
-        self.machines.verdict(machine, started_at, verdict);
+    pub fn verdict(&self, machine: &MachineId, cycle: (&ToolId, Timestamp), verdict: &Verdict) {
+        self.machines.verdict(machine, cycle, verdict);
     }
 
     /// Counts a recommendation that was handed out.

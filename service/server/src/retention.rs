@@ -3,9 +3,10 @@
 
 use crate::state::AppState;
 use feedwright_store::{Dropped, StoreError, StoreResult};
+use std::time::Instant;
 
-/// Steps of a run where whoever reads is in the way of dropping partitions.
-const STEPS_BESIDE_READERS: u32 = 200;
+/// How much of the time between two runs one takes where whoever reads is in the way of dropping partitions.
+const SHARE_BESIDE_READERS: u32 = 2;
 
 /// Runs until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
@@ -39,18 +40,19 @@ pub async fn run(state: &AppState) -> StoreResult<()> {
         state.metrics.samples_dropping(decision.reason);
     }
     // Nor of one of these, whose cycles then go one by one. As long as a backup reads what goes, finding what is next takes longer
-    // and longer: so many, and the rest at the next run.
-    let steps = match drop_partitions(state).await {
-        Ok(()) => u32::MAX,
+    // and longer: so long, and the rest at the next run.
+    let until = match drop_partitions(state).await {
+        Ok(()) => None,
         Err(error) => {
             tracing::warn!(why = %why(&error), "partitions are dropped whole at the next run");
-            STEPS_BESIDE_READERS
+            Some(Instant::now() + config.interval() / SHARE_BESIDE_READERS)
         }
     };
-    for _ in 0..steps {
-        if state.lifecycle.is_stopping()
-            || !goes_on(state, state.store.drop_some(config.step_cycles).await?).await
-        {
+    while !state.lifecycle.is_stopping()
+        && goes_on(state, state.store.drop_some(config.step_cycles).await?).await
+    {
+        if until.is_some_and(|until| Instant::now() >= until) {
+            tracing::warn!("samples that are to go are left until the next run");
             break;
         }
     }

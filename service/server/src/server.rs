@@ -78,21 +78,22 @@ impl Server {
             Some(address) => Some(listen(address)?),
             None => None,
         };
-        let first_admin_token = first_admin_token(&store, &clock).await?;
         let metrics = Arc::new(Metrics::new(config.limits.metric_machines)?);
         let certificates = match config.tls.is_on() {
             true => Some(Certificates::load(&config.tls, metrics.clone())?),
             false => None,
         };
         let acceptor_of_tls = certificates.as_ref().map(Certificates::acceptor).transpose()?;
-        let lifecycle = Lifecycle::default();
-        let intake = Arc::new(CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics));
-        let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
-        let local_addr = address(&listener, state.config.server.listen)?;
-        let metrics_addr = match (&metrics_listener, state.config.metrics.listen) {
+        let local_addr = address(&listener, config.server.listen)?;
+        let metrics_addr = match (&metrics_listener, config.metrics.listen) {
             (Some(listener), Some(asked)) => Some(address(listener, asked)?),
             _ => None,
         };
+        // After all that may fail: it is shown once.
+        let first_admin_token = first_admin_token(&store, &clock).await?;
+        let lifecycle = Lifecycle::default();
+        let intake = Arc::new(CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics));
+        let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
         crate::retention::start(&state);
         crate::refold::start(&state);
         crate::live::start(&state);

@@ -780,7 +780,8 @@ const FOLDED: [&str; 4] = ["cycles", "operations", "tools", "tool_events"];
 /// What is wrong with something stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreFault {
-    /// What it is about: `cycle`, `samples`, `hash`, `summary`, `table`, `file`.
+    /// What it is about: `cycle`, `samples`, `hash`, `summary`, of a cycle; `table`, `file`, `samples`, `cut`, `quarantine`,
+    /// `recommendation`, `advice`, `overrides`, `feed profile`, of the tables.
     pub kind: &'static str,
     /// Which one, as in `M1/c0001`.
     pub key: String,
@@ -789,7 +790,7 @@ pub struct StoreFault {
 }
 
 impl StoreFault {
-    /// Whether a fault of the tables may have wear folded of something else than was taken in: it may leave cycles out of what
+    /// Whether a fault of the tables, not of a page of cycles, may have wear folded of something else than was taken in: it may leave cycles out of what
     /// is read, or show them elsewhere, as an index does that is wrong, or it is in what a fold rests on besides, or what is left of
     /// a cycle says that there was one.
     pub fn may_mislead_wear(&self) -> bool {

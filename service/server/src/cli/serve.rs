@@ -56,10 +56,10 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
         None => None,
     };
     let server = Server::start(config, store, Clock::system()).await?;
+    greet(&server, first);
     if let Some(lock) = &mut lock {
         lock.publish(&server.local_addr.to_string()).context("cannot write the lock file")?;
     }
-    greet(&server, first);
     let failed = loop {
         tokio::select! {
             _ = terminate.recv() => break None,
@@ -117,10 +117,11 @@ impl FirstTokenFile {
         if path.symlink_metadata().is_ok() {
             bail!("{} is there already, and is to hold the first token: move it away", path.display());
         }
+        // Of nobody else's, whatever stands in that folder.
         let mut making = path.as_os_str().to_owned();
-        making.push(".new");
+        making.push(format!(".{}.new", uuid::Uuid::now_v7()));
         let making = PathBuf::from(making);
-        let file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&making);
+        let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&making);
         let file = file.with_context(|| format!("cannot make {} for the first token", making.display()))?;
         Ok(Some(Self { path: path.to_owned(), making, file }))
     }

@@ -4,7 +4,7 @@ use super::problem::Problem;
 use crate::table::{Field, Format, Row, TableError, writer};
 use axum::body::Body;
 use axum::response::{IntoResponse, Response};
-use bytes::Bytes;
+use bytes::{Buf, Bytes};
 use futures_util::stream::{self, Stream, StreamExt};
 use http::{HeaderValue, header};
 use hyper::body::{Body as HttpBody, Frame, SizeHint};
@@ -123,8 +123,11 @@ impl HttpBody for Held {
                 Some(Ok(data)) => self.rest = data,
             }
         }
+        // A copy: what is not sent yet of a part of the text would keep all of it.
         let most = self.rest.len().min(SLICE);
-        Poll::Ready(Some(Ok(Frame::data(self.rest.split_to(most)))))
+        let slice = Bytes::copy_from_slice(&self.rest[..most]);
+        self.rest.advance(most);
+        Poll::Ready(Some(Ok(Frame::data(slice))))
     }
 
     fn is_end_stream(&self) -> bool {

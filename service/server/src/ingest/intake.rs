@@ -145,7 +145,7 @@ impl Told {
             let process = cycle.process.or(answer.recommendation.recommendation.process);
             self.metrics.cycle_energy(process, energy.total_joules);
         }
-        self.metrics.verdict(machine, cycle.started_at, &answer.verdict);
+        self.metrics.verdict(machine, (&cycle.tool, cycle.started_at), &answer.verdict);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::registrar::Registrar;
 use super::{CycleOutcome, seconds};
-use feedwright_core::ids::MachineId;
+use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::recommend::{NEUTRAL_OVERRIDE_PERCENT, Recommendation};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
@@ -33,8 +33,8 @@ struct Known {
     neutral: Option<(Timestamp, &'static str)>,
     /// Its cycles, by [`CycleOutcome`].
     cycles: [IntCounter; CycleOutcome::ALL.len()],
-    /// When the newest of them began: its tool's wear is shown.
-    newest: Option<Timestamp>,
+    /// Tool and beginning of the newest of them: that tool's wear is shown.
+    newest: Option<(ToolId, Timestamp)>,
     wear_level: Option<Gauge>,
     remaining_cycles: Option<Gauge>,
 }
@@ -121,13 +121,18 @@ impl MachineMetrics {
         self.labelled(machine, |known| known.cycles[outcome as usize].inc());
     }
 
-    pub(super) fn verdict(&self, machine: &MachineId, started_at: Timestamp, verdict: &Verdict) {
+    pub(super) fn verdict(&self, machine: &MachineId, cycle: (&ToolId, Timestamp), verdict: &Verdict) {
+        let (tool, started_at) = cycle;
         self.labelled(machine, |known| {
             // A cycle that comes late may be of another tool than the one that ran last.
-            if known.newest.is_some_and(|newest| started_at < newest) {
-                return;
+            match &mut known.newest {
+                Some((ran, newest)) if started_at < *newest => {
+                    if ran != tool {
+                        return;
+                    }
+                }
+                newest => *newest = Some((tool.clone(), started_at)),
             }
-            known.newest = Some(started_at);
             // A tool that is being learnt has no level: that of the one before it must not stay.
             let level = verdict.level.map(|level| level.value);
             set_kept(&self.wear_level, &mut known.wear_level, machine, level);

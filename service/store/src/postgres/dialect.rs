@@ -33,7 +33,7 @@ pub(super) async fn age_horizon(conn: &mut Conn, at_us: i64) -> StoreResult<i64>
 }
 
 /// Drops the oldest partition that had ended by then and of which nothing is kept; says what it held by machine: cycles and bytes. It waits for no
-/// more than a second for whoever reads, as posts wait behind it.
+/// more than a second for whoever uses one, as posts wait behind it, and tries two.
 pub(super) async fn drop_partition(
     conn: &mut Conn,
     ended: Timestamp,
@@ -59,12 +59,12 @@ pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
     let not: Vec<String> = sqlx::query_scalar(
         "SELECT DISTINCT name FROM (VALUES
              ('cycles', 'SELECT'), ('cycles', 'INSERT'), ('cycle_samples', 'SELECT'), ('cycle_samples', 'INSERT'),
-             ('cycle_cuts', 'SELECT'), ('cycle_cuts', 'INSERT'), ('cycle_overrides', 'INSERT'), ('cycle_overrides', 'UPDATE'),
+             ('cycle_cuts', 'SELECT'), ('cycle_cuts', 'INSERT'), ('cycle_overrides', 'SELECT'), ('cycle_overrides', 'INSERT'), ('cycle_overrides', 'UPDATE'),
              ('tool_wear', 'SELECT'), ('tool_wear', 'INSERT'), ('tool_wear', 'UPDATE'),
              ('tool_wear_checkpoints', 'SELECT'), ('tool_wear_checkpoints', 'INSERT'),
              ('tool_wear_checkpoints', 'UPDATE'), ('tool_wear_checkpoints', 'DELETE'),
              ('advices', 'SELECT'), ('advices', 'INSERT'), ('recommendations', 'SELECT'), ('recommendations', 'INSERT'),
-             ('machine_contacts', 'INSERT'), ('machine_contacts', 'UPDATE'), ('alarms', 'SELECT'), ('alarms', 'INSERT'),
+             ('machine_contacts', 'SELECT'), ('machine_contacts', 'INSERT'), ('machine_contacts', 'UPDATE'), ('alarms', 'SELECT'), ('alarms', 'INSERT'),
              ('alarms', 'UPDATE'), ('quarantine', 'SELECT'), ('quarantine', 'INSERT'), ('quarantine', 'UPDATE')) AS t (name, needed)
          WHERE NOT has_table_privilege(name, needed)",
     )

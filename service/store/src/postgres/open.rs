@@ -146,7 +146,9 @@ async fn assert_owner(conn: &mut Conn) -> StoreResult<()> {
     if owns {
         return Ok(());
     }
-    let detail = format!("the role {role} has to own the tables, which are those of {owner}");
+    let detail = format!(
+        "the role {role} has to own the tables, which are those of {owner}: REASSIGN OWNED BY {owner} TO {role}"
+    );
     Err(StoreError::NotWritable(detail.into()))
 }
 

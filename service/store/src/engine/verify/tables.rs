@@ -5,6 +5,7 @@ use crate::codec;
 use crate::error::StoreResult;
 use crate::record::StoreFault;
 use crate::rows::{AdviceBody, is_content_of};
+use sqlx::Row;
 
 /// Rows of a kind that are named.
 const MOST_NAMED: usize = 1_000;
@@ -61,73 +62,104 @@ fn fault(kind: &'static str, key: String, detail: &str) -> StoreFault {
 
 /// Whether what was advised can be read. What earlier versions kept is not all under the hash of its text.
 async fn advices(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
-    let (mut after, most) = (Vec::new(), faults.len() + MOST_NAMED);
+    let mut after = Vec::new();
+    let most = faults.len() + MOST_NAMED;
     loop {
-        let rows: Vec<(Vec<u8>, String)> = sqlx::query_as::<Db, _>(
+        let rows = sqlx::query::<Db>(
             "SELECT advice_hash, body FROM advices WHERE advice_hash > $1 ORDER BY advice_hash LIMIT $2",
         )
         .bind(after.as_slice())
         .bind(ROWS)
         .fetch_all(&mut *conn)
         .await?;
-        for (hash, body) in &rows {
-            if serde_json::from_str::<AdviceBody<'_>>(body).is_err() {
+        let before = after.clone();
+        for row in &rows {
+            let Ok(hash) = row.try_get::<Vec<u8>, _>(0) else { return unreadable("advices", faults) };
+            let body = row.try_get::<String, _>(1).ok();
+            if body.is_none_or(|body| serde_json::from_str::<AdviceBody<'_>>(&body).is_err()) {
                 let key = hash.iter().map(|byte| format!("{byte:02x}")).collect();
                 faults.push(fault("advice", key, "it cannot be read"));
             }
+            after = hash;
         }
-        match rows.into_iter().last() {
-            Some((last, _)) if faults.len() < most => after = last,
-            _ => return Ok(()),
+        if rows.is_empty() || faults.len() >= most {
+            return Ok(());
+        }
+        if after <= before {
+            return unreadable("advices", faults);
         }
     }
 }
 
+/// Without their keys rows cannot be gone through: what is said of the table is all that is said.
+fn unreadable(table: &'static str, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
+    faults.push(fault("table", table.to_owned(), "its rows cannot be gone through by their key"));
+    Ok(())
+}
+
 async fn overrides(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
-    let (mut machine, mut cycle, most) = (String::new(), String::new(), faults.len() + MOST_NAMED);
+    let mut after = (String::new(), String::new());
+    let most = faults.len() + MOST_NAMED;
     loop {
-        let rows: Vec<(String, String, Vec<u8>)> = sqlx::query_as::<Db, _>(
+        let rows = sqlx::query::<Db>(
             "SELECT machine_id, cycle_id, block FROM cycle_overrides WHERE (machine_id, cycle_id) > ($1, $2)
              ORDER BY machine_id, cycle_id LIMIT $3",
         )
-        .bind(&machine)
-        .bind(&cycle)
+        .bind(&after.0)
+        .bind(&after.1)
         .bind(ROWS)
         .fetch_all(&mut *conn)
         .await?;
-        for (machine, cycle, block) in &rows {
-            if let Err(error) = codec::decode_overrides(block) {
-                faults.push(fault("overrides", format!("{machine}/{cycle}"), &error.to_string()));
+        let before = after.clone();
+        for row in &rows {
+            let (Ok(machine), Ok(cycle)) = (row.try_get::<String, _>(0), row.try_get::<String, _>(1)) else {
+                return unreadable("cycle_overrides", faults);
+            };
+            let block = row.try_get::<Vec<u8>, _>(2).ok();
+            if block.is_none_or(|block| codec::decode_overrides(&block).is_err()) {
+                faults.push(fault("overrides", format!("{machine}/{cycle}"), "they cannot be read"));
             }
+            after = (machine, cycle);
         }
-        match rows.into_iter().last() {
-            Some(last) if faults.len() < most => (machine, cycle, _) = last,
-            _ => return Ok(()),
+        if rows.is_empty() || faults.len() >= most {
+            return Ok(());
+        }
+        if after <= before {
+            return unreadable("cycle_overrides", faults);
         }
     }
 }
 
 async fn feed_profiles(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
-    let (mut profile, mut version, most) = (String::new(), 0, faults.len() + MOST_NAMED);
+    let mut after = (String::new(), 0_i64);
+    let most = faults.len() + MOST_NAMED;
     loop {
-        let rows: Vec<(String, i64, String, Vec<u8>)> = sqlx::query_as::<Db, _>(
+        let rows = sqlx::query::<Db>(
             "SELECT profile_id, version, content, content_hash FROM feed_profile_versions
              WHERE (profile_id, version) > ($1, $2) ORDER BY profile_id, version LIMIT $3",
         )
-        .bind(&profile)
-        .bind(version)
+        .bind(&after.0)
+        .bind(after.1)
         .bind(ROWS)
         .fetch_all(&mut *conn)
         .await?;
-        for (profile, version, content, hash) in &rows {
-            if !is_content_of(content, hash) {
+        let before = after.clone();
+        for row in &rows {
+            let (Ok(profile), Ok(version)) = (row.try_get::<String, _>(0), row.try_get::<i64, _>(1)) else {
+                return unreadable("feed_profile_versions", faults);
+            };
+            let content = row.try_get::<String, _>(2).ok().zip(row.try_get::<Vec<u8>, _>(3).ok());
+            if content.is_none_or(|(content, hash)| !is_content_of(&content, &hash)) {
                 let key = format!("{profile}/{version}");
                 faults.push(fault("feed profile", key, "its content is not what was drafted"));
             }
+            after = (profile, version);
         }
-        match rows.into_iter().last() {
-            Some(last) if faults.len() < most => (profile, version, ..) = last,
-            _ => return Ok(()),
+        if rows.is_empty() || faults.len() >= most {
+            return Ok(());
+        }
+        if after <= before {
+            return unreadable("feed_profile_versions", faults);
         }
     }
 }
