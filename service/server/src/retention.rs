@@ -5,7 +5,7 @@ use crate::state::AppState;
 use feedwright_store::{Dropped, StoreError, StoreResult};
 use std::time::Instant;
 
-/// How much of the time between two runs one takes where whoever reads is in the way of dropping partitions.
+/// One part in so many of the time between two runs is what a run takes where whoever reads is in the way of dropping partitions.
 const SHARE_BESIDE_READERS: u32 = 2;
 
 /// Runs until the shutdown begins.
