@@ -3,11 +3,13 @@
 //! A value of these types is valid; JSON, hashing and storage do not belong here.
 
 mod channel;
+mod difference;
 mod downsample;
 mod flags;
 mod samples;
 
 pub use channel::Channel;
+pub use difference::differences;
 pub use downsample::Downsampling;
 pub use flags::{Flag, Flags};
 pub use samples::{DEFAULT_MAX_SAMPLES, Samples, TimeBase};

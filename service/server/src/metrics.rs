@@ -12,7 +12,7 @@ use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::recommend::Recommendation;
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::Verdict;
-use feedwright_store::{AlarmKind, DatabaseUsage, DropReason, Dropped, Round};
+use feedwright_store::{AlarmKind, DatabaseUsage, DropReason, Dropped, FleetRow, Round};
 use http::{Method, StatusCode};
 use machines::MachineMetrics;
 use prometheus::{
@@ -321,6 +321,11 @@ impl Metrics {
     /// Takes the verdict on the tool that ran last on a registered machine.
     pub fn verdict(&self, machine: &MachineId, cycle: (&ToolId, Timestamp), verdict: &Verdict) {
         self.machines.verdict(machine, cycle, verdict);
+    }
+
+    /// Shows what the database says of the wear of some machines.
+    pub(crate) fn fleet(&self, rows: &[FleetRow]) {
+        self.machines.fleet(rows);
     }
 
     /// Counts a recommendation that was handed out.

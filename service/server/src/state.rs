@@ -11,6 +11,7 @@ use crate::live::Live;
 use crate::metrics::Metrics;
 use crate::readiness::Readiness;
 use crate::stream::Streams;
+use crate::watch::WearTurn;
 use feedwright_store::{Store, StoreError, StoreResult};
 use std::future::Future;
 use std::ops::Deref;
@@ -48,6 +49,8 @@ pub struct Shared {
     pub(crate) known_tokens: KnownTokens,
     /// Whether the database takes writes.
     pub(crate) readiness: Readiness,
+    /// Whose wear the watch reads next.
+    pub(crate) wear_turn: WearTurn,
 }
 
 impl Deref for AppState {
@@ -85,6 +88,7 @@ impl AppState {
             failed_authentications,
             known_tokens: KnownTokens::default(),
             readiness,
+            wear_turn: WearTurn::default(),
         }))
     }
 

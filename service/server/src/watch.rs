@@ -7,7 +7,7 @@
 use crate::state::AppState;
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
-use feedwright_store::{StoreError, StoreResult};
+use feedwright_store::{FleetRow, Page, StoreError, StoreResult};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -35,6 +35,26 @@ impl Heard {
         for (machine, at) in taken {
             self.note(machine, *at);
         }
+    }
+}
+
+/// Machines whose wear one round reads: those of a large fleet take turns.
+const WEAR_A_ROUND: u32 = 100;
+
+/// The machine after which the next round reads on; none: from the first.
+#[derive(Debug, Default)]
+pub(crate) struct WearTurn(Mutex<Option<MachineId>>);
+
+impl WearTurn {
+    fn next(&self) -> Page<MachineId> {
+        let after = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        Page { after, limit: WEAR_A_ROUND }
+    }
+
+    fn read(&self, rows: &[FleetRow]) {
+        let full = usize::try_from(WEAR_A_ROUND).is_ok_and(|most| rows.len() >= most);
+        let last = rows.last().filter(|_| full).map(|row| row.machine.value.id.clone());
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = last;
     }
 }
 
@@ -84,7 +104,20 @@ pub async fn round(state: &AppState) -> StoreResult<()> {
     };
     state.metrics.round(&found, now);
     state.intake.live().alarms_may_have_changed();
+    wear(state).await;
     Ok(())
+}
+
+/// The wear that the metrics show is that of this process' last cycle of a machine: what other replicas took in, what was
+/// there before the start and what people say of tools is read from the database.
+async fn wear(state: &AppState) {
+    match state.store.fleet(state.wear_turn.next(), 1).await {
+        Ok(rows) => {
+            state.metrics.fleet(&rows);
+            state.wear_turn.read(&rows);
+        }
+        Err(error) => tracing::warn!(%error, "the wear of tools is not known"),
+    }
 }
 
 /// How full the file system of the data directory is; a service that keeps its data on a server has none.

@@ -15,7 +15,7 @@ use crate::record::{
     Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
-use feedwright_core::cycle::{ProfileVersion, Samples};
+use feedwright_core::cycle::{Cycle, ProfileVersion, Samples};
 use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
@@ -237,6 +237,9 @@ pub trait Store: Send + Sync + 'static {
 
     /// One cycle without its samples.
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>>;
+    /// Paths of the fields in which a cycle is another content than the one that is stored under its id; of samples that are
+    /// gone nothing is said. Empty where none is stored.
+    async fn differences(&self, sent: Cycle) -> StoreResult<Vec<String>>;
     /// One cycle's samples as the columns that are stored; `None` where there are none (any more).
     async fn cycle_columns(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Columns>>;
     /// One cycle's samples; `None` where there are none (any more).

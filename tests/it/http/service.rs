@@ -4,6 +4,7 @@ use super::app::App;
 use axum::body::Body;
 use feedwright_store::Role;
 use http::{Request, StatusCode};
+use serde_json::json;
 
 async fn open(app: &App, path: &str) -> super::app::Answer {
     app.send(Request::get(path).body(Body::empty()).unwrap()).await
@@ -97,6 +98,28 @@ async fn a_round_of_the_watch_fills_what_no_request_asks_about() {
     assert!(!text.contains("silence_limit_seconds{machine=\"M2\"}"), "{text}");
     let labelled = ["M1", "M2", "M3"].map(|machine| text.contains(&format!("machine=\"{machine}\"")));
     assert_eq!(labelled, [true, true, false]);
+}
+
+#[tokio::test]
+async fn a_round_of_the_watch_shows_what_no_cycle_tells_of_a_tool() {
+    let app = App::registered().await;
+    assert_eq!(app.put("/v1/operations/O1", super::app::operation()).await.status, 201);
+    for number in 1..=6 {
+        let cycle = json!({
+            "cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1",
+            "started_at": format!("2026-05-04T05:00:0{number}Z"), "reported": {"energy_joules": 1000.0},
+        });
+        let posted = app.call(Role::Machine, "POST", "/v1/machines/M1/cycles", &[], Some(cycle)).await;
+        assert_eq!(posted.status, 201);
+    }
+    let metrics = async || String::from_utf8(app.get("/metrics").await.body).unwrap();
+    let level = "feedwright_tool_wear_level_ratio{machine=\"M1\"} 1\n";
+    assert!(metrics().await.contains(level));
+    let changed = json!({"kind": "changed", "at": "2026-05-04T05:30:00Z", "reason": "story"});
+    assert_eq!(app.post("/v1/tools/T1/events", changed).await.status, 201);
+    feedwright_server::watch::round(&app.state).await.unwrap();
+    let text = metrics().await;
+    assert!(!text.contains("feedwright_tool_wear_level_ratio{"), "a new tool has no level: {text}");
 }
 
 #[tokio::test]

@@ -62,6 +62,7 @@ async fn the_same_cycle_again_is_known_and_another_content_a_conflict_that_loses
     assert_eq!(shop.post_raw(path, "application/json", other).await.status, 200);
     let conflict = shop.cycle("M1", &reported(1, 1001.0)).await;
     assert_eq!((conflict.status, &conflict.body["code"]), (409, &json!("cycle_conflict")));
+    assert_eq!(conflict.body["differs"], json!(["reported.energy_joules"]));
     let id = conflict.body["quarantine_id"].as_str().unwrap();
     let kept = shop.get(&format!("/v1/quarantine/{id}")).await;
     assert_eq!(kept.status, 200, "{}", kept.text);

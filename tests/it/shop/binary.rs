@@ -76,6 +76,7 @@ async fn another_content_under_a_known_id_is_a_conflict_and_kept_as_it_came() {
         "{}",
         conflict.text
     );
+    assert_eq!(conflict.body["differs"], json!(["samples.spindle_load_percent[0]"]));
     let id = conflict.body["quarantine_id"].as_str().unwrap();
     let entry = shop.get(&format!("/v1/quarantine/{id}")).await;
     assert_eq!(

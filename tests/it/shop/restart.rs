@@ -7,6 +7,7 @@ use std::time::Duration;
 
 crate::engines::on_both!(
     a_restart_loses_nothing_and_goes_on_to_the_bit,
+    metrics_say_how_worn_a_tool_is_before_a_cycle_comes,
     folds_of_earlier_rules_are_made_anew_while_the_server_runs,
 );
 
@@ -20,6 +21,28 @@ async fn a_restart_loses_nothing_and_goes_on_to_the_bit() {
     assert_eq!(shop.get("/v1/tools/T1/wear").await.text, before);
     assert_eq!(shop.cycle("M1", &reported(7, 1007.0)).await.status, 200);
     assert_eq!(shop.cycle("M1", &reported(8, 1008.0)).await.body["wear"]["counted"], json!(8));
+}
+
+async fn metrics_say_how_worn_a_tool_is_before_a_cycle_comes() {
+    let shop = Shop::open().await;
+    for number in 1..=6 {
+        assert_eq!(shop.cycle("M1", &reported(number, 1000.0)).await.status, 201);
+    }
+    let level = "feedwright_tool_wear_level_ratio{machine=\"M1\"} 1\n";
+    let shop = shop.restart().await;
+    // The watch makes its first round when the server starts.
+    assert!(becomes(&shop, |text| text.contains(level)).await, "no cycle has come since");
+}
+
+/// Whether the metrics come to hold.
+async fn becomes(shop: &Shop, holds: impl Fn(&str) -> bool) -> bool {
+    for _ in 0..200 {
+        if holds(&shop.get("/metrics").await.text) {
+            return true;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    false
 }
 
 async fn folds_of_earlier_rules_are_made_anew_while_the_server_runs() {

@@ -42,7 +42,7 @@ const USUAL_ANSWER_BYTES: usize = 6 * 1024;
         (status = 200, description = "The same content was stored before", body = CycleAnswerBody<'static>),
         (status = 400, description = "Malformed; nothing is kept", body = ProblemDocument<'static>),
         (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
-        (status = 409, description = "Another content is stored under this id; kept in quarantine, see `quarantine_id`",
+        (status = 409, description = "Another content is stored under this id: `differs` has the paths of what is other than what is stored; kept in quarantine, see `quarantine_id`",
             body = ProblemDocument<'static>),
         (status = 413, description = "Too large, or a decompression bomb", body = ProblemDocument<'static>),
         (status = 415, description = "Neither JSON nor a known encoding", body = ProblemDocument<'static>),

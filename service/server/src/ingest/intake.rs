@@ -35,6 +35,8 @@ const PARSED_ASIDE_BYTES: usize = 256 * 1024;
 /// Windows of batches that are read, summed up and encoded at once. When a weekend comes back, every machine of a plant
 /// replays at the same moment: live posts must find a processor all the same.
 const BATCHES_PREPARED: usize = 2;
+/// Contradicting cycles that are compared with what is stored at the same time.
+const COMPARED: usize = 2;
 
 /// How long a post waits for what the database says of its machine, tool and operation.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -74,6 +76,8 @@ impl Ready {
 
 /// Member of a problem: what was refused is a part of a cycle, not the whole of it.
 const CUT_SHORT: &str = "cut_short";
+/// Member of a problem: paths of what was sent that is another content than what is stored.
+const DIFFERS: &str = "differs";
 
 /// What becomes of a body that is refused for its content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,6 +100,7 @@ pub struct CycleIntake {
     writing: Mutex<Option<JoinHandle<()>>>,
     preparing: Semaphore,
     settling: Mutex<()>,
+    comparing: Semaphore,
     singles: Unpacker,
     batches: Unpacker,
     habits: Habits,
@@ -198,6 +203,7 @@ impl CycleIntake {
             writing: Mutex::new(Some(writing)),
             preparing: Semaphore::new(BATCHES_PREPARED),
             settling: Mutex::new(()),
+            comparing: Semaphore::new(COMPARED),
             singles: Unpacker::default(),
             batches: Unpacker::default(),
             habits: Habits::default(),
@@ -319,6 +325,7 @@ impl CycleIntake {
             Committed::Known(answer) => Ok(Accepted { cycle, new: false, answer }),
             Committed::UnknownMachine => Err(unknown_machine(&cycle.machine)),
             Committed::Conflict { .. } => {
+                let differs = self.differences(&cycle.machine, &json).await;
                 let problem = Problem::new(
                     StatusCode::CONFLICT,
                     "cycle_conflict",
@@ -327,9 +334,32 @@ impl CycleIntake {
                          restarts is the commonest cause: use a UUIDv7 or boot id + counter",
                         cycle.id
                     ),
-                );
+                )
+                .member(DIFFERS, differs);
                 Err(self.refuse(&cycle.machine, json, cut_short, problem, refused).await)
             }
+        }
+    }
+
+    /// Paths of the fields in which a body is another content than what is stored under its id. Empty where that cannot be
+    /// told: the conflict stands without it.
+    async fn differences(&self, machine: &MachineId, json: &Bytes) -> Vec<String> {
+        // Two cycles are held in memory for each, of any length.
+        let Ok(_turn) = self.comparing.acquire().await else { return Vec::new() };
+        // It was taken once: the clock that refuses what lies ahead has only gone on.
+        let Ok(Ok(sent)) = self.decode(machine, Bytes::clone(json), self.clock.now()).await else {
+            return Vec::new();
+        };
+        let store = Arc::clone(&self.store);
+        // A task of its own: what asks the database is never cut off.
+        let asked = tokio::spawn(async move { store.differences(sent).await });
+        match timeout(PATIENCE, asked).await {
+            Ok(Ok(Ok(paths))) => paths,
+            Ok(Ok(Err(error))) => {
+                tracing::warn!(%error, %machine, "what a conflicting cycle differs in is not known");
+                Vec::new()
+            }
+            Ok(Err(_)) | Err(_) => Vec::new(),
         }
     }
 

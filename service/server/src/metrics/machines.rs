@@ -6,7 +6,7 @@ use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::recommend::{NEUTRAL_OVERRIDE_PERCENT, Recommendation};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
-use feedwright_store::{AlarmKind, Round};
+use feedwright_store::{AlarmKind, FleetRow, Round};
 use prometheus::{Gauge, GaugeVec, IntCounter, IntCounterVec, IntGaugeVec};
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -140,6 +140,16 @@ impl MachineMetrics {
             let remaining = verdict.remaining.map(|left| left.cycles as f64);
             set_kept(&self.remaining_cycles, &mut known.remaining_cycles, machine, remaining);
         });
+    }
+
+    /// What the database says of the wear of some machines: after a restart, where another replica takes their cycles,
+    /// and where somebody changed a tool, no cycle tells it here.
+    pub(super) fn fleet(&self, rows: &[FleetRow]) {
+        for row in rows {
+            if let (Some(newest), Some(verdict)) = (row.recent.first(), &row.verdict) {
+                self.verdict(&row.machine.value.id, (&newest.tool, newest.started_at), verdict);
+            }
+        }
     }
 
     pub(super) fn recommendation(&self, recommendation: &Recommendation) {

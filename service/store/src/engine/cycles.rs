@@ -1,9 +1,11 @@
 //! Cycles and their samples: rows in and out.
 
 use super::{Conn, Db};
+use crate::codec;
 use crate::error::StoreResult;
 use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
-use crate::rows::{CycleWithSamples, cycle_columns};
+use crate::rows::{CycleRow, CycleWithSamples, ReportedCutRow, cycle_columns};
+use feedwright_core::cycle::{Cycle, differences};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 
 macro_rules! select_columns {
@@ -32,14 +34,14 @@ pub(super) async fn get(
     machine: &MachineId,
     id: &CycleId,
 ) -> StoreResult<Option<StoredCycle>> {
-    let row: Option<CycleWithSamples> = sqlx::query_as::<Db, _>(
+    row(conn, machine, id).await?.map(|row| row.stored()).transpose()
+}
+
+async fn row(conn: &mut Conn, machine: &MachineId, id: &CycleId) -> StoreResult<Option<CycleWithSamples>> {
+    let query = sqlx::query_as::<Db, _>(
         select!(samples " AND s.machine_id = $1", "WHERE c.machine_id = $1 AND c.cycle_id = $2"),
-    )
-    .bind(machine.as_str())
-    .bind(id.as_str())
-    .fetch_optional(&mut *conn)
-    .await?;
-    row.map(|row| row.stored()).transpose()
+    );
+    Ok(query.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
 }
 
 /// The block of a cycle's samples. Each row by its whole key: PostgreSQL has the time of receipt before it looks into any
@@ -54,6 +56,49 @@ pub(super) async fn block(
 ) -> StoreResult<Option<Vec<u8>>> {
     let query = sqlx::query_scalar::<Db, _>(BLOCK).bind(machine.as_str()).bind(id.as_str());
     Ok(query.fetch_optional(&mut *conn).await?)
+}
+
+/// What was reported of a cycle's cut.
+pub(super) async fn cut(
+    conn: &mut Conn,
+    machine: &MachineId,
+    id: &CycleId,
+) -> StoreResult<Option<ReportedCutRow>> {
+    let query = sqlx::query_as::<Db, _>(
+        "SELECT cutting_speed_m_min, feed_mm_rev, spindle_power_watts, thrust_newtons, edge_wear_mm
+         FROM cycle_cuts WHERE machine_id = $1 AND cycle_id = $2",
+    );
+    Ok(query.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
+}
+
+/// What is stored of a cycle's content.
+pub(super) struct Content {
+    row: CycleRow,
+    cut: Option<ReportedCutRow>,
+    block: Option<Vec<u8>>,
+}
+
+impl Content {
+    /// Paths of the fields in which `sent` is another content.
+    pub(super) fn differences(self, sent: &Cycle, max_samples: usize) -> StoreResult<Vec<String>> {
+        let Self { row, cut, block } = self;
+        let are_gone = block.is_none() && row.sample_count > 0;
+        let samples = block.map(|block| codec::decode_samples(&block, max_samples)).transpose()?;
+        let known = (!are_gone).then_some(samples.as_ref());
+        Ok(differences(&row.draft(None, cut)?, known, sent))
+    }
+}
+
+pub(super) async fn content(
+    conn: &mut Conn,
+    machine: &MachineId,
+    id: &CycleId,
+) -> StoreResult<Option<Content>> {
+    let Some(CycleWithSamples { cycle, .. }) = row(conn, machine, id).await? else {
+        return Ok(None);
+    };
+    let (cut, block) = (cut(conn, machine, id).await?, block(conn, machine, id).await?);
+    Ok(Some(Content { row: cycle, cut, block }))
 }
 
 // The first condition drives an index; the others are checked on the way. `started_at_us` stands twice so that an

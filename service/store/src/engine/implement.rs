@@ -24,7 +24,7 @@ use crate::record::{
 };
 use crate::store::Store;
 use async_trait::async_trait;
-use feedwright_core::cycle::ProfileVersion;
+use feedwright_core::cycle::{Cycle, ProfileVersion};
 use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
@@ -469,6 +469,20 @@ impl Store for Engine {
 
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
         read!(self, |conn| cycles::get(conn, machine, id).await)
+    }
+
+    async fn differences(&self, sent: Cycle) -> StoreResult<Vec<String>> {
+        let content = {
+            let (machine, id) = (sent.machine.clone(), sent.id.clone());
+            snapshot!(self, |conn| cycles::content(conn, &machine, &id).await)?
+        };
+        let (Some(content), max_samples) = (content, self.max_samples()) else {
+            return Ok(Vec::new());
+        };
+        // Large ones take long, and conflicts are rare.
+        tokio::task::spawn_blocking(move || content.differences(&sent, max_samples))
+            .await
+            .map_err(|error| StoreError::Unavailable(error.into()))?
     }
 
     async fn cycle_columns(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Columns>> {

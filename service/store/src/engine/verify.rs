@@ -10,7 +10,7 @@ use super::{Conn, Db, cycles, retention};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{CheckPage, EncodedCycle, NewCycle, StoreFault};
-use crate::rows::{CycleRow, ReportedCutRow, cycle_columns, id};
+use crate::rows::{CycleRow, cycle_columns, id};
 use context::Contexts;
 use feedwright_core::cycle::Cycle;
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
@@ -85,14 +85,7 @@ pub(super) async fn page(
                 format!("the summary counts {} samples, the block holds {found}", row.sample_count),
             );
         }
-        let cut: Option<ReportedCutRow> = sqlx::query_as::<Db, _>(
-            "SELECT cutting_speed_m_min, feed_mm_rev, spindle_power_watts, thrust_newtons, edge_wear_mm
-             FROM cycle_cuts WHERE machine_id = $1 AND cycle_id = $2",
-        )
-        .bind(&row.machine_id)
-        .bind(&row.cycle_id)
-        .fetch_optional(&mut *conn)
-        .await?;
+        let cut = cycles::cut(conn, &machine, &cycle).await?;
         let cycle = match row.cycle(samples, cut) {
             Ok(cycle) => cycle,
             Err(error) => {

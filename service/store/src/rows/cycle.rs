@@ -474,8 +474,20 @@ impl CycleRow {
 
     /// The cycle as it was taken in, with its samples and what was reported of its cut.
     pub(crate) fn cycle(&self, samples: Option<Samples>, cut: Option<ReportedCutRow>) -> StoreResult<Cycle> {
+        Cycle::new(self.draft(samples, cut)?).map_err(|wrong| {
+            let first = wrong.first().map(ToString::to_string).unwrap_or_default();
+            StoreError::Damaged { what: format!("what is stored of it is no cycle: {first}") }
+        })
+    }
+
+    /// As [`CycleRow::cycle`], unchecked: one whose samples are gone may have nothing left.
+    pub(crate) fn draft(
+        &self,
+        samples: Option<Samples>,
+        cut: Option<ReportedCutRow>,
+    ) -> StoreResult<CycleDraft> {
         let meta = self.meta()?;
-        let draft = CycleDraft {
+        Ok(CycleDraft {
             machine: meta.machine,
             id: meta.id,
             tool: meta.tool,
@@ -502,10 +514,6 @@ impl CycleRow {
                 operator_override_percent: self.reported_operator_override_percent,
                 cut: cut.map(Into::into).unwrap_or_default(),
             },
-        };
-        Cycle::new(draft).map_err(|wrong| {
-            let first = wrong.first().map(ToString::to_string).unwrap_or_default();
-            StoreError::Damaged { what: format!("what is stored of it is no cycle: {first}") }
         })
     }
 
