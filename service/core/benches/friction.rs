@@ -53,6 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let samples: Vec<LawSample> = (0..count)
         .map(|k| LawSample {
             time_ms: f64::from(k) * 10.0,
+            contact_ms: Some(f64::from(k) * 10.0),
             depth_mm: Some(f64::from(k) * 0.01),
             feed_drive_percent: Some(28.0 + 4.0 * noise.normal()),
             spindle_percent: Some(36.0 + 4.0 * noise.normal()),

@@ -1,8 +1,9 @@
 //! Contact with the work and breakthrough, found in the stream of feed-drive load samples.
 //!
 //! Lengerov's adaptive plunge and friction drilling both need them: contact when the load leaves its idle band,
-//! breakthrough when it falls back into it. Contact is not looked for while the axis accelerates, since inertia loads
-//! the drive too. A missing or unusable sample never makes an event. No allocation and no `std`, so that the same
+//! breakthrough when it falls back into it while the tool goes deeper than it has been. Load that comes back deeper still is
+//! work again: what was left was a bore across the hole, or a pause. Contact is not looked for while the axis accelerates,
+//! since inertia loads the drive too. A missing or unusable sample never makes an event. No allocation and no `std`, so that the same
 //! code can run beside the drive. What to do about an event does not belong here.
 
 use crate::field_error::{FieldError, Problem, within};
@@ -17,7 +18,8 @@ pub enum IdleBand {
         /// The band reaches this far above the mean, percent points.
         half_width_percent: f64,
     },
-    /// Learnt from the first steady samples of the approach, which must therefore be in air.
+    /// Learnt from the first steady samples of the approach above the programmed surface, which must therefore be in air.
+    /// Where there are too few of them it is never known.
     Learnt {
         /// Samples to learn from.
         samples: u32,
@@ -37,7 +39,8 @@ pub struct ContactInput {
     pub confirm_samples: u32,
     /// Share of the half width that the load must fall below for breakthrough, 0..1; 1 is the band itself.
     pub release_share: f64,
-    /// A feed that changes by more than this between samples means that the axis accelerates, mm/min.
+    /// A feed that changes by more than this between samples, and by more than a tenth of itself, means that the axis
+    /// accelerates, mm/min.
     pub steady_feed_change_mm_min: f64,
     /// Samples ignored after the feed has become steady.
     pub settle_samples: u32,
@@ -56,6 +59,9 @@ impl ContactInput {
         programmed_surface_mm: 0.0,
     };
 }
+
+/// A feed that a control holds ripples by some of itself: less than this share is no acceleration that loads a drive.
+const STEADY_SHARE: f64 = 0.1;
 
 /// Checked settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -124,7 +130,7 @@ pub enum Phase {
 /// What a sample has confirmed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ContactEvent {
-    /// The load has left the idle band.
+    /// The load has left the idle band; after a breakthrough: it was none.
     Contact,
     /// The load has fallen back into it.
     Breakthrough,
@@ -150,7 +156,7 @@ pub struct ContactStep {
     pub depth_mm: Option<f64>,
     /// Where contact was found, relative to the programmed surface, mm: the part's error at this hole.
     pub contact_offset_mm: Option<f64>,
-    /// Where the load first fell back, below the programmed surface, mm.
+    /// Where the load fell back, below the programmed surface, mm.
     pub breakthrough_depth_mm: Option<f64>,
     /// Why the sample was not judged.
     pub ignored: Option<Ignored>,
@@ -171,6 +177,8 @@ pub struct ContactDetector {
     /// Successive samples for the next event and the position of the first of them.
     run: u32,
     run_from_mm: f64,
+    /// The deepest that the tool has been before this sample, mm.
+    deepest_mm: f64,
     contact_mm: Option<f64>,
     breakthrough_mm: Option<f64>,
 }
@@ -196,6 +204,7 @@ impl ContactDetector {
             settling: 0,
             run: 0,
             run_from_mm: 0.0,
+            deepest_mm: f64::NEG_INFINITY,
             contact_mm: None,
             breakthrough_mm: None,
         }
@@ -221,6 +230,9 @@ impl ContactDetector {
                 Some(why)
             }
         };
+        if sample.position_mm.is_finite() {
+            self.deepest_mm = self.deepest_mm.max(sample.position_mm);
+        }
         let surface = self.settings.0.programmed_surface_mm;
         ContactStep {
             phase: self.phase,
@@ -239,7 +251,8 @@ impl ContactDetector {
             return Err(Ignored::Unusable);
         }
         let steady = self.last_feed_mm_min.is_some_and(|last| {
-            (sample.feed_mm_min - last).abs() <= self.settings.0.steady_feed_change_mm_min
+            let permitted = self.settings.0.steady_feed_change_mm_min.max(STEADY_SHARE * last.abs());
+            (sample.feed_mm_min - last).abs() <= permitted
         });
         self.last_feed_mm_min = Some(sample.feed_mm_min);
         if !steady {
@@ -260,12 +273,32 @@ impl ContactDetector {
         let above = load - self.mean_percent;
         let counts = match self.phase {
             Phase::Learning => {
-                self.learn(load);
+                // At the surface and below it the load may be the work's: learnt as idle, it would hide the contact.
+                if position_mm < self.settings.0.programmed_surface_mm {
+                    self.learn(load);
+                }
                 return None;
             }
             Phase::Approach => above > self.half_width_percent,
-            Phase::InWork => above <= self.half_width_percent * self.settings.0.release_share,
-            Phase::Through => return None,
+            Phase::InWork => {
+                let is_idle = above <= self.half_width_percent * self.settings.0.release_share;
+                if is_idle && position_mm.to_bits() == self.deepest_mm.to_bits() {
+                    // It stands at the bottom: that nothing is cut there says nothing about what lies below.
+                    return None;
+                }
+                // Drawn back, as in pecking, it cuts nothing either.
+                is_idle && position_mm > self.deepest_mm
+            }
+            Phase::Through => {
+                if above > self.half_width_percent && position_mm > self.deepest_mm {
+                    // At once: the next answer must not be the feed of a tool that is out of the work.
+                    self.phase = Phase::InWork;
+                    self.breakthrough_mm = None;
+                    self.run = 0;
+                    return Some(ContactEvent::Contact);
+                }
+                return None;
+            }
         };
         if !counts {
             self.run = 0;

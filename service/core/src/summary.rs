@@ -21,7 +21,9 @@ use crate::operation::Operation;
 use crate::units::Timestamp;
 
 /// Version of the summary's rules; stored with every summary, so that a change of rules shows.
-pub const SUMMARY_VERSION: u32 = 4;
+pub const SUMMARY_VERSION: u32 = 5;
+/// The version before: it left out what a control reports of channels that it does not sample, where it samples any.
+const WITHOUT_REPORTED_VERSION: u32 = 4;
 
 /// Share of a cycle's time that samples must cover for its energy to be compared.
 pub const COVERAGE_FLOOR: f64 = 0.95;
@@ -103,6 +105,19 @@ impl CycleSummary {
     }
 }
 
+/// Whether a summary of that version of the rules is what [`summarise`] makes of the cycle.
+pub fn is_summarised_alike(version: u32, cycle: &Cycle) -> bool {
+    let is_mixed = || {
+        let reported = cycle.reported.fields();
+        cycle.samples.is_some() && reported.iter().any(|(_, _, value)| value.is_some())
+    };
+    match version {
+        SUMMARY_VERSION => true,
+        WITHOUT_REPORTED_VERSION => !is_mixed(),
+        _ => false,
+    }
+}
+
 /// Summarises `cycle`.
 pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
     let mut summary = match &cycle.samples {
@@ -133,14 +148,9 @@ pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
 
 fn of_reported(cycle: &Cycle) -> CycleSummary {
     let reported = &cycle.reported;
-    let peak = |value: Option<f64>| value.map(|value| Peak { value, depth_mm: None, time_ms: None });
     let mut flags = Flags::NONE;
-    for load in
-        [reported.max_spindle_load_percent, reported.max_feed_drive_load_percent].into_iter().flatten()
-    {
-        flags.insert_if(load > 400.0, Flag::LoadOver400);
-        flags.insert_if(load < 0.0, Flag::NegativeLoad);
-    }
+    flag_load(reported.max_spindle_load_percent, &mut flags);
+    flag_load(reported.max_feed_drive_load_percent, &mut flags);
     CycleSummary {
         version: SUMMARY_VERSION,
         sample_count: 0,
@@ -148,8 +158,8 @@ fn of_reported(cycle: &Cycle) -> CycleSummary {
         energy: Vec::new(),
         energy_scale: 0,
         max_depth_mm: reported.max_depth_mm,
-        max_spindle_load_percent: peak(reported.max_spindle_load_percent),
-        max_feed_drive_load_percent: peak(reported.max_feed_drive_load_percent),
+        max_spindle_load_percent: told_peak(reported.max_spindle_load_percent),
+        max_feed_drive_load_percent: told_peak(reported.max_feed_drive_load_percent),
         max_spindle_power_watts: None,
         max_thrust_newtons: None,
         max_torque_newton_metres: None,
@@ -163,6 +173,16 @@ fn of_reported(cycle: &Cycle) -> CycleSummary {
         digest: None,
         flags,
     }
+}
+
+/// A largest load that the control reports.
+fn told_peak(value: Option<f64>) -> Option<Peak> {
+    value.map(|value| Peak { value, depth_mm: None, time_ms: None })
+}
+
+fn flag_load(load_percent: Option<f64>, flags: &mut Flags) {
+    flags.insert_if(load_percent.is_some_and(|load| load > 400.0), Flag::LoadOver400);
+    flags.insert_if(load_percent.is_some_and(|load| load < 0.0), Flag::NegativeLoad);
 }
 
 fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSummary {
@@ -182,6 +202,13 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
     let mut flags = loads::flags(samples);
     flags.insert_if(told.is_beyond_calibration, Flag::BeyondCalibration);
     flags.insert_if(clock.has_gaps(), Flag::Gaps);
+    // Of a channel that is not sampled, what the control reports is all there is.
+    let reported = &cycle.reported;
+    let unsampled = |channel, value: Option<f64>| value.filter(|_| column(channel).is_none());
+    let told_spindle = unsampled(Channel::SpindleLoadPercent, reported.max_spindle_load_percent);
+    let told_feed_drive = unsampled(Channel::FeedDriveLoadPercent, reported.max_feed_drive_load_percent);
+    flag_load(told_spindle, &mut flags);
+    flag_load(told_feed_drive, &mut flags);
     let digest =
         told.best_by_sample.and_then(|joules| digest::of(samples, &clock, cycle, context, (&joules, flags)));
     CycleSummary {
@@ -190,16 +217,16 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
         duration_ms: Some(clock.duration_ms),
         energy: told.energies,
         energy_scale: 0,
-        max_depth_mm: depth.map(scan::largest),
-        max_spindle_load_percent: peak(Channel::SpindleLoadPercent),
-        max_feed_drive_load_percent: peak(Channel::FeedDriveLoadPercent),
+        max_depth_mm: depth.map(scan::largest).or(reported.max_depth_mm),
+        max_spindle_load_percent: peak(Channel::SpindleLoadPercent).or(told_peak(told_spindle)),
+        max_feed_drive_load_percent: peak(Channel::FeedDriveLoadPercent).or(told_peak(told_feed_drive)),
         max_spindle_power_watts: peak(Channel::SpindlePowerWatts),
         max_thrust_newtons: peak(Channel::ThrustNewtons),
         max_torque_newton_metres: peak(Channel::TorqueNewtonMetres),
-        mean_spindle_load_percent,
-        mean_feed_drive_load_percent,
+        mean_spindle_load_percent: mean_spindle_load_percent.or(reported.mean_spindle_load_percent),
+        mean_feed_drive_load_percent: mean_feed_drive_load_percent.or(reported.mean_feed_drive_load_percent),
         mean_override_percent,
-        operator_override_percent: operator_override.or(cycle.reported.operator_override_percent),
+        operator_override_percent: operator_override.or(reported.operator_override_percent),
         median_spindle_speed_rpm: column(Channel::SpindleSpeedRpm).map(loads::median),
         spindle_load_fall_depth_mm: loads::fall_depth(samples),
         coverage: clock.coverage,

@@ -693,8 +693,32 @@ impl Config {
             "watch.quarantine_warning_percent",
             "1 to 100",
         );
-        let directives = tracing_subscriber::EnvFilter::try_new(&self.log.level);
-        must(directives.is_ok(), "log.level", "must be a level or directives");
+        must(
+            is_filter(&self.log.level),
+            "log.level",
+            "must be off, error, warn, info, debug or trace, or directives such as info,feedwright_store=debug",
+        );
+        let headers = self.traces.headers.expose_secret();
+        let named = headers.split(',').filter(|header| !header.trim().is_empty());
+        must(
+            named
+                .clone()
+                .all(|header| header.split_once('=').is_some_and(|(name, _)| !name.trim().is_empty())),
+            "traces.headers",
+            "must be name=value, separated by commas",
+        );
         if wrong.is_empty() { Ok(()) } else { Err(ConfigError::Invalid(wrong)) }
     }
+}
+
+/// Whether a text filters the log as it says. A word that is no level would be taken for the name of a part of the program,
+/// and nothing else be written: a mistyped level must not end the log.
+fn is_filter(text: &str) -> bool {
+    const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "trace"];
+    let is_level = |word: &str| LEVELS.iter().any(|level| level.eq_ignore_ascii_case(word));
+    let known = text.split(',').map(str::trim).all(|directive| match directive.rsplit_once('=') {
+        Some((target, level)) => !target.trim().is_empty() && is_level(level.trim()),
+        None => is_level(directive),
+    });
+    known && tracing_subscriber::EnvFilter::try_new(text).is_ok()
 }

@@ -28,7 +28,9 @@ pub(crate) use registry::{
 };
 #[cfg(test)]
 pub(crate) use saved::MOST_BLOCK_BYTES;
-pub(crate) use saved::{ADVICE_HASH_BYTES, Advice, AlarmChange, BlockRow, IssuedRow, Rest, SavedWear};
+pub(crate) use saved::{
+    ADVICE_HASH_BYTES, Advice, AlarmChange, BlockRow, IssuedRow, Rest, SavedWear, advice_hash,
+};
 pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
 
 use crate::error::{StoreError, StoreResult};

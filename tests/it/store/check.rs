@@ -65,6 +65,13 @@ async fn what_is_stored_beside_cycles_is_held_too(given: &Given) {
             false,
         ),
         (
+            "UPDATE advices SET body = replace(body, '\"override_percent\":100', '\"override_percent\":500')
+             WHERE advice_hash = (SELECT advice_hash FROM advices ORDER BY 1 LIMIT 1)"
+                .to_owned(),
+            "advice",
+            false,
+        ),
+        (
             format!(
                 "UPDATE advices SET body = {} WHERE advice_hash = (SELECT advice_hash FROM advices ORDER BY 1 LIMIT 1)",
                 // No text at all, where the engine bears it.

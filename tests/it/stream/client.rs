@@ -56,7 +56,10 @@ impl Machine {
         let mut request =
             format!("ws://{address}/v1/machines/{machine}/stream").into_client_request().unwrap();
         let map = request.headers_mut();
-        map.insert("authorization", format!("Bearer {token}").parse().unwrap());
+        // A browser sends a cookie instead.
+        if !token.is_empty() {
+            map.insert("authorization", format!("Bearer {token}").parse().unwrap());
+        }
         map.insert("sec-websocket-protocol", protocol.parse().unwrap());
         for (name, value) in headers {
             map.insert(*name, value.parse().unwrap());

@@ -64,6 +64,25 @@ async fn a_stream_ends_with_the_token_that_opened_it() {
     served.server.shutdown().await.unwrap();
 }
 
+#[tokio::test]
+async fn a_stream_ends_with_the_session_that_opened_it() {
+    let served = Served::start(&[("stream.heartbeat_ms", "50")]).await;
+    served.with_a_shop().await;
+    let session = served.url("/v1/session");
+    let asked = served.client.post(&session).header("x-feedwright-page", "1");
+    let begun = asked.json(&json!({"token": served.token})).send().await.unwrap();
+    assert!(begun.status().is_success(), "{}", begun.status());
+    let set = begun.headers()["set-cookie"].to_str().unwrap();
+    let cookie = set.split(';').next().unwrap().to_owned();
+    let mut machine = Machine::open(&served, "M1", "", "feedwright.v1", &[("cookie", cookie.as_str())])
+        .await
+        .unwrap_or_else(|refused| panic!("{refused:?}"));
+    let ended = served.client.delete(&session).header("cookie", &cookie).header("x-feedwright-page", "1");
+    assert_eq!(ended.send().await.unwrap().status(), 204);
+    assert_eq!(machine.came().await, Came::Closed(Some(4401)));
+    served.server.shutdown().await.unwrap();
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_machine_that_never_pauses_is_not_deaf_to_its_end() {
     let served = Served::start(&[("stream.heartbeat_ms", "50")]).await;

@@ -46,6 +46,30 @@ async fn bring_into_force(served: &Served, end_mm_min: f64, approver: &str) -> u
 }
 
 #[tokio::test]
+async fn what_is_changed_while_a_cycle_runs_ends_its_law() {
+    let served = Served::start(&[("stream.heating_ms", "0")]).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("a", json!({})).await;
+    let risen = machine.samples(0, 10).await;
+    assert!(risen["override_percent"].as_f64().unwrap() > 100.0, "{risen}");
+    let changed = json!({"kind": "changed", "at": "2026-05-04T05:59:00Z", "reason": "story"});
+    assert_eq!(served.send("POST", "/v1/tools/T1/events", Some(changed)).await.0, 201);
+    let mut last = risen;
+    for from in (10..410) {
+        last = machine.samples(from, from + 1).await;
+        if codes(&last["reasons"]).contains(&"changed_meanwhile") {
+            break;
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(25)).await;
+    }
+    assert!(codes(&last["reasons"]).contains(&"changed_meanwhile"), "{last}");
+    assert!(last["override_percent"].as_f64().unwrap() <= 100.0, "{last}");
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
 async fn only_the_active_version_is_believed_and_with_its_own_limits() {
     let served = Served::start(&[("stream.heating_ms", "0")]).await;
     served.with_a_shop().await;

@@ -132,9 +132,10 @@ impl Seen {
         }
     }
 
-    const fn as_law_sample(&self) -> LawSample {
+    const fn as_law_sample(&self, contact_ms: Option<f64>) -> LawSample {
         LawSample {
             time_ms: self.time_ms,
+            contact_ms,
             depth_mm: self.depth_mm,
             feed_drive_percent: self.feed_drive_percent,
             spindle_percent: self.spindle_percent,
@@ -148,6 +149,10 @@ pub struct FrictionLoop {
     config: LawConfig,
     state: LawState,
     program: Option<FeedProgram>,
+    /// The slowest and the fastest feed that machine and profile permit, mm/min.
+    feeds_mm_min: (f64, f64),
+    /// When the tip first was at the work, where its depth is sampled.
+    contact_at_ms: Option<f64>,
 }
 
 /// What answers samples.
@@ -211,12 +216,16 @@ pub fn control(
     }
     let (mut feed_drive, mut spindle) =
         (operation.feed_drive_load_set_percent, operation.spindle_load_set_percent);
+    let limits = &standing.machine.limits;
+    let mut feeds_mm_min = (limits.min_mm_min(), limits.max_mm_min());
     let program = match standing.program {
         Program::Told { program, range } => Some((program, range.unwrap_or(settings.program_range))),
         Program::Profile(profile) => {
             capped = capped.and(profile.capped);
             feed_drive = lower(feed_drive, profile.set_feed_drive_percent);
             spindle = lower(spindle, profile.set_spindle_percent);
+            let (slowest, fastest) = profile.feeds_mm_min;
+            feeds_mm_min = (feeds_mm_min.0.max(slowest), feeds_mm_min.1.min(fastest));
             Some((&profile.program, profile.range))
         }
         Program::Unknown => {
@@ -264,7 +273,13 @@ pub fn control(
     })?;
     let program = program.map(|(program, _)| program.clone());
     Ok((
-        Control::Friction(Box::new(FrictionLoop { config, state: LawState::new(), program })),
+        Control::Friction(Box::new(FrictionLoop {
+            config,
+            state: LawState::new(),
+            program,
+            feeds_mm_min,
+            contact_at_ms: None,
+        })),
         neutral,
         capped,
     ))
@@ -299,12 +314,8 @@ impl Control {
     pub fn step(&mut self, seen: &Seen) -> (FeedOverride, LoopReasons, Option<PlungeStep>) {
         match self {
             Self::Friction(friction) => {
-                if friction.strays(seen) {
-                    let reasons = friction.watch(seen).and(LoopReasons::of(LoopReason::ProgramMismatch));
-                    return (friction.state.withhold(&friction.config, Some(seen.time_ms)), reasons, None);
-                }
-                let step = friction.state.step(&friction.config, &seen.as_law_sample());
-                (step.ovr, step.reasons.into(), None)
+                let (ovr, reasons) = friction.step(seen);
+                (ovr, reasons, None)
             }
             Self::Plunge(plunge) => {
                 let (step, reasons) = plunge.step(seen);
@@ -367,9 +378,57 @@ impl Control {
 }
 
 impl FrictionLoop {
+    fn step(&mut self, seen: &Seen) -> (FeedOverride, LoopReasons) {
+        let why = if seen.depth_mm.is_some_and(|depth| !depth.is_finite()) {
+            // Where the tip is decides what the program says there, and whether it is in the work at all.
+            let mut why = law::Reasons::default();
+            why.add(law::Reason::UnknownDepth);
+            Some(why.into())
+        } else {
+            self.strays(seen).then(|| LoopReasons::of(LoopReason::ProgramMismatch))
+        };
+        if let Some(why) = why {
+            let reasons = self.watch(seen).and(why);
+            return (self.state.withhold(&self.config, Some(seen.time_ms)), reasons);
+        }
+        let sample = seen.as_law_sample(self.contact_ms(seen));
+        let before = self.state.ovr();
+        let mut step = self.state.step(&self.config, &sample);
+        // The law acted: a neutral override stays exactly neutral.
+        if let (Some(_), Some(share)) = (step.correction, self.override_share(seen)) {
+            self.state.keep_within_feed(&self.config, share, before, &mut step);
+        }
+        (step.ovr, step.reasons.into())
+    }
+
+    /// Time since the tip first was at the work, ms: since the start of the cycle where depth is not sampled.
+    fn contact_ms(&mut self, seen: &Seen) -> Option<f64> {
+        let Some(depth) = seen.depth_mm else {
+            return Some(seen.time_ms);
+        };
+        if depth >= 0.0 {
+            self.contact_at_ms.get_or_insert(seen.time_ms);
+        }
+        self.contact_at_ms.map(|at| seen.time_ms - at)
+    }
+
+    /// The overrides, in percent, under which the programmed feed at this depth stays within the permitted feeds; where the
+    /// depth is not sampled, anywhere in the program.
+    fn override_share(&self, seen: &Seen) -> Option<(f64, f64)> {
+        let program = self.program.as_ref()?;
+        let (slowest, fastest) = match seen.depth_mm {
+            Some(depth) => (program.feed_at(depth), program.feed_at(depth)),
+            None => program.knots().iter().fold((f64::INFINITY, 0.0_f64), |(slowest, fastest), knot| {
+                (slowest.min(knot.feed_mm_min), fastest.max(knot.feed_mm_min))
+            }),
+        };
+        Some((100.0 * self.feeds_mm_min.0 / slowest, 100.0 * self.feeds_mm_min.1 / fastest))
+    }
+
     fn watch(&mut self, seen: &Seen) -> LoopReasons {
         let mut reasons = law::Reasons::default();
-        if self.state.watch(&self.config, &seen.as_law_sample()) {
+        let contact_ms = self.contact_ms(seen);
+        if self.state.watch(&self.config, &seen.as_law_sample(contact_ms)) {
             reasons.add(law::Reason::Overload);
         }
         reasons.into()

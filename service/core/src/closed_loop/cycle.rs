@@ -75,7 +75,8 @@ pub struct Answer {
     pub quality: Quality,
     /// What a plunge is to do.
     pub plunge: Option<PlungeStep>,
-    /// Whether an overload of this cycle holds the override: never go up, whatever expires.
+    /// Whether an overload holds the override, of this cycle or one that nobody has acknowledged: never go up, whatever
+    /// expires.
     pub overloaded: bool,
 }
 
@@ -197,6 +198,11 @@ impl RunningCycle {
         self.control.is_overloaded()
     }
 
+    /// What the cycle was begun with holds no more: neutral to its end, and never again more.
+    pub const fn outdate(&mut self) {
+        self.neutral.add(LoopReason::ChangedMeanwhile);
+    }
+
     /// Takes some samples; what each is answered is added to `each`, in their order.
     pub fn take(&mut self, now: Timestamp, batch: &Batch<'_>, each: &mut Vec<SampleAdvice>) -> Answer {
         let mut last = LoopReasons::NONE;
@@ -242,7 +248,8 @@ impl RunningCycle {
             age_ms: self.age_ms,
             quality: reasons.quality(),
             plunge: self.plunge,
-            overloaded: self.control.is_overloaded(),
+            overloaded: self.control.is_overloaded()
+                || self.neutral.contains(LoopReason::OverloadUnacknowledged),
         }
     }
 
@@ -289,7 +296,6 @@ impl RunningCycle {
         if too_long {
             why.add(LoopReason::CycleTooLong);
         }
-        self.cut_short |= !kept || too_long;
         let mut never_taken = false;
         if time_ms.is_finite() {
             let age_ms = self.age_ms_of(now, time_ms);
@@ -303,6 +309,8 @@ impl RunningCycle {
                 never_taken = n > self.record.next() && -age_ms > self.settings.oldest_sample_ms;
             }
         }
+        // What was never taken is no part of the cycle that is missing: the machine still has to send what is.
+        self.cut_short |= !never_taken && (!kept || too_long);
         let advice = if why.is_empty() {
             let seen = self.seen(batch, i, time_ms);
             let (ovr, reasons, plunge) = self.control.step(&seen);

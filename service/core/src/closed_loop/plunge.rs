@@ -2,12 +2,16 @@
 //!
 //! A loop through a network bites before it knows: the advised approach is at most the permitted bite over the
 //! detector's lag and the answer's age. Fast is only what is known to be in air: while the idle band is being learnt,
-//! and after anything unusable, the advice is at most the working feed.
+//! after anything unusable, where nothing could be judged for long, and deeper below the programmed surface than the
+//! drill may bite, the advice is at most the working feed. Out of the work fast is only a tool that is drawn back.
 
 use super::control::Seen;
 use super::reason::{LoopReason, LoopReasons};
 use crate::contact::{ContactDetector, ContactEvent, ContactSample, ContactSettings, Ignored, Phase};
 use crate::machine::FeedLimits;
+
+/// An axis reaches its feed well within this: where it seems to accelerate for longer, contact is not looked for, ms.
+const LONGEST_UNJUDGED_MS: f64 = 200.0;
 
 /// A feed in mm/min that lies within the limits it was made for.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
@@ -74,7 +78,7 @@ pub struct PlungeLimits {
     pub work: BoundedFeed,
     /// The slowest that the machine runs, mm/min.
     pub least: BoundedFeed,
-    /// Feed out of the hole, mm/min.
+    /// Feed out of the hole, once the tool is drawn back, mm/min.
     pub retract: BoundedFeed,
     /// How far the drill may bite at plunge feed, mm.
     pub allowed_bite_mm: f64,
@@ -96,6 +100,11 @@ pub struct PlungeLoop {
     /// Good samples still needed before it may be fast.
     settling: u32,
     settling_samples: u32,
+    /// Successive samples that were not judged.
+    unjudged: u32,
+    /// The deepest that the tool has been, mm, and whether the last sample was above that.
+    deepest_mm: f64,
+    drawn_back: bool,
     contact_offset_mm: Option<f64>,
     breakthrough_depth_mm: Option<f64>,
 }
@@ -112,6 +121,9 @@ impl PlungeLoop {
             in_work: false,
             settling: 0,
             settling_samples,
+            unjudged: 0,
+            deepest_mm: f64::NEG_INFINITY,
+            drawn_back: false,
             contact_offset_mm: None,
             breakthrough_depth_mm: None,
         }
@@ -133,6 +145,14 @@ impl PlungeLoop {
         } else {
             self.settling = self.settling.saturating_sub(1);
         }
+        self.unjudged = if found.ignored.is_some() { self.unjudged.saturating_add(1) } else { 0 };
+        let is_judged = f64::from(self.unjudged) * self.limits.period_ms <= LONGEST_UNJUDGED_MS;
+        // Where no work was found as deep as the drill may bite, either there is none or it was missed.
+        let is_expected_in_work = found.depth_mm.is_none_or(|depth| depth > self.limits.allowed_bite_mm);
+        self.drawn_back = seen.depth_mm.is_some_and(|depth| depth < self.deepest_mm);
+        if let Some(depth) = seen.depth_mm.filter(|depth| depth.is_finite()) {
+            self.deepest_mm = self.deepest_mm.max(depth);
+        }
         self.in_work = found.event == Some(ContactEvent::Contact) || found.phase == Phase::InWork;
         self.phase = match (found.event, found.phase) {
             (Some(ContactEvent::Contact), _) | (_, Phase::InWork) => PlungePhase::Work,
@@ -142,6 +162,10 @@ impl PlungeLoop {
                 PlungePhase::Work
             }
             (_, Phase::Approach) if self.settling > 0 => PlungePhase::Work,
+            (_, Phase::Approach) if !is_judged || is_expected_in_work => {
+                reasons.add(LoopReason::IdleUnknown);
+                PlungePhase::Work
+            }
             (_, Phase::Approach) => PlungePhase::Approach,
         };
         let step = self.advice(seen.age_ms, &mut reasons);
@@ -175,7 +199,9 @@ impl PlungeLoop {
     fn advice(&self, age_ms: f64, reasons: &mut LoopReasons) -> PlungeStep {
         let delay_s = self.delay_s(age_ms);
         let feed = match self.phase {
-            PlungePhase::Retract => self.limits.retract,
+            PlungePhase::Retract if self.drawn_back => self.limits.retract,
+            // Until it is drawn back it may meet work again.
+            PlungePhase::Retract => self.limits.work,
             PlungePhase::Work if self.in_work => self.limits.work,
             // What bounds the approach bounds the feed of which it is not known whether it is one, so that nothing unknown
             // raises it: the working feed itself may bite deeper than is allowed.

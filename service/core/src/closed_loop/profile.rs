@@ -23,6 +23,8 @@ pub struct RunProfile {
     pub program: FeedProgram,
     /// The overrides under which it may run, percent.
     pub range: (f64, f64),
+    /// The slowest and the fastest feed that it permits, mm/min.
+    pub feeds_mm_min: (f64, f64),
     /// Set load of the feed drive that it was made for, percent.
     pub set_feed_drive_percent: Option<f64>,
     /// Set load of the spindle that it was made for, percent.
@@ -72,6 +74,7 @@ pub fn named(
         hash: one.hash,
         program,
         range,
+        feeds_mm_min: (stated.feed_min_mm_min, stated.feed_max_mm_min),
         set_feed_drive_percent: stated.feed_drive_load_set_percent,
         set_spindle_percent: stated.spindle_load_set_percent,
         capped,

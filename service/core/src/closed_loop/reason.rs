@@ -90,6 +90,8 @@ reasons! {
     ProfileBeyondWear = 29, "profile_beyond_wear";
     /// The tool's wear is not known, and the feed profile holds only up to some: as beyond it.
     ProfileWearUnknown = 30, "profile_wear_unknown";
+    /// Machine, operation, tool or feed profile were changed while the cycle ran.
+    ChangedMeanwhile = 31, "changed_meanwhile";
 }
 
 impl LoopReason {

@@ -12,6 +12,7 @@ use super::{
 };
 use crate::contact::{ContactInput, ContactSettings};
 use crate::cycle::{Channel, TimeBase};
+use crate::friction::feed_override::FeedOverride;
 use crate::friction::law::{OverloadHold, Reason};
 use crate::friction::program::{Between, FeedProgram};
 use crate::machine::{FeedDriveRating, FeedLimits, LoadReference, Machine, SpindleRating};
@@ -184,8 +185,15 @@ fn a_profile_brings_its_own_limits_and_the_lower_of_two_set_loads_counts() {
         let Program::Told { program, .. } = program() else { panic!("a program is told") };
         let hash = crate::feed::profile::ProfileHash::from_bytes([0; 32]);
         let (set_feed_drive_percent, set_spindle_percent) = (Some(set), None);
-        let profile =
-            RunProfile { hash, program, range, set_feed_drive_percent, set_spindle_percent, capped };
+        let profile = RunProfile {
+            hash,
+            program,
+            range,
+            feeds_mm_min: (1.0, 30_000.0),
+            set_feed_drive_percent,
+            set_spindle_percent,
+            capped,
+        };
         let told = Program::Profile(Box::new(profile));
         let mut cycle = running_with(&machine(), &operation(Process::Friction), Some(ToolState::Good), &told);
         let mut last = None;
@@ -490,11 +498,231 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
     }
     assert_eq!(work.0.phase, PlungePhase::Work);
     assert!(work.0.contact_offset_mm.is_some_and(|offset| (offset - 0.1).abs() < 1e-12));
-    for _ in 0..6 {
-        work = step(8.0, 3.0);
+    for k in 0..6 {
+        work = step(8.0 + f64::from(k) * 0.1, 3.0);
     }
-    assert_eq!((work.0.phase, work.0.feed.mm_min()), (PlungePhase::Retract, 3000.0));
+    // Out of the work, and fast once it is drawn back: until then there may be more work.
+    assert_eq!((work.0.phase, work.0.feed.mm_min()), (PlungePhase::Retract, 120.0));
     assert!(work.0.breakthrough_depth_mm.is_some_and(|depth| (depth - 8.0).abs() < 1e-12));
+    let back = step(8.2, 5.0).0;
+    assert_eq!((back.phase, back.feed.mm_min()), (PlungePhase::Retract, 3000.0));
+    // A bore across the hole was none of its end.
+    let deeper = step(9.0, 30.0).0;
+    assert_eq!((deeper.phase, deeper.feed.mm_min()), (PlungePhase::Work, 120.0));
+    assert_eq!(deeper.breakthrough_depth_mm, None);
+}
+
+/// A plunge at 500 mm/min in air, with a working feed of 150 mm/min; samples of depth, actual feed and load every 10 ms.
+fn plunged(samples: impl IntoIterator<Item = (f64, f64, f64)>) -> Vec<(f64, PlungeStep, LoopReasons)> {
+    let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
+    let feed = |mm_min| BoundedFeed::within(&limits, mm_min).unwrap();
+    let limits = PlungeLimits {
+        plunge: feed(2500.0),
+        work: feed(150.0),
+        least: feed(1.0),
+        retract: feed(3000.0),
+        allowed_bite_mm: 0.5,
+        answer_age_ms: 20.0,
+        period_ms: 10.0,
+    };
+    let mut plunge = PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
+    let each = samples.into_iter().map(|(depth_mm, feed, load)| {
+        let (step, reasons) = plunge.step(&Seen {
+            time_ms: 0.0,
+            age_ms: 0.0,
+            depth_mm: Some(depth_mm),
+            feed_drive_percent: Some(load),
+            spindle_percent: None,
+            programmed_mm_min: None,
+            actual_mm_min: Some(feed),
+        });
+        (depth_mm, step, reasons)
+    });
+    each.collect()
+}
+
+#[test]
+fn below_the_surface_a_plunge_is_never_faster_than_the_work_unless_contact_is_known() {
+    let way = |from_mm: f64, load: fn(f64) -> f64| {
+        (0..160).map(move |k| (from_mm + f64::from(k) * 0.08, 500.0, load(from_mm + f64::from(k) * 0.08)))
+    };
+    // A load that is frozen; one that began in the work; an approach too short to learn from.
+    let frozen = plunged(way(-4.0, |_| 8.0));
+    let in_the_work = plunged(way(1.0, |_| 40.0));
+    let short = plunged(way(-1.0, |depth| if depth < 0.0 { 8.0 } else { 40.0 }));
+    for (name, steps) in [("frozen", &frozen), ("in the work", &in_the_work), ("short", &short)] {
+        for (depth, step, reasons) in steps.iter().filter(|(depth, ..)| *depth > 0.5) {
+            assert!(step.feed.mm_min() <= 150.0, "{name} at {depth} mm: {step:?}");
+            assert!(reasons.contains(LoopReason::IdleUnknown), "{name} at {depth} mm: {reasons:?}");
+        }
+    }
+    assert!(frozen.iter().any(|(_, step, _)| step.phase == PlungePhase::Approach), "in air it is fast");
+}
+
+#[test]
+fn a_feed_that_ripples_hides_no_contact_and_one_that_never_settles_is_not_fast() {
+    let rippling = |share: f64| {
+        (0..160).map(move |k| {
+            let depth = -4.0 + f64::from(k) * 0.08;
+            let feed = 500.0 * (1.0 + share * [1.0, -1.0][k as usize % 2]);
+            (depth, feed, if depth < -0.4 { 8.0 } else { 40.0 })
+        })
+    };
+    let found = plunged(rippling(0.03));
+    let (_, last, _) = found.last().unwrap();
+    assert!(last.contact_offset_mm.is_some_and(|offset| (-0.4..-0.3).contains(&offset)), "{last:?}");
+    // Learnt in peace, then unsteady for longer than an axis takes to reach its feed.
+    let unsteady = (0..100).map(|k| {
+        let feed = if k < 40 { 500.0 } else { 500.0 + 150.0 * [1.0, -1.0][k as usize % 2] };
+        (-10.0 + f64::from(k) * 0.08, feed, 8.0)
+    });
+    let steps = plunged(unsteady);
+    assert_eq!(steps[39].1.phase, PlungePhase::Approach);
+    let (_, last, reasons) = steps.last().unwrap();
+    assert_eq!(last.phase, PlungePhase::Work);
+    assert!(last.feed.mm_min() <= 150.0 && reasons.contains(LoopReason::IdleUnknown));
+}
+
+#[test]
+fn a_peck_and_a_bore_across_the_hole_are_no_end_of_the_work() {
+    let forward = |from: f64, to: f64| {
+        (0_u32..).map(move |k| from + f64::from(k) * 0.025).take_while(move |at| *at <= to)
+    };
+    let air = (0..60).map(|k| (-6.0 + f64::from(k) * 0.08, 500.0, 8.0));
+    let drilled = |from: f64, to: f64, load: f64| forward(from, to).map(move |depth| (depth, 150.0, load));
+    let back = (0..40).map(|k| (2.0 - f64::from(k) * 0.1, 150.0, 8.0));
+    let again = (0..40).map(|k| (-1.9 + f64::from(k) * 0.1, 150.0, 8.0));
+    let pecked = air.clone().chain(drilled(-0.4, 2.0, 30.0)).chain(back).chain(again);
+    let pecked = plunged(pecked.chain(drilled(2.0, 6.0, 30.0)));
+    assert!(pecked.iter().all(|(_, step, _)| step.phase != PlungePhase::Retract), "a peck");
+    let across = air.chain(drilled(-0.4, 3.0, 30.0)).chain(drilled(3.025, 6.0, 8.0));
+    let across = plunged(across.chain(drilled(6.025, 12.0, 30.0)));
+    for (depth, step, _) in across.iter().filter(|(depth, ..)| *depth > 0.0) {
+        assert!(step.feed.mm_min() <= 150.0, "{depth} mm: {step:?}");
+    }
+    assert_eq!(across.last().unwrap().1.phase, PlungePhase::Work);
+}
+
+/// Samples with a depth, a programmed feed and one load on both drives each, 10 ms apart.
+fn drilled(cycle: &mut RunningCycle, samples: &[(f64, f64)]) -> Vec<(FeedOverride, LoopReasons)> {
+    let first = cycle.record().next();
+    let each = samples.iter().zip(first..).map(|((depth, load), n)| {
+        let values = [*depth, *load, *load];
+        let answer =
+            cycle.take(at(n), &Batch { first: n, count: 1, values: &values, times_ms: &[] }, &mut Vec::new());
+        (answer.ovr, answer.reasons)
+    });
+    each.collect()
+}
+
+#[test]
+fn the_override_keeps_the_programmed_feed_within_the_machine_s() {
+    let narrow = Machine { limits: FeedLimits::new(90.0, 320.0, 20.0, 150.0).unwrap(), ..machine() };
+    let mut cycle = running_with(&narrow, &operation(Process::Friction), Some(ToolState::Good), &program());
+    // 100 + 20 z mm/min, light loads: at 9 mm the program runs 280 mm/min.
+    let light: Vec<(f64, f64)> = (0..300).map(|k| (f64::from(k) * 0.03, 5.0)).collect();
+    for ((depth, _), (ovr, reasons)) in light.iter().zip(drilled(&mut cycle, &light)) {
+        let feed = (100.0 + 20.0 * depth) * ovr.percent() / 100.0;
+        assert!(feed <= 320.0 + 1e-9, "{feed} mm/min at {depth} mm, {reasons:?}");
+        assert_eq!(reasons.has_law(Reason::ClampedFeedMax), (feed - 320.0).abs() < 1e-9, "{depth} {feed}");
+    }
+    let heavy: Vec<(f64, f64)> = (0..100).map(|_| (9.0, 75.0)).collect();
+    let (ovr, reasons) = *drilled(&mut cycle, &heavy).last().unwrap();
+    assert!((ovr.percent() * 2.8 - 90.0).abs() < 1e-9 && reasons.has_law(Reason::ClampedFeedMin), "{ovr:?}");
+}
+
+#[test]
+fn above_the_work_and_at_an_unknown_depth_the_law_is_off() {
+    let mut cycle = running();
+    let air: Vec<(f64, f64)> = (0..100).map(|k| (-5.0 + f64::from(k) * 0.04, 4.0)).collect();
+    for (ovr, reasons) in drilled(&mut cycle, &air) {
+        assert_eq!(ovr.percent(), 100.0);
+        assert!(reasons.has_law(Reason::Heating));
+    }
+    let (risen, _) = *drilled(&mut cycle, &[(0.1, 10.0); 10]).last().unwrap();
+    assert!(risen.percent() > 100.0, "in the work it acts");
+    for (ovr, reasons) in drilled(&mut cycle, &[(f64::NAN, 10.0); 10]) {
+        assert_eq!(ovr.percent(), 100.0);
+        assert!(reasons.has_law(Reason::UnknownDepth));
+    }
+}
+
+#[test]
+fn a_load_below_none_hides_no_crash() {
+    let after = |first: f64| {
+        let mut cycle = running();
+        drilled(&mut cycle, &[(1.0, 10.0); 4]);
+        drilled(&mut cycle, &[(1.0, first), (1.0, 150.0)]).last().unwrap().0
+    };
+    assert_eq!(after(-900.0), after(0.0));
+}
+
+#[test]
+fn samples_that_come_faster_than_declared_do_not_raise_faster() {
+    let mut cycle = running();
+    let timing = Timing::Stamps { usual_ms: PERIOD_MS };
+    let standing = Standing {
+        machine: &machine(),
+        operation: Some(&operation(Process::Friction)),
+        tool: Some(ToolState::Good),
+        program: &program(),
+        overload_open: false,
+        constant_feed: false,
+        process: None,
+    };
+    let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, None).unwrap();
+    let mut fast =
+        RunningCycle::new(begun(), control, (CHANNELS.to_vec(), timing), (Mode::Advise, settings()));
+    for n in 0..100_u32 {
+        let time_ms = f64::from(n + 1) * 0.1;
+        let now = Timestamp::from_micros(START + i64::from(n + 1) * 100);
+        let batch = Batch { first: n.into(), count: 1, values: &[1.0, 5.0, 5.0], times_ms: &[time_ms] };
+        fast.take(now, &batch, &mut Vec::new());
+    }
+    let (usual, _) = *drilled(&mut cycle, &[(1.0, 5.0); 2]).last().unwrap();
+    let reached = fast.standing(at(1)).ovr.percent();
+    // The first sample of a cycle has no step in time: it counts as a whole one.
+    assert!(reached > 100.0 && reached <= usual.percent() + 1e-9, "{reached} beside {usual:?}");
+}
+
+#[test]
+fn a_number_that_was_never_taken_does_not_let_a_cycle_end_without_its_samples() {
+    let mut cycle = running();
+    drilled(&mut cycle, &[(1.0, 10.0); 10]);
+    send(&mut cycle, at(10), 2_147_483_648, &[10.0]);
+    assert!(!cycle.was_cut_short());
+    assert_eq!(cycle.record().next(), 10);
+}
+
+#[test]
+fn an_overload_that_nobody_has_acknowledged_is_told_with_every_answer() {
+    let standing = Standing {
+        machine: &machine(),
+        operation: Some(&operation(Process::Friction)),
+        tool: Some(ToolState::Good),
+        program: &program(),
+        overload_open: true,
+        constant_feed: false,
+        process: None,
+    };
+    let overload = OverloadHold::UntilAcknowledged { relative_load: 2.0 };
+    let control = control(&standing, &law(overload), PERIOD_MS, None).unwrap();
+    let timing = Timing::Period { period_ms: PERIOD_MS };
+    let mut cycle =
+        RunningCycle::new(begun(), control, (CHANNELS.to_vec(), timing), (Mode::Advise, settings()));
+    assert!(send(&mut cycle, at(0), 0, &[10.0]).0.overloaded && !cycle.is_overloaded());
+    cycle.acknowledge();
+    assert!(!send(&mut cycle, at(1), 1, &[10.0]).0.overloaded);
+}
+
+#[test]
+fn what_is_changed_while_a_cycle_runs_ends_its_law() {
+    let mut cycle = running();
+    drilled(&mut cycle, &[(1.0, 10.0); 10]);
+    cycle.outdate();
+    let (answer, _) = send(&mut cycle, at(10), 10, &[10.0]);
+    assert_eq!(answer.ovr.percent(), 100.0);
+    assert!(answer.reasons.contains(LoopReason::ChangedMeanwhile));
 }
 
 #[test]

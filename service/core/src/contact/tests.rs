@@ -85,7 +85,7 @@ fn depth_counts_from_the_programmed_surface_with_the_offset_beside_it() {
 fn contact_is_not_reported_while_the_axis_accelerates() {
     let idle = IdleBand::Known { mean_percent: 8.0, half_width_percent: 2.0 };
     let mut detector = detector(ContactInput { idle, ..ContactInput::DEFAULT });
-    for i in 0..50 {
+    for i in 0..11 {
         let feed_mm_min = 60.0 * f64::from(i);
         let step = detector.step(ContactSample { position_mm: 0.0, feed_mm_min, load_percent: Some(60.0) });
         assert_eq!((step.event, step.ignored), (None, Some(Ignored::Accelerating)));
@@ -123,17 +123,20 @@ fn bad_settings_are_refused_by_name() {
 
 proptest! {
     #[test]
-    fn breakthrough_comes_only_after_contact_and_each_at_most_once(
+    fn contact_and_breakthrough_take_turns(
         loads in prop::collection::vec(prop::option::weighted(0.9, -50.0..100.0_f64), 0..300)
     ) {
         let mut detector = detector(ContactInput::DEFAULT);
         let mut events = Vec::new();
         for (i, load_percent) in (0_u32..).zip(loads) {
-            let sample = ContactSample { position_mm: f64::from(i), feed_mm_min: 600.0, load_percent };
+            let sample =
+                ContactSample { position_mm: f64::from(i) - 100.0, feed_mm_min: 600.0, load_percent };
             events.extend(detector.step(sample).event);
         }
-        prop_assert!(events.len() <= 2);
-        prop_assert!(events.first().is_none_or(|event| *event == ContactEvent::Contact));
-        prop_assert!(events.get(1).is_none_or(|event| *event == ContactEvent::Breakthrough));
+        // Nothing is cut that was not touched, and what is found again was left before.
+        for (at, event) in events.iter().enumerate() {
+            let expected = if at % 2 == 0 { ContactEvent::Contact } else { ContactEvent::Breakthrough };
+            prop_assert_eq!(*event, expected);
+        }
     }
 }

@@ -262,6 +262,29 @@ fn what_is_unusual_is_flagged() {
 }
 
 #[test]
+fn of_a_channel_that_is_not_sampled_the_control_s_word_counts() {
+    let reported = crate::cycle::Reported {
+        max_depth_mm: Some(1.0),
+        max_spindle_load_percent: Some(99.0),
+        max_feed_drive_load_percent: Some(450.0),
+        mean_feed_drive_load_percent: Some(12.5),
+        ..crate::cycle::Reported::default()
+    };
+    let sampled = every_10_ms(vec![(Channel::SpindleLoadPercent, vec![10.0, 20.0, 30.0])]);
+    let cycle = Cycle::new(CycleDraft { reported, ..sampled.clone().into_draft() }).unwrap();
+    let summary = told(&cycle, &machine(LoadReference::Unknown), None);
+    assert_eq!(summary.max_depth_mm, Some(1.0));
+    assert_eq!(summary.max_spindle_load_percent.unwrap().value, 30.0, "what was sampled is believed");
+    let peak = summary.max_feed_drive_load_percent.unwrap();
+    assert_eq!((peak.value, peak.depth_mm, peak.time_ms), (450.0, None, None));
+    assert_eq!(summary.mean_feed_drive_load_percent, Some(12.5));
+    assert!(summary.flags.contains(Flag::LoadOver400));
+    // Summaries of the rules before can be told where nothing of it was reported.
+    assert!(is_summarised_alike(4, &sampled) && !is_summarised_alike(4, &cycle));
+    assert!(is_summarised_alike(SUMMARY_VERSION, &cycle) && !is_summarised_alike(3, &sampled));
+}
+
+#[test]
 fn the_course_of_an_energy_ends_at_the_whole() {
     let n = 40;
     let wave =

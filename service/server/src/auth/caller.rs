@@ -21,6 +21,9 @@ const OUTAGE_PATIENCE: Duration = Duration::from_secs(1);
 /// How long the database has for saying whose a token is.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// A session that another server ended is noticed within this time, ms.
+const SESSION_LOOK_MS: i64 = 30_000;
+
 /// Whom a route believes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Trust {
@@ -50,13 +53,39 @@ impl Caller {
     /// Returns once its token is revoked: what is open for long looks again every so often.
     ///
     /// A database that does not answer revokes nothing.
-    pub(crate) async fn revoked(&self, state: &AppState, every: Duration) {
+    async fn revoked(&self, state: &AppState, every: Duration) {
         loop {
             tokio::time::sleep(every).await;
             match known_token(state, &self.hash).await {
                 Ok(Some(TokenRecord { revoked_at: None, .. })) => {}
                 Ok(_) => return,
                 Err(error) => tracing::debug!(%error, "whether a token is still good is not known"),
+            }
+        }
+    }
+
+    /// Returns once it may do nothing any more: its token is revoked, or its session is over by time, by sign-out or with its
+    /// token.
+    pub(crate) async fn over(&self, state: &AppState, every: Duration) {
+        let Some(session) = self.session else {
+            return self.revoked(state, every).await;
+        };
+        loop {
+            let moved = state.live.sessions_moved();
+            match state.store.session_by_hash(&session.hash).await {
+                Ok(Some((_, token))) if token.revoked_at.is_none() => {}
+                Ok(_) => return,
+                // A store that does not answer has ended nothing: looked at again.
+                Err(error) => tracing::debug!(%error, "cannot look at a session"),
+            }
+            let left_ms = session.expires_at.millis_since(state.clock.now());
+            if left_ms <= 0 {
+                return;
+            }
+            let wait = Duration::from_millis(left_ms.min(SESSION_LOOK_MS).unsigned_abs());
+            tokio::select! {
+                () = tokio::time::sleep(wait) => {}
+                () = moved => {}
             }
         }
     }

@@ -129,7 +129,8 @@ pub(super) async fn caller(
     let known = state.store.session_by_hash(&hash).await?;
     let known = known.filter(|(session, _)| bool::from(session.hash.ct_eq(&hash)));
     let Some((session, token)) = known else {
-        return Err(failed(state, peer, "session_unknown", "the session is over: sign in again"));
+        // No guess at a token: a browser that was signed out has to be told so, whoever else fails at its address.
+        return Err(challenge("session_unknown", "the session is over: sign in again", true));
     };
     if session.expires_at <= state.clock.now() {
         return Err(challenge("session_expired", "the session is over: sign in again", true));

@@ -10,7 +10,7 @@ const DEFAULTS: &str = include_str!("default.toml");
 /// Begins the name of every environment variable that is a setting.
 const PREFIX: &str = "FEEDWRIGHT__";
 /// The settings that hold secrets.
-const SECRETS: [&str; 3] = ["database.url", "database.direct_url", "traces.headers"];
+const SECRETS: [&str; 4] = ["database.url", "database.direct_url", "traces.endpoint", "traces.headers"];
 
 /// Where settings come from beside the defaults.
 #[derive(Debug, Clone, Default)]

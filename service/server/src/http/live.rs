@@ -12,11 +12,7 @@ use feedwright_core::ids::MachineId;
 use futures_util::StreamExt;
 use http::HeaderMap;
 use serde::Deserialize;
-use std::time::Duration;
 use utoipa::IntoParams;
-
-/// A session that another server ended is noticed within this time, ms.
-const SESSION_LOOK_MS: i64 = 30_000;
 
 /// What a reader wants to see.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -59,32 +55,8 @@ pub(super) async fn events(
         Some((event, reader))
     });
     let beats = KeepAlive::new().interval(state.live.config().heartbeat()).text("heartbeat");
-    let events = events.take_until(over(state.clone(), caller));
+    let every = state.live.config().heartbeat();
+    let over = async move { caller.over(&state, every).await };
+    let events = events.take_until(over);
     Ok(Sse::new(events).keep_alive(beats).into_response())
-}
-
-/// Waits until a reader may read no more: its token is revoked, or its session is over by time, by sign-out or with its
-/// token.
-async fn over(state: AppState, caller: Caller) {
-    let Some(session) = caller.session() else {
-        return caller.revoked(&state, state.live.config().heartbeat()).await;
-    };
-    loop {
-        let moved = state.live.sessions_moved();
-        match state.store.session_by_hash(&session.hash).await {
-            Ok(Some((_, token))) if token.revoked_at.is_none() => {}
-            Ok(_) => return,
-            // A store that does not answer has ended nothing: looked at again.
-            Err(error) => tracing::debug!(error = %error, "cannot look at a session"),
-        }
-        let left_ms = session.expires_at.millis_since(state.clock.now());
-        if left_ms <= 0 {
-            return;
-        }
-        let wait = Duration::from_millis(left_ms.min(SESSION_LOOK_MS).unsigned_abs());
-        tokio::select! {
-            () = tokio::time::sleep(wait) => {}
-            () = moved => {}
-        }
-    }
 }

@@ -79,8 +79,10 @@ async fn settle_alone(
         QuarantineAction::Reingest => {
             let repaired = if body.body.is_some() { "repaired and re-ingested" } else { "re-ingested" };
             let taken = body.body.map(Bytes::from).or_else(|| kept.map(Bytes::from)).ok_or_else(damaged)?;
-            let answer = state.intake.reingest(&entry, taken).await?;
-            (format!("{repaired}: {}", body.reason), Some(answer))
+            let (cycle, answer) = state.intake.reingest(&entry, taken).await?;
+            // A repair may be another cycle than the one that came: whoever reads the audit has to find it.
+            let how = format!("{repaired} as cycle {} of tool {}: {}", cycle.id, cycle.tool, body.reason);
+            (how, Some(answer))
         }
     };
     // A crash before this line leaves an entry open whose cycle is stored: settling it again finds it known.

@@ -529,17 +529,22 @@ impl CycleIntake {
         timeout(PATIENCE, self.settling.lock()).await.map_err(busy)
     }
 
-    /// Takes in a body from quarantine as if its machine had sent it now, and returns what that machine would have
+    /// Takes in a body from quarantine as if its machine had sent it now, and returns the cycle and what that machine would have
     /// been answered. A refusal is the problem it would have been answered; nothing is put in quarantine again. What was
     /// a part of a cycle when it was refused stays one.
-    pub async fn reingest(&self, entry: &QuarantineEntry, body: Bytes) -> Result<serde_json::Value, Problem> {
+    pub async fn reingest(
+        &self,
+        entry: &QuarantineEntry,
+        body: Bytes,
+    ) -> Result<(Arc<Cycle>, serde_json::Value), Problem> {
         let (machine, refused) = (&entry.machine, Refused::StaysInQuarantine);
         let accepted = match was_cut_short(entry) {
             true => self.accept_incomplete(machine, body, refused).await?,
             false => self.accept(machine, body, refused).await?,
         };
         let answer = crate::http::dto::cycle::CycleAnswerBody::of(&accepted);
-        serde_json::to_value(answer).map_err(|error| Problem::internal(error.to_string()))
+        let answer = serde_json::to_value(answer).map_err(|error| Problem::internal(error.to_string()))?;
+        Ok((accepted.cycle, answer))
     }
 
     /// Refuses new cycles; ends when every cycle that was taken in is committed and answered, and the writer is gone.

@@ -98,7 +98,7 @@ async fn watch(state: AppState, caller: Caller, leave: CancellationToken, tell: 
     let closing = tokio::select! {
         () = leave.cancelled() => Closing::TakenOver,
         () = state.lifecycle.stopping() => Closing::GoingAway,
-        () = caller.revoked(&state, every) => Closing::Revoked,
+        () = caller.over(&state, every) => Closing::Revoked,
         // The connection is gone.
         () = beating => return,
     };
@@ -679,7 +679,9 @@ fn judge(
     each.clear();
     let answered = cycle.running.take(now, &batch, each);
     let machine = &ownership.slot.machine;
-    if answered.overloaded && !cycle.overload.as_ref().is_some_and(|overload| overload.is_the_cycles()) {
+    if cycle.running.is_overloaded()
+        && !cycle.overload.as_ref().is_some_and(|overload| overload.is_the_cycles())
+    {
         let overload = Arc::new(Overload::seen(&cycle.id, &cycle.tool, now));
         cycle.overload = Some(overload.clone());
         overload.raise_beside(state, machine);

@@ -3,6 +3,7 @@
 use super::binary::MOST_DECIMALS;
 use super::message::{ProgramMessage, SamplesMessage, StartMessage};
 use super::overload::Overload;
+use super::standing::{BegunWith, KnownTool};
 use crate::config::StreamConfig;
 use crate::http::dto::{text, time};
 use crate::ingest::body::CLOCK_AHEAD_MS;
@@ -52,6 +53,8 @@ pub struct StreamedCycle {
     pub overload: Option<Arc<Overload>>,
     /// When its samples were shown last, µs.
     pub shown_us: i64,
+    /// What it was begun with.
+    pub begun_with: Arc<BegunWith>,
 }
 
 /// A start that was checked, before anything was read of it in the database.
@@ -312,6 +315,7 @@ pub async fn begin(
         Some(_) => Some(store.verdict(&checked.tool).await?),
         None => None,
     };
+    let known_tool = verdict.as_ref().map(KnownTool::from);
     let (mut program, mut program_hash) = (checked.program, checked.program_hash);
     // Without the operation or the tool the cycle stays neutral for that reason alone.
     if let (Some(version), Some(operation), Some(verdict)) = (&checked.profile, &around.operation, &verdict) {
@@ -364,6 +368,13 @@ pub async fn begin(
             neutral.add(LoopReason::NoLaw);
             (control::Control::Neutral, neutral, feedwright_core::closed_loop::LoopReasons::NONE)
         });
+    let runs_profile = matches!(program, Program::Profile(_));
+    let begun_with = Arc::new(BegunWith {
+        machine: around.machine.clone(),
+        operation: (checked.operation.clone(), around.operation.clone()),
+        tool: (checked.tool.clone(), known_tool),
+        profile: checked.profile.clone().filter(|_| runs_profile),
+    });
     let overload = overload_open
         .then(|| Arc::new(Overload::open_before(&checked.id, &checked.tool, checked.begun.received_at)));
     let mut running = RunningCycle::new(
@@ -385,6 +396,7 @@ pub async fn begin(
         program_hash,
         overload,
         shown_us: i64::MIN,
+        begun_with,
     }))
 }
 
@@ -421,9 +433,11 @@ fn plunge_loop(
         ..ContactInput::DEFAULT
     })
     .ok()?;
+    // Below the machine's slowest feed it would be raised, which is not ours to do.
+    let work = operation.programmed_feed_mm_min.filter(|work| *work >= limits.min_mm_min())?;
     let limits = PlungeLimits {
         plunge: BoundedFeed::within(limits, advised)?,
-        work: BoundedFeed::within(limits, operation.programmed_feed_mm_min?)?,
+        work: BoundedFeed::within(limits, work)?,
         least: BoundedFeed::within(limits, limits.min_mm_min())?,
         retract: BoundedFeed::within(limits, limits.max_mm_min())?,
         allowed_bite_mm: latency.allowed_bite_mm,

@@ -38,7 +38,7 @@ pub(super) async fn get(conn: &mut Conn, id: &RecommendationId) -> StoreResult<O
         "SELECT r.recommendation_id, r.issued_at_us, r.valid_until_us, r.level_as_run, r.level_lowest,
                 r.level_highest, r.level_n, r.level_window, r.remaining_cycles, r.remaining_low, r.remaining_high,
                 r.data_age_ms, r.level_decides, r.level_value, r.level_sd, r.machine_id, r.operation_id, r.tool_id,
-                a.body
+                a.advice_hash, a.body
          FROM recommendations r JOIN advices a ON a.advice_hash = r.advice_hash
          WHERE r.recommendation_id = $1",
     )

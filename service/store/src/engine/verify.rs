@@ -14,7 +14,7 @@ use crate::rows::{CycleRow, cycle_columns, id};
 use context::Contexts;
 use feedwright_core::cycle::Cycle;
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
-use feedwright_core::summary::{Context, SUMMARY_VERSION, summarise};
+use feedwright_core::summary::{Context, SUMMARY_VERSION, is_summarised_alike, summarise};
 use feedwright_core::units::Timestamp;
 use std::sync::Arc;
 
@@ -137,7 +137,7 @@ async fn summary(
         let what = format!("its summary is of version {}, later than this program's", row.summary_version);
         return Ok(Summary::Differs(what));
     }
-    if row.summary_version != i64::from(SUMMARY_VERSION) {
+    if !u32::try_from(row.summary_version).is_ok_and(|version| is_summarised_alike(version, &cycle)) {
         return Ok(Summary::Unverified);
     }
     let known = contexts.of(conn, row, &cycle).await?;

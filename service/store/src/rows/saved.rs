@@ -131,10 +131,15 @@ impl Advice {
         let mut json = Vec::with_capacity(USUAL_ADVICE_BYTES);
         serde_json::to_writer(&mut json, body).map_err(|error| StoreError::Database(Box::new(error)))?;
         let json = String::from_utf8(json).map_err(|error| StoreError::Database(Box::new(error)))?;
-        let mut hash = [0; ADVICE_HASH_BYTES];
-        hash.copy_from_slice(&blake3::hash(json.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
-        Ok(Self { hash, body: json.into() })
+        Ok(Self { hash: advice_hash(&json), body: json.into() })
     }
+}
+
+/// Under what a text of an advice is kept.
+pub(crate) fn advice_hash(json: &str) -> [u8; ADVICE_HASH_BYTES] {
+    let mut hash = [0; ADVICE_HASH_BYTES];
+    hash.copy_from_slice(&blake3::hash(json.as_bytes()).as_bytes()[..ADVICE_HASH_BYTES]);
+    hash
 }
 
 /// A row of `recommendations`, with the advice that it refers to.

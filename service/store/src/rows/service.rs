@@ -41,6 +41,17 @@ pub(crate) struct AdviceBody<'a> {
 }
 
 impl<'a> AdviceBody<'a> {
+    /// Reads a text that is kept under a hash. Of those that say whom they were for, which are of before, not all are
+    /// under their own.
+    pub(crate) fn read(hash: &[u8], text: &'a str) -> StoreResult<Self> {
+        let body: Self = serde_json::from_str(text)
+            .map_err(|error| StoreError::Damaged { what: format!("advice: {error}") })?;
+        if body.machine.is_none() && super::advice_hash(text) != hash {
+            return Err(StoreError::Damaged { what: "advice: it is not what its hash says".to_owned() });
+        }
+        Ok(body)
+    }
+
     pub(crate) fn of(recommendation: &'a Recommendation) -> Self {
         let limits = recommendation.limits;
         Self {
@@ -91,6 +102,7 @@ pub(crate) struct RecommendationRow {
     machine_id: String,
     operation_id: Option<String>,
     tool_id: Option<String>,
+    advice_hash: Vec<u8>,
     body: String,
 }
 
@@ -111,8 +123,7 @@ impl RecommendationRow {
     }
 
     pub(crate) fn issued(&self) -> StoreResult<IssuedRecommendation> {
-        let body: AdviceBody<'_> = serde_json::from_str(&self.body)
-            .map_err(|error| StoreError::Damaged { what: format!("advice: {error}") })?;
+        let body = AdviceBody::read(&self.advice_hash, &self.body)?;
         let [min, max, low, high] = body.limits;
         let limits = FeedLimits::new(min, max, low, high).map_err(|_| super::damaged("advices.body"))?;
         let level = self.level()?;

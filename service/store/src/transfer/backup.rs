@@ -14,6 +14,7 @@ use crate::sqlite::{beside, log_left};
 use crate::store::Store;
 use crate::{SqliteOptions, SqliteStore};
 use feedwright_core::units::Timestamp;
+use std::fs::TryLockError;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -31,13 +32,48 @@ fn partial(path: &Path) -> PathBuf {
     beside(path, ".partial")
 }
 
-/// A fresh, empty file for its owner only.
+/// An empty file for its owner only.
 fn create(path: &Path) -> Result<std::fs::File, TransferError> {
+    let made = for_owner().truncate(true).open(path);
+    made.map_err(|error| io(path, "cannot be made", &error))
+}
+
+fn for_owner() -> std::fs::OpenOptions {
     let mut options = std::fs::OpenOptions::new();
-    options.write(true).create_new(true);
+    options.read(true).write(true).create(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options.open(path).map_err(|error| io(path, "cannot be made", &error))
+    options
+}
+
+/// How every file of SQLite begins.
+const SQLITE: &[u8] = b"SQLite format 3\0";
+
+/// The file that is being made, empty, and nobody else's as long as it is open: two that made the same would take it from
+/// under each other. What an interrupted one has left is made anew; what is somebody else's is left alone.
+fn claim(making: &Path, to: &Path) -> Result<std::fs::File, TransferError> {
+    let unusable = |error| io(making, "cannot be made", &error);
+    let busy = || file(to, "is being made by another process; nothing was written");
+    let mut claimed = for_owner().truncate(false).open(making).map_err(unusable)?;
+    match claimed.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => return Err(busy()),
+        // Not every file system has locks.
+        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
+        Err(TryLockError::Error(error)) => return Err(unusable(error)),
+    }
+    // Between opening and locking, the other one may have finished, and given the file its name.
+    if !making.exists() || to.exists() {
+        return Err(busy());
+    }
+    let mut head = Vec::new();
+    (&mut claimed).take(SQLITE.len() as u64).read_to_end(&mut head).map_err(unusable)?;
+    if !head.is_empty() && head != SQLITE {
+        return Err(file(making, "is in the way, and is nothing that was being made: move it away"));
+    }
+    discard_beside(making);
+    claimed.set_len(0).map_err(unusable)?;
+    Ok(claimed)
 }
 
 /// Makes a whole file durable under its name.
@@ -71,7 +107,16 @@ fn absent(path: &Path) -> Result<(), TransferError> {
 
 /// Removes a file that was being made, and what SQLite keeps beside it.
 fn discard(making: &Path) {
-    for end in ["", "-journal", "-wal", "-shm"] {
+    discard_all(making, &["", "-journal", "-wal", "-shm"]);
+}
+
+/// Removes what SQLite keeps beside a file.
+fn discard_beside(making: &Path) {
+    discard_all(making, &["-journal", "-wal", "-shm"]);
+}
+
+fn discard_all(making: &Path, ends: &[&str]) {
+    for end in ends {
         let file = beside(making, end);
         match std::fs::remove_file(&file) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -89,7 +134,7 @@ async fn whole<T>(
 ) -> Result<(T, u64), TransferError> {
     absent(to)?;
     let making = partial(to);
-    discard(&making);
+    let _claimed = claim(&making, to)?;
     let made = match make(&making).await {
         Ok(made) => settle(&making, to).map(|bytes| (made, bytes)),
         Err(error) => Err(error),
@@ -336,4 +381,27 @@ pub async fn restore_to_postgres(
     .await;
     discard(&staged);
     outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_being_made_is_nobody_else_s() {
+        let dir = tempfile::tempdir().unwrap();
+        let to = dir.path().join("night.backup");
+        let making = partial(&to);
+        let first = claim(&making, &to).unwrap();
+        let why = claim(&making, &to).unwrap_err().to_string();
+        assert!(why.contains("is being made by another process"), "{why}");
+        drop(first);
+        // What an interrupted one has left is made anew.
+        std::fs::write(&making, [SQLITE, b"half"].concat()).unwrap();
+        assert_eq!(claim(&making, &to).unwrap().metadata().unwrap().len(), 0);
+        std::fs::write(&making, "precious").unwrap();
+        let why = claim(&making, &to).unwrap_err().to_string();
+        assert!(why.contains("is in the way"), "{why}");
+        assert_eq!(std::fs::read_to_string(&making).unwrap(), "precious");
+    }
 }

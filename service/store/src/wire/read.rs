@@ -59,6 +59,10 @@ pub enum WireError {
     Malformed(&'static str),
     /// A channel of that code is not known.
     UnknownChannel(u8),
+    /// A channel is given twice.
+    ChannelTwice(Channel),
+    /// A column of that channel, or of the times, holds an integer that is not below 2^53.
+    LargeInteger(Option<Channel>),
     /// So many samples are more than a cycle may hold.
     TooManySamples(usize),
 }
@@ -234,9 +238,13 @@ impl<'a> Input<'a> {
             let code = self.byte()?;
             let channel = Channel::from_code(code).ok_or(WireError::UnknownChannel(code))?;
             if samples.columns.iter().any(|(known, _)| *known == channel) {
-                return malformed("a channel is given twice");
+                return Err(WireError::ChannelTwice(channel));
             }
-            samples.columns.push((channel, self.column(length)?));
+            let column = self.column(length).map_err(|error| match error {
+                WireError::LargeInteger(None) => WireError::LargeInteger(Some(channel)),
+                other => other,
+            })?;
+            samples.columns.push((channel, column));
         }
         Ok(samples)
     }
@@ -280,7 +288,7 @@ impl<'a> Input<'a> {
             let Some((sum, after)) = rest.split_first_mut() else { return Ok(integer) };
             integer = integer.wrapping_add(unzigzag(self.varint()?));
             if integer.unsigned_abs() >= MOST_INTEGER {
-                return malformed("an integer is not below 2^53");
+                return Err(WireError::LargeInteger(None));
             }
             *sum = integer;
             rest = after;

@@ -164,7 +164,7 @@ proptest! {
         });
         prop_assert_eq!(
             read,
-            one_by_one.ok_or(WireError::Malformed("an integer is not below 2^53"))
+            one_by_one.ok_or(WireError::LargeInteger(None))
         );
     }
 

@@ -137,8 +137,10 @@ fn run(
         override_percent = match mover {
             Mover::Profile => 100.0,
             Mover::Law => {
+                let time_ms = f64::from(since) * dt * 1e3;
                 let sample = LawSample {
-                    time_ms: f64::from(since) * dt * 1e3,
+                    time_ms,
+                    contact_ms: Some(time_ms),
                     depth_mm: Some(depth_mm),
                     feed_drive_percent: Some(feed_drive),
                     spindle_percent: Some(spindle),

@@ -12,6 +12,7 @@
 //! let mut state = LawState::new();
 //! let sample = LawSample {
 //!     time_ms: 2010.0,
+//!     contact_ms: Some(2010.0),
 //!     depth_mm: Some(4.2),
 //!     feed_drive_percent: Some(18.0),
 //!     spindle_percent: Some(22.0),

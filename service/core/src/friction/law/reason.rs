@@ -40,11 +40,15 @@ pub enum Reason {
     ClampedMachineMin,
     /// The machine's upper limit acted.
     ClampedMachineMax,
+    /// The slowest feed of the machine or of the profile acted: the override may fall no further at this depth.
+    ClampedFeedMin,
+    /// The fastest feed of the machine or of the profile acted: the override may rise no further at this depth.
+    ClampedFeedMax,
 }
 
 impl Reason {
     /// Every reason, in the order of their bits.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 19] = [
         Self::Heating,
         Self::LoadBelowSet,
         Self::LoadAtSet,
@@ -62,6 +66,8 @@ impl Reason {
         Self::ClampedProfileMax,
         Self::ClampedMachineMin,
         Self::ClampedMachineMax,
+        Self::ClampedFeedMin,
+        Self::ClampedFeedMax,
     ];
 
     /// The code as it appears in an answer.
@@ -85,6 +91,8 @@ impl Reason {
             Self::ClampedProfileMax => "clamped_profile_max",
             Self::ClampedMachineMin => "clamped_machine_min",
             Self::ClampedMachineMax => "clamped_machine_max",
+            Self::ClampedFeedMin => "clamped_feed_min",
+            Self::ClampedFeedMax => "clamped_feed_max",
         }
     }
 

@@ -3,14 +3,16 @@
 use super::config::{Heating, IMPLAUSIBLE_LOAD_PERCENT, LawConfig, LawParams, OverloadHold};
 use super::equations::{correction, next_override, relative_load};
 use super::reason::{Reason, Reasons};
-use crate::friction::feed_override::FeedOverride;
+use crate::friction::feed_override::{FeedOverride, NEUTRAL_PERCENT};
 use crate::friction::filter::LoadFilter;
 
 /// What the machine reports in one IPO cycle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawSample {
-    /// Time since the start of the cycle (first contact) in ms.
+    /// Time since the start of the cycle in ms: samples are told apart and gaps found by it.
     pub time_ms: f64,
+    /// Time since first contact in ms; `None` while the tip is above the work, where the law is off.
+    pub contact_ms: Option<f64>,
     /// Tip depth in mm, if known; only needed where the heating ends at a depth.
     pub depth_mm: Option<f64>,
     /// Feed-drive load L_Z in percent of its rating, if there was a reading.
@@ -143,6 +145,7 @@ impl LawState {
         if time_is_bad(self.last_time_ms, params.longest_gap_ms, sample.time_ms) {
             reasons.add(Reason::Gap);
         }
+        let step_ms = self.last_time_ms.map(|last| sample.time_ms - last);
         self.last_time_ms = Some(sample.time_ms).filter(|time| time.is_finite()).or(self.last_time_ms);
         let loads = Loads::of(params, sample, &mut reasons);
         if !reasons.is_empty() {
@@ -190,11 +193,13 @@ impl LawState {
             if self.settling > 0 {
                 wish = in_force;
                 reasons.add(Reason::Settling);
-            } else if let Some(points) = params.rise_limit_points
-                && wish > in_force + points
-            {
-                wish = in_force + points;
-                reasons.add(Reason::RiseLimited);
+            } else if let Some(points) = params.rise_limit_points {
+                // Samples that come faster than they were declared must not raise faster.
+                let points = points * step_ms.map_or(1.0, |step| (step / params.period_ms).min(1.0));
+                if wish > in_force + points {
+                    wish = in_force + points;
+                    reasons.add(Reason::RiseLimited);
+                }
             }
         }
         self.settling = self.settling.saturating_sub(1);
@@ -202,14 +207,39 @@ impl LawState {
         LawStep { ovr: self.ovr, reasons, relative_load: Some((load, drive)), correction: Some(c) }
     }
 
-    /// Once the heating is over it stays over, even when the tool is drawn back.
+    /// Keeps the override within what the feed limits leave of it where the tip is, after a step on good data: at most
+    /// `high_percent`, and fallen no further than to `low_percent`. A rise is never made by it.
+    pub fn keep_within_feed(
+        &mut self,
+        config: &LawConfig,
+        (low_percent, high_percent): (f64, f64),
+        before: FeedOverride,
+        step: &mut LawStep,
+    ) {
+        let wish = self.ovr.percent();
+        let least = low_percent.min(before.percent()).min(NEUTRAL_PERCENT);
+        let kept = if wish > high_percent {
+            step.reasons.add(Reason::ClampedFeedMax);
+            high_percent
+        } else if wish < least {
+            step.reasons.add(Reason::ClampedFeedMin);
+            least.min(high_percent)
+        } else {
+            return;
+        };
+        self.ovr = clamped(config, kept, &mut step.reasons);
+        step.ovr = self.ovr;
+    }
+
+    /// Once the heating is over it stays over, even when the tool is drawn back. Above the work nothing is heated yet, and
+    /// a light load there says nothing about the work.
     fn is_heating(&mut self, heating: Heating, sample: &LawSample, reasons: &mut Reasons) -> bool {
         if self.heated {
             return false;
         }
         self.heated = match heating {
-            Heating::None => true,
-            Heating::Time { ms } => sample.time_ms >= ms,
+            Heating::None => sample.contact_ms.is_some(),
+            Heating::Time { ms } => sample.contact_ms.is_some_and(|since| since >= ms),
             Heating::Depth { mm } => {
                 let depth = sample.depth_mm.filter(|depth| depth.is_finite());
                 if depth.is_none() {
@@ -299,7 +329,8 @@ fn usable(set: Option<f64>, load: Option<f64>, reasons: &mut Reasons) -> Option<
         None => reasons.add(Reason::MissingLoad),
         Some(load) if !load.is_finite() => reasons.add(Reason::NotFiniteLoad),
         Some(load) if load.abs() > IMPLAUSIBLE_LOAD_PERCENT => reasons.add(Reason::ImplausibleLoad),
-        Some(load) => return Some((load, set)),
+        // Below none there is no load: kept in the filter's memory, it would hide a true one for some samples.
+        Some(load) => return Some((load.max(0.0), set)),
     }
     None
 }

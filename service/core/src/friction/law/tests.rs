@@ -14,6 +14,7 @@ fn law(change: impl FnOnce(&mut LawParams)) -> LawConfig {
 fn sample(k: u32, feed: f64, spindle: f64) -> LawSample {
     LawSample {
         time_ms: f64::from(k) * 10.0,
+        contact_ms: Some(f64::from(k) * 10.0),
         depth_mm: Some(f64::from(k) * 0.03),
         feed_drive_percent: Some(feed),
         spindle_percent: Some(spindle),
@@ -189,6 +190,7 @@ fn any_samples() -> impl Strategy<Value = Vec<LawSample>> {
                 let shown = if dt.is_nan() { dt } else { time_ms };
                 LawSample {
                     time_ms: shown,
+                    contact_ms: Some(shown),
                     depth_mm: Some(time_ms * 0.003),
                     feed_drive_percent,
                     spindle_percent,
@@ -266,7 +268,7 @@ proptest! {
         let next = |load: f64| {
             let time_ms = state_time(&samples) + 10.0;
             let sample = LawSample {
-                time_ms, depth_mm: Some(1.0), feed_drive_percent: Some(load), spindle_percent: Some(load),
+                time_ms, contact_ms: Some(time_ms), depth_mm: Some(1.0), feed_drive_percent: Some(load), spindle_percent: Some(load),
             };
             let mut copy = state;
             copy.step(&config, &sample).ovr.percent()

@@ -133,6 +133,7 @@ impl Twin {
                 if let Some(law) = &strategy.law {
                     let sample = LawSample {
                         time_ms: (time_s - start) * 1e3,
+                        contact_ms: Some((time_s - start) * 1e3),
                         depth_mm: Some(depth),
                         feed_drive_percent: Some(process.feed_drive_percent),
                         spindle_percent: Some(process.spindle_percent),

@@ -372,6 +372,7 @@ impl<'a> Anchor<'a> {
                 let time_ms = (k + 1) as f64 * dt * 1e3;
                 let sample = LawSample {
                     time_ms,
+                    contact_ms: Some(time_ms),
                     depth_mm: Some(state.depth_mm()),
                     feed_drive_percent: Some(feed_drive),
                     spindle_percent: Some(spindle),

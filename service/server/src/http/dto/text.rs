@@ -10,12 +10,23 @@ pub const MAX_REASON: usize = 1000;
 /// Takes over text of 1 to `most` characters without control characters.
 pub fn required(path: &str, text: &str, most: usize, wrong: &mut Vec<Violation>) -> String {
     let length = text.chars().count();
-    if text.trim().is_empty() || length > most {
+    if !text.chars().any(is_seen) || length > most {
         wrong.push(Violation::new(path, "invalid_length", format!("must have 1 to {most} characters")));
     } else if text.chars().any(char::is_control) {
         wrong.push(Violation::new(path, "control_character", "must not hold control characters"));
     }
     text.to_owned()
+}
+
+/// Whether anything of a character is seen: a reason of none is no reason, and a name of none no name.
+fn is_seen(character: char) -> bool {
+    let is_hidden = matches!(
+        character,
+        '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}' | '\u{180b}'..='\u{180f}'
+            | '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{2800}' | '\u{3164}'
+            | '\u{fe00}'..='\u{fe0f}' | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fffb}' | '\u{e0000}'..='\u{e0fff}'
+    );
+    !is_hidden && !character.is_whitespace()
 }
 
 /// As [`required`], where it may be left out.

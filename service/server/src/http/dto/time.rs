@@ -164,6 +164,11 @@ fn is_rfc3339(text: &str) -> bool {
     if !has_form(date_and_time, DATE_AND_TIME) {
         return false;
     }
+    // A leap second ends a day of UTC, and is read as the second before it. Any other sixtieth second is one that a control
+    // has rounded up, and would come out a second early.
+    if date_and_time.ends_with(b":60") && (!date_and_time.ends_with(b"23:59:60") || !rest.ends_with(b"Z")) {
+        return false;
+    }
     if let Some(fraction) = rest.strip_prefix(b".") {
         let digits = fraction.iter().take_while(|byte| byte.is_ascii_digit()).count();
         if digits == 0 {
@@ -256,6 +261,9 @@ mod tests {
             "2026-05-05T06:00:00,5Z",
             "2026-05-05T06:00Z",
             "2026-05-05T06:00:00+02:60",
+            "2026-05-05T12:30:60Z",
+            "2026-05-05T23:59:60+02:00",
+            "2026-05-05T23:59:61Z",
             "2026-02-30T06:00:00Z",
             "+002026-05-05T06:00:00Z",
             "-009999-06-01T00:00:00Z",
@@ -268,6 +276,7 @@ mod tests {
         for (text, shown) in [
             ("0001-01-01T00:00:00Z", "0001-01-01T00:00:00Z"),
             ("2026-05-05t06:00:00.5z", "2026-05-05T06:00:00.5Z"),
+            ("2016-12-31T23:59:60Z", "2016-12-31T23:59:59Z"),
             ("2026-05-05 06:00:00-23:59", "2026-05-06T05:59:00Z"),
             ("9999-12-30T22:00:00Z", "9999-12-30T22:00:00Z"),
             ("2026-05-05T06:00:00.1234569Z", "2026-05-05T06:00:00.123456Z"),

@@ -14,6 +14,16 @@ pub(super) fn read(frame: &[u8], max_samples: usize) -> Result<Body, BodyError> 
             "unknown_field",
             "is not a channel that a cycle has",
         )]),
+        WireError::ChannelTwice(channel) => BodyError::Invalid(vec![Violation::new(
+            format!("samples.{}", channel.as_str()),
+            "duplicate_field",
+            "is given twice",
+        )]),
+        WireError::LargeInteger(channel) => BodyError::Invalid(vec![Violation::new(
+            format!("samples.{}", channel.map_or("time_ms", |channel| channel.as_str())),
+            "out_of_range",
+            "holds an integer that is not below 2^53",
+        )]),
         WireError::TooManySamples(length) => BodyError::Invalid(vec![Violation::new(
             "samples",
             "too_many_samples",

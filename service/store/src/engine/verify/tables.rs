@@ -60,7 +60,7 @@ fn fault(kind: &'static str, key: String, detail: &str) -> StoreFault {
     StoreFault { kind, key, detail: detail.to_owned() }
 }
 
-/// Whether what was advised can be read. What earlier versions kept is not all under the hash of its text.
+/// Whether what was advised can be read, and is what its hash says.
 async fn advices(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
     let mut after = Vec::new();
     let most = faults.len() + MOST_NAMED;
@@ -75,10 +75,13 @@ async fn advices(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<(
         let before = after.clone();
         for row in &rows {
             let Ok(hash) = row.try_get::<Vec<u8>, _>(0) else { return unreadable("advices", faults) };
-            let body = row.try_get::<String, _>(1).ok();
-            if body.is_none_or(|body| serde_json::from_str::<AdviceBody<'_>>(&body).is_err()) {
+            let wrong = match row.try_get::<String, _>(1) {
+                Ok(body) => AdviceBody::read(&hash, &body).err().map(|error| error.to_string()),
+                Err(_) => Some("it cannot be read".to_owned()),
+            };
+            if let Some(wrong) = wrong {
                 let key = hash.iter().map(|byte| format!("{byte:02x}")).collect();
-                faults.push(fault("advice", key, "it cannot be read"));
+                faults.push(fault("advice", key, &wrong));
             }
             after = hash;
         }
