@@ -1,5 +1,5 @@
 use super::*;
-use crate::feed::profile::tests::given::{any_profile, profile};
+use crate::feed::profile::tests::given::{any_profile, input, profile};
 use crate::ids::ProfileId;
 use proptest::prelude::*;
 
@@ -102,7 +102,7 @@ fn options_out_of_range_are_refused_by_name() {
 
 #[test]
 fn a_ramp_too_steep_for_blocks_is_refused() {
-    let mut input = crate::feed::profile::tests::given::input();
+    let mut input = input();
     input.limits.acceleration_mm_s2 = 100_000.0;
     input.knots[1].depth_mm = 0.003;
     input.knots[1].feed_mm_min = 999.0;
@@ -115,10 +115,7 @@ fn a_ramp_too_steep_for_blocks_is_refused() {
 fn the_polynomial_meets_the_law_where_it_matters() {
     let line = OverridePolynomial::fit(40.0, 2.0, 5.0, 200.0).unwrap();
     assert!((line.at(40.0) - 100.0).abs() < 1e-3);
-    let law = |load: f64| {
-        let u = load / 40.0 - 1.0;
-        100.0 * (1.0 - u.signum() * (1.0 - (-u * u).exp()))
-    };
+    let law = |load: f64| answer(load, 40.0, 2.0);
     for load in 0..=80 {
         let load = f64::from(load);
         assert!(
@@ -129,9 +126,32 @@ fn the_polynomial_meets_the_law_where_it_matters() {
         );
         assert!(line.at(load) >= line.at(load + 0.5));
     }
+    // The paper's own intensity is steep: the best curve that never rises is a straight line there.
+    let line = OverridePolynomial::fit(40.0, 8.47, 5.0, 200.0).unwrap();
+    for load in 0..=80 {
+        let load = f64::from(load);
+        let meant = answer(load, 40.0, 8.47).clamp(5.0, 200.0);
+        assert!((line.at(load) - meant).abs() < 10.0, "{load}: {} {meant}", line.at(load));
+    }
     // The vendor's own example, 100 % at 30 % load and nothing at 80 %, is the straight line of these coefficients.
     assert!(OverridePolynomial::fit(0.0, 2.0, 5.0, 200.0).is_err());
     assert!(OverridePolynomial::fit(40.0, f64::NAN, 5.0, 200.0).is_err());
+    assert!(OverridePolynomial::fit(40.0, 2.0, 100.0, 50.0).is_err());
+}
+
+#[test]
+fn a_jam_never_drives_the_tool_faster() {
+    // A cubic that is fitted without a bound turns up again here: 128.9 % at 100 % load.
+    let law = OverridePolynomial::fit(30.0, 8.47, 5.0, 200.0).unwrap();
+    for load in [60.0, 100.0, 110.0, 1000.0, 1e6] {
+        assert!((law.at(load) - 5.0).abs() < 1e-9, "{load}: {}", law.at(load));
+    }
+}
+
+/// The law's answer from 100 % (Stryczek & Błaszczak 2020, Eq. 2–4), %.
+fn answer(load: f64, set: f64, intensity: f64) -> f64 {
+    let u = load / set - 1.0;
+    100.0 * (1.0 - u.signum() * (1.0 - (-intensity * u * u / 2.0).exp()))
 }
 
 fn any_options() -> impl Strategy<Value = ExportOptions> {
@@ -177,6 +197,36 @@ proptest! {
                 }
                 prop_assert!(!line.contains('%'));
             }
+        }
+    }
+
+    #[test]
+    fn the_override_never_rises_with_the_load(
+        set in 100_u32..=400_000, intensity in prop_oneof![0.01..1.0_f64, 1.0..10.0_f64, 10.0..=100.0_f64],
+        limits in (1_000_u32..=100_000, 100_000_u32..=200_000),
+    ) {
+        let [set, low, high] = [set, limits.0, limits.1].map(|thousandths| f64::from(thousandths) / 1000.0);
+        let law = OverridePolynomial::fit(set, intensity, low, high).unwrap();
+        for a in law.coefficients {
+            // What is computed with is what is written.
+            prop_assert_eq!(format!("{a:.9}").parse::<f64>().unwrap().to_bits(), a.to_bits());
+        }
+        let mut loads: Vec<f64> = (-1000..=1000).map(f64::from).collect();
+        // Closer about the set load, and far beyond what any drive tells.
+        loads.extend((-100..=400).map(|part| set * f64::from(part) / 100.0));
+        loads.extend([1e4, 1e5, 1e6]);
+        loads.sort_by(f64::total_cmp);
+        for pair in loads.windows(2) {
+            prop_assert!(law.at(pair[1]) <= law.at(pair[0]) + 1e-6, "{pair:?}: {} {}", law.at(pair[0]), law.at(pair[1]));
+        }
+        // At the set load it leaves the feed alone, from twice the set load on it lowers at least as far as the law does.
+        prop_assert!((law.at(set) - 100.0).abs() < 1e-6, "{}", law.at(set));
+        for &load in loads.iter().filter(|load| **load >= 2.0 * set) {
+            prop_assert!(law.at(load) <= answer(load, set, intensity).max(low) + 1e-6, "{load}: {}", law.at(load));
+        }
+        // Far above it nothing but the lower limit is left, however gentle the law.
+        for load in [10.0 * set, 100.0 * set, 1e6] {
+            prop_assert!((law.at(load) - low).abs() < 1e-9, "{load}: {}", law.at(load));
         }
     }
 
