@@ -196,7 +196,7 @@ fn rounded(
 /// Writes a profile as a file.
 ///
 /// # Errors
-/// With every option that is refused; `too_many_steps` or `too_steep` where stepped blocks cannot keep the feed error.
+/// With every option that is refused; `too_many_steps`, `too_steep` or `feed_decimals` where stepped blocks cannot keep the feed error.
 pub fn write(
     dialect: Dialect,
     profile: &Profile,
@@ -247,7 +247,10 @@ pub fn read(text: &str, hash: impl Fn(&Profile) -> ProfileHash) -> Result<ReadBa
         let why = "the content is not what its hash stands for: the file was changed";
         return Err(vec![Violation::new("hash", "hash_mismatch", why)]);
     }
-    let again = write(dialect, &profile, &stamp, &options)?;
+    let mut again = write(dialect, &profile, &stamp, &options)?;
+    if dialect == Dialect::Fanuc {
+        again = steps::with_its_start(again, &text);
+    }
     let (mut is, mut meant) = (text.lines(), again.lines());
     let mut at = 0;
     loop {

@@ -1,5 +1,7 @@
 use super::*;
+use crate::feed::import::gcode;
 use crate::feed::profile::tests::given::{any_profile, input, profile};
+use crate::feed::profile::KnotInput;
 use crate::ids::ProfileId;
 use proptest::prelude::*;
 
@@ -109,6 +111,35 @@ fn a_ramp_too_steep_for_blocks_is_refused() {
     input.sections[0].to_mm = 0.003;
     let steep = Profile::new(input).unwrap();
     assert_eq!(steps(&steep, 0.01, 3).unwrap_err().code, "too_steep");
+    assert_eq!(steps(&steep, 0.01, 1).unwrap_err().code, "too_steep");
+}
+
+#[test]
+fn a_feed_that_one_decimal_cannot_hold_is_refused_for_its_decimals() {
+    let mut input = input();
+    input.limits.feed_min_mm_min = 0.1;
+    input.knots = vec![KnotInput::from((0.0, 0.14)), KnotInput::from((20.5, 0.14))];
+    let slow = Profile::new(input).unwrap();
+    let wrong = write(Dialect::Fanuc, &slow, &stamp(&slow), &ExportOptions::default()).unwrap_err();
+    assert_eq!((wrong[0].path.as_str(), wrong[0].code), ("feed_error", "feed_decimals"));
+    assert!(wrong[0].message.contains("F has one decimal"), "{}", wrong[0].message);
+    // LinuxCNC reads three.
+    assert!(write(Dialect::Linuxcnc, &slow, &stamp(&slow), &ExportOptions::default()).is_ok());
+}
+
+#[test]
+fn a_fanuc_file_chooses_metric_in_a_block_of_its_own_and_reads_back_in_either_form() {
+    let alone = written(Dialect::Fanuc, &ExportOptions::default());
+    assert!(alone.contains("(END)\nG21\nG90 G94 G64\nG0 Z1.000\n"), "{alone}");
+    let in_one = alone.replace("G21\nG90", "G21 G90");
+    assert_ne!(in_one, alone);
+    for text in [&alone, &in_one] {
+        assert_eq!(read(text, hash).unwrap().profile, profile());
+        assert_eq!(gcode(text, 0.0).unwrap().held.len(), steps(&profile(), 0.01, 1).unwrap().len());
+    }
+    assert_eq!(gcode(&alone, 0.0).unwrap(), gcode(&in_one, 0.0).unwrap());
+    let wrong = read(&in_one.replace("G0 Z1.000", "G0 Z-5.000"), hash).unwrap_err();
+    assert_eq!(wrong[0].code, "changed");
 }
 
 #[test]
@@ -179,7 +210,8 @@ proptest! {
                 Ok(text) => text,
                 Err(wrong) => {
                     // Only blocks can be too coarse for a profile.
-                    prop_assert!(dialect.is_stepped() && ["too_steep", "too_many_steps"].contains(&wrong[0].code), "{wrong:?}");
+                    let blocks = ["too_steep", "feed_decimals", "too_many_steps"];
+                    prop_assert!(dialect.is_stepped() && blocks.contains(&wrong[0].code), "{wrong:?}");
                     continue;
                 }
             };
