@@ -4,7 +4,7 @@
 //! the polynomial that an exported file holds, which a synchronised action computes from the load of the moment, without
 //! the filter and without memory.
 
-use super::law::OverridePolynomial;
+use super::law::{OverridePolynomial, begins_mm};
 use crate::feed::profile::Profile;
 use crate::friction::error::{Invalid, InvalidCode};
 use crate::friction::law::{Heating, LawConfig, LawParams, LawSample, LawState};
@@ -81,8 +81,8 @@ fn run(
         let why = "the comparison needs both set loads";
         return Err(Invalid::new("limits", InvalidCode::Inconsistent, why));
     };
-    // Both move the feed from the same depth on, behind the first section.
-    let heated_mm = profile.sections().next().map_or(0.0, |section| section.to_mm);
+    // Both move the feed from the same depth on, as a file does.
+    let heated_mm = begins_mm(profile);
     let paper = LawParams::paper(feed_set, spindle_set)?;
     let law = LawConfig::new(LawParams { intensity, heating: Heating::Depth { mm: heated_mm }, ..paper })?;
     let fit = |set: f64| {

@@ -8,7 +8,7 @@
 //! answer to a jam holds without a bound on the load: the override falls to the lower limit of `FCTDEF` and stays there.
 
 use super::{LawInControl, decimal};
-use crate::feed::profile::Profile;
+use crate::feed::profile::{Profile, SectionKind};
 use crate::invalid::Violation;
 
 /// `$AC_OVR` ends there.
@@ -112,10 +112,19 @@ fn written(a: f64) -> String {
     format!("{:.9}", a + 0.0)
 }
 
+/// Depth at which the law begins, mm: the end of the heating sections that the profile begins with, first contact where
+/// it begins with none. The law is off while the material heats up.
+pub(super) fn begins_mm(profile: &Profile) -> f64 {
+    let heating = profile.sections().take_while(|section| section.kind == SectionKind::Heating);
+    heating.last().map_or(0.0, |section| section.to_mm)
+}
+
 /// The synchronised actions of a file.
 pub(super) struct Actions {
     /// Feed drive and spindle: set load and polynomial.
     drives: [Option<(f64, OverridePolynomial)>; 2],
+    /// Depth at which they begin, mm.
+    pub(super) begins_mm: f64,
 }
 
 impl Actions {
@@ -135,7 +144,10 @@ impl Actions {
             };
             set.map(fit).transpose()
         };
-        Ok(Self { drives: [fit(limits.feed_drive_load_set_percent)?, fit(limits.spindle_load_set_percent)?] })
+        Ok(Self {
+            drives: [fit(limits.feed_drive_load_set_percent)?, fit(limits.spindle_load_set_percent)?],
+            begins_mm: begins_mm(profile),
+        })
     }
 
     pub(super) fn definitions(&self) -> Vec<String> {

@@ -190,6 +190,10 @@ fn rounded(
             "the profile states no set load: there is no law to hold",
         ));
     }
+    if law.is_some() && law::begins_mm(profile) >= profile.end_depth_mm() {
+        let why = "the profile is heating to its end: the law begins behind the heating, and nothing is left for it to act on";
+        wrong.push(Violation::new("law", "heating_only", why));
+    }
     if wrong.is_empty() { Ok(ExportOptions { clearance_mm, feed_error, law }) } else { Err(wrong) }
 }
 

@@ -1,7 +1,7 @@
 use super::*;
 use crate::feed::import::gcode;
 use crate::feed::profile::tests::given::{any_profile, input, profile};
-use crate::feed::profile::KnotInput;
+use crate::feed::profile::{KnotInput, ProfileInput, SectionInput, SectionKind};
 use crate::ids::ProfileId;
 use proptest::prelude::*;
 
@@ -142,6 +142,59 @@ fn a_fanuc_file_chooses_metric_in_a_block_of_its_own_and_reads_back_in_either_fo
     assert_eq!(wrong[0].code, "changed");
 }
 
+/// Two knots, far from where the heating ends.
+fn two_knots(sections: &[(SectionKind, f64)]) -> Profile {
+    let knots = vec![KnotInput::from((0.0, 100.0)), KnotInput::from((20.0, 300.0))];
+    let sections = sections.iter().map(|&(kind, to_mm)| SectionInput { kind, to_mm }).collect();
+    Profile::new(ProfileInput { knots, sections, ..input() }).unwrap()
+}
+
+#[test]
+fn the_law_begins_where_the_heating_ends() {
+    use SectionKind::{Forming, Heating};
+    let options = ExportOptions { law: Some(LAW), ..ExportOptions::default() };
+    let blocks = |profile: &Profile| {
+        let text = write(Dialect::Sinumerik, profile, &stamp(profile), &options).unwrap();
+        let back = read(&text, hash).unwrap();
+        assert_eq!((&back.profile, back.options), (profile, options));
+        let blocks = text.lines().skip_while(|line| *line != "G0 Z1.000").skip(1);
+        // Which drive's action it is says nothing here.
+        blocks.map(|line| line.split_once('=').map_or(line, |(name, _)| name).to_owned()).collect::<Vec<_>>()
+    };
+    let end = ["G1 Z-20.000 F300.000", "FNORM", "CANCEL(1,2)", "G0 Z1.000", "M17"];
+    let start = ["G1 Z0.000 F100.000", "FLIN"];
+    let split = ["G1 Z-3.000 F130.000 ; no knot"];
+    let law = ["ID", "ID"];
+    // 100 + 3/20·200 mm/min lie on the line.
+    let heated = [&start[..], &split, &law, &end].concat();
+    assert_eq!(blocks(&two_knots(&[(Heating, 3.0), (Forming, 20.0)])), heated);
+    assert_eq!(blocks(&two_knots(&[(Heating, 1.0), (Heating, 3.0), (Forming, 20.0)])), heated);
+    // Without heating it acts from first contact on, whatever the sections.
+    let cold = [&start[..], &law, &end].concat();
+    assert_eq!(blocks(&two_knots(&[(Forming, 20.0)])), cold);
+    assert_eq!(blocks(&two_knots(&[(Forming, 3.0), (SectionKind::Flange, 20.0)])), cold);
+    // What is heating to its end leaves it nothing.
+    let only = two_knots(&[(Heating, 3.0), (Heating, 20.0)]);
+    let wrong = write(Dialect::Sinumerik, &only, &stamp(&only), &options).unwrap_err();
+    assert_eq!((wrong[0].path.as_str(), wrong[0].code), ("law", "heating_only"));
+    assert!(write(Dialect::Sinumerik, &only, &stamp(&only), &ExportOptions::default()).is_ok());
+}
+
+#[test]
+fn a_block_marked_as_no_knot_is_no_way_to_change_a_file() {
+    let options = ExportOptions { law: Some(LAW), ..ExportOptions::default() };
+    let profile = two_knots(&[(SectionKind::Heating, 3.0), (SectionKind::Forming, 20.0)]);
+    let text = write(Dialect::Sinumerik, &profile, &stamp(&profile), &options).unwrap();
+    let refused = |text: &str| read(text, hash).unwrap_err()[0].code;
+    assert_eq!(refused(&text.replace("F130.000 ; no knot", "F530.000 ; no knot")), "changed");
+    assert_eq!(refused(&text.replace("F130.000 ; no knot", "F130.000")), "hash_mismatch");
+    assert_eq!(refused(&text.replace("FNORM", "G1 Z-40.000 F900.000 ; no knot\nFNORM")), "changed");
+    assert_eq!(
+        refused(&written(Dialect::Sinumerik, &options).replace("F535.000", "F535.000 ; no knot")),
+        "hash_mismatch"
+    );
+}
+
 #[test]
 fn the_polynomial_meets_the_law_where_it_matters() {
     let line = OverridePolynomial::fit(40.0, 2.0, 5.0, 200.0).unwrap();
@@ -209,12 +262,30 @@ proptest! {
             let text = match write(dialect, &profile, &stamp(&profile), &options) {
                 Ok(text) => text,
                 Err(wrong) => {
-                    // Only blocks can be too coarse for a profile.
+                    // Only blocks can be too coarse for a profile, and only a law can find nothing to act on.
+                    let is_heating_only = profile.sections().all(|section| section.kind == SectionKind::Heating);
                     let blocks = ["too_steep", "feed_decimals", "too_many_steps"];
-                    prop_assert!(dialect.is_stepped() && blocks.contains(&wrong[0].code), "{wrong:?}");
+                    prop_assert!(
+                        dialect.is_stepped() && blocks.contains(&wrong[0].code)
+                            || law.is_some() && is_heating_only && wrong[0].code == "heating_only",
+                        "{wrong:?}"
+                    );
                     continue;
                 }
             };
+            if law.is_some() {
+                // The block before the law ends where it begins, on the profile's line, and one that cuts is behind it.
+                let begins = profile.sections().take_while(|one| one.kind == SectionKind::Heating).last();
+                let begins = begins.map_or(0.0, |section| section.to_mm);
+                let blocks: Vec<&str> = text.lines().filter(|line| *line != "FLIN").collect();
+                let first = blocks.iter().position(|line| line.starts_with("ID=")).unwrap();
+                let behind = blocks[first..].iter().find(|line| !line.starts_with("ID=")).unwrap();
+                prop_assert!(behind.starts_with("G1 Z-"), "{text}");
+                let words = blocks[first - 1].trim_end_matches(" ; no knot").strip_prefix("G1 Z").unwrap();
+                let (z, feed) = words.split_once(" F").unwrap();
+                prop_assert!((z.parse::<f64>().unwrap() + begins).abs() < 1e-9, "{text}");
+                prop_assert!((feed.parse::<f64>().unwrap() - profile.feed_at(begins)).abs() < 0.000_6, "{text}");
+            }
             let back = read(&text, hash);
             prop_assert!(back.is_ok(), "{}: {back:?}\n{text}", dialect.as_str());
             let back = back.unwrap();
