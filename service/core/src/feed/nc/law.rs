@@ -7,7 +7,7 @@
 //! c₃ ≥ 0. A cubic with c₃ < 0 would turn up again beyond them, and a jammed tool would be driven faster. So the law's
 //! answer to a jam holds without a bound on the load: the override falls to the lower limit of `FCTDEF` and stays there.
 
-use super::{LawInControl, decimal};
+use super::{ExportOptions, LawInControl, decimal, override_range};
 use crate::feed::profile::{Profile, SectionKind};
 use crate::invalid::Violation;
 
@@ -128,16 +128,17 @@ pub(super) struct Actions {
 }
 
 impl Actions {
-    pub(super) fn new(profile: &Profile, law: LawInControl) -> Result<Self, Violation> {
+    pub(super) fn new(
+        profile: &Profile,
+        law: LawInControl,
+        options: &ExportOptions,
+    ) -> Result<Self, Violation> {
         let limits = profile.limits();
+        let (lowest, highest) = override_range(profile, options.machine.as_ref());
         let fit = |set: Option<f64>| {
             let fit = |set: f64| {
-                let polynomial = OverridePolynomial::fit(
-                    set,
-                    law.intensity,
-                    limits.override_min_percent,
-                    law.override_max_percent,
-                );
+                let highest = law.override_max_percent.min(highest);
+                let polynomial = OverridePolynomial::fit(set, law.intensity, lowest, highest);
                 polynomial
                     .map(|polynomial| (set, polynomial))
                     .map_err(|_| Violation::new("law", "no_set_load", "there is no law for this set load"))

@@ -25,7 +25,7 @@ pub(super) fn write(
     };
     let law = match options.law {
         None => None,
-        Some(law) => Some(law::Actions::new(profile, law)?),
+        Some(law) => Some(law::Actions::new(profile, law, options)?),
     };
     let mut line = |text: &str| out.extend([text, "\n"]);
     start.iter().for_each(|text| line(text));

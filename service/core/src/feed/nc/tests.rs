@@ -196,6 +196,71 @@ fn a_block_marked_as_no_knot_is_no_way_to_change_a_file() {
 }
 
 #[test]
+fn an_override_keeps_within_the_narrower_limits_of_profile_and_machine() {
+    let profile = profile();
+    let law = Some(LawInControl { override_max_percent: 150.0, ..LAW });
+    let file = |dialect, limits: (f64, f64, f64, f64)| {
+        let machine = Some(FeedLimits::new(limits.0, limits.1, limits.2, limits.3).unwrap());
+        let law = law.filter(|_| dialect == Dialect::Sinumerik);
+        let options = ExportOptions { law, machine, ..ExportOptions::default() };
+        let text = write(dialect, &profile, &stamp(&profile), &options)?;
+        let back = read(&text, hash).unwrap();
+        assert_eq!(back.profile, profile);
+        // A file that leaves the override alone is the same for every machine.
+        let moves = matches!(dialect, Dialect::Sinumerik | Dialect::HeidenhainAfc);
+        assert_eq!(back.options, ExportOptions { machine: machine.filter(|_| moves), ..options });
+        Ok::<_, Vec<Violation>>(text)
+    };
+    let definition = |limits| {
+        let text = file(Dialect::Sinumerik, limits).unwrap();
+        let line = text.lines().find(|line| line.starts_with("FCTDEF(2")).unwrap();
+        line.split(',').skip(1).take(2).map(str::to_owned).collect::<Vec<_>>().join(" to ")
+    };
+    // The profile: 5 to 200 %, 105 to 545 mm/min. The law: at most 150 %.
+    assert_eq!(definition((0.0, 5000.0, 1.0, 254.0)), "5.000 to 150.000");
+    assert_eq!(definition((0.0, 5000.0, 30.0, 120.0)), "30.000 to 120.000");
+    assert_eq!(definition((0.0, 5000.0, 100.0, 100.0)), "100.000 to 100.000");
+    // 60/105 and 700/545, rounded inwards; at the machine's own limits nothing may be moved.
+    assert_eq!(definition((60.0, 700.0, 30.0, 200.0)), "57.143 to 128.440");
+    assert_eq!(definition((105.0, 545.0, 30.0, 120.0)), "100.000 to 100.000");
+    let row = |limits| {
+        let text = file(Dialect::HeidenhainAfc, limits).unwrap();
+        let cells: Vec<_> = text.lines().last().unwrap().split_whitespace().map(str::to_owned).collect();
+        (cells[2].clone(), cells[3].clone())
+    };
+    assert_eq!(row((0.0, 5000.0, 1.0, 254.0)), ("5".to_owned(), "200".to_owned()));
+    assert_eq!(row((0.0, 5000.0, 30.5, 120.5)), ("31".to_owned(), "120".to_owned()));
+    assert_eq!(row((60.0, 700.0, 30.0, 200.0)), ("58".to_owned(), "128".to_owned()));
+    let linuxcnc = file(Dialect::Linuxcnc, (60.0, 700.0, 30.0, 200.0)).unwrap();
+    assert_eq!(linuxcnc, written(Dialect::Linuxcnc, &ExportOptions::default()));
+    for limits in [(0.0, 544.9, 30.0, 120.0), (105.1, 700.0, 30.0, 120.0)] {
+        for dialect in Dialect::ALL {
+            let wrong = file(dialect, limits).unwrap_err();
+            assert_eq!((wrong[0].path.as_str(), wrong[0].code), ("machine", "outside_machine"));
+        }
+    }
+    // Finer limits than a file can state are stated narrower, never wider.
+    let machine = FeedLimits::new(0.000_4, 700.000_9, 5.000_1, 120.000_9).ok();
+    let options = ExportOptions { law, machine, ..ExportOptions::default() };
+    let text = write(Dialect::Sinumerik, &profile, &stamp(&profile), &options).unwrap();
+    for line in [
+        "; machine_feed_min_mm_min 0.001",
+        "; machine_feed_max_mm_min 700.000",
+        "; machine_override_min_percent 5.001",
+        "; machine_override_max_percent 120.000",
+    ] {
+        assert!(text.lines().any(|is| is == line), "{line}\n{text}");
+    }
+    assert!(read(&text, hash).is_ok());
+    assert_eq!(
+        read(&text.replace("machine_override_max_percent 120", "machine_override_max_percent 90"), hash)
+            .unwrap_err()[0]
+            .code,
+        "override_range"
+    );
+}
+
+#[test]
 fn the_polynomial_meets_the_law_where_it_matters() {
     let line = OverridePolynomial::fit(40.0, 2.0, 5.0, 200.0).unwrap();
     assert!((line.at(40.0) - 100.0).abs() < 1e-3);
@@ -243,6 +308,7 @@ fn any_options() -> impl Strategy<Value = ExportOptions> {
         clearance_mm: f64::from(clearance) / 10.0,
         feed_error: f64::from(error) / 1000.0,
         law: None,
+        machine: None,
     })
 }
 
