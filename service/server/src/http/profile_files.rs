@@ -11,7 +11,7 @@ use crate::auth::Caller;
 use crate::state::AppState;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
-use feedwright_core::feed::nc::{self, Stamp};
+use feedwright_core::feed::nc::{self, ExportOptions, Stamp};
 use feedwright_core::feed::profile::Profile;
 use feedwright_core::ids::{MachineId, ProfileId};
 use feedwright_core::machine::Machine;
@@ -46,10 +46,12 @@ pub(super) async fn export(
         );
         return Err(Problem::new(StatusCode::CONFLICT, "not_released", why));
     }
+    let mut limits = None;
     if let Some(machine) = query_id::<MachineId>(query.machine.as_deref())? {
         let found = state.store.machine(&machine).await?;
         let found = found.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?;
         within(&found.value, &stored.content)?;
+        limits = Some(found.value.limits);
     }
     let name = format!("{id}.v{number}").replace(':', "_");
     let (name, kind, text) = match dialect {
@@ -60,7 +62,7 @@ pub(super) async fn export(
             (format!("{name}.json"), "application/json", text)
         }
         Some(dialect) => {
-            let options = query.options()?;
+            let options = ExportOptions { machine: limits, ..query.options()? };
             let stamp = Stamp { version: stored.version, hash: stored.hash };
             let text = nc::write(dialect, &stored.content, &stamp, &options).map_err(ExportQuery::refused)?;
             (format!("{name}.{}", dialect.extension()), "text/plain; charset=us-ascii", text)

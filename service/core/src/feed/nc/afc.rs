@@ -1,6 +1,6 @@
 //! A row of Heidenhain's AFC.TAB: how far adaptive feed control may move the feed. It knows no depth.
 
-use super::Stamp;
+use super::{ExportOptions, Stamp, override_range};
 use crate::feed::profile::Profile;
 
 /// Width of the name's column.
@@ -8,12 +8,12 @@ const NAME: usize = 10;
 
 /// Writes the columns' names and the row.
 ///
-/// `FMIN`, `FMAX` are the profile's override limits, rounded inwards; `FIDL` and `FENT` leave the programmed feed as it is
+/// `FMIN`, `FMAX` are the override limits of profile and machine, the narrower ones, rounded inwards; `FIDL` and `FENT` leave the programmed feed as it is
 /// outside the material and at entry, where the tool maker's feed has to hold; `OVLD` F stops once the tool is retracted,
 /// because a tool that stops in hot material sticks there; `SENS` is the middle.
-pub(super) fn write(profile: &Profile, stamp: &Stamp, out: &mut String) {
-    let limits = profile.limits();
-    let (low, high) = (limits.override_min_percent.ceil(), limits.override_max_percent.floor());
+pub(super) fn write(profile: &Profile, stamp: &Stamp, options: &ExportOptions, out: &mut String) {
+    let (low, high) = override_range(profile, options.machine.as_ref());
+    let (low, high) = (low.ceil(), high.floor());
     let mut name = format!("FW{}", stamp.hash).to_ascii_uppercase();
     name.truncate(NAME);
     let row = |cells: [&str; 10]| {

@@ -5,6 +5,7 @@ use crate::cycle::ProfileVersion;
 use crate::feed::profile::{Fields, Profile, ProfileHash, parse_decimal};
 use crate::ids::ProfileId;
 use crate::invalid::Violation;
+use crate::machine::FeedLimits;
 
 /// First line; another one would be another format.
 const FIRST: &str = "feedwright-export 1";
@@ -73,6 +74,12 @@ fn lines(dialect: Dialect, profile: &Profile, stamp: &Stamp, options: &ExportOpt
     if let Some(law) = options.law {
         lines.push(format!("law_intensity {}", decimal(law.intensity)));
         lines.push(format!("law_override_max_percent {}", decimal(law.override_max_percent)));
+    }
+    if let Some(machine) = options.machine {
+        lines.push(format!("machine_feed_min_mm_min {}", decimal(machine.min_mm_min())));
+        lines.push(format!("machine_feed_max_mm_min {}", decimal(machine.max_mm_min())));
+        lines.push(format!("machine_override_min_percent {}", decimal(machine.override_min_percent())));
+        lines.push(format!("machine_override_max_percent {}", decimal(machine.override_max_percent())));
     }
     lines.extend(profile.header().into_iter().map(|(name, value)| format!("{name} {value}")));
     if dialect.is_stepped() || dialect == Dialect::HeidenhainAfc {
@@ -201,7 +208,11 @@ pub(super) fn read(text: &str) -> Result<Found, Vec<Violation>> {
             | "clearance_mm"
             | "feed_error"
             | "law_intensity"
-            | "law_override_max_percent" => named.push((name.to_owned(), value.to_owned())),
+            | "law_override_max_percent"
+            | "machine_feed_min_mm_min"
+            | "machine_feed_max_mm_min"
+            | "machine_override_min_percent"
+            | "machine_override_max_percent" => named.push((name.to_owned(), value.to_owned())),
             _ => fields.take(name, value).map_err(|why| bad(at, &why))?,
         }
     }
@@ -220,6 +231,18 @@ pub(super) fn read(text: &str) -> Result<Found, Vec<Violation>> {
             override_max_percent: number("law_override_max_percent", 100.0)?,
         }),
     };
+    let machine = match get("machine_feed_max_mm_min") {
+        None => None,
+        Some(_) => {
+            let stated = |name: &'static str| get(name).and_then(parse_decimal).ok_or_else(|| missing(name));
+            Some(FeedLimits::new(
+                stated("machine_feed_min_mm_min")?,
+                stated("machine_feed_max_mm_min")?,
+                stated("machine_override_min_percent")?,
+                stated("machine_override_max_percent")?,
+            )?)
+        }
+    };
     Ok(Found {
         dialect: get("dialect").and_then(Dialect::parse).ok_or_else(|| missing("dialect"))?,
         stamp: Stamp {
@@ -237,6 +260,7 @@ pub(super) fn read(text: &str) -> Result<Found, Vec<Violation>> {
             clearance_mm: number("clearance_mm", usual.clearance_mm)?,
             feed_error: number("feed_error", usual.feed_error)?,
             law,
+            machine,
         },
         fields,
         lines: taken,

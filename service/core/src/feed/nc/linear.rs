@@ -7,6 +7,9 @@ use super::{Dialect, ExportOptions, decimal, law};
 use crate::feed::profile::{Fields, KnotInput, Profile, parse_decimal};
 use crate::invalid::Violation;
 
+/// Ends a block that is no knot: one that only ends where the law begins, with the feed that the profile has there.
+const NO_KNOT: &str = " ; no knot";
+
 /// Writes the blocks.
 pub(super) fn write(
     dialect: Dialect,
@@ -22,7 +25,7 @@ pub(super) fn write(
     };
     let law = match options.law {
         None => None,
-        Some(law) => Some(law::Actions::new(profile, law)?),
+        Some(law) => Some(law::Actions::new(profile, law, options)?),
     };
     let mut line = |text: &str| out.extend([text, "\n"]);
     start.iter().for_each(|text| line(text));
@@ -30,8 +33,8 @@ pub(super) fn write(
         law.definitions().iter().for_each(|text| line(text));
     }
     line(&format!("G0 Z{clearance}"));
-    let heated = profile.sections().next().map_or(0.0, |section| section.to_mm);
     let mut waiting = law.as_ref();
+    let mut before_mm = 0.0;
     for (at, knot) in profile.knots().enumerate() {
         let (z, feed) = (decimal(-knot.depth_mm), decimal(knot.feed_mm_min));
         if at == 0 {
@@ -41,13 +44,17 @@ pub(super) fn write(
             }
             continue;
         }
-        line(&format!("{}G1 Z{z} F{feed}", if modal { "" } else { linear }));
-        // The law is off while the material heats up: it begins with the first block behind the heating.
-        if knot.depth_mm >= heated
-            && let Some(law) = waiting.take()
-        {
+        // A synchronised action acts from the block behind it on: it stands before the first one that begins where the law
+        // begins, and where no knot lies there, the block is split. The feed is linear, so both parts run as the whole did.
+        if let Some(law) = waiting.take_if(|law| law.begins_mm < knot.depth_mm) {
+            if law.begins_mm > before_mm {
+                let (z, feed) = (decimal(-law.begins_mm), decimal(profile.feed_at(law.begins_mm)));
+                line(&format!("G1 Z{z} F{feed}{NO_KNOT}"));
+            }
             law.actions().iter().for_each(|text| line(text));
         }
+        line(&format!("{}G1 Z{z} F{feed}", if modal { "" } else { linear }));
+        before_mm = knot.depth_mm;
     }
     end.iter().for_each(|text| line(text));
     if let Some(law) = &law {
@@ -58,14 +65,17 @@ pub(super) fn write(
     Ok(())
 }
 
-/// Takes the knots out of the blocks: every `G1` with a Z and an F.
+/// Takes the knots out of the blocks: every `G1` with a Z and an F that is not marked to be none.
 pub(super) fn knots<'a>(
     blocks: impl Iterator<Item = (usize, &'a str)>,
     fields: &mut Fields,
 ) -> Result<(), Violation> {
     for (at, block) in blocks {
         let block = block.strip_prefix("G193 ").unwrap_or(block);
-        let Some(words) = block.strip_prefix("G1 Z") else { continue };
+        // Whoever marks a knot so takes it out of the content, and its hash no longer fits.
+        let Some(words) = block.strip_prefix("G1 Z").filter(|words| !words.ends_with(NO_KNOT)) else {
+            continue;
+        };
         let read = words.split_once(" F").and_then(|(z, feed)| {
             let depth_mm = match z.strip_prefix('-') {
                 Some(depth) => parse_decimal(depth)?,

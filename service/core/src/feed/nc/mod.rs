@@ -25,6 +25,7 @@ pub use steps::{FeedStep, MOST_STEPS, steps};
 use super::profile::{Profile, ProfileHash};
 use crate::cycle::ProfileVersion;
 use crate::invalid::{Range, Violation};
+use crate::machine::FeedLimits;
 
 /// Longest file that is read back, bytes: several times the longest that is written.
 pub const LONGEST_FILE: usize = 1 << 20;
@@ -125,11 +126,14 @@ pub struct ExportOptions {
     pub feed_error: f64,
     /// The override law in the control, where it can hold one.
     pub law: Option<LawInControl>,
+    /// Limits of the machine that it is for; a profile that leaves them is refused. The file states them where it moves the
+    /// override, which is then kept within them too.
+    pub machine: Option<FeedLimits>,
 }
 
 impl Default for ExportOptions {
     fn default() -> Self {
-        Self { clearance_mm: 1.0, feed_error: 0.01, law: None }
+        Self { clearance_mm: 1.0, feed_error: 0.01, law: None, machine: None }
     }
 }
 
@@ -190,13 +194,75 @@ fn rounded(
             "the profile states no set load: there is no law to hold",
         ));
     }
-    if wrong.is_empty() { Ok(ExportOptions { clearance_mm, feed_error, law }) } else { Err(wrong) }
+    if law.is_some() && law::begins_mm(profile) >= profile.end_depth_mm() {
+        let why = "the profile is heating to its end: the law begins behind the heating, and nothing is left for it to act on";
+        wrong.push(Violation::new("law", "heating_only", why));
+    }
+    let machine = options.machine.and_then(|machine| {
+        let within = within(profile, &machine).map_err(|one| wrong.push(one));
+        let inwards = inwards(&machine).map_err(|one| wrong.push(one));
+        within.and(inwards).ok()
+    });
+    // Other files leave the override alone: what they hold is the same on every machine.
+    let machine = machine.filter(|_| law.is_some() || dialect == Dialect::HeidenhainAfc);
+    if wrong.is_empty() { Ok(ExportOptions { clearance_mm, feed_error, law, machine }) } else { Err(wrong) }
+}
+
+/// Refuses feeds that the machine does not run.
+fn within(profile: &Profile, machine: &FeedLimits) -> Result<(), Violation> {
+    let (slowest, fastest) = (profile.slowest_mm_min(), profile.fastest_mm_min());
+    let (min, max) = (machine.min_mm_min(), machine.max_mm_min());
+    if min <= slowest && fastest <= max {
+        return Ok(());
+    }
+    let why = format!("runs {slowest} to {fastest} mm/min, the machine {min} to {max} mm/min");
+    Err(Violation::new("machine", "outside_machine", why))
+}
+
+/// Limits in whole thousandths, as a file states them, and never wider than they were.
+fn inwards(machine: &FeedLimits) -> Result<FeedLimits, Violation> {
+    let limits = FeedLimits::new(
+        up(machine.min_mm_min()),
+        down(machine.max_mm_min()),
+        up(machine.override_min_percent()),
+        down(machine.override_max_percent()),
+    );
+    limits
+        .map_err(|_| Violation::new("machine", "outside_machine", "its limits leave no feed in thousandths"))
+}
+
+/// Part of a thousandth that counts as the thousandth itself: many of them are no binary number.
+const SLACK: f64 = 1e-4;
+
+fn up(value: f64) -> f64 {
+    (value * 1000.0 - SLACK).ceil() / 1000.0
+}
+
+fn down(value: f64) -> f64 {
+    (value * 1000.0 + SLACK).floor() / 1000.0
+}
+
+/// Overrides in percent that neither the profile nor the machine forbids, whole thousandths that contain 100 %.
+///
+/// A machine's feed limits bound them too: the fastest feed of the profile may only be raised up to the machine's, the
+/// slowest one only be lowered down to it.
+fn override_range(profile: &Profile, machine: Option<&FeedLimits>) -> (f64, f64) {
+    let limits = profile.limits();
+    let (low, high) = (limits.override_min_percent, limits.override_max_percent);
+    let Some(machine) = machine else { return (low, high) };
+    let slowed = up(machine.min_mm_min() / profile.slowest_mm_min() * 100.0);
+    let raised = down(machine.max_mm_min() / profile.fastest_mm_min() * 100.0);
+    let low = low.max(machine.override_min_percent()).max(slowed);
+    let high = high.min(machine.override_max_percent()).min(raised);
+    // A profile that the machine can run has its own feed within both.
+    (low.min(100.0), high.max(100.0))
 }
 
 /// Writes a profile as a file.
 ///
 /// # Errors
-/// With every option that is refused; `too_many_steps` or `too_steep` where stepped blocks cannot keep the feed error.
+/// With every option that is refused, `outside_machine` where the machine cannot run the feeds; `too_many_steps`,
+/// `too_steep` or `feed_decimals` where stepped blocks cannot keep the feed error.
 pub fn write(
     dialect: Dialect,
     profile: &Profile,
@@ -212,7 +278,7 @@ pub fn write(
         Dialect::Linuxcnc | Dialect::Fanuc => {
             steps::write(dialect, profile, &options, &mut out).map_err(|one| vec![one])?;
         }
-        Dialect::HeidenhainAfc => afc::write(profile, stamp, &mut out),
+        Dialect::HeidenhainAfc => afc::write(profile, stamp, &options, &mut out),
         Dialect::Csv => csv::write(profile, &mut out),
     }
     Ok(out)
@@ -247,7 +313,10 @@ pub fn read(text: &str, hash: impl Fn(&Profile) -> ProfileHash) -> Result<ReadBa
         let why = "the content is not what its hash stands for: the file was changed";
         return Err(vec![Violation::new("hash", "hash_mismatch", why)]);
     }
-    let again = write(dialect, &profile, &stamp, &options)?;
+    let mut again = write(dialect, &profile, &stamp, &options)?;
+    if dialect == Dialect::Fanuc {
+        again = steps::with_its_start(again, &text);
+    }
     let (mut is, mut meant) = (text.lines(), again.lines());
     let mut at = 0;
     loop {

@@ -27,8 +27,8 @@ pub struct FeedStep {
 /// `places` are the decimals of a feed, at most 3.
 ///
 /// # Errors
-/// `too_steep` where the feed changes faster than blocks of 0.001 mm can follow, or where its decimals are too coarse;
-/// `too_many_steps` above [`MOST_STEPS`].
+/// `too_steep` where the feed changes faster than blocks of 0.001 mm can follow; `feed_decimals` where they could, but not
+/// with a feed of so few decimals; `too_many_steps` above [`MOST_STEPS`].
 pub fn steps(profile: &Profile, feed_error: f64, places: u32) -> Result<Vec<FeedStep>, Violation> {
     let knots: Vec<_> = profile.knots().collect();
     let mut steps = Vec::new();
@@ -42,22 +42,31 @@ pub fn steps(profile: &Profile, feed_error: f64, places: u32) -> Result<Vec<Feed
         )]
         let mut count = (least.ceil() as usize).max(1);
         let most = 64 + 4 * count;
+        let mut only_decimals = false;
         let piece = loop {
             if steps.len() + count > MOST_STEPS {
                 let why = format!("would make more than {MOST_STEPS} blocks: allow a larger error");
                 return Err(Violation::new("feed_error", "too_many_steps", why));
             }
-            if let Some(piece) = piece(profile, ends, count, feed_error, places) {
-                break piece;
+            match piece(profile, ends, count, feed_error, places) {
+                Piece::Follows(piece) => break piece,
+                Piece::Decimals => only_decimals = true,
+                Piece::Steep => {}
             }
             // A little shorter blocks make up for rounding; much shorter ones mean that nothing will.
             count += 1 + count / 8;
             if count > most {
-                let why = format!(
-                    "cannot be kept between {} and {} mm: the feed changes too fast there",
-                    ends[0].0, ends[1].0
-                );
-                return Err(Violation::new("feed_error", "too_steep", why));
+                let [(from_mm, from), (to_mm, to)] = ends;
+                let stretch = format!("cannot be kept between {from_mm} and {to_mm} mm");
+                let (code, why) = if only_decimals {
+                    let places =
+                        if places == 1 { "one decimal".to_owned() } else { format!("{places} decimals") };
+                    let why = format!("F has {places} here, too few for feeds of {from} to {to} mm/min");
+                    ("feed_decimals", why)
+                } else {
+                    ("too_steep", "the feed changes too fast there".to_owned())
+                };
+                return Err(Violation::new("feed_error", code, format!("{stretch}: {why}")));
             }
         };
         steps.extend(piece);
@@ -65,17 +74,32 @@ pub fn steps(profile: &Profile, feed_error: f64, places: u32) -> Result<Vec<Feed
     Ok(steps)
 }
 
-/// One linear piece in `count` blocks of equal ratio of feeds; `None` where a block leaves the feed error.
+/// A linear piece in so many blocks.
+enum Piece {
+    /// Its blocks keep within the feed error.
+    Follows(Vec<FeedStep>),
+    /// They would, were it not for the decimals of a feed.
+    Decimals,
+    /// They do not, whatever the decimals.
+    Steep,
+}
+
+/// Relative slack for a feed before it is rounded: that of a constant feed is computed, and may miss its limit by a bit.
+const SLACK: f64 = 1e-9;
+
+/// One linear piece in `count` blocks of equal ratio of feeds.
 fn piece(
     profile: &Profile,
     [(from_mm, from), (to_mm, to)]: [(f64, f64); 2],
     count: usize,
     feed_error: f64,
     places: u32,
-) -> Option<Vec<FeedStep>> {
+) -> Piece {
+    let limits = profile.limits();
     let unit = f64::from(10_u32.pow(places));
     let mut steps = Vec::with_capacity(count);
     let mut before_mm = from_mm;
+    let mut only_decimals = false;
     for k in 1..=count {
         #[expect(clippy::cast_precision_loss, reason = "at most 4000 blocks")]
         let part = k as f64 / count as f64;
@@ -89,22 +113,43 @@ fn piece(
         };
         let depth = (depth * RESOLUTION).round() / RESOLUTION;
         if depth <= before_mm {
-            return None;
+            return Piece::Steep;
         }
         let time_s = profile.time_between_s(before_mm, depth);
-        let feed = ((depth - before_mm) / time_s * 60.0 * unit).round() / unit;
-        let within = |is: f64| (feed - is).abs() <= feed_error * is;
-        if feed <= 0.0 || !within(profile.feed_at(before_mm)) || !within(profile.feed_at(depth)) {
-            return None;
-        }
-        let limits = profile.limits();
-        if !(limits.feed_min_mm_min..=limits.feed_max_mm_min).contains(&feed) {
-            return None;
+        let exact = (depth - before_mm) / time_s * 60.0;
+        let feed = (exact * unit).round() / unit;
+        let fits = |feed: f64, slack: f64| {
+            let within = |is: f64| (feed - is).abs() <= (feed_error + slack) * is;
+            feed > 0.0
+                && within(profile.feed_at(before_mm))
+                && within(profile.feed_at(depth))
+                && feed >= limits.feed_min_mm_min * (1.0 - slack)
+                && feed <= limits.feed_max_mm_min * (1.0 + slack)
+        };
+        if !fits(feed, 0.0) {
+            if !fits(exact, SLACK) {
+                return Piece::Steep;
+            }
+            only_decimals = true;
         }
         steps.push(FeedStep { to_mm: depth, feed_mm_min: feed });
         before_mm = depth;
     }
-    Some(steps)
+    if only_decimals { Piece::Decimals } else { Piece::Follows(steps) }
+}
+
+/// How a FANUC file begins: inch or metric has to be chosen in a block of its own.
+const FANUC_START: &str = "G21\nG90 G94 G64";
+/// How its files began before; those that are in use still read back.
+const FANUC_START_IN_ONE: &str = "G21 G90 G94 G64";
+
+/// A FANUC file as it would begin in the way that `text` does.
+pub(super) fn with_its_start(written: String, text: &str) -> String {
+    if text.lines().any(|line| line == FANUC_START_IN_ONE) {
+        written.replacen(FANUC_START, FANUC_START_IN_ONE, 1)
+    } else {
+        written
+    }
 }
 
 /// Writes the blocks.
@@ -116,7 +161,7 @@ pub(super) fn write(
 ) -> Result<(), Violation> {
     // FANUC reads one decimal of a feed per minute on every model; LinuxCNC reads any.
     let (start, places, end) = match dialect {
-        Dialect::Fanuc => ("G21 G90 G94 G64", 1, "M99"),
+        Dialect::Fanuc => (FANUC_START, 1, "M99"),
         _ => ("G21 G90 G94 G64 P0.001", 3, "M2"),
     };
     let feed = |value: f64| if places == 1 { format!("{value:.1}") } else { decimal(value) };

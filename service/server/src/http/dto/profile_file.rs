@@ -42,7 +42,7 @@ impl ExportQuery {
         })
     }
 
-    /// How it is written.
+    /// How it is written; the machine's limits are its caller's to fill in.
     pub fn options(&self) -> Result<ExportOptions, Violation> {
         if self.law_override_max_percent.is_some() && self.law_intensity.is_none() {
             let why = "belongs to the override law: name its law_intensity too";
@@ -56,6 +56,7 @@ impl ExportQuery {
                 intensity,
                 override_max_percent: self.law_override_max_percent.unwrap_or(100.0),
             }),
+            machine: None,
         })
     }
 
