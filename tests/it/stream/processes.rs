@@ -32,7 +32,8 @@ async fn a_plunge_is_told_its_feeds_by_what_the_load_says() {
     machine.start("c1", channels).await;
     let mut next = 0_u64;
     let mut at = async |machine: &mut Machine, depth: f64, load: f64, count: usize| -> Value {
-        let message = json!({"type": "samples", "first": next, "depth_mm": vec![depth; count],
+        let deeper: Vec<f64> = (0..count).map(|k| depth + 0.01 * k as f64).collect();
+        let message = json!({"type": "samples", "first": next, "depth_mm": deeper,
                              "feed_actual_mm_min": vec![500.0; count], "feed_drive_load_percent": vec![load; count]});
         next += count as u64;
         machine.ask(message).await
@@ -54,10 +55,15 @@ async fn a_plunge_is_told_its_feeds_by_what_the_load_says() {
     let through = at(&mut machine, 9.0, 3.0, 6).await;
     assert_eq!(
         (&through["plunge"]["phase"], &through["plunge"]["feed_mm_min"]),
+        (&json!("retract"), &json!(120.0))
+    );
+    let back = at(&mut machine, 8.0, 3.0, 1).await;
+    assert_eq!(
+        (&back["plunge"]["phase"], &back["plunge"]["feed_mm_min"]),
         (&json!("retract"), &json!(3000.0))
     );
     assert_eq!(through["override_percent"], 100.0);
-    assert_eq!(machine.end(38).await["status"], 201);
+    assert_eq!(machine.end(39).await["status"], 201);
     served.server.shutdown().await.unwrap();
 }
 

@@ -24,12 +24,15 @@ use http::{HeaderValue, StatusCode, header};
 #[utoipa::path(get, path = "/v1/feed-profiles/{profile}/export", tag = "feed profiles",
     params(("profile" = String, Path), ExportQuery),
     responses((status = 200, description = "The file", content((String = "text/plain"), (Object = "application/json"))),
+        (status = 403, description = "A machine's token asks for another machine", body = ProblemDocument<'static>),
         (status = 409, description = "The version is not approved (`not_released`), or nothing is active (`nothing_active`)",
             body = ProblemDocument<'static>),
-        (status = 422, description = "An option out of range, a feed outside the machine's limits (`outside_machine`), or one \
-            that blocks cannot follow (`too_steep`)", body = ProblemDocument<'static>)))]
+        (status = 422, description = "An option out of range, a feed outside the machine's limits (`outside_machine`), one \
+            that blocks cannot follow (`too_steep`) or F has too few decimals for (`feed_decimals`), or a law that would have \
+            nothing to act on (`heating_only`)", body = ProblemDocument<'static>)))]
 pub(super) async fn export(
     State(state): State<AppState>,
+    caller: Caller,
     PathId(id): PathId<ProfileId>,
     Query(query): Query<ExportQuery>,
 ) -> Result<Response, Problem> {
@@ -48,6 +51,7 @@ pub(super) async fn export(
     }
     let mut limits = None;
     if let Some(machine) = query_id::<MachineId>(query.machine.as_deref())? {
+        caller.must_be_for(machine.as_str())?;
         let found = state.store.machine(&machine).await?;
         let found = found.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?;
         within(&found.value, &stored.content)?;

@@ -17,7 +17,7 @@ pub struct ExportQuery {
     pub dialect: String,
     /// The version; the active one where it is left out.
     pub version: Option<u32>,
-    /// The machine that it is for: a feed outside its limits is refused.
+    /// The machine that it is for: a feed outside its limits is refused, and an override keeps within them.
     pub machine: Option<String>,
     /// Height above first contact to which it rapids, mm; 1 where it is left out.
     pub clearance_mm: Option<f64>,
