@@ -4,6 +4,8 @@
 //! profile that fits, a recommendation is neutral and says why.
 
 mod process;
+#[cfg(test)]
+mod tests;
 
 pub use process::{
     EdgeCycle, EdgeHistory, Knowledge, MAX_EDGE_CYCLES, PlungeAdvice, ProcessAdvice, TurningAdvice,

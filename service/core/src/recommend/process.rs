@@ -175,7 +175,7 @@ pub(super) fn advise(
             say("no_plunge_material", "the operation names no material: run its program as it is");
             None
         }
-        (Process::Plunge, _, Some(setup)) => plunge(question, setup, say).map(ProcessAdvice::Plunge),
+        (Process::Plunge, _, Some(setup)) => plunge(question, setup, *action, say).map(ProcessAdvice::Plunge),
         _ => None,
     }
 }
@@ -202,6 +202,14 @@ fn turning(
         );
         return None;
     };
+    // Said whatever follows: an edge that is spent by such readings may be none.
+    if corrections.implausible() {
+        say(
+            "turning_readings_implausible",
+            "power, force or wear read on this edge is far from what its model can explain: check the sensors and \
+             their units; no pair is advised",
+        );
+    }
     let mut advice = TurningAdvice {
         law_version: TURNING_LAW_VERSION.to_owned(),
         model: setup.model.clone(),
@@ -219,6 +227,8 @@ fn turning(
                 *action = Action::ChangeTool;
             }
         }
+        // A unit slip and a dead sensor look like an edge that bears more: unknown never raises the feed.
+        Ok(_) if corrections.implausible() => {}
         Ok(chosen) => advice.next = offered(question, setup, &chosen, *action, say),
     }
     Some(advice)
@@ -298,6 +308,11 @@ fn offered(
         say("turning_above_feed_max", "the pair's feed rate is above the machine's limit: it is not advised");
         return None;
     }
+    if feed_mm_min.is_some_and(|feed| feed < question.machine.limits.min_mm_min()) {
+        // A faster pair would break what the model holds to, so the machine's least feed is out of reach.
+        say("turning_below_feed_min", "the pair's feed rate is below the machine's least: it is not advised");
+        return None;
+    }
     say(
         "turning_advised",
         "the next speed and feed follow from the model and what was measured on this edge",
@@ -319,6 +334,7 @@ fn offered(
 fn plunge(
     question: &Question<'_>,
     setup: &PlungeSetup,
+    action: Action,
     say: &mut impl FnMut(&str, &str),
 ) -> Option<PlungeAdvice> {
     let Knowledge::Plunge(Some(material)) = question.knowledge else {
@@ -333,6 +349,11 @@ fn plunge(
         say("plunge_setup_unusable", "the operation's plunge cannot be computed: run the program as it is");
         return None;
     };
+    if feed.feed_mm_min.is_some() && action != Action::Run {
+        // A plunge meets the work faster than its program: not with a tool that may be another, worn or broken.
+        say("plunge_withheld", "the tool is to be looked at first: no plunge feed is advised");
+        return None;
+    }
     if feed.feed_mm_min.is_some() {
         say("plunge_advised", "the plunge feed is what the drill, the machine and the loop bear");
     } else {

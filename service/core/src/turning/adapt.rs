@@ -108,6 +108,24 @@ pub struct Corrections {
     pub at_bound: bool,
 }
 
+impl Corrections {
+    /// Whether what was read cannot be believed as it stands: a reading of the last interval was cut to the gate, or a
+    /// factor sits at its bound. A unit slip and a dead sensor look like this; no pair may be raised by it.
+    #[must_use]
+    pub const fn implausible(&self) -> bool {
+        self.gated || self.at_bound
+    }
+}
+
+/// What becomes of a reading further off than the gate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum BeyondGate {
+    /// It counts as exactly as far off as the gate.
+    Cut,
+    /// It is not read at all.
+    LeftOut,
+}
+
 /// Running estimate for one edge; `job` in its methods is always the one with the library's own coefficients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adaptation {
@@ -115,6 +133,7 @@ pub struct Adaptation {
     elapsed_min: f64,
     mean: [f64; 4],
     covariance: [[f64; 4]; 4],
+    beyond_gate: BeyondGate,
     gated: bool,
 }
 
@@ -133,7 +152,14 @@ impl Adaptation {
             row[i] = prior;
         }
         let mean = [start.wear_mm(), 0.0, 0.0, 0.0];
-        Self { settings, elapsed_min: start.elapsed_min(), mean, covariance, gated: false }
+        let beyond_gate = BeyondGate::Cut;
+        Self { settings, elapsed_min: start.elapsed_min(), mean, covariance, beyond_gate, gated: false }
+    }
+
+    /// The same with another way to take readings beyond the gate.
+    pub(super) const fn with(mut self, beyond_gate: BeyondGate) -> Self {
+        self.beyond_gate = beyond_gate;
+        self
     }
 
     /// Takes one interval of `minutes` cut with `cut`, and what was read at its end.
@@ -214,7 +240,12 @@ impl Adaptation {
             std::array::from_fn(|i| (0..4).map(|j| self.covariance[i][j] * slope[j]).sum::<f64>());
         let variance = noise + (0..4).map(|i| slope[i] * cross[i]).sum::<f64>();
         let gate = self.settings.0.gate_sigmas * variance.sqrt();
-        self.gated |= off.abs() > gate;
+        if off.abs() > gate {
+            self.gated = true;
+            if self.beyond_gate == BeyondGate::LeftOut {
+                return;
+            }
+        }
         let off = off.clamp(-gate, gate);
         for (i, (mean, row)) in self.mean.iter_mut().zip(&mut self.covariance).enumerate() {
             *mean += cross[i] / variance * off;
@@ -267,8 +298,13 @@ impl Adaptation {
     /// `caution_sigmas` not finite or outside 0..=5.
     pub fn corrected(&self, job: &Job, caution_sigmas: f64) -> Result<Job, FieldError> {
         within("caution_sigmas", caution_sigmas, 0.0, 5.0)?;
-        let factor = |i: usize| (self.mean[i] + caution_sigmas * self.covariance[i][i].sqrt()).exp();
-        let model = job.model().scaled(factor(WEAR_FACTOR), factor(POWER_FACTOR), factor(FORCE_FACTOR));
-        Ok(job.with_model(model))
+        let [wear, power, force] = self.factors(caution_sigmas);
+        Ok(job.with_model(job.model().scaled(wear, power, force)))
+    }
+
+    /// Factors on the coefficients of wear, power and force, so many standard deviations up.
+    pub(super) fn factors(&self, caution_sigmas: f64) -> [f64; 3] {
+        [WEAR_FACTOR, POWER_FACTOR, FORCE_FACTOR]
+            .map(|i| (self.mean[i] + caution_sigmas * self.covariance[i][i].sqrt()).exp())
     }
 }

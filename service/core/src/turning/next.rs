@@ -3,16 +3,19 @@
 //! A fold over the edge's intervals in their order: the same intervals give the same bits however they arrived. What
 //! cannot be told is never guessed: an interval of unknown speed or feed leaves the edge's state unknown, and
 //! unknown never raises the feed, so then there is no next pair, and the reason why.
+//!
+//! Readings that cannot be true raise it no more than that (`doubted`).
 
 use crate::field_error::FieldError;
 
+use super::adapt::BeyondGate;
 use super::{
     Adaptation, AdaptationInput, AdaptationSettings, Chosen, Corrections, Cut, EdgeState, Job, Limit,
     Measured, Selector,
 };
 
 /// Version of the rules below; part of every advice.
-pub const TURNING_LAW_VERSION: &str = "turning-1";
+pub const TURNING_LAW_VERSION: &str = "turning-2";
 
 /// Most intervals of an edge that are folded for one answer: some 10 ms of computing, and 33 hours of minutes.
 pub const MAX_EDGE_INTERVALS: usize = 2_000;
@@ -75,9 +78,10 @@ impl Readings {
 /// What an edge should cut next.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NextCut {
-    /// State of the edge as estimated.
+    /// State of the edge that the pair was chosen for: as estimated, and where a reading could not be believed at least
+    /// as worn as without it and as the library entry has it.
     pub state: EdgeState,
-    /// What was learnt of the coefficients.
+    /// What was learnt of the coefficients, from every reading.
     pub corrections: Corrections,
     /// What that rests on.
     pub readings: Readings,
@@ -85,9 +89,85 @@ pub struct NextCut {
     pub choice: Result<Chosen, Limit>,
 }
 
+/// Which readings a fold takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Taken {
+    /// All; those beyond the gate count as exactly as far off.
+    All,
+    /// Those within the gate.
+    Plausible,
+    /// None: the library entry by itself.
+    None,
+}
+
+/// An edge's intervals folded in their order.
+struct Folded {
+    adaptation: Adaptation,
+    readings: Readings,
+    /// Whether any interval had a reading beyond the gate or left a factor at its bound.
+    doubted: bool,
+}
+
+fn fold(
+    job: &Job,
+    start: Adaptation,
+    intervals: &[EdgeInterval],
+    taken: Taken,
+) -> Result<Folded, (Option<usize>, FieldError)> {
+    let beyond_gate = if taken == Taken::All { BeyondGate::Cut } else { BeyondGate::LeftOut };
+    let mut adaptation = start.with(beyond_gate);
+    let mut readings = Readings::default();
+    let mut doubted = false;
+    for (index, interval) in intervals.iter().enumerate() {
+        let here = |error| (Some(index), error);
+        let at_depth = job.at_depth(interval.depth_mm).map_err(here)?;
+        let mut read = if taken == Taken::None { Measured::default() } else { interval.measured };
+        if let (Taken::All | Taken::Plausible, None, Some(mean)) =
+            (taken, read.power_kw, interval.mean_power_kw)
+        {
+            let ratio = end_over_mean(&at_depth, adaptation.state(), interval.cut, interval.minutes);
+            read.power_kw = Some(mean * ratio);
+        }
+        let learnt = adaptation.observe(&at_depth, interval.cut, interval.minutes, read).map_err(here)?;
+        doubted |= learnt.implausible();
+        readings.take(&read);
+    }
+    Ok(Folded { adaptation, readings, doubted })
+}
+
+/// The state and the job to choose from where a reading of the edge cannot be believed.
+///
+/// Power in kW where W are asked for, a sensor that stands at 1 W, wear that is always 0: each looks like an edge that
+/// bears far more. So nothing is taken to be milder than the library entry has it, nor than the readings within the gate
+/// alone say; what the others say counts only where it is worse.
+fn doubted(
+    job: &Job,
+    start: &Adaptation,
+    caution_sigmas: f64,
+    all: &Adaptation,
+    intervals: &[EdgeInterval],
+) -> Result<(EdgeState, Job), (Option<usize>, FieldError)> {
+    let mut wear_mm = all.state().wear_mm();
+    let mut factors = all.factors(caution_sigmas);
+    for taken in [Taken::Plausible, Taken::None] {
+        let other = fold(job, start.clone(), intervals, taken)?.adaptation;
+        wear_mm = wear_mm.max(other.state().wear_mm());
+        // The entry alone is unsure of itself as before anything was measured: as it stands it is the least.
+        let caution = if taken == Taken::None { 0.0 } else { caution_sigmas };
+        for (factor, least) in factors.iter_mut().zip(other.factors(caution)) {
+            *factor = factor.max(least);
+        }
+    }
+    let [wear, power, force] = factors;
+    let state = EdgeState::unchecked(all.state().elapsed_min(), wear_mm);
+    Ok((state, job.with_model(job.model().scaled(wear, power, force))))
+}
+
 /// Folds an edge's intervals, from new, and chooses its next pair with the corrected coefficients.
 ///
-/// `caution_sigmas` as for [`Adaptation::corrected`].
+/// `caution_sigmas` as for [`Adaptation::corrected`]. Where a reading was beyond the gate or a factor at its bound, now or
+/// before, the pair is never faster than without it nor than by the library entry itself; whether it is to be run at
+/// all is for who asks ([`Corrections::implausible`]).
 ///
 /// # Errors
 /// The index of the interval, or none for a setting, with what is wrong with it.
@@ -101,21 +181,14 @@ pub fn next_cut(
     let setting = |error| (None, error);
     crate::field_error::count("intervals", intervals.len(), 0, MAX_EDGE_INTERVALS).map_err(setting)?;
     let settings = AdaptationSettings::new(settings).map_err(setting)?;
-    let mut adaptation = Adaptation::new(settings, start);
-    let mut readings = Readings::default();
-    for (index, interval) in intervals.iter().enumerate() {
-        let here = |error| (Some(index), error);
-        let at_depth = job.at_depth(interval.depth_mm).map_err(here)?;
-        let mut read = interval.measured;
-        if let (None, Some(mean)) = (read.power_kw, interval.mean_power_kw) {
-            let ratio = end_over_mean(&at_depth, adaptation.state(), interval.cut, interval.minutes);
-            read.power_kw = Some(mean * ratio);
-        }
-        adaptation.observe(&at_depth, interval.cut, interval.minutes, read).map_err(here)?;
-        readings.take(&read);
-    }
+    let new = Adaptation::new(settings, start);
+    let Folded { adaptation, readings, doubted: in_doubt } = fold(job, new.clone(), intervals, Taken::All)?;
     let corrected = adaptation.corrected(job, caution_sigmas).map_err(setting)?;
-    let state = adaptation.state();
+    let (state, corrected) = if in_doubt {
+        doubted(job, &new, caution_sigmas, &adaptation, intervals)?
+    } else {
+        (adaptation.state(), corrected)
+    };
     Ok(NextCut {
         state,
         corrections: adaptation.corrections(),

@@ -1,5 +1,6 @@
 //! One recorded cycle read over depth: at every node the feed, both loads over idle and the heat put in before.
 
+use super::dead::{Beside, lowest_in_air, told};
 use super::grid::Grid;
 use super::recording::{LoadSignal, RecordedCycle, SkipReason};
 use crate::friction::relation::FeedSource;
@@ -51,6 +52,8 @@ pub(super) struct Course {
     pub(super) source: FeedSource,
     pub(super) wear_ratio: Option<f64>,
     pub(super) readings: Vec<Option<Reading>>,
+    /// ln of the actual feed at every node, also where the loads tell nothing.
+    pub(super) ran: Vec<Option<f64>>,
     pub(super) idle: [f64; 2],
     /// Standard deviation of reading each load, points.
     pub(super) reading_sd: [f64; 2],
@@ -59,11 +62,11 @@ pub(super) struct Course {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Sample {
+pub(super) struct Sample {
     time_s: f64,
-    depth_mm: f64,
+    pub(super) depth_mm: f64,
     feed: f64,
-    load: [f64; 2],
+    pub(super) load: [f64; 2],
 }
 
 impl Course {
@@ -83,6 +86,7 @@ impl Course {
         let period_s = median(samples.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect());
         let idle = idle.unwrap_or_else(|| idle_loads(&samples));
         let reading_sd = [0, 1].map(|drive| reading_sd(&samples, drive));
+        let air = lowest_in_air(&samples);
         let delay_s = match cycle.signal {
             LoadSignal::Raw => 0.0,
             LoadSignal::Filtered(weights) => weights.ramp_lag_samples() * period_s,
@@ -98,16 +102,23 @@ impl Course {
         }
         check_feed(&samples)?;
         let peak = |drive: usize| samples.iter().map(|s| s.load[drive] - idle[drive]).fold(0.0, f64::max);
-        if (0..2).all(|drive| peak(drive) < LEAST_PEAK + 4.0 * reading_sd[drive]) {
+        let least = reading_sd.map(|sd| LEAST_PEAK + 4.0 * sd);
+        if (0..2).all(|drive| peak(drive) < least[drive]) {
             return Err(SkipReason::NoLoad);
         }
-        let front = front(&samples, idle[1], memory_s);
-        let readings = read_nodes(&front, grid, idle, reading_sd);
+        let told = told(&samples, Beside { idle, told: least, air })?;
+        let mut front = front(&samples, &told, idle[1], memory_s);
+        let mut readings = read_nodes(&front, grid, idle, reading_sd);
+        let ran = readings.iter().map(|reading| reading.map(|reading| reading.x)).collect();
+        if front.iter().any(|one| !one.told) {
+            front.retain(|one| one.told);
+            readings = read_nodes(&front, grid, idle, reading_sd);
+        }
         if readings.iter().flatten().count() < grid.count() / 10 {
             return Err(SkipReason::TooShort);
         }
         let (id, source, wear_ratio) = (cycle.id.clone(), cycle.source, cycle.wear_ratio);
-        Ok(Self { id, source, wear_ratio, readings, idle, reading_sd, period_s })
+        Ok(Self { id, source, wear_ratio, readings, ran, idle, reading_sd, period_s })
     }
 }
 
@@ -221,20 +232,28 @@ struct Front {
     x: f64,
     load: [f64; 2],
     heat: f64,
+    /// Whether the loads are a reading: a drive that may be dead tells nothing.
+    told: bool,
 }
 
 /// The samples that go deeper than any before, each with the heat put in until then; what stands still or runs back
 /// adds heat and time and no reading.
-fn front(samples: &[Sample], idle_spindle: f64, memory_s: f64) -> Vec<Front> {
+fn front(samples: &[Sample], told: &[bool], idle_spindle: f64, memory_s: f64) -> Vec<Front> {
     let mut front: Vec<Front> = Vec::with_capacity(samples.len());
     let (mut heat, mut deepest, mut before) = (0.0, -1e-9, samples[0].time_s);
-    for sample in samples {
+    for (sample, told) in samples.iter().zip(told) {
         let dt = sample.time_s - before;
         before = sample.time_s;
         heat *= (-dt / memory_s).exp();
         if sample.depth_mm > deepest && sample.feed >= STANDSTILL_MM_MIN {
             deepest = sample.depth_mm;
-            front.push(Front { depth_mm: sample.depth_mm, x: sample.feed.ln(), load: sample.load, heat });
+            front.push(Front {
+                depth_mm: sample.depth_mm,
+                x: sample.feed.ln(),
+                load: sample.load,
+                heat,
+                told: *told,
+            });
         }
         heat += super::relation::heat_rate(sample.load[1] - idle_spindle) * dt;
     }

@@ -9,6 +9,7 @@
 //! |---|---|
 //! | `settings` | limits, confidence, objective |
 //! | `recording`, `course` | recorded cycles, cleaned and read over depth |
+//! | `dead` | readings of a drive that is dead, told from an air cut |
 //! | `relation` | how the loads depend on depth, feed, heat and wear, with uncertainty |
 //! | `plan` | the envelope: the fastest feed at every depth, and what binds |
 //! | `simplify` | few knots under it |
@@ -21,6 +22,7 @@
 
 mod bands;
 mod course;
+mod dead;
 mod explain;
 mod grid;
 mod outcome;

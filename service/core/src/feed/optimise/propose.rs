@@ -372,12 +372,8 @@ fn run_feed(courses: &[Course], grid: &Grid, settings: &Settings) -> (Vec<f64>, 
     let Some(latest) = courses.last() else {
         return (vec![smallest; grid.count()], vec![smallest; grid.count()]);
     };
-    let known: Vec<(usize, f64)> = latest
-        .readings
-        .iter()
-        .enumerate()
-        .filter_map(|(node, reading)| Some((node, reading.as_ref()?.x.exp())))
-        .collect();
+    let known: Vec<(usize, f64)> =
+        latest.ran.iter().enumerate().filter_map(|(node, x)| Some((node, (*x)?.exp()))).collect();
     let feed: Vec<f64> = (0..grid.count())
         .map(|node| {
             let nearest = known.iter().min_by_key(|(other, _)| other.abs_diff(node));

@@ -66,6 +66,11 @@ pub enum SkipReason {
     FeedContradictsDepth,
     /// The loads never rise above idle: nothing was drilled.
     NoLoad,
+    /// The feed-drive load does not change over most of the way, or reads 0 in contact and never in the air, while the
+    /// cycle goes on and shows work: a dead reading is not an air cut.
+    DeadFeedDriveLoad,
+    /// The same of the spindle load.
+    DeadSpindleLoad,
     /// Its loads are far from what the other cycles show at the same feed.
     Outlier,
     /// Older than the cycles that are learned from.
@@ -89,6 +94,8 @@ impl SkipReason {
             Self::TooShort => "too_short",
             Self::FeedContradictsDepth => "feed_contradicts_depth",
             Self::NoLoad => "no_load",
+            Self::DeadFeedDriveLoad => "dead_feed_drive_load",
+            Self::DeadSpindleLoad => "dead_spindle_load",
             Self::Outlier => "outlier",
             Self::TooOld => "too_old",
             Self::Duplicate => "duplicate",
@@ -140,7 +147,12 @@ impl From<SkipReason> for Invalid {
 /// The refusal of an optimisation for which there is nothing to learn from.
 pub(super) fn nothing_usable(skipped: &[Skipped]) -> Invalid {
     let first = skipped.first().map_or_else(
-        || "no cycle was given".to_owned(),
+        // Who stores cycles gives none that lacks a column: what was to be sampled is what helps.
+        || {
+            "no cycle was given that was sampled with depth, feed-drive load and spindle load (depth_mm, \
+             feed_drive_load_percent, spindle_load_percent): all three are needed"
+                .to_owned()
+        },
         |one| {
             format!(
                 "none of {} cycles is usable, the first ({}) because: {}",

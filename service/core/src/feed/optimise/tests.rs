@@ -417,6 +417,172 @@ fn cycles_of_unknown_wear_are_a_new_tools_for_a_plan_at_a_worn_one() {
     assert_eq!(planned(None).knots, new.knots, "nothing is made of a wear that nobody named");
 }
 
+/// Columns of a recording's loads, feed drive first.
+fn loads(cycle: &mut RecordedCycle) -> [&mut Vec<f64>; 2] {
+    [&mut cycle.feed_drive_percent, &mut cycle.spindle_percent]
+}
+
+/// The recording with one drive's reading replaced from a depth on, given the last live one.
+fn dying(cycle: &RecordedCycle, drive: usize, from_mm: f64, reads: impl Fn(f64) -> f64) -> RecordedCycle {
+    let mut cycle = cycle.clone();
+    let at = cycle.depth_mm.iter().position(|depth| *depth >= from_mm).unwrap();
+    let column = &mut loads(&mut cycle)[drive];
+    let value = reads(column[at.saturating_sub(1)]);
+    column[at..].fill(value);
+    cycle
+}
+
+/// The recording of a drive that reads 0 while it idles.
+fn from_zero(cycle: &RecordedCycle, drive: usize) -> RecordedCycle {
+    let mut cycle = cycle.clone();
+    let air = cycle.depth_mm.iter().position(|depth| *depth >= 0.0).unwrap();
+    let column = &mut loads(&mut cycle)[drive];
+    let idle = column[..air].iter().copied().fold(f64::INFINITY, f64::min);
+    column.iter_mut().for_each(|load| *load = (*load - idle).max(0.0));
+    cycle
+}
+
+#[test]
+fn a_dead_reading_is_no_air_cut_and_its_recording_is_left_out() {
+    for seed in [4, 9] {
+        let case = case(seed);
+        let settings = settings(&case.limits).unwrap();
+        let last = first(&case);
+        let good = cycles(&case, &[1.0]).remove(0);
+        let alone = optimise(std::slice::from_ref(&good), &settings, Some(&last)).unwrap();
+        let zero_in_all = |drive: usize| dying(&good, drive, f64::NEG_INFINITY, |_| 0.0);
+        let early = settings.depth_mm / 4.0;
+        let feed_drive = SkipReason::DeadFeedDriveLoad;
+        let spindle = SkipReason::DeadSpindleLoad;
+        let both_held = dying(&dying(&good, 0, early, |held| held), 1, early, |held| held);
+        let dead = [
+            ("spindle at 0 from 4 mm", dying(&good, 1, 4.0, |_| 0.0), spindle),
+            ("feed drive at 0 from 4 mm", dying(&good, 0, 4.0, |_| 0.0), feed_drive),
+            ("spindle at 0 in contact", dying(&good, 1, 0.0, |_| 0.0), spindle),
+            ("spindle at idle in contact", dying(&good, 1, 0.0, |held| held), spindle),
+            ("spindle frozen in contact", dying(&good, 1, 0.0, |_| 23.4), spindle),
+            ("spindle frozen in all", dying(&good, 1, f64::NEG_INFINITY, |_| 23.4), spindle),
+            ("feed drive frozen in contact", dying(&good, 0, 0.0, |_| 12.5), feed_drive),
+            ("spindle at 0 in all", zero_in_all(1), spindle),
+            ("feed drive at 0 in all", zero_in_all(0), feed_drive),
+            ("both hold their last value", both_held, feed_drive),
+        ];
+        for (what, cycle, reason) in dead {
+            let cycle = RecordedCycle { id: "dead".to_owned(), order: 7, ..cycle };
+            let refused = optimise(std::slice::from_ref(&cycle), &settings, Some(&last)).unwrap_err();
+            assert_eq!(refused.code(), InvalidCode::NotIdentifiable, "case {seed}, {what}");
+            assert!(refused.to_string().contains(reason.as_str()), "case {seed}, {what}: {refused}");
+            // Beside a good one it changes nothing and is named.
+            let found = optimise(&[good.clone(), cycle], &settings, Some(&last)).unwrap();
+            assert_eq!(found.knots, alone.knots, "case {seed}, {what}");
+            assert_eq!(found.skipped, [Skipped { id: "dead".to_owned(), reason }], "case {seed}, {what}");
+        }
+    }
+}
+
+#[test]
+fn where_a_drive_may_be_dead_the_feed_is_not_raised() {
+    for (seed, drive) in [(4, 0), (4, 1), (9, 1)] {
+        let case = case(seed);
+        let settings = settings(&case.limits).unwrap();
+        let last = first(&case);
+        let good = from_zero(&cycles(&case, &[1.0]).remove(0), drive);
+        let intact = optimise(std::slice::from_ref(&good), &settings, Some(&last)).unwrap();
+        // It idles at 0, so a 0 tells nothing by itself; and it may hold what it read last.
+        for share in [0.25, 0.5] {
+            let from_mm = share * settings.depth_mm;
+            for (what, cycle) in [
+                ("at 0", dying(&good, drive, from_mm, |_| 0.0)),
+                ("held", dying(&good, drive, from_mm, |held| held)),
+            ] {
+                let Ok(found) = optimise(std::slice::from_ref(&cycle), &settings, Some(&last)) else {
+                    continue;
+                };
+                let (air, other) =
+                    (cycle.depth_mm.iter().position(|depth| *depth >= 0.0).unwrap(), 1 - drive);
+                let mut cycle = cycle;
+                let column = &*loads(&mut cycle)[other];
+                let idle = column[..air].iter().copied().fold(f64::INFINITY, f64::min);
+                let peak = column[air..].iter().copied().fold(0.0, f64::max) - idle;
+                for (depth, load) in cycle.depth_mm.clone().iter().zip(loads(&mut cycle)[other].iter()) {
+                    if *depth > from_mm + 1.0 && *load - idle > 0.3 * peak {
+                        let most = last.feed_at(*depth).max(intact.knots.feed_at(*depth));
+                        let feed = found.knots.feed_at(*depth);
+                        assert!(
+                            feed <= most * 1.02,
+                            "case {seed}, {drive} {what} {share}: {feed} at {depth}, {most}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_short_dropout_tells_nothing_of_its_depths_and_the_rest_is_learned_from() {
+    let case = case(4);
+    let settings = settings(&case.limits).unwrap();
+    let last = first(&case);
+    let good = cycles(&case, &[1.0]).remove(0);
+    let intact = optimise(std::slice::from_ref(&good), &settings, Some(&last)).unwrap();
+    let mut cycle = good;
+    let from_mm = 0.5 * settings.depth_mm;
+    let within = from_mm..from_mm + 0.08 * settings.depth_mm;
+    for at in 0..cycle.depth_mm.len() {
+        if within.contains(&cycle.depth_mm[at]) {
+            cycle.spindle_percent[at] = 0.0;
+        }
+    }
+    let found = optimise(&[cycle], &settings, Some(&last)).unwrap();
+    assert_eq!((found.learned_from, found.skipped.len()), (1, 0));
+    for share in 0..=20 {
+        let depth = within.start + (within.end - within.start) * f64::from(share) / 20.0;
+        let most = last.feed_at(depth).max(intact.knots.feed_at(depth));
+        assert!(found.knots.feed_at(depth) <= most * 1.05, "{} {most}", found.knots.feed_at(depth));
+    }
+}
+
+#[test]
+fn coarse_steps_and_tiny_loads_are_no_dead_readings() {
+    for model in [Model::Twin, Model::Other, Model::Coarse] {
+        for seed in [4, 7, 11, 68, 93, 144] {
+            let case = draw(model, seed).unwrap();
+            let grid = super::grid::Grid::new(case.limits.end_mm, &[]);
+            let reads = |cycle: &RecordedCycle, what: &str, tenths: usize| {
+                let read = super::course::Course::read(cycle, &grid, None, 6.0, 0.0);
+                let read = read.unwrap_or_else(|reason| panic!("{model:?} {seed}, {what}: {reason:?}"));
+                let (told, ran) = (read.readings.iter().flatten().count(), read.ran.iter().flatten().count());
+                assert!(10 * told >= tenths * ran, "{model:?} {seed}, {what}: {told} of {ran}");
+            };
+            for good in cycles(&case, &[1.0, 2.0]) {
+                for step in [0.1, 0.5, 1.0] {
+                    let mut coarse = good.clone();
+                    for load in loads(&mut coarse).into_iter().flatten() {
+                        *load = (*load / step).round() * step;
+                    }
+                    reads(&coarse, &format!("in steps of {step} %"), 7);
+                }
+                // A feed drive of twenty times the rating, in steps of 0.1 %: its load hardly leaves idle, so less is told.
+                let mut tiny = good.clone();
+                for load in &mut tiny.feed_drive_percent {
+                    *load = (*load / 20.0 / 0.1).round() * 0.1;
+                }
+                reads(&tiny, "twenty times the rating", 4);
+            }
+        }
+    }
+}
+
+#[test]
+fn without_any_recording_the_refusal_names_what_has_to_be_sampled() {
+    let settings = settings(&case(4).limits).unwrap();
+    let refused = optimise(&[], &settings, None).unwrap_err();
+    for channel in ["depth_mm", "feed_drive_load_percent", "spindle_load_percent"] {
+        assert!(refused.to_string().contains(channel), "{refused}");
+    }
+}
+
 #[test]
 fn one_feed_only_is_what_equal_limits_leave() {
     let case = case(4);

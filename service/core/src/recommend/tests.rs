@@ -1,0 +1,253 @@
+use super::*;
+use crate::machine::{FeedDriveRating, LoadReference, SpindleRating};
+use crate::operation::WearSettings;
+use crate::plunge::{DrillInput, DrillingLaw, LoopLatencyInput, Material, MaterialInput, PlungeSetup};
+use crate::turning::{
+    Accumulation, Axis, DomainInput, EdgeState, Job, Limits, Outcome, TurningModel, TurningSetup,
+};
+
+fn machine(feed_min_mm_min: f64, feed_max_mm_min: f64) -> Machine {
+    Machine {
+        id: "M1".try_into().unwrap(),
+        name: "M1".to_owned(),
+        control: "linuxcnc".to_owned(),
+        ipo_period_ms: 10.0,
+        spindle: SpindleRating { reference: LoadReference::RatedPower, ..SpindleRating::default() },
+        feed_drive: FeedDriveRating { reference: LoadReference::RatedTorque, rated_thrust_newtons: None },
+        limits: FeedLimits::new(feed_min_mm_min, feed_max_mm_min, 20.0, 150.0).unwrap(),
+    }
+}
+
+fn operation(process: Process) -> Operation {
+    Operation {
+        id: "O1".try_into().unwrap(),
+        name: "O1".to_owned(),
+        process,
+        program: None,
+        feature: None,
+        work_material: None,
+        thickness_mm: None,
+        depth_mm: None,
+        spindle_speed_rpm: None,
+        programmed_feed_mm_min: None,
+        spindle_load_set_percent: None,
+        feed_drive_load_set_percent: None,
+        wear: WearSettings::default(),
+        turning: None,
+        plunge: None,
+    }
+}
+
+/// Alaskari & Oraby 2017: d = 2.5 mm, 7 kW, 1500 N, 0.3 mm, the grid of the paper.
+fn setup(caution_sigmas: f64) -> TurningSetup {
+    TurningSetup {
+        model: "alaskari-oraby-2017".try_into().unwrap(),
+        depth_mm: 2.5,
+        diameter_mm: Some(80.0),
+        interval_min: 1.0,
+        limits: Limits { power_kw: 7.0, force_n: 1500.0, wear_mm: 0.3 },
+        domain: DomainInput::Grid {
+            speed_m_min: Axis { min: 50.0, max: 200.0, step: 10.0 },
+            feed_mm_rev: Axis { min: 0.06, max: 0.6, step: 0.005 },
+        },
+        accumulation: Accumulation::ElapsedTime,
+        caution_sigmas,
+    }
+}
+
+fn job() -> Job {
+    setup(0.0).job(TurningModel::alaskari_oraby_2017()).unwrap()
+}
+
+/// So many minutes at (150 m/min, 0.3 mm/rev), each told as `tell` makes it from what the entry expects.
+fn edge(minutes: usize, caution_sigmas: f64, tell: impl Fn(&mut EdgeCycle, Outcome)) -> Vec<EdgeCycle> {
+    let cut = crate::turning::Cut::new(150.0, 0.3).unwrap();
+    let mut state = EdgeState::FRESH;
+    (0..minutes)
+        .map(|_| {
+            let outcome = job().predict(state, cut);
+            state = EdgeState::new(state.elapsed_min() + 1.0, outcome.wear_mm).unwrap();
+            let mut cycle = EdgeCycle {
+                setup: Some(setup(caution_sigmas)),
+                duration_ms: Some(60_000.0),
+                speed_m_min: Some(150.0),
+                feed_mm_rev: Some(0.3),
+                ..EdgeCycle::default()
+            };
+            tell(&mut cycle, outcome);
+            cycle
+        })
+        .collect()
+}
+
+/// What is recommended for an edge that has cut `cycles`.
+fn turned(
+    cycles: Vec<EdgeCycle>,
+    caution_sigmas: f64,
+    limits: (f64, f64),
+    state: ToolState,
+) -> Recommendation {
+    let operation = Operation { turning: Some(setup(caution_sigmas)), ..operation(Process::Turning) };
+    let knowledge = Knowledge::Turning {
+        model: Some(Box::new(TurningModel::alaskari_oraby_2017())),
+        history: EdgeHistory::Cycles(cycles),
+    };
+    asked(&operation, &knowledge, limits, state)
+}
+
+fn asked(
+    operation: &Operation,
+    knowledge: &Knowledge,
+    limits: (f64, f64),
+    state: ToolState,
+) -> Recommendation {
+    let verdict = Verdict { state, ..Verdict::unknown("no_cycles", "nothing was run") };
+    recommend(&Question {
+        now: Timestamp::from_micros(0),
+        machine: &machine(limits.0, limits.1),
+        operation_id: &operation.id,
+        operation: Some(operation),
+        tool_id: &"T1".try_into().unwrap(),
+        tool_registered: true,
+        verdict: &verdict,
+        knowledge,
+        profiles: &[],
+        ran: None,
+        settings: RecommendSettings::default(),
+    })
+}
+
+const WIDE: (f64, f64) = (1.0, 5000.0);
+
+fn says(recommendation: &Recommendation, code: &str) -> bool {
+    recommendation.reasons.iter().any(|(reason, _)| reason == code)
+}
+
+fn turning(recommendation: &Recommendation) -> &TurningAdvice {
+    match recommendation.process_advice.as_ref() {
+        Some(ProcessAdvice::Turning(advice)) => advice,
+        other => panic!("no turning: {other:?}"),
+    }
+}
+
+fn plausible(cycle: &mut EdgeCycle, outcome: Outcome) {
+    cycle.power_watts = Some(outcome.power_kw * 1000.0);
+    cycle.force_newtons = Some(outcome.force_n);
+}
+
+#[test]
+fn an_edge_that_reads_as_its_model_gets_a_pair() {
+    let advice = turned(edge(4, 0.0, plausible), 0.0, WIDE, ToolState::Good);
+    assert!(says(&advice, "turning_advised") && !says(&advice, "turning_readings_implausible"));
+    let next = turning(&advice).next.unwrap();
+    assert!(next.power_kw <= 7.0 && next.force_n <= 1500.0 && next.wear_mm <= 0.3, "{next:?}");
+}
+
+#[test]
+fn readings_that_cannot_be_true_advise_no_pair_and_are_named() {
+    type Tell = fn(&mut EdgeCycle, Outcome);
+    let slips: [(&str, Tell); 5] = [
+        ("power in kW", |cycle, outcome| cycle.power_watts = Some(outcome.power_kw)),
+        ("sensors that stand", |cycle, _| {
+            cycle.power_watts = Some(1.0);
+            cycle.force_newtons = Some(1.0);
+        }),
+        ("no wear ever", |cycle, _| cycle.wear_mm = Some(0.0)),
+        ("force in kN", |cycle, outcome| cycle.force_newtons = Some(outcome.force_n / 1000.0)),
+        ("mean power of a dead channel", |cycle, _| cycle.spindle_joules = Some(60.0)),
+    ];
+    for caution in [0.0, 2.0] {
+        for (what, tell) in slips {
+            for minutes in 1..=6 {
+                let advice = turned(edge(minutes, caution, tell), caution, WIDE, ToolState::Good);
+                assert!(says(&advice, "turning_readings_implausible"), "{what}, {minutes}: {advice:?}");
+                assert!(!says(&advice, "turning_advised"), "{what}, {minutes}");
+                let turning = turning(&advice);
+                assert_eq!(turning.next, None, "{what}, {minutes}");
+                assert!(turning.corrections.implausible(), "the estimate is told as it is");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_was_once_implausible_never_predicts_less_than_the_library() {
+    // Two minutes of a dead sensor, or of one that reads far too much, then what the entry expects.
+    let glitches: [fn(Outcome) -> f64; 2] = [|_| 1.0, |outcome| outcome.power_kw * 1e6];
+    for glitch in glitches {
+        let mut cycles = edge(8, 0.0, plausible);
+        let wrong = edge(2, 0.0, |cycle, outcome| cycle.power_watts = Some(glitch(outcome)));
+        cycles.splice(..2, wrong);
+        for minutes in 2..=8 {
+            let advice = turned(cycles[..minutes].to_vec(), 0.0, WIDE, ToolState::Good);
+            let Some(next) = turning(&advice).next else { continue };
+            let cut = crate::turning::Cut::new(next.speed_m_min, next.feed_mm_rev).unwrap();
+            let mut state = EdgeState::FRESH;
+            for _ in 0..minutes {
+                let worn = job().predict(state, crate::turning::Cut::new(150.0, 0.3).unwrap()).wear_mm;
+                state = EdgeState::new(state.elapsed_min() + 1.0, worn).unwrap();
+            }
+            let library = job().predict(state, cut);
+            assert!(library.power_kw <= 7.0 && library.force_n <= 1500.0 && library.wear_mm <= 0.3);
+            assert!(next.power_kw >= library.power_kw * (1.0 - 1e-12), "{next:?} {library:?}");
+            assert!(next.force_n >= library.force_n * (1.0 - 1e-12), "{next:?} {library:?}");
+            assert!(next.wear_mm >= library.wear_mm * (1.0 - 1e-12), "{next:?} {library:?}");
+        }
+    }
+}
+
+#[test]
+fn a_pair_beyond_the_machines_feeds_is_not_advised_and_says_which_end() {
+    let at = |limits| turned(edge(2, 0.0, plausible), 0.0, limits, ToolState::Good);
+    let feed = turning(&at(WIDE)).next.unwrap().feed_mm_min.unwrap();
+    for (limits, code) in [
+        ((feed * 2.0, feed * 4.0), "turning_below_feed_min"),
+        ((feed / 4.0, feed / 2.0), "turning_above_feed_max"),
+    ] {
+        let advice = at(limits);
+        assert_eq!(turning(&advice).next, None, "{code}");
+        assert!(says(&advice, code) && !says(&advice, "turning_advised"), "{:?}", advice.reasons);
+    }
+    assert!(turning(&at((feed, feed * 2.0))).next.is_some(), "the end itself belongs to the range");
+}
+
+#[test]
+fn no_plunge_feed_for_a_tool_that_is_to_be_looked_at() {
+    let law = |coefficient, diameter_exponent, feed_exponent| DrillingLaw {
+        coefficient,
+        diameter_exponent,
+        feed_exponent,
+        correction: 1.0,
+    };
+    let material = Material::new(MaterialInput {
+        name: "steel 45".into(),
+        thrust: law(680.0, 1.0, 0.7),
+        torque: law(345.0, 2.0, 0.8),
+    });
+    let setup = PlungeSetup {
+        material: "c45".try_into().unwrap(),
+        drill: DrillInput {
+            diameter_mm: 12.0,
+            length_mm: 100.0,
+            spindle_rpm: 800.0,
+            modulus_n_mm2: None,
+            shear_strength_n_mm2: None,
+        },
+        latency: None::<LoopLatencyInput>,
+    };
+    let operation = Operation { plunge: Some(setup), ..operation(Process::Plunge) };
+    let knowledge = Knowledge::Plunge(Some(Box::new(material.unwrap())));
+    let at = |state| asked(&operation, &knowledge, (10.0, 5000.0), state);
+    for state in [ToolState::Unknown, ToolState::Learning, ToolState::Good, ToolState::Warning] {
+        let advice = at(state);
+        assert!(says(&advice, "plunge_advised") && advice.process_advice.is_some(), "{state:?}");
+    }
+    for state in [ToolState::Changed, ToolState::Worn, ToolState::BrokenSuspected] {
+        let advice = at(state);
+        assert_eq!(advice.process_advice, None, "{state:?}");
+        assert!(says(&advice, "plunge_withheld") && !says(&advice, "plunge_advised"), "{state:?}");
+    }
+    // An edge that is to be looked at gets no pair either.
+    let turned = turned(edge(2, 0.0, plausible), 0.0, WIDE, ToolState::Changed);
+    assert!(says(&turned, "turning_withheld") && turning(&turned).next.is_none());
+}
