@@ -44,6 +44,7 @@ await check("texts: both languages have the same keys, and every key that is use
   const [{ en }, { de }] = await Promise.all([import(`${WEB}js/words/en.js`), import(`${WEB}js/words/de.js`)]);
   assert.deepEqual(Object.keys(en).sort(), Object.keys(de).sort());
   for (const key of Object.keys(en)) assert.equal(typeof en[key], typeof de[key], key);
+  for (const words of [en, de]) for (const [key, text] of Object.entries(words)) assert.ok(typeof text === "function" || !/\$?\{\w+\}/.test(text), `${key} would show its template: ${text}`);
   let used = 0;
   for (const folder of ["js", "js/pages"]) for (const name of (await readdir(WEB + folder)).filter((one) => one.endsWith(".js"))) {
     const text = await readFile(`${WEB}${folder}/${name}`, "utf8");
@@ -99,7 +100,15 @@ await check("tracks: what a zoom shows is the minimum and maximum of every pixel
   assert.deepEqual(forward([-2, -1, 0, 1, 0.5, 2], -1.5), [1, 2, 3, 5]);
 });
 
-if (!ONLY || !["texts", "tracks"].some((name) => ONLY.startsWith(name))) {
+await check("spans: what is rounded is taken apart", async () => {
+  global.document = { documentElement: { lang: "en" } };
+  const { span } = await import(`${WEB}js/format.js`), said = (seconds) => span(seconds * 1000).replaceAll("\u202f", " ");
+  assert.deepEqual([59, 60, 3569, 3571, 3600, 3660, 7169, 7171, 7199, 86_369, 86_399, 86_400, 200_000].map(said), ["59 s", "1 min", "59 min", "1 h", "1 h", "1 h 1 min", "1 h 59 min", "2 h", "2 h", "23 h 59 min", "1 d", "1 d", "2 d"]);
+  // Each minute of a day has a text of its own, and none counts 60 of anything.
+  for (let s = 60; s < 90_000; s += 7) assert.ok(!/\b60 /.test(said(s)), `${s} s: ${said(s)}`);
+});
+
+if (!ONLY || !["texts", "tracks", "spans"].some((name) => ONLY.startsWith(name))) {
   await mkdir(SHOTS, { recursive: true });
   [shop, browser] = await Promise.all([Shop.open(), Browser.open()]);
   console.log(`a shop with ${(await shop.ask("GET", "/v1/machines?limit=1000")).body.items.length} machines at ${shop.address}`);
@@ -225,6 +234,88 @@ await check("first paint: one round after the document, of little, and of no ans
     await page.waitForFunction(() => performance.getEntriesByName("first-contentful-paint").length === 1);
     assert.ok(held.length > 0, `${id} asked for nothing`);
     await Promise.all(held.map((route) => route.abort()));
+  });
+});
+
+await check("sign-in: goes on within this site only, however the address is written", async () => {
+  for (const next of ["/%09/example.invalid/x", "/%0a/example.invalid/x", "//example.invalid/x", "/%5cexample.invalid/x", "/.//example.invalid/x", "https://example.invalid/x", "javascript:alert(1)", "/settings%23tools"]) await withPage({ role: null, expects: ["404"] }, async (page) => {
+    await page.route(/^https?:\/\/example\.invalid/, (route) => route.fulfill({ contentType: "text/html", body: "<title>elsewhere</title>elsewhere" }));
+    await page.goto(`${shop.address}/sign-in?next=${next}`);
+    await page.locator("#token").fill(shop.tokens.viewer);
+    await page.keyboard.press("Enter");
+    await page.waitForURL((url) => url.pathname !== "/sign-in");
+    assert.equal(new URL(page.url()).origin, shop.address, `${next} led to ${page.url()}`);
+    if (next.startsWith("/settings")) await page.waitForURL(`${shop.address}/settings#tools`);
+  });
+});
+
+await check("sign-out that fails is no sign-out", async () => {
+  await withPage({ role: "viewer", expects: ["503"] }, async (page) => {
+    await page.go("/");
+    await page.route("**/v1/session", (route) => route.request().method() === "DELETE" ? route.fulfill({ status: 503, contentType: "application/problem+json", body: '{"code":"unavailable","detail":"the database does not answer"}' }) : route.continue());
+    await page.locator("#sign-out").click();
+    await page.getByText("You are still signed in").waitFor();
+    assert.equal(new URL(page.url()).pathname, "/");
+    assert.deepEqual(await violations(page), []);
+    await page.unroute("**/v1/session");
+    await page.locator("#sign-out").click();
+    await page.waitForURL(/\/sign-in$/);
+    assert.equal((await page.context().request.get(`${shop.address}/v1/session`)).status(), 401);
+  });
+});
+
+await check("a session that cannot be read at first: every page says so, and tries again", async () => {
+  const DATA = { "/": "#rows tr", "/?view=wall": ".tile", "/settings": "#panel table", "/studies": "#answer table", "/cycle?machine=sim-4": "#figures dd", "/tool?id=sim-tool-1": "#facts dd", "/profile": "#figures dd", "/next?machine=sim-1": "#rec-h" };
+  await Promise.all(Object.entries(DATA).map(([path, drawn]) => withPage({ role: "viewer", expects: ["503"] }, async (page) => {
+    let answering = false;
+    await page.route("**/v1/session", (route) => answering ? route.continue() : route.fulfill({ status: 503, contentType: "application/problem+json", headers: { "retry-after": "5" }, body: '{"code":"unavailable","detail":"the database does not answer"}' }));
+    await page.goto(shop.address + path);
+    await page.locator("#offline").waitFor({ timeout: 30_000 });
+    assert.equal(await page.locator(drawn).count(), 0, path);
+    answering = true;
+    await page.locator(drawn).first().waitFor({ timeout: 30_000 });
+    await page.locator("#offline").waitFor({ state: "detached" });
+    await page.waitForFunction(() => document.querySelector("#live").dataset.state !== "offline");
+    if (!path.includes("wall")) assert.match(await page.locator("#who").textContent(), /viewer/, path);
+  })));
+});
+
+await check("many pages of one browser: all load, some listen, none lies about it, and what is hidden makes room", async () => {
+  await withPage({ role: "viewer" }, async (page) => {
+    const pages = [page], state = (one, wanted) => one.waitForFunction((text) => document.querySelector("#live")?.dataset.state === text, wanted, { timeout: 30_000 });
+    const look = (one, hidden) => one.evaluate((is) => { Object.defineProperty(document, "hidden", { configurable: true, get: () => is }); document.dispatchEvent(new Event("visibilitychange")); }, hidden);
+    const paths = ["/", "/next?machine=sim-1", "/tool?id=sim-tool-2", "/", "/tool?id=sim-tool-1", "/tool?id=sim-tool-3", "/cycle?machine=sim-3", "/"], drawn = { "/": "#rows tr", "/t": "#facts dd", "/c": "#figures dd", "/n": "#rec-h" };
+    for (const [i, path] of paths.entries()) {
+      const one = pages[i] ??= await page.context().newPage();
+      one.setDefaultTimeout(30_000);
+      await one.goto(shop.address + path);
+      await one.locator(drawn[path.slice(0, 2)]).first().waitFor();
+      await state(one, "live");
+    }
+    // The last three listen; the others say that they do not, are answered all the same, and ask by themselves.
+    for (const one of pages.slice(0, 5)) await state(one, "polled");
+    for (const one of pages.slice(5)) await state(one, "live");
+    assert.equal(await page.locator("#live").textContent(), "Up to date");
+    assert.equal(await page.evaluate(() => fetch("/v1/session").then((answer) => answer.status)), 200);
+    await shop.report("sim-2", "sim-tool-2", 1357, "many-pages");
+    const seen = (one) => one.locator("#rows tr", { has: one.locator("a", { hasText: /^sim-2$/ }) }).locator(".c-energy", { hasText: /1.357/ }).waitFor();
+    for (const one of [pages[0], pages[3], pages[7]]) await seen(one);
+    // Hidden, a page gives its place to the one that was used before; shown again it has it back, and reads what it missed.
+    await look(pages[6], true);
+    await state(pages[4], "live");
+    await shop.report("sim-3", "sim-tool-3", 1234, "while-hidden");
+    await look(pages[6], false);
+    await pages[6].locator("#live-cycle a").waitFor();
+    await state(pages[6], "live");
+    await state(pages[4], "polled");
+    // Left, a page makes room as well; and the one that is used next comes first.
+    await pages[7].close();
+    await state(pages[4], "live");
+    await pages[1].evaluate(() => dispatchEvent(new Event("focus")));
+    await state(pages[1], "live");
+    await state(pages[4], "polled");
+    for (const one of pages.slice(1, 7)) await one.close();
+    await state(page, "live");
   });
 });
 
@@ -428,7 +519,7 @@ await check("tool: who may records an event, who may not is told why", async () 
     await page.locator("#event-form button[type=submit]").click();
     await page.locator("#event-said .notice").waitFor();
     await page.locator("#event-kind").selectOption("reground");
-    await page.locator("#event-reason").fill("ground at the maker's");
+    await page.locator("#event-reason").fill("ground\nat the maker's");
     assert.deepEqual(await violations(page), []);
     await page.locator("#event-form button[type=submit]").click();
     await page.getByText("Recorded. It holds from the next cycle on.").waitFor();
@@ -438,7 +529,7 @@ await check("tool: who may records an event, who may not is told why", async () 
     await ground.locator("button", { hasText: "Take back" }).click();
     assert.deepEqual(await violations(page), []);
     await page.locator("dialog[open] button[type=submit]").click();
-    await ground.filter({ hasText: "taken back on" }).waitFor();
+    await ground.filter({ hasText: /taken back on \d/ }).waitFor();
     assert.equal(await ground.locator("button").count(), 0);
     assert.notEqual(await page.locator("#say").textContent(), before, "it is judged as if nothing had been recorded");
   });
@@ -485,9 +576,12 @@ await check("profile: knots are dragged by mouse, touch and keyboard, the loads 
     await page.keyboard.press("Shift+ArrowDown");
     assert.equal((await feeds())[2], dragged[2] - 45);
     assert.equal(await knob.getAttribute("aria-valuenow"), String(dragged[2] - 45));
-    await page.locator("#knots input").nth(9).fill("9999");
+    const fifth = page.locator("#knots input").nth(9);
+    await fifth.fill("9999");
     await page.keyboard.press("Tab");
-    assert.equal((await feeds())[4], 800, "no knot leaves the limits");
+    assert.equal(await fifth.getAttribute("aria-invalid"), "true", "no knot leaves the limits");
+    await fifth.fill("800");
+    await page.keyboard.press("Tab");
     await page.locator("#ribbon [title='fastest feed']").first().waitFor();
     assert.match(await page.locator("#diff").textContent(), /535/, "the difference names the old feed");
     for (let i = 0; i < 4; i++) await page.locator("#undo").click();
@@ -549,6 +643,97 @@ await check("profile: knots are dragged by mouse, touch and keyboard, the loads 
   await withPage({ role: "viewer" }, async (page) => {
     await page.go("/profile?id=cross-member");
     for (const button of ["#save", "#optimise", "#moves button[value=activate]"]) assert.equal(await page.locator(button).getAttribute("aria-disabled"), "true", button);
+  });
+});
+
+await check("profile: what is typed into the table is taken as it is typed, or marked, kept and not saved", async () => {
+  await withPage({ role: "engineer" }, async (page) => {
+    await page.go("/profile?id=cross-member&version=2");
+    const field = (knot, column) => page.locator("#knots tr").nth(knot).locator("input").nth(column), save = page.locator("#save");
+    const all = () => page.locator("#knots input").evaluateAll((inputs) => inputs.map((input) => input.value));
+    const type = async (knot, column, text) => { await field(knot, column).click(); await page.keyboard.press("Control+A"); await page.keyboard.press("Delete"); await page.keyboard.type(text); await page.keyboard.press("Tab"); };
+    const given = await all();
+    const with_ = (changes) => given.map((value, i) => changes[i] ?? value);
+    await type(2, 0, "7.04");
+    assert.deepEqual(await all(), with_({ 4: "7.04" }), "a depth as it was typed, and nothing else");
+    await type(2, 1, "533.5");
+    assert.deepEqual(await all(), with_({ 4: "7.04", 5: "533.5" }), "a feed as it was typed, and nothing else");
+    await type(0, 1, "51");
+    assert.deepEqual(await all(), with_({ 1: "51", 4: "7.04", 5: "533.5" }));
+    assert.equal(await save.getAttribute("aria-disabled"), "false");
+    // No number, nothing, out of the limits, beyond a neighbour: marked, the knot stays, nothing is saved.
+    for (const [text, why] of [["150-160", /is no number/], ["", /A number is needed/], ["801", /between 50.mm\/min and 800.mm\/min/], ["49.9", /between 50.mm\/min and 800.mm\/min/]]) {
+      await type(3, 1, text);
+      assert.equal(await field(3, 1).getAttribute("aria-invalid"), "true", text);
+      assert.match(await page.locator("#knots-said").textContent(), why);
+      assert.match(await page.locator("#knots-said").textContent(), /Knot 4/);
+      assert.equal(await save.getAttribute("aria-disabled"), "true");
+      await save.click({ force: true });
+      assert.equal(await page.locator("dialog[open]").count(), 0);
+      assert.equal(await page.locator(".knob").nth(3).getAttribute("aria-valuenow"), given[7], "the knot stays where it was");
+      if (text !== "150-160") assert.equal(await field(3, 1).inputValue(), text, "kept");
+    }
+    assert.deepEqual(await violations(page), []);
+    // What was out of place is right as soon as its neighbour has moved.
+    await type(3, 1, "205");
+    assert.equal(await page.locator("#knots-said").textContent(), "");
+    await type(3, 0, "14.75");
+    assert.equal(await field(3, 0).getAttribute("aria-invalid"), "true");
+    await type(4, 0, "15.25");
+    assert.equal(await page.locator("#knots [aria-invalid]").count(), 0);
+    assert.deepEqual(await all(), with_({ 1: "51", 4: "7.04", 5: "533.5", 6: "14.75", 8: "15.25" }));
+    // Only a knot that is moved by hand keeps to steps, and only in what is moved.
+    await page.locator(".knob").nth(2).focus();
+    await page.keyboard.press("ArrowUp");
+    assert.deepEqual(await all(), with_({ 1: "51", 4: "7.04", 5: "540", 6: "14.75", 8: "15.25" }));
+    await page.locator("#undo").click();
+    await save.click();
+    await page.locator("#d-reason").fill("As it was typed,\nto the digit");
+    await page.locator("dialog button[type=submit]").click();
+    await page.getByText(/Saved as version/).waitFor();
+    const { items } = (await shop.ask("GET", "/v1/feed-profiles/cross-member/versions?limit=100")).body, saved = items.at(-1);
+    assert.deepEqual(saved.content.knots.flatMap((one) => [String(one.depth_mm), String(one.feed_mm_min)]), with_({ 1: "51", 4: "7.04", 5: "533.5", 6: "14.75", 8: "15.25" }));
+    assert.equal(saved.reason, "As it was typed, to the digit");
+  });
+});
+
+await check("numbers: what is none is kept, marked and not sent, and erases nothing", async () => {
+  await shop.ask("PUT", "/v1/operations/numbers", { name: "Numbers", process: "friction", spindle_load_set_percent: 40, programmed_feed_mm_min: 150 });
+  await withPage({ role: "engineer" }, async (page) => {
+    const sent = [];
+    page.on("request", (request) => { if (request.method() !== "GET" && request.method() !== "DELETE") sent.push(`${request.method()} ${new URL(request.url()).pathname}`); });
+    const type = async (id, text) => { await page.locator(id).click(); await page.keyboard.press("Control+A"); await page.keyboard.type(text); };
+    await page.go("/settings#operations");
+    await page.locator("[id='edit-numbers']").click();
+    await type("#f-spindle_load_set_percent", "35-40");
+    await page.locator("#edit button[type=submit]").click();
+    await page.locator("#f-spindle_load_set_percent[aria-invalid=true]").waitFor();
+    assert.match(await page.locator("#f-spindle_load_set_percent-said").textContent(), /no number/);
+    assert.ok(await page.locator("#f-spindle_load_set_percent").evaluate((input) => input.validity.badInput), "kept as it was typed");
+    assert.match(await page.locator("#edit-said").textContent(), /numbers was not saved/);
+    assert.deepEqual(await violations(page), []);
+    assert.deepEqual(sent, []);
+    await type("#f-spindle_load_set_percent", "37.5");
+    await page.locator("#edit button[type=submit]").click();
+    await page.getByText("numbers is saved").waitFor();
+    const stored = (await shop.ask("GET", "/v1/operations/numbers")).body;
+    assert.deepEqual([stored.spindle_load_set_percent, stored.programmed_feed_mm_min], [37.5, 150]);
+    await page.goto("about:blank");
+    await page.go("/studies");
+    await page.locator("#answer table").waitFor();
+    sent.length = 0;
+    await type("#s-sheet", "1-2");
+    await page.locator("#ask button").click();
+    await page.locator("#s-sheet[aria-invalid=true]").waitFor();
+    await page.goto("about:blank");
+    await page.go("/cycle?machine=sim-4&compare=whatif");
+    await page.locator("#wi-trust dl").waitFor();
+    sent.length = 0;
+    await page.locator("#wi-feed").fill("");
+    await page.locator("#wi-form button").click();
+    await page.locator("#wi-feed[aria-invalid=true]").waitFor();
+    assert.match(await page.locator("#wi-said").textContent(), /needed/);
+    assert.deepEqual(sent, []);
   });
 });
 
@@ -633,6 +818,11 @@ await check("settings: a bad value is marked at its field and kept; a token is s
     const oldest = (await shop.ask("GET", "/v1/audit?limit=1")).body.items[0];
     while (await page.locator("#older").isVisible()) { const known = await lines.count(); await page.locator("#older").click(); await page.waitForFunction((count) => document.querySelectorAll("#lines tr").length > count, known); }
     assert.ok((await lines.last().textContent()).includes(oldest.action), "down to the first line there is");
+    const long = page.locator("details.whole").first(), whole = long.locator(":scope > code");
+    assert.ok(!await whole.isVisible());
+    await long.locator("summary").click();
+    assert.ok(await whole.isVisible());
+    JSON.parse(await whole.textContent()); // to its end
   });
   await withPage({ role: "viewer" }, async (page) => {
     await page.go("/settings#tokens");
@@ -726,6 +916,22 @@ await check("a session that ends in the middle of the work: what was entered sta
     await page.getByText("T-late is saved").waitFor();
     assert.equal((await shop.ask("GET", "/v1/tools/T-late")).body.name, "Entered before the session ended");
   });
+  // A screen on the wall stays what it is: 90 days.
+  const screen = await make();
+  await withPage({ role: null, expects: ["401"] }, async (page) => {
+    await page.goto(`${shop.address}/sign-in`);
+    await page.locator("#token").fill(screen.token);
+    await page.locator("#lasting").check();
+    await page.keyboard.press("Enter");
+    await page.locator("#rows tr").first().waitFor();
+    await shop.ask("DELETE", `/v1/tokens/${screen.id}`);
+    await page.locator("dialog#again[open]").waitFor();
+    await page.locator("#again-token").fill((await make()).token);
+    await page.keyboard.press("Enter");
+    await page.locator("dialog#again").waitFor({ state: "detached" });
+    const [cookie] = (await page.context().cookies()).filter((one) => one.name === "feedwright_session");
+    assert.ok(cookie.expires - Date.now() / 1000 > 80 * 86_400, `until ${cookie.expires}`);
+  });
   const watcher = await make();
   shop.tokens.tablet = watcher.token;
   await withPage({ role: "tablet", expects: ["401"] }, async (page) => {
@@ -774,6 +980,9 @@ await check("500 machines that are really there: one page, sorted and live", asy
     }));
     console.log(`      sorting ${await page.locator("#rows tr").count()} machines and painting them: ${(spent / 4).toFixed(0)} ms of processor time, a plain table of as many cells ${(plain / 4).toFixed(0)} ms`);
     assert.ok(spent < 2 * plain, `${spent / 4} ms beside ${plain / 4} ms`);
+    await page.go("/next?machine=sim-1");
+    const offered = await page.locator("#p-machine option").count(), there = (await shop.ask("GET", "/v1/machines?limit=1000")).body.items.length;
+    assert.ok(there > 500 && offered === there, `${offered} of ${there} machines are offered`);
   });
 });
 
@@ -807,6 +1016,26 @@ await check("a day of events in a minute: the pages stay live without growing", 
   });
 });
 
+await check("ids of 128 characters: nothing is wider than the screen, and each can be read whole", async () => {
+  const id = `L${"ong".repeat(42)}g`;
+  assert.equal(id.length, 128);
+  await shop.ask("PUT", `/v1/machines/${id}`, { name: "Long", control: "simulated", ipo_period_ms: 10, spindle: { reference: "unknown" }, feed_drive: { reference: "unknown" }, limits: { feed_min_mm_min: 1, feed_max_mm_min: 5000, override_min_percent: 5, override_max_percent: 200 } });
+  await shop.ask("PUT", `/v1/tools/${id}`, { name: "Long", tool_type: "d8" });
+  await shop.ask("PUT", `/v1/operations/${id}`, { name: "Long", process: "drilling" });
+  await shop.report(id, id, 1000, id, { operation: id });
+  for (const size of [SIZES.phone, { width: 1280, height: 900 }, { ...SIZES.desktop, language: "de-DE" }]) await withPage({ role: "viewer", ...size }, async (page) => {
+    for (const path of ["/", "/?view=wall", `/next?machine=${id}&operation=${id}&tool=${id}`, `/tool?id=${id}`, `/cycle?machine=${id}&id=${id}`]) {
+      await page.goto("about:blank");
+      await page.go(path);
+      assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), `${path.slice(0, 20)} is ${await page.evaluate(() => document.documentElement.scrollWidth)} wide of ${size.width}`);
+      if (path !== "/") continue;
+      const name = page.locator("#rows a", { hasText: id }).first();
+      assert.ok((await name.getAttribute("title")).startsWith(id));
+      assert.ok((await name.boundingBox()).width < size.width);
+    }
+  });
+});
+
 await check("an empty shop: every page says what to do next", async () => {
   const nothing = await Shop.open({ machines: 0 });
   try {
@@ -820,6 +1049,13 @@ await check("an empty shop: every page says what to do next", async () => {
       await page.screenshot({ path: `${SHOTS}empty-${id}.png` });
     }
     assert.deepEqual(found, []);
+    // An operation and a tool, and no machine yet: what is missing is said.
+    await nothing.ask("PUT", "/v1/operations/op-1", { name: "First", process: "friction", depth_mm: 10, programmed_feed_mm_min: 100, feed_drive_load_set_percent: 30, spindle_load_set_percent: 40 });
+    await nothing.ask("PUT", "/v1/tools/tool-1", { name: "First", tool_type: "fd" });
+    await page.goto("about:blank");
+    await page.go("/profile");
+    await page.locator("#first button[type=submit]").click();
+    await page.getByText("No machine is registered").waitFor();
     nothingWrong(page);
     await page.finish();
   } finally { await nothing.close(); }

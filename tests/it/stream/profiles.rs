@@ -57,7 +57,7 @@ async fn what_is_changed_while_a_cycle_runs_ends_its_law() {
     let changed = json!({"kind": "changed", "at": "2026-05-04T05:59:00Z", "reason": "story"});
     assert_eq!(served.send("POST", "/v1/tools/T1/events", Some(changed)).await.0, 201);
     let mut last = risen;
-    for from in (10..410) {
+    for from in 10..410 {
         last = machine.samples(from, from + 1).await;
         if codes(&last["reasons"]).contains(&"changed_meanwhile") {
             break;

@@ -184,7 +184,7 @@ async fn authenticate(
     peer: Option<IpAddr>,
 ) -> Result<Caller, Problem> {
     let Some(presented) = headers.get(header::AUTHORIZATION) else {
-        if let Some(caller) = session::caller(state, method, headers, peer).await? {
+        if let Some(caller) = session::caller(state, method, headers).await? {
             return Ok(caller);
         }
         // Not an attempt to guess: not counted.
@@ -281,12 +281,7 @@ async fn lately_known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Op
 }
 
 /// Counts a failure: 401, or 429 where the address had too many.
-pub(super) fn failed(
-    state: &AppState,
-    peer: Option<IpAddr>,
-    code: &'static str,
-    detail: &'static str,
-) -> Problem {
+fn failed(state: &AppState, peer: Option<IpAddr>, code: &'static str, detail: &'static str) -> Problem {
     match state.failed_authentications.count(peer) {
         None => challenge(code, detail, true),
         Some(wait) => Problem::new(

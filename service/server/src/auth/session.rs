@@ -4,14 +4,13 @@
 //! whatever changes something has to carry [`PAGE_HEADER`], which a foreign page cannot send without a preflight that
 //! is never granted, and whatever the browser itself says of a request's origin has to be this one.
 
-use super::caller::{Caller, challenge, failed};
+use super::caller::{Caller, challenge};
 use crate::clock::Clock;
 use crate::http::problem::Problem;
 use crate::state::AppState;
 use feedwright_core::units::Timestamp;
 use feedwright_store::{SessionRecord, TokenRecord};
 use http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
-use std::net::IpAddr;
 use subtle::ConstantTimeEq;
 
 /// Name of the cookie.
@@ -119,7 +118,6 @@ pub(super) async fn caller(
     state: &AppState,
     method: &Method,
     headers: &HeaderMap,
-    peer: Option<IpAddr>,
 ) -> Result<Option<Caller>, Problem> {
     let Some(secret) = secret(headers) else {
         return Ok(None);

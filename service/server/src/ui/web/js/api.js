@@ -41,22 +41,28 @@ export async function ask(method, path, { body, signal, etag, headers = {}, text
 export const get = async (path, options) => (await ask("GET", path, options)).body;
 export const post = async (path, body, options) => (await ask("POST", path, { body, ...options })).body;
 
-/** Every row of a list, at most `most`. */
-export async function all(path, most = 5000, options) {
+/** Every row of a list, at most `most`, `size` at a time. */
+export async function all(path, most = 5000, { size = 1000, ...options } = {}) {
   const items = [];
   let cursor = null;
   do {
-    const page = await get(`${path}${path.includes("?") ? "&" : "?"}limit=1000${cursor ? `&cursor=${encodeURIComponent(cursor)}` : ""}`, options);
+    const page = await get(`${path}${path.includes("?") ? "&" : "?"}limit=${size}${cursor ? `&cursor=${encodeURIComponent(cursor)}` : ""}`, options);
     items.push(...page.items);
     cursor = page.next_cursor;
     if (items.length >= most) return { items: items.slice(0, most), complete: !cursor };
   } while (cursor);
   return { items, complete: true };
 }
+/** Every machine as the fleet has it, with so many of its last cycles. */
+export const wholeFleet = async (recent) => (await all(`/v1/fleet?recent=${recent}`, 5000, { size: 500 })).items;
 
 let known = null;
-/** Who is signed in, and what they may do. */
-export const session = () => known ||= get("/v1/session").then((who) => { entered = true; return who; }, (error) => { known = null; if (error.status === 401) return signInFrom(); throw error; });
+/** A session that is to last longer than this from now is that of a screen, ms: others end after 12 hours. */
+const SHIFT_MS = 12 * 3_600_000;
+/** Whether who signs in again is to stay signed in as long as who was signed in before: a screen on the wall. */
+export let lasting = document.documentElement.dataset.view === "wall";
+/** Who is signed in, and what they may do; the frame hears of it by the event `session`. */
+export const session = () => known ||= get("/v1/session").then((who) => { entered = true; lasting ||= Date.parse(who.expires_at) - Date.now() > SHIFT_MS; dispatchEvent(new CustomEvent("session", { detail: who })); return who; }, (error) => { known = null; if (error.status === 401) return signInFrom(); throw error; });
 /** Asks whether the session goes on; where it does not, whoever looks is asked to sign in again. */
 export const stillSignedIn = async () => { try { await get("/v1/session"); } catch (error) { if (error.status !== 401) throw error; await signInAgain(); } };
 /** Whether the session's role may use a route, as in `PUT /v1/tools/{tool}`: the server's table says so. */

@@ -31,9 +31,11 @@ export const moment = (at) => `${date(at)}, ${timeSeconds(at)}`;
 export const span = (ms) => {
   const s = Math.max(0, Math.round(ms / 1000));
   if (s < 60) return unit(s, "s");
-  if (s < 3600) return unit(Math.round(s / 60), "min");
-  if (s < 86400) { const m = Math.round((s % 3600) / 60); return m ? `${unit(Math.floor(s / 3600), "h")} ${unit(m, "min")}` : unit(Math.floor(s / 3600), "h"); }
-  return unit(Math.floor(s / 86400), language === "de" ? "Tg." : "d");
+  // What is rounded is taken apart: 59 min 45 s are an hour, not 60 min.
+  const minutes = Math.round(s / 60), h = Math.floor(minutes / 60), m = minutes % 60;
+  if (h === 0) return unit(m, "min");
+  if (h < 24) return m ? `${unit(h, "h")} ${unit(m, "min")}` : unit(h, "h");
+  return unit(Math.floor(h / 24), language === "de" ? "Tg." : "d");
 };
 /** An age up to a day, a date after. */
 export const age = (ms, at) => ms < 86400000 ? t("ago", { span: span(ms) }) : date(at);

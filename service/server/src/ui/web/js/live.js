@@ -2,8 +2,10 @@
 // when the server does not answer. Nothing here grows: an event is handed on and forgotten.
 import { freshness } from "./shell.js";
 import { icon } from "./icons.js";
-import { element, html, $ } from "./html.js";
+import { $, element, fill, html } from "./html.js";
 import { ApiError, stillSignedIn } from "./api.js";
+import { seat } from "./seats.js";
+import { failure } from "./states.js";
 import { time } from "./format.js";
 import { t } from "./text.js";
 
@@ -16,10 +18,31 @@ function offline(is) {
   since ??= Date.now();
   $("#main").prepend(element(html`<div class="notice plan" id="offline" role="status">${icon("silent")}<div><b>${t("offline.title", { time: time(since) })}</b><p>${t("offline.text")}</p></div></div>`));
 }
+/** What the server cannot do now, and can do later. */
+const passing = (error) => error.code === "offline" || error.status >= 500 || error.status === 429;
 
-/** Calls `work` now and every `beat` ms while the page is visible; `nudge()` asks for it sooner, once in `least` ms. */
-export function keep(work, beat, least = 2000) {
-  let timer = 0, running = false, again = false, last = 0, stopped = false;
+/** Opens a page: what the server cannot do now is said, and tried again from the beginning; what it refuses is told by `refused`. */
+export async function opening(work, refused) {
+  for (;;) {
+    try {
+      await work();
+      if ($("#live")?.dataset.state === "offline") freshness(listening ? "live" : "polled");
+      offline(false);
+      return;
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      if (!passing(error)) { offline(false); refused(error); return; }
+      offline(true);
+      freshness("offline");
+      await new Promise((wake) => setTimeout(wake, RETRY_MS));
+    }
+  }
+}
+
+/** Calls `work` now and every `beat` ms while the page is visible; `nudge()` asks for it sooner, once in `least` ms.
+ *  `drawn` where the page has read everything already: `work` comes on the next beat. */
+export function keep(work, beat, { least = 2000, drawn = false } = {}) {
+  let timer = 0, running = false, again = false, last = drawn ? Date.now() : 0, stopped = false;
   const plan = (ms) => { clearTimeout(timer); if (!stopped) timer = setTimeout(run, ms); };
   async function run() {
     if (running) { again = true; return; }
@@ -33,25 +56,31 @@ export function keep(work, beat, least = 2000) {
       plan(again ? least : beat);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
-      // What the server cannot do now is tried again; what it refuses at first is told by the page.
-      if (error.code === "offline" || error.status >= 500) { offline(true); freshness("offline"); plan(RETRY_MS); } else if (last) { freshness("polled"); plan(beat * 4); } else throw error;
+      if (passing(error)) { offline(true); freshness("offline"); plan(RETRY_MS); return; }
+      // What is refused at first is all there is to show; later it leaves what is there.
+      offline(false);
+      if (last) { freshness("polled"); plan(beat * 4); } else fill($("#first") ?? $("#main"), failure(error, t("error.load")));
     } finally { running = false; again = false; }
   }
   document.addEventListener("visibilitychange", () => { if (!document.hidden) run(); });
-  const first = run();
+  const first = drawn ? Promise.resolve() : run();
+  if (drawn) plan(beat);
   return { first, nudge: () => { if (running) again = true; else plan(Math.max(0, least - (Date.now() - last))); }, stop: () => { stopped = true; clearTimeout(timer); } };
 }
 
-/** Hands on the events of `/v1/live` by name, each with its data; `query` as the address takes it. */
-export function listen(query, handlers) {
-  let source = null, timer = 0, closed = false;
-  const later = () => { clearTimeout(timer); if (!closed) timer = setTimeout(probe, RETRY_MS); };
+/** Hands on the events of `/v1/live` by name, each with its data; `query` as the address takes it. A page that nobody sees
+ *  does not listen, nor do more pages of one browser than have a seat: `unheard` is called when it stops, and when it begins
+ *  again `state` comes first. Whoever shows what events bring keeps it fresh by asking meanwhile: `heard()` says whether it has to. */
+export function listen(query, handlers, unheard = () => {}) {
+  let source = null, timer = 0;
+  const later = () => { clearTimeout(timer); if (source) timer = setTimeout(probe, RETRY_MS); };
   // A connection that broke may come back by itself; until then it is asked whether there is a server, and a session.
   async function probe() {
     try {
       await stillSignedIn();
       offline(false);
       if (!listening) freshness("polled");
+      if (!source) return;
       if (source.readyState === EventSource.CLOSED) open(); else if (source.readyState !== EventSource.OPEN) later();
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
@@ -61,18 +90,22 @@ export function listen(query, handlers) {
     }
   }
   function open() {
-    if (closed) return;
-    source = new EventSource(`/v1/live${query ? `?${query}` : ""}`);
+    const mine = source = new EventSource(`/v1/live${query ? `?${query}` : ""}`);
     source.addEventListener("open", () => { listening = true; clearTimeout(timer); offline(false); freshness("live"); });
     source.addEventListener("error", () => {
+      if (mine !== source) return;
       if (listening) { listening = false; freshness("connecting"); clearTimeout(timer); timer = setTimeout(probe, 500); } else later();
     });
     for (const [name, handle] of Object.entries(handlers)) source.addEventListener(name, (event) => handle(JSON.parse(event.data)));
   }
-  const close = () => { closed = true; clearTimeout(timer); source.close(); listening = false; };
-  open();
-  addEventListener("pagehide", close);
-  // A page that comes back out of the browser's memory listens again.
-  addEventListener("pageshow", (event) => { if (event.persisted && closed) { closed = false; open(); } });
-  return { close };
+  function close() {
+    clearTimeout(timer);
+    source.close();
+    source = null;
+    listening = false;
+    if (!$("#offline")) freshness(document.hidden ? "connecting" : "polled");
+    unheard();
+  }
+  seat((mine) => { if (mine) open(); else close(); });
+  return { heard: () => listening };
 }

@@ -3,7 +3,7 @@ import { icon } from "./icons.js";
 import { $, element, fill, html, put } from "./html.js";
 import { ApiError, ask, may, session } from "./api.js";
 import { failure } from "./states.js";
-import { language, setLanguage, t } from "./text.js";
+import { MOST_REASON, language, oneLine, setLanguage, t } from "./text.js";
 
 const pages = [
   ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"], ["profile", "/profile", "profile"],
@@ -35,12 +35,25 @@ export function shell(title) {
   document.body.prepend(element(html`<a class="skip" href="#main">${t("app.skip")}</a>`));
   $("#theme").addEventListener("click", switchTheme);
   $("#language").addEventListener("click", () => setLanguage(language === "de" ? "en" : "de"));
-  $("#sign-out").addEventListener("click", async () => { try { await ask("DELETE", "/v1/session"); } finally { location.replace("/sign-in"); } });
+  $("#sign-out").addEventListener("click", signOut);
   matchMedia("print").addEventListener("change", redraw);
-  return session().then((who) => {
+  addEventListener("session", ({ detail: who }) => {
     $("#who").textContent = `${who.name}, ${t(`role.${who.role}`)}`;
     $("#sign-out").hidden = who.expires_at == null;
-  }, () => {}); // the page itself asks too, and says what is wrong
+  });
+  session().catch(() => {}); // the page itself asks too, says what is wrong, and tries again
+}
+/** Leaves only when the session is over: whoever believes to be signed out leaves the screen to the next one. */
+async function signOut() {
+  try { await ask("DELETE", "/v1/session"); } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    if (error.status !== 401) {
+      $("#not-out")?.remove();
+      $("#main").prepend(element(html`<div id="not-out">${failure(error, t("sign.notOut"))}</div>`));
+      return;
+    }
+  }
+  location.replace("/sign-in");
 }
 
 /** Says how fresh the page is: live, polled, offline. */
@@ -61,11 +74,11 @@ export function action(who, route, label, { id, primary = false, sign, type = "b
 const openTo = (route) => route.includes("/v1/tokens") ? t("role.admin") : route.includes("/approve") ? t("role.approver") : `${t("role.engineer")}, ${t("role.admin")}`;
 /** Asks before something that cannot be undone; `work` is given the reason where one is asked for, and may be refused. */
 export function confirm_(title, text, label, work, withReason = false) {
-  const dialog = element(html`<dialog aria-labelledby="c-h"><form method="dialog"><h2 id="c-h">${title}</h2><p class="muted">${text}</p>${withReason ? html`<label for="c-reason">${t("tool.reason")}</label><textarea id="c-reason" rows="2" required></textarea>` : ""}<div id="c-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${label}</button><button class="btn" type="button" id="c-cancel">${t("cancel")}</button></div></form></dialog>`);
+  const dialog = element(html`<dialog aria-labelledby="c-h"><form method="dialog"><h2 id="c-h">${title}</h2><p class="muted">${text}</p>${withReason ? html`<label for="c-reason">${t("tool.reason")}</label><textarea id="c-reason" rows="2" maxlength="${MOST_REASON}" required></textarea>` : ""}<div id="c-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${label}</button><button class="btn" type="button" id="c-cancel">${t("cancel")}</button></div></form></dialog>`);
   document.body.append(dialog);
   dialog.showModal();
   dialog.addEventListener("close", () => dialog.remove());
   $("#c-cancel", dialog).addEventListener("click", () => dialog.close());
-  $("form", dialog).addEventListener("submit", async (event) => { event.preventDefault(); try { await work($("#c-reason", dialog)?.value.trim()); dialog.close(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#c-said", dialog), failure(error)); } });
+  $("form", dialog).addEventListener("submit", async (event) => { event.preventDefault(); try { await work(withReason ? oneLine($("#c-reason", dialog).value) : undefined); dialog.close(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#c-said", dialog), failure(error)); } });
 }
 export const closed = (button) => button.getAttribute("aria-disabled") === "true";

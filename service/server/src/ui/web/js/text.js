@@ -9,6 +9,10 @@ export const t = (key, parts) => {
   if (text === undefined) throw new Error(`no text ${key}`);
   return typeof text === "function" ? text(parts ?? {}) : text;
 };
+/** Characters that the server takes as a reason. */
+export const MOST_REASON = 1000;
+/** What was written in a box of several lines as the server takes a reason: in one, without control characters. */
+export const oneLine = (text) => text.replace(/[\s\p{Cc}]+/gu, " ").trim();
 /** The text of a code that the server gave; what it said itself where the code is new. */
 export const told = (prefix, code, otherwise) => { const text = words[`${prefix}.${code}`]; return text === undefined ? otherwise ?? code : typeof text === "function" ? text({}) : text; };
 export const setLanguage = (to) => { try { localStorage.setItem("lang", to); } catch { /* a private window */ } const here = new URL(location.href); here.searchParams.delete("lang"); location.replace(here); if (here.href === location.href) location.reload(); };

@@ -2,11 +2,13 @@ import { $, $$, element, fill, html, put, trusted } from "../html.js";
 import { icon } from "../icons.js";
 import { shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
-import { ApiError, get, may, post, segment, session } from "../api.js";
+import { ApiError, get, may, post, segment, session, wholeFleet } from "../api.js";
 import { NB, moment, num, signed, time, unit } from "../format.js";
 import { FONT, X, Y, chart, clip, dpr, halo, limit, line, nice, phone, ready, splits, token } from "../charts.js";
 import { Track, forward } from "../track.js";
 import { cycleLive } from "../cycle-live.js";
+import { opening } from "../live.js";
+import { entered } from "../fields.js";
 import { t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
@@ -337,7 +339,7 @@ function frame(who) {
       <label class="sr" for="other">${t("cycle.other")}</label><select id="other"><option value="">${t("cycle.other")}</option></select>
     </div></div>
   <p class="verdict sub" id="verdict"></p><div id="live-cycle"></div><div id="said"></div>
-  <section class="panel whatif" id="whatif" hidden aria-label="${t("cycle.compareWhatIf")}"><form id="wi-form"><p>${t("whatif.what")}</p><label for="wi-feed">${t("whatif.feed")}</label><input type="number" id="wi-feed" min="1" max="400" step="1"><span class="unit">%</span><label for="wi-spindle">${t("whatif.spindle")}</label><input type="number" id="wi-spindle" min="1" max="400" step="1"><span class="unit">%</span><button class="btn" type="submit">${t("whatif.ask")}</button></form><div id="wi-trust"></div></section>
+  <section class="panel whatif" id="whatif" hidden aria-label="${t("cycle.compareWhatIf")}"><form id="wi-form" novalidate><p>${t("whatif.what")}</p><label for="wi-feed">${t("whatif.feed")}</label><input type="number" id="wi-feed" min="1" max="400" step="1"><span class="unit">%</span><label for="wi-spindle">${t("whatif.spindle")}</label><input type="number" id="wi-spindle" min="1" max="400" step="1"><span class="unit">%</span><button class="btn" type="submit">${t("whatif.ask")}</button><p class="said" id="wi-said" role="alert"></p></form><div id="wi-trust"></div></section>
   <dl class="figures six" id="figures"></dl>
   <div class="cycle-grid"><section class="panel charts-panel" aria-label="${t("cycle.curves")}">
       <div class="key"><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--ink)" stroke-width="2.2"/></svg>${t("cycle.this")}</span><span id="refkey"></span>
@@ -353,7 +355,7 @@ function frame(who) {
   $("#compare").addEventListener("click", (event) => { const button = event.target.closest("button"); if (button && button.getAttribute("aria-disabled") !== "true") compare(button.value); });
   $("#xaxis").addEventListener("click", (event) => { const button = event.target.closest("button"); if (!button) return; axisOf = button.value; pin = null; figures(); build(); });
   $("#other").addEventListener("change", (event) => { if (event.target.value) compare("other", event.target.value); });
-  $("#wi-form").addEventListener("submit", (event) => { event.preventDefault(); question = { feed_drive: +$("#wi-feed").value, spindle: +$("#wi-spindle").value }; compare("whatif"); });
+  $("#wi-form").addEventListener("submit", (event) => { event.preventDefault(); const found = entered([$("#wi-feed"), $("#wi-spindle")], { needed: true, say: () => $("#wi-said") }); if (!found) return; question = { feed_drive: found[0], spindle: found[1] }; compare("whatif"); });
   $("#charts").addEventListener("keydown", keys);
 }
 function keys(event) {
@@ -377,12 +379,11 @@ async function which(machine) {
 }
 shell(t("nav.cycle"));
 fill($("#main"), html`<div class="panel body">${skeleton(6)}</div>`);
-try {
+await opening(async () => {
   const who = await session();
   let machine = asked.get("machine"), id = asked.get("id");
   if (!machine) {
-    const fleet = await get("/v1/fleet?limit=500&recent=2");
-    machine = fleet.items.filter((item) => item.last_cycle).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at))[0]?.machine;
+    machine = (await wholeFleet(2)).filter((item) => item.last_cycle).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at))[0]?.machine;
   }
   const newest = machine ? await which(machine) : null;
   id ??= newest;
@@ -398,9 +399,6 @@ try {
       const first = asked.get("compare");
       if (first) await compare(["new", "whatif"].includes(first) ? first : "other", first);
     } else bare();
-    cycleLive(machine, id, $("#live-cycle"));
+    cycleLive(machine, id, newest, $("#live-cycle"));
   }
-} catch (error) {
-  if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
-}
+}, (error) => fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`));

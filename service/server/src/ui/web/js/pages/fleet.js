@@ -59,13 +59,15 @@ const orders = {
 const columns = [["state", null], ["machine", "name"], ["operation", "operation"], ["tool", null], ["wear", "wear"], ["left", "left", "num"], ["spark", null], ["time", "time", "num"], ["energy", "energy", "num"], ["last", "last"], ["todo", "attention"]];
 
 const stateCell = (row) => html`<span class="state ${row.state} ${row.todo?.level === "act" ? "act" : ""}">${icon(row.todo?.level === "act" ? "act" : signs[row.state])}${t(`state.${row.state}`)}</span>`;
+/** An id that is cut short, whole, and the name beside it. */
+const titled = (id, name) => name && name !== id ? `${id}, ${name}` : id;
 function cells(row) {
   const last = row.last_cycle;
   return {
     "c-state": stateCell(row),
-    "c-name": html`<a href="${last ? `/cycle?machine=${segment(row.machine)}` : `/settings?machine=${segment(row.machine)}`}" title="${row.name}">${row.machine}</a>`,
-    "c-op": last?.operation_name ?? last?.operation ?? "",
-    "c-tool": last ? html`<a href="/tool?id=${segment(last.tool)}" title="${last.tool_name ?? ""}">${last.tool}</a>` : "",
+    "c-name": html`<a href="${last ? `/cycle?machine=${segment(row.machine)}` : `/settings?machine=${segment(row.machine)}`}" title="${titled(row.machine, row.name)}">${row.machine}</a>`,
+    "c-op": last ? html`<span title="${titled(last.operation, last.operation_name)}">${last.operation_name ?? last.operation}</span>` : "",
+    "c-tool": last ? html`<a href="/tool?id=${segment(last.tool)}" title="${titled(last.tool, last.tool_name)}">${last.tool}</a>` : "",
     "c-wear": last ? wearCell(row.wear) : "",
     "c-left": last ? leftCell(row.left) : "",
     "c-spark": sparkline(row.energy_ratios),
@@ -160,7 +162,7 @@ const line = (row) => row.todo && row.todo.level !== "note" ? row.todo.text : ro
 function tile(row) {
   const warm = row.todo?.level === "act" || row.todo?.level === "plan" ? row.todo.level : "";
   const sign = warm || signs[row.state];
-  return html`<header>${icon(sign, warm ? t(`level.${warm}`) : t(`state.${row.state}`))}<h2>${row.machine}</h2><span class="st">${t(`state.${row.state}`)}</span></header>
+  return html`<header>${icon(sign, warm ? t(`level.${warm}`) : t(`state.${row.state}`))}<h2 title="${row.machine}">${row.machine}</h2><span class="st">${t(`state.${row.state}`)}</span></header>
     ${row.level == null ? html`<p class="big faint">${isHidden(row.wear) ? t("wear.hidden") : row.last_cycle ? t("wall.noBaseline") : t("wall.noCycle")}</p>` : html`<p class="big">${shownLevel(row.level).slice(0, -2)}<small>\u202f%</small></p><span class="wear ${wearClass(row.wear)}">${wearBar(row.wear, { width: 190, height: 9 })}</span>`}
     <p class="line">${line(row)}</p>`;
 }
@@ -180,10 +182,10 @@ function wallPaint() {
 }
 
 if (wall) wallFrame(); else { shell(t("fleet.title")); frame(); }
-const who = await session();
 let begun = false;
 try {
   const kept = keep(async () => {
+    const who = await session();
     await load();
     if (rows.length === 0) { begun = false; nothing(who); return; }
     if (!begun) { if (!wall && !$("#rows")) frame(); $("#first")?.remove(); begun = true; }
@@ -191,7 +193,7 @@ try {
   }, BEAT_MS);
   await kept.first;
   const moved = (event) => { if (event.state === "running") drilling.add(event.machine); else drilling.delete(event.machine); };
-  listen("", { state: (event) => { drilling.clear(); event.machines.forEach(moved); }, machine: moved, cycle: kept.nudge, alarm: kept.nudge, gap: kept.nudge });
+  listen("", { state: (event) => { drilling.clear(); event.machines.forEach(moved); }, machine: moved, cycle: kept.nudge, alarm: kept.nudge, gap: kept.nudge }, () => drilling.clear());
 } catch (error) { fill($("#first") ?? $("#main"), failure(error, t("error.load"))); }
 // Ages move on between two answers.
 setInterval(() => {

@@ -2,14 +2,16 @@ import { $, fill, html, put, trusted } from "../html.js";
 import { icon } from "../icons.js";
 import { shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
-import { ApiError, all, get, segment, session } from "../api.js";
+import { ApiError, all, get, segment, session, wholeFleet } from "../api.js";
 import { num, percent, rounded, span, time, timeSeconds, unit } from "../format.js";
 import { levelPercent, shownLevel } from "../wear.js";
-import { listen } from "../live.js";
+import { keep, listen, opening } from "../live.js";
 import { language, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
-const MOST_OTHERS = 4;
+const MOST_OTHERS = 4, MOST_IDS = 5000;
+/** Without a connection advice is asked for this often, ms. */
+const BEAT_MS = 20_000;
 let advice = null, fleet = [], skew = 0, known = { operations: [], tools: [] };
 const now = () => Date.now() + skew;
 
@@ -90,13 +92,14 @@ function others() {
     return html`<article class="panel mini ${act ? "act" : ""}"><p class="where"><b>${item.machine}</b><span>${t("nav.tool")} ${last.tool}</span></p><h2><span class="${act ? "act-ink" : state === "warning" || state === "changed" ? "plan-ink" : ""}">${icon(act ? "act" : state === "warning" || state === "changed" ? "plan" : state === "learning" ? "setup" : "note")}</span>${told("action", { worn: "change_tool", broken_suspected: "check_tool", changed: "confirm_conditions" }[state] ?? "run")}</h2><p>${value == null ? t(`toolstate.${state}`) : t("next.miniLevel", { level: shownLevel(value) })}</p><p class="faint small"><a href="/next?machine=${segment(item.machine)}&amp;operation=${segment(last.operation)}&amp;tool=${segment(last.tool)}">${t("next.show")}</a></p></article>`; })}`);
   $("#others").hidden = first.length === 0;
 }
+async function refresh() {
+  advice = await get(`/v1/recommendations?machine=${segment(asked.get("machine"))}&operation=${segment(asked.get("operation"))}&tool=${segment(asked.get("tool"))}`);
+  skew = Date.parse(advice.issued_at) - Date.now();
+  card();
+  others();
+}
 async function ask() {
-  try {
-    advice = await get(`/v1/recommendations?machine=${segment(asked.get("machine"))}&operation=${segment(asked.get("operation"))}&tool=${segment(asked.get("tool"))}`);
-    skew = Date.parse(advice.issued_at) - Date.now();
-    card();
-    others();
-  } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#card"), failure(error, t("error.load"))); }
+  try { await refresh(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#card"), failure(error, t("error.load"))); }
 }
 function picker() {
   const options = (list, chosen) => { const all_ = list.includes(chosen) || !chosen ? list : [chosen, ...list]; return all_.map((id) => html`<option value="${id}" ${id === chosen ? html`selected` : ""}>${id}</option>`); };
@@ -113,9 +116,9 @@ function picker() {
 }
 shell(t("nav.next"));
 fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a href="/">${t("nav.fleet")}</a> / ${t("nav.next")}</p></div><form class="tools" id="picker"></form></div><div class="rec-grid"><article class="panel rec" id="card" aria-label="${t("nav.next")}">${skeleton(5)}</article><div class="stack"><section id="others" class="others" aria-label="${t("next.others")}"></section><section class="panel"><header><h2>${t("next.asMes")}</h2></header><div class="body"><pre class="nc json" tabindex="0" aria-label="JSON" id="json"></pre></div></section></div></div>`);
-try {
-  const [, page, operations, tools] = await Promise.all([session(), get("/v1/fleet?limit=500&recent=2"), all("/v1/operations", 2000), all("/v1/tools", 2000)]);
-  fleet = page.items;
+await opening(async () => {
+  const [, machines, operations, tools] = await Promise.all([session(), wholeFleet(2), all("/v1/operations", MOST_IDS), all("/v1/tools", MOST_IDS)]);
+  fleet = machines;
   known = { operations: operations.items.map((one) => one.id), tools: tools.items.map((one) => one.id) };
   const newest = [...fleet].filter((item) => item.last_cycle).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at))[0];
   const from = fleet.find((item) => item.machine === asked.get("machine")) ?? newest;
@@ -130,6 +133,12 @@ try {
     picker();
     await ask();
     setInterval(() => { if (advice && $("#valid")) validity(advice); }, 1000);
-    listen(`machine=${segment(asked.get("machine"))}`, { cycle: (event) => { if (event.machine === asked.get("machine") && event.tool === asked.get("tool")) ask(); } });
+    let due = false;
+    const live = listen("", { cycle: (event) => { if (event.machine === asked.get("machine") && event.tool === asked.get("tool")) { due = true; kept.nudge(); } } });
+    const kept = keep(async () => {
+      if (!due && live.heard()) return;
+      due = false;
+      try { await refresh(); } catch (error) { due = true; throw error; }
+    }, BEAT_MS, { least: 500, drawn: true });
   }
-} catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#card"), failure(error, t("error.load"))); }
+}, (error) => fill($("#card"), failure(error, t("error.load"))));

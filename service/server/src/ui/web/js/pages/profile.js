@@ -2,12 +2,13 @@ import { $, $$, element, fill, html, put } from "../html.js";
 import { icon } from "../icons.js";
 import { action, closed, shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
-import { ApiError, all, ask, get, may, post, segment, session } from "../api.js";
+import { ApiError, all, ask, get, may, post, segment, session, wholeFleet } from "../api.js";
 import { NB, moment, num, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, dpr, hatch, limit, line, nice, phone, ready, splits, token } from "../charts.js";
 import { Track, forward } from "../track.js";
-import { keep } from "../live.js";
-import { language, t, told } from "../text.js";
+import { fault, right, wrong } from "../fields.js";
+import { keep, opening } from "../live.js";
+import { MOST_REASON, language, oneLine, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
 const BEAT_MS = 15_000, UNDO = 100, PREDICT_MS = 150, KNOTS = 200, GRID = 361;
@@ -25,6 +26,10 @@ const at = (list, depth) => { if (depth <= list[0].depth_mm) return list[0].feed
 const end = () => knots.at(-1).depth_mm;
 const limits = () => shown.content.limits;
 const changed = () => JSON.stringify(knots) !== JSON.stringify(shown.content.knots);
+/** Fields of the table that hold what no knot may be: they stay as they were typed, and the knots as they were. */
+const faults = () => $$("#knots [aria-invalid]");
+/** Whether something stands here that no version has. */
+const pending = () => changed() || faults().length > 0;
 const name = () => changed() ? t("profile.unsaved") : t("profile.version", { n: shown.version });
 /** Time along the knots at an override of 100 %, s: the integral of 1/feed over a feed that is linear in depth. */
 const duration = (list) => { let s = 0; for (let i = 1; i < list.length; i++) { const a = list[i - 1], b = list[i], way = b.depth_mm - a.depth_mm, rise = b.feed_mm_min - a.feed_mm_min; s += 60 * (Math.abs(rise) < 1e-9 ? way / a.feed_mm_min : way / rise * Math.log(b.feed_mm_min / a.feed_mm_min)); } return s; };
@@ -130,19 +135,71 @@ function knob(i) {
   const button = element(html`<button class="knob" role="slider" aria-orientation="vertical"></button>`);
   button.addEventListener("pointerdown", (event) => { event.preventDefault(); event.stopPropagation(); button.setPointerCapture(event.pointerId); button.focus(); chosen = i; moved = false; marks(); place(); });
   button.addEventListener("mousedown", (event) => event.stopPropagation());
-  button.addEventListener("pointermove", (event) => { if (!button.hasPointerCapture(event.pointerId)) return; if (!moved) { moved = true; remember(); } const rect = plots[0].over.getBoundingClientRect(); move(i, plots[0].posToVal(event.clientX - rect.left, "x"), plots[0].posToVal(event.clientY - rect.top, "y")); });
-  button.addEventListener("keydown", (event) => { const size = event.shiftKey ? 10 : 1, step = { ArrowUp: [0, 5 * size], ArrowDown: [0, -5 * size], ArrowLeft: [-0.1 * size, 0], ArrowRight: [0.1 * size, 0] }[event.key]; if (!step) return; event.preventDefault(); chosen = i; remember(); move(i, knots[i].depth_mm + step[0], knots[i].feed_mm_min + step[1]); });
+  button.addEventListener("pointermove", (event) => { if (!button.hasPointerCapture(event.pointerId)) return; if (!moved) { moved = true; remember(); } const rect = plots[0].over.getBoundingClientRect(); move(i, snapped(plots[0].posToVal(event.clientX - rect.left, "x"), 10), snapped(plots[0].posToVal(event.clientY - rect.top, "y"), 1 / 5)); });
+  button.addEventListener("keydown", (event) => { const size = event.shiftKey ? 10 : 1, step = { ArrowUp: [0, 5 * size], ArrowDown: [0, -5 * size], ArrowLeft: [-0.1 * size, 0], ArrowRight: [0.1 * size, 0] }[event.key]; if (!step) return; event.preventDefault(); chosen = i; remember(); move(i, step[0] ? snapped(knots[i].depth_mm + step[0], 10) : null, step[1] ? snapped(knots[i].feed_mm_min + step[1], 1 / 5) : null); });
   button.addEventListener("focus", () => { chosen = i; marks(); place(); });
   return button;
 }
 function remember() { undo.push(structuredClone(knots)); if (undo.length > UNDO) undo.shift(); }
-/** Puts a knot somewhere between its neighbours and within the limits; the ends keep their depth. */
+/** The nearest of so many steps in a unit: what is drawn by hand is no finer. */
+const snapped = (value, steps) => Math.round(value * steps) / steps;
+/** Drags a knot somewhere between its neighbours and within the limits; what is null stays, and the ends keep their depth. */
 function move(i, depth, feed) {
-  const last = knots.length - 1, round = (value) => Math.round(value * 10) / 10;
-  const z = i === 0 || i === last ? knots[i].depth_mm : Math.min(round(knots[i + 1].depth_mm - 0.1), Math.max(round(knots[i - 1].depth_mm + 0.1), round(depth)));
-  knots[i] = { depth_mm: z, feed_mm_min: Math.min(limits().feed_max_mm_min, Math.max(limits().feed_min_mm_min, Math.round(feed / 5) * 5)) };
+  const { depth_mm, feed_mm_min } = knots[i], last = knots.length - 1;
+  let z = depth_mm;
+  if (depth != null && i > 0 && i < last) {
+    const low = snapped(knots[i - 1].depth_mm + 0.1, 10), high = snapped(knots[i + 1].depth_mm - 0.1, 10);
+    // Between neighbours that were typed closer than a step there is nowhere to drag to.
+    if (low < high || (low === high && low > knots[i - 1].depth_mm && low < knots[i + 1].depth_mm)) z = Math.min(high, Math.max(low, depth));
+  }
+  knots[i] = { depth_mm: z, feed_mm_min: feed == null ? feed_mm_min : Math.min(limits().feed_max_mm_min, Math.max(limits().feed_min_mm_min, feed)) };
+  // What was typed into what is dragged now is over.
+  const [ofDepth, ofFeed] = $$("input", $$("#knots tr")[i]);
+  if (z !== depth_mm) clear(ofDepth);
+  if (feed != null) clear(ofFeed);
+  again();
   paint();
   predictSoon();
+}
+/** What is wrong with a field of the table, null where nothing is. */
+function refusal(i, name, input) {
+  const bad = fault(input, true);
+  if (bad) return bad;
+  const value = Number(input.value), l = limits();
+  if (name === "feed_mm_min") return value < l.feed_min_mm_min || value > l.feed_max_mm_min ? t("profile.feedBetween", { low: unit(l.feed_min_mm_min, "mm/min", decimals(l.feed_min_mm_min)), high: unit(l.feed_max_mm_min, "mm/min", decimals(l.feed_max_mm_min)) }) : null;
+  const low = knots[i - 1].depth_mm, high = knots[i + 1].depth_mm;
+  return value <= low || value >= high ? t("profile.depthBetween", { low: unit(low, "mm", decimals(low)), high: unit(high, "mm", decimals(high)) }) : null;
+}
+const decimals = (value) => Math.min(6, (String(value).split(".")[1] ?? "").length);
+function mark(input, why) { wrong(input, null, why); input.title = why; input.setAttribute("aria-describedby", "knots-said"); }
+function clear(input) { right(input); input.removeAttribute("title"); }
+const NAMES = ["depth_mm", "feed_mm_min"];
+/** Takes a field of the table exactly as it was typed, or marks it and leaves the knot as it was. */
+function accept(i, name, input) {
+  const why = refusal(i, name, input);
+  if (why) { mark(input, why); return false; }
+  clear(input);
+  knots[i] = { ...knots[i], [name]: Number(input.value) };
+  return true;
+}
+/** Looks again at what was refused: another knot has moved, and it may be right now. */
+function again() {
+  for (let taken = true; taken;) taken = $$("#knots tr").some((tr, i) => $$("input", tr).some((input, n) => input.hasAttribute("aria-invalid") && refusal(i, NAMES[n], input) == null && accept(i, NAMES[n], input)));
+}
+const placeOf = (input) => { const tr = input.closest("tr"); return [[...tr.parentNode.children].indexOf(tr), NAMES[$$("input", tr).indexOf(input)]]; };
+/** A field of the table was changed by hand. */
+function typed(input) {
+  const [i, name] = placeOf(input), before = structuredClone(knots);
+  chosen = i;
+  accept(i, name, input);
+  again();
+  if (JSON.stringify(before) !== JSON.stringify(knots)) { undo.push(before); if (undo.length > UNDO) undo.shift(); predictSoon(); }
+  paint();
+  stepper();
+}
+function faultsSaid() {
+  const list = faults();
+  put($("#knots-said"), list.length ? html`<p class="flag act">${icon("act")}<span>${t("profile.wrong")}</span></p><ul class="field-errors">${list.map((input) => html`<li>${t("profile.wrongKnot", { n: placeOf(input)[0] + 1, why: input.title })}</li>`)}</ul>` : "");
 }
 function place() {
   $$(".knob", plots[0].over).forEach((button, i) => {
@@ -150,8 +207,8 @@ function place() {
     button.style.top = `${plots[0].valToPos(knots[i].feed_mm_min, "y")}px`;
     button.classList.toggle("on", i === chosen);
     if (phone()) return;
-    button.setAttribute("aria-label", t("profile.knotAt", { n: i + 1, depth: unit(knots[i].depth_mm, "mm", 1) }));
-    button.setAttribute("aria-valuemin", limits().feed_min_mm_min); button.setAttribute("aria-valuemax", limits().feed_max_mm_min); button.setAttribute("aria-valuenow", knots[i].feed_mm_min); button.setAttribute("aria-valuetext", unit(knots[i].feed_mm_min, "mm/min"));
+    button.setAttribute("aria-label", t("profile.knotAt", { n: i + 1, depth: unit(knots[i].depth_mm, "mm", Math.max(1, decimals(knots[i].depth_mm))) }));
+    button.setAttribute("aria-valuemin", limits().feed_min_mm_min); button.setAttribute("aria-valuemax", limits().feed_max_mm_min); button.setAttribute("aria-valuenow", knots[i].feed_mm_min); button.setAttribute("aria-valuetext", unit(knots[i].feed_mm_min, "mm/min", decimals(knots[i].feed_mm_min)));
   });
   const host = $("#ribbon"), u = plots[0];
   const runs = bindings().map((one) => { const from = u.valToPos(one.from, "x"); return { one, from, wide: u.valToPos(one.to, "x") - from, text: t(`profile.held.${one.why}`) }; });
@@ -170,13 +227,19 @@ function paint() {
   if ($$(".knob", plots[0].over).length !== knots.length) { $$(".knob", plots[0].over).forEach((one) => one.remove()); knots.forEach((_, i) => plots[0].over.append(knob(i))); rows(); }
   for (const plot of plots) { plot.fit?.(); plot.redraw(false, true); }
   place();
-  $$("#knots tr").forEach((tr, i) => { const [z, f] = $$("input", tr); if (document.activeElement !== z) z.value = knots[i].depth_mm; if (document.activeElement !== f) f.value = knots[i].feed_mm_min; const why = holds(knots[i].depth_mm); put($(".why", tr), why ? t(`profile.held.${why}`) : html`<span class="faint">${t("profile.free")}</span>`); });
+  $$("#knots tr").forEach((tr, i) => { const [z, f] = $$("input", tr); for (const [input, value] of [[z, knots[i].depth_mm], [f, knots[i].feed_mm_min]]) if (document.activeElement !== input && !input.hasAttribute("aria-invalid")) input.value = value; const why = holds(knots[i].depth_mm); put($(".why", tr), why ? t(`profile.held.${why}`) : html`<span class="faint">${t("profile.free")}</span>`); });
   marks();
   figures();
   trust();
   difference();
-  $("#undo").disabled = undo.length === 0;
-  $("#save").setAttribute("aria-disabled", String(!changed() || !may(who, "POST /v1/feed-profiles")));
+  faultsSaid();
+  const bad = faults().length > 0, allowed = may(who, "POST /v1/feed-profiles");
+  // A row that comes or goes would take along what was typed and is not taken yet.
+  $("#add").disabled = bad;
+  if (bad) $("#remove").disabled = true;
+  $("#undo").disabled = undo.length === 0 && !bad;
+  $("#save").setAttribute("aria-disabled", String(!changed() || bad || !allowed));
+  if (allowed) $("#save").title = bad ? t("profile.wrong") : "";
 }
 function figures() {
   const now = prediction?.answer.predicted, then = before?.answer.predicted, against = active && active.version !== shown.version || changed() ? (active ?? shown) : null;
@@ -194,9 +257,10 @@ function difference() {
   const other = changed() ? shown : active && active.version !== shown.version ? active : versions.find((one) => one.version === shown.based_on);
   $("#diff-title").textContent = other ? t("profile.diffTitle", { a: name(), b: other.version }) : t("profile.diff");
   if (!other) { put($("#diff"), ""); put($("#moved"), ""); $("#diff-none").hidden = false; return; }
+  const feed = (one, list, z) => one ? num(one.feed_mm_min, decimals(one.feed_mm_min)) : num(at(list, z));
   const depths = [...new Set([...knots, ...other.content.knots].map((one) => one.depth_mm))].sort((a, b) => a - b), has = (list, z) => list.find((one) => one.depth_mm === z), lines = [];
   for (const z of depths) { const a = has(other.content.knots, z), b = has(knots, z); if (a && b && a.feed_mm_min === b.feed_mm_min) continue; lines.push([z, a, b]); }
-  put($("#diff"), html`${lines.map(([z, a, b]) => html`<tr><th scope="row" class="num">${num(z, 1)}</th><td>${a ? b ? t("profile.moved") : t("profile.removed") : t("profile.added")}</td><td class="num"><s>${num(a?.feed_mm_min ?? at(other.content.knots, z))}</s></td><td class="num"><b>${num(b?.feed_mm_min ?? at(knots, z))}</b></td></tr>`)}`);
+  put($("#diff"), html`${lines.map(([z, a, b]) => html`<tr><th scope="row" class="num">${num(z, Math.max(1, decimals(z)))}</th><td>${a ? b ? t("profile.moved") : t("profile.removed") : t("profile.added")}</td><td class="num"><s>${feed(a, other.content.knots, z)}</s></td><td class="num"><b>${feed(b, knots, z)}</b></td></tr>`)}`);
   put($("#moved"), t("of", { a: num(lines.length), b: num(Math.max(knots.length, other.content.knots.length)) }));
   $("#diff-none").hidden = lines.length > 0;
 }
@@ -210,7 +274,7 @@ function stepper() {
   const can = { shadow: shown.state === "draft", approve: shown.state === "shadow" && !own, activate: shown.state === "approved" || shown.state === "superseded", rollback: row.active_version != null && row.active_version === shown.version };
   const why = { shadow: shown.state === "draft" ? null : t("profile.onlyDraft"), approve: shown.state !== "shadow" ? t("profile.onlyShadow") : own ? t("profile.ownDraft") : null, activate: can.activate ? null : t("profile.onlyApproved"), rollback: can.rollback ? null : t("profile.onlyActive") };
   const primary = shown.state === "draft" ? "shadow" : shown.state === "shadow" ? "approve" : shown.state === "approved" ? "activate" : null;
-  put($("#moves"), html`${["shadow", "approve", "activate", "rollback"].map((step) => { const route = `POST /v1/feed-profiles/{profile}/${step}`, open = can[step] && may(who, route) && !changed(), reason = !may(who, route) ? t("closed", { role: t(`role.${who.role}`), who: step === "approve" ? t("role.approver") : `${t("role.approver")}, ${t("role.engineer")}, ${t("role.admin")}` }) : changed() ? t("profile.saveFirst") : why[step]; return html`<button class="btn ${open && step === primary ? "primary" : ""}" value="${step}" ${open ? "" : html`aria-disabled="true" title="${reason}" aria-description="${reason}"`}>${t(`profile.do.${step}`)}</button>`; })}`);
+  put($("#moves"), html`${["shadow", "approve", "activate", "rollback"].map((step) => { const route = `POST /v1/feed-profiles/{profile}/${step}`, free = can[step] && may(who, route) && !pending(), reason = !may(who, route) ? t("closed", { role: t(`role.${who.role}`), who: step === "approve" ? t("role.approver") : `${t("role.approver")}, ${t("role.engineer")}, ${t("role.admin")}` }) : pending() ? t("profile.saveFirst") : why[step]; return html`<button class="btn ${free && step === primary ? "primary" : ""}" value="${step}" ${free ? "" : html`aria-disabled="true" title="${reason}" aria-description="${reason}"`}>${t(`profile.do.${step}`)}</button>`; })}`);
   put($("#gate"), shown.state === "draft" ? t("profile.gateDraft") : shown.state === "shadow" ? t("profile.gateShadow") : shown.state === "approved" ? t("profile.gateApproved") : "");
   put($("#title"), t("profile.title", { id: row.id, n: shown.version, state: language === "en" ? t(`profile.state.${shown.state}`).toLowerCase() : t(`profile.state.${shown.state}`) }));
   put($("#about"), [shown.reason, t("profile.by", { who: person(shown.drafted.by), time: moment(shown.drafted.at) }), shown.shadowed ? t("profile.shadowedBy", { who: person(shown.shadowed.by), time: moment(shown.shadowed.at) }) : null, shown.approved ? t("profile.approvedBy", { who: person(shown.approved.by), time: moment(shown.approved.at) }) : null, shown.activated ? t("profile.activatedBy", { who: person(shown.activated.by), time: moment(shown.activated.at) }) : null].filter(Boolean).join(". ") + ".");
@@ -243,9 +307,11 @@ async function save(reason) {
 }
 async function optimise() {
   const id = row?.id ?? $("#o-name").value.trim(), operation = row?.operation ?? $("#o-operation").value, tool_type = row?.tool_type ?? $("#o-type").value.trim();
+  if (!row && !tool_type) { fill($("#said"), notice("plan", t("profile.noToolType"), t("profile.noToolTypeText"))); return; }
   fill($("#said"), html`<p class="muted" role="status">${t("profile.optimising")}</p>`);
   try {
     const found = (await get(`/v1/operations/${segment(operation)}`)), machine = base ? await get(`/v1/machines/${segment(base.machine)}`) : (await get("/v1/machines?limit=1")).items[0];
+    if (!machine) { fill($("#said"), notice("plan", t("profile.noMachine"), t("profile.noMachineText"))); return; }
     const l = row && shown ? limits() : { ...machine.limits, spindle_load_set_percent: found.spindle_load_set_percent, feed_drive_load_set_percent: found.feed_drive_load_set_percent };
     const started = await ask("POST", "/v1/feed-profiles/optimize", { body: { operation, tool_type, ...(row ? { profile: row.id } : {}), limits: l } });
     let job = started.body;
@@ -256,12 +322,12 @@ async function optimise() {
   } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#said"), failure(error)); }
 }
 function reasonDialog() {
-  const dialog = element(html`<dialog aria-labelledby="d-h"><form method="dialog"><h2 id="d-h">${t("profile.saveTitle")}</h2><p class="muted">${t("profile.saveText")}</p><label for="d-reason">${t("profile.why")}</label><textarea id="d-reason" rows="3" required></textarea><div id="d-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${t("profile.saveDraft")}</button><button class="btn" type="button" id="d-cancel">${t("cancel")}</button></div></form></dialog>`);
+  const dialog = element(html`<dialog aria-labelledby="d-h"><form method="dialog"><h2 id="d-h">${t("profile.saveTitle")}</h2><p class="muted">${t("profile.saveText")}</p><label for="d-reason">${t("profile.why")}</label><textarea id="d-reason" rows="3" maxlength="${MOST_REASON}" required></textarea><div id="d-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${t("profile.saveDraft")}</button><button class="btn" type="button" id="d-cancel">${t("cancel")}</button></div></form></dialog>`);
   document.body.append(dialog);
   dialog.showModal();
   dialog.addEventListener("close", () => dialog.remove());
   $("#d-cancel", dialog).addEventListener("click", () => dialog.close());
-  $("form", dialog).addEventListener("submit", async (event) => { event.preventDefault(); try { await save($("#d-reason", dialog).value.trim()); dialog.close(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#d-said", dialog), failure(error, t("profile.notSaved"))); } });
+  $("form", dialog).addEventListener("submit", async (event) => { event.preventDefault(); try { await save(oneLine($("#d-reason", dialog).value)); dialog.close(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#d-said", dialog), failure(error, t("profile.notSaved"))); } });
 }
 function frame(lines) {
   fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a href="/profile">${t("profile.all")}</a> / ${row.operation} / ${row.tool_type}</p><h1 id="title"></h1><ol class="steps" id="steps" aria-label="${t("profile.stateOf")}"></ol><p class="evidence" id="about"></p></div>
@@ -269,18 +335,24 @@ function frame(lines) {
     <div id="said"></div><div id="predict-said"></div><dl class="figures six" id="figures"></dl>
     <div class="prof-grid"><section class="panel charts-panel" aria-label="${t("profile.charts")}"><div class="key"><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--ink)" stroke-width="2.4"/><circle cx="10" cy="4" r="3.4" fill="var(--surface)" stroke="var(--ink)" stroke-width="1.6"/></svg><em>${t("profile.keyDraft")}<em class="prof-only-wide">${t("profile.keyDrag")}</em></em></span><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--sig-reference)" stroke-width="1.6"/></svg>${t("profile.keyActive")}</span><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--sig-limit)" stroke-width="1.6" stroke-dasharray="5 3"/></svg>${t("profile.keyDashed")}</span></div>
         <div class="row"><div class="chart-title"><b>${t("cycle.feed")}</b><span>mm/min</span></div><div id="feed" class="u-wrap"></div></div><div class="row"><div class="chart-title"><b>${t("profile.heldBy")}</b></div><div id="ribbon" class="ribbon"></div></div><div class="row"><div class="chart-title"><b>${t("cycle.feedDrive")}</b><span>${t("profile.predicted")}</span></div><div id="lz" class="u-wrap"></div></div><div class="row"><div class="chart-title"><b>${t("cycle.spindle")}</b><span>${t("profile.predicted")}</span></div><div id="lc" class="u-wrap"></div></div><p class="xname">${t("cycle.xDepth")}</p></section>
-      <section class="panel" aria-label="${t("profile.knots")}"><header><h2>${t("profile.knots")}</h2></header><div class="body"><div class="knots-scroll" tabindex="0" role="region" aria-label="${t("app.table")}"><table class="tight knots"><thead><tr><th scope="col">${t("tool.no")}</th><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col" class="num">${t("cycle.feed")}, mm/min</th><th scope="col">${t("profile.heldBy")}</th></tr></thead><tbody id="knots"></tbody></table></div><div class="knot-tools"><button class="btn" id="add">${t("profile.add")}</button><button class="btn" id="remove"></button></div><p class="small muted" id="based"></p><div id="trust"></div></div></section></div>
+      <section class="panel" aria-label="${t("profile.knots")}"><header><h2>${t("profile.knots")}</h2></header><div class="body"><div class="knots-scroll" tabindex="0" role="region" aria-label="${t("app.table")}"><table class="tight knots"><thead><tr><th scope="col">${t("tool.no")}</th><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col" class="num">${t("cycle.feed")}, mm/min</th><th scope="col">${t("profile.heldBy")}</th></tr></thead><tbody id="knots"></tbody></table></div><div id="knots-said" role="alert"></div><div class="knot-tools"><button class="btn" id="add">${t("profile.add")}</button><button class="btn" id="remove"></button></div><p class="small muted" id="based"></p><div id="trust"></div></div></section></div>
     <div class="prof-low"><section class="panel"><header><h2>${t("profile.versions")}</h2></header><div class="body"><table class="tight versions"><thead class="sr"><tr><th scope="col">${t("set.version")}</th><th scope="col">${t("col.state")}</th><th scope="col">${t("profile.why")}</th><th scope="col">${t("set.do")}</th></tr></thead><tbody id="versions"></tbody></table></div></section>
       <section class="panel"><header><h2 id="diff-title"></h2><span class="end tiny faint" id="moved"></span></header><div class="body"><table class="tight"><thead><tr><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col">${t("profile.change")}</th><th scope="col" class="num" colspan="2">${t("cycle.feed")}, mm/min</th></tr></thead><tbody id="diff"></tbody></table><p class="small muted" id="diff-none" hidden>${t("profile.same")}</p></div></section>
       <section class="panel"><header><h2>${t("profile.program")}</h2><span class="end"><label class="sr" for="dialect">${t("profile.control")}</label><select id="dialect">${DIALECTS.map((one) => html`<option value="${one}">${t(`dialect.${one}`)}</option>`)}</select></span></header><div class="body"><pre class="nc" id="nc" tabindex="0" role="region" aria-label="${t("profile.program")}"></pre><div id="nc-note" class="small muted"></div><p><a class="btn" id="download" hidden download>${icon("download")}${t("profile.download")}</a></p></div></section></div>`);
   $("#line").addEventListener("change", (event) => location.assign(`/profile?id=${segment(event.target.value)}`));
-  $("#undo").addEventListener("click", () => { const last = undo.pop(); if (last) { knots = last; chosen = Math.min(chosen, knots.length - 1); rows(); paint(); predictSoon(); stepper(); } });
+  $("#undo").addEventListener("click", () => {
+    // What was refused is what was done last: the knots themselves are as they were before it.
+    const last = faults().length ? knots : undo.pop();
+    if (last) { knots = last; chosen = Math.min(chosen, knots.length - 1); rows(); paint(); predictSoon(); stepper(); }
+  });
   $("#optimise").addEventListener("click", () => { if (!closed($("#optimise"))) optimise(); });
   $("#save").addEventListener("click", () => { if (!closed($("#save"))) reasonDialog(); });
   $("#moves").addEventListener("click", (event) => { const button = event.target.closest("button"); if (button && !closed(button)) take(button.value); });
   $("#add").addEventListener("click", () => { if (knots.length >= KNOTS) return; const i = Math.min(chosen, knots.length - 2), a = knots[i], b = knots[i + 1], z = Math.round((a.depth_mm + b.depth_mm) * 5) / 10; if (z <= a.depth_mm || z >= b.depth_mm) return; remember(); knots.splice(i + 1, 0, { depth_mm: z, feed_mm_min: Math.round(at(knots, z) / 5) * 5 }); chosen = i + 1; rows(); paint(); predictSoon(); stepper(); });
   $("#remove").addEventListener("click", () => { if (chosen === 0 || chosen === knots.length - 1) return; remember(); knots.splice(chosen, 1); chosen = Math.max(0, chosen - 1); rows(); paint(); predictSoon(); stepper(); });
-  $("#knots").addEventListener("change", (event) => { const tr = event.target.closest("tr"), i = [...tr.parentNode.children].indexOf(tr), [z, f] = $$("input", tr).map((input) => Number(input.value)); if (!Number.isFinite(z) || !Number.isFinite(f)) return; remember(); chosen = i; move(i, z, f); stepper(); });
+  $("#knots").addEventListener("change", (event) => typed(event.target));
+  // A text that is no number and an empty one are both an empty value: between them nothing has changed, to the browser.
+  $("#knots").addEventListener("input", ({ target }) => { if (!target.hasAttribute("aria-invalid")) return; const why = refusal(...placeOf(target), target); if (why) { mark(target, why); faultsSaid(); } });
   $("#knots").addEventListener("focusin", (event) => { const tr = event.target.closest("tr"); if (tr) { chosen = [...tr.parentNode.children].indexOf(tr); marks(); place(); } });
   $("#feed").addEventListener("pointerup", stepper); $("#feed").addEventListener("keyup", stepper);
   $("#dialect").addEventListener("change", file);
@@ -296,8 +368,8 @@ async function load(id, version) {
 /** The newest cycle of the operation with samples, one at a varied feed before one at a constant feed, which teaches little of
  *  how the loads follow it: what is predicted is predicted on it. */
 async function newestCycle(operation) {
-  const fleet = await get("/v1/fleet?limit=500&recent=5"), varied = (item) => item.last_cycle.strategy && item.last_cycle.strategy !== "f_const";
-  const of = fleet.items.filter((item) => item.last_cycle?.operation === operation).sort((a, b) => varied(b) - varied(a) || Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at));
+  const fleet = await wholeFleet(5), varied = (item) => item.last_cycle.strategy && item.last_cycle.strategy !== "f_const";
+  const of = fleet.filter((item) => item.last_cycle?.operation === operation).sort((a, b) => varied(b) - varied(a) || Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at));
   for (const item of of.slice(0, 5)) { const cycle = await get(`/v1/machines/${segment(item.machine)}/cycles/${segment(item.last_cycle.cycle_id)}`); if (cycle.has_samples) return cycle; }
   return null;
 }
@@ -308,7 +380,7 @@ function trust() {
   put($("#trust"), answer && answer.extrapolated_ratio > MOST_UNSEEN ? notice("plan", t("profile.farOff"), t("profile.farOffText", { unseen: num(answer.extrapolated_ratio * 100) })) : "");
 }
 async function begin() {
-  rows();
+  if (!faults().length) rows();
   build();
   stepper();
   before = active && active.version !== shown.version ? await predict(active.content.knots).catch(() => null) : null;
@@ -321,7 +393,7 @@ async function none(lines) {
 }
 shell(t("nav.profile"));
 fill($("#main"), html`<div class="panel body">${skeleton(6)}</div>`);
-try {
+await opening(async () => {
   who = await session();
   const { items } = await all("/v1/feed-profiles", 1000), first = asked.get("id") ?? items.find((one) => one.operation === asked.get("operation"))?.id ?? items.find((one) => one.active_version != null)?.id ?? items[0]?.id;
   if (!first) await none(items);
@@ -334,14 +406,11 @@ try {
       const now = await get(`/v1/feed-profiles/${segment(row.id)}`);
       if (now.revision === row.revision) return;
       // Somebody else took a step. What was moved here stays, and is saved as a draft of its own.
-      const mine = changed() ? knots : null;
+      const mine = pending() ? knots : null;
       await load(row.id, shown.version);
       if (mine) knots = mine;
       await begin();
       put($("#said"), notice("", t("profile.movedOn")));
     }, BEAT_MS);
   }
-} catch (error) {
-  if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
-}
+}, (error) => fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`));

@@ -3,10 +3,12 @@ import { icon } from "../icons.js";
 import { action, closed, confirm_, shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
 import { ApiError, all, ask, get, may, post, segment, session } from "../api.js";
+import { entered } from "../fields.js";
+import { opening } from "../live.js";
 import { date, moment, num, unit } from "../format.js";
 import { t, told } from "../text.js";
 
-const MOST = 5000, AUDIT_PAGE = 100;
+const MOST = 5000, AUDIT_PAGE = 100, DETAIL = 160;
 const references = ["unknown", "rated_power", "continuous_rating", "rated_torque", "maximum_current"];
 const processes = ["friction", "drilling", "plunge", "turning", "vibratory", "milling"];
 /** What a registration holds: path in the body, kind of input, unit. */
@@ -51,6 +53,9 @@ async function edit(kind, id) {
     for (const said of $$("#edit .said")) said.textContent = "";
     for (const input of $$("#edit [aria-invalid]")) input.removeAttribute("aria-invalid");
     const next = structuredClone(body), name = id ?? $("#f-id").value.trim();
+    fill($("#edit-said"), "");
+    const numbers = spec.fields.filter(([, type]) => type === "number").map(([path]) => $(`#${fieldId(path)}`));
+    if (!entered(numbers)) { fill($("#edit-said"), notice("act", t("set.notSaved", { id: name || t("set.new") }), t("set.lookAtFields"))); return; }
     if (!name) { say("id", t("set.idNeeded")); return; }
     for (const [path, type, , optional] of spec.fields) {
       const text = $(`#${fieldId(path)}`).value.trim();
@@ -104,8 +109,10 @@ async function tokens() {
   });
   for (const button of $$(".revoke")) button.addEventListener("click", () => confirm_(t("set.revokeTitle", { name: button.dataset.name }), t("set.revokeText"), t("set.revoke"), async () => { await ask("DELETE", `/v1/tokens/${segment(button.id.slice(7))}`); await tokens(); }));
 }
+/** Long ones are folded, not cut: what was changed can be read to the end. */
+const detail = (text) => text.length <= DETAIL ? html`<code>${text}</code>` : html`<details class="whole"><summary><code>${text.slice(0, DETAIL)}\u2026</code> <span>${t("set.detailWhole")}</span></summary><code>${text}</code></details>`;
 async function audit() {
-  const line = (one) => html`<tr><td class="nowrap">${moment(one.at)}</td><td><code class="nowrap">${one.actor}</code>${names.get(one.actor) ? html`<span class="w">${names.get(one.actor)}</span>` : ""}</td><td>${t(`role.${one.role}`)}</td><td class="nowrap">${one.action}</td><td class="name">${one.subject}</td><td class="wide"><code>${JSON.stringify(one.detail).slice(0, 400)}</code></td></tr>`;
+  const line = (one) => html`<tr><td class="nowrap">${moment(one.at)}</td><td><code class="nowrap">${one.actor}</code>${names.get(one.actor) ? html`<span class="w">${names.get(one.actor)}</span>` : ""}</td><td>${t(`role.${one.role}`)}</td><td class="nowrap">${one.action}</td><td class="name">${one.subject}</td><td class="wide">${detail(JSON.stringify(one.detail))}</td></tr>`;
   const names = new Map(may(who, "GET /v1/tokens") ? (await all("/v1/tokens", MOST)).items.map((one) => [one.id, one.name]) : []);
   let cursor = null;
   const older = async () => {
@@ -132,4 +139,4 @@ async function show() {
 shell(t("nav.settings"));
 fill($("#main"), html`<div class="head"><div class="titles"><h1>${t("nav.settings")}</h1></div><div class="tools"><a class="btn" href="/studies">${t("nav.studies")}</a><a class="btn" href="/docs/">${t("set.api")}</a></div></div><nav class="tabs" id="tabs" aria-label="${t("nav.settings")}">${TABS.map((name) => html`<a href="#${name}">${t(`set.${name}`)}</a>`)}</nav><section class="panel body" id="panel" aria-live="off">${skeleton(5)}</section>`);
 addEventListener("hashchange", show);
-try { who = await session(); await show(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#panel"), failure(error, t("error.load"))); }
+await opening(async () => { who = await session(); await show(); }, (error) => fill($("#panel"), failure(error, t("error.load"))));

@@ -27,8 +27,14 @@ $("#show").addEventListener("click", (event) => {
   event.currentTarget.textContent = t(shown ? "sign.hide" : "sign.show");
 });
 const say = (text) => { $("#said").replaceChildren(element(html`<p class="flag act">${icon("act")}<span>${text}</span></p>`)); token.setAttribute("aria-invalid", "true"); token.focus(); };
-/** Where to go on: a path of our own, never another site. */
-const next = () => { const path = new URLSearchParams(location.search).get("next") || "/"; return /^\/(?![/\\])/.test(path) && !path.startsWith("/sign-in") ? path : "/"; };
+/** Where to go on: an address of our own as the browser itself reads it, never another site. */
+function next() {
+  const asked = new URLSearchParams(location.search).get("next") || "/";
+  let to;
+  try { to = new URL(asked, location.href); } catch { return "/"; }
+  // Given on whole: of a path that begins with // only the beginning says whose it is.
+  return asked.startsWith("/") && to.origin === location.origin && !to.pathname.startsWith("/sign-in") ? to.href : "/";
+}
 $("#form").addEventListener("submit", async (event) => {
   event.preventDefault();
   if (!token.value.trim()) { say(t("sign.empty")); return; }

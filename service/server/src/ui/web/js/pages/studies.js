@@ -2,6 +2,8 @@ import { $, $$, fill, html, put, trusted } from "../html.js";
 import { shell } from "../shell.js";
 import { empty, failure, notice, progress, skeleton } from "../states.js";
 import { ApiError, all, computed, may, post, session } from "../api.js";
+import { entered } from "../fields.js";
+import { opening } from "../live.js";
 import { NB, num, unit } from "../format.js";
 import { X, Y, chart, clip, dpr, halo, FONT, line, nice, phone, ready, splits, token } from "../charts.js";
 import { Track } from "../track.js";
@@ -10,9 +12,9 @@ import { t, told } from "../text.js";
 const TABS = ["strategies", "vibratory", "turning", "plunge"];
 let who = null, plots = [];
 const value = (id) => { const text = $(`#${id}`).value.trim(); return text === "" ? null : Number(text); };
-const field = (id, name, un, start, step = "any") => html`<div class="field"><label for="${id}">${name}${un ? html` <span class="unit">${un}</span>` : ""}</label><input type="number" id="${id}" step="${step}" value="${start}"></div>`;
+const field = (id, name, un, start, step = "any") => html`<div class="field"><label for="${id}">${name}${un ? html` <span class="unit">${un}</span>` : ""}</label><input type="number" id="${id}" step="${step}" value="${start}"><p class="said" id="${id}-said"></p></div>`;
 function form(what, fields, note = "") {
-  fill($("#panel"), html`<p class="muted study-what">${what}</p><form class="set-form study-form" id="ask"><div class="set-fields">${fields}</div><div class="knot-tools"><button class="btn primary" type="submit">${t("study.compute")}</button></div></form><div id="said"></div><div id="answer">${note}</div>`);
+  fill($("#panel"), html`<p class="muted study-what">${what}</p><form class="set-form study-form" id="ask" novalidate><div class="set-fields">${fields}</div><div class="knot-tools"><button class="btn primary" type="submit">${t("study.compute")}</button></div></form><div id="said"></div><div id="answer">${note}</div>`);
 }
 let under = null;
 addEventListener("pagehide", () => under?.abort());
@@ -21,6 +23,7 @@ addEventListener("pagehide", () => under?.abort());
 async function asking(work) {
   const run = async (event) => {
     event?.preventDefault();
+    if (!entered($$("#ask input[type=number]"))) return;
     under?.abort();
     const mine = under = new AbortController();
     put($("#said"), "");
@@ -152,4 +155,4 @@ async function show() {
 shell(t("nav.studies"));
 fill($("#main"), html`<div class="head"><div class="titles"><h1>${t("nav.studies")}</h1><p class="evidence">${t("study.what")}</p></div></div><nav class="tabs" id="tabs" aria-label="${t("nav.studies")}">${TABS.map((name) => html`<a href="#${name}">${t(`study.${name}`)}</a>`)}</nav><section class="panel body" id="panel">${skeleton(5)}</section>`);
 addEventListener("hashchange", show);
-try { who = await session(); await show(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#panel"), failure(error, t("error.load"))); }
+await opening(async () => { who = await session(); await show(); }, (error) => fill($("#panel"), failure(error, t("error.load"))));

@@ -2,17 +2,17 @@ import { $, fill, html, put, trusted } from "../html.js";
 import { icon } from "../icons.js";
 import { action, closed, confirm_, shell } from "../shell.js";
 import { empty, failure, notice, progress, skeleton } from "../states.js";
-import { ApiError, all, get, may, post, segment, session } from "../api.js";
+import { ApiError, all, get, may, post, segment, session, wholeFleet } from "../api.js";
 import { NB, age, dayMonth, num, rounded, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, clip, dpr, halo, limit, line, phone, ready, splits, token, vline } from "../charts.js";
 import { Track } from "../track.js";
 import { isHidden, levelPercent, shownLevel } from "../wear.js";
-import { keep, listen } from "../live.js";
-import { t, told } from "../text.js";
+import { keep, listen, opening } from "../live.js";
+import { MOST_REASON, oneLine, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
 const REVOKE = "POST /v1/tools/{tool}/events/{id}/revoke";
-const BEAT_MS = 20_000, MOST_CYCLES = 20_000, MOST_TOOLS = 2000;
+const BEAT_MS = 20_000, MOST_CYCLES = 20_000, MOST_TOOLS = 5000;
 /** Each reason has its own shape; there are more reasons than shapes, so the rest share the circle with a dot. */
 const shapes = { aborted: "cross", incomplete: "square", air_cut: "circle", broken_suspected: "octagon", clock_suspect: "dot", no_energy: "dot", low_coverage: "diamond", operation_unregistered: "dot", operator_override: "triangle", conditions_changed: "bar", baseline_outlier: "down", cut_short: "dot" };
 const glyphs = { square: '<rect x="3" y="3" width="8" height="8"/>', diamond: '<path d="M7 1.5 12.5 7 7 12.5 1.5 7z"/>', triangle: '<path d="M7 2 12 11.5H2z"/>', down: '<path d="M7 12 2 2.5h10z"/>', cross: '<path d="M3 3l8 8M3 11l8-8"/>', circle: '<circle cx="7" cy="7" r="4.5"/>', dot: '<circle cx="7" cy="7" r="4.5"/><circle cx="7" cy="7" r="1" fill="currentColor"/>', octagon: '<path d="M5 2h4l3 3v4l-3 3H5L2 9V5z"/>', bar: '<rect x="2" y="5.5" width="10" height="3"/>' };
@@ -185,7 +185,7 @@ function frame() {
     <div id="said"></div><div id="reasons" class="stack"></div><div id="learning"></div>
     <dialog id="event" aria-labelledby="event-title"><form id="event-form" method="dialog"><h2 id="event-title">${t("tool.recordTitle", { id: tool.id })}</h2><p class="muted">${t("tool.recordText")}</p>
       <label for="event-kind">${t("tool.what")}</label><select id="event-kind">${["changed", "reground", "conditions_confirmed", "mounted_new", "mounted_used", "reset"].map((kind) => html`<option value="${kind}">${told("event", kind)}</option>`)}</select>
-      <label for="event-reason">${t("tool.reason")}</label><textarea id="event-reason" rows="3" maxlength="2000"></textarea><div id="event-said" role="alert"></div>
+      <label for="event-reason">${t("tool.reason")}</label><textarea id="event-reason" rows="3" maxlength="${MOST_REASON}"></textarea><div id="event-said" role="alert"></div>
       <div class="knot-tools"><button class="btn primary" type="submit">${t("save")}</button><button class="btn" type="button" id="event-cancel">${t("cancel")}</button></div></form></dialog>
     <div class="tool-grid"><section class="panel charts-panel" aria-label="${t("tool.charts")}"><div class="key"><span class="strong">${t("tool.energyTitle")}</span>
         <span><svg viewBox="0 0 20 8" aria-hidden="true"><g fill="var(--sig-energy)" opacity=".65"><rect x="2" y="3" width="2" height="2"/><rect x="8" y="1" width="2" height="2"/><rect x="13" y="4" width="2" height="2"/><rect x="17" y="2" width="2" height="2"/></g></svg>${t("tool.keyCycle")}</span>
@@ -214,7 +214,7 @@ function frame() {
   $("#event-form").addEventListener("submit", async (event) => {
     event.preventDefault();
     try {
-      await post(`/v1/tools/${segment(tool.id)}/events`, { kind: $("#event-kind").value, reason: $("#event-reason").value.trim() || null });
+      await post(`/v1/tools/${segment(tool.id)}/events`, { kind: $("#event-kind").value, reason: oneLine($("#event-reason").value) || null });
       dialog.close();
       $("#event-reason").value = "";
       put($("#said"), notice("", t("tool.recorded")));
@@ -239,12 +239,12 @@ async function pickList() {
 }
 shell(t("nav.tool"));
 fill($("#main"), html`<div class="panel body">${skeleton(6)}</div>`);
-try {
+await opening(async () => {
   who = await session();
   let id = asked.get("id");
   if (!id) {
-    const fleet = await get("/v1/fleet?limit=500&recent=1"), order = { worn: 0, broken_suspected: 1, warning: 2, changed: 3 };
-    id = fleet.items.filter((item) => item.last_cycle).sort((a, b) => (order[a.wear?.state] ?? 9) - (order[b.wear?.state] ?? 9) || (levelPercent(b.wear) ?? -99) - (levelPercent(a.wear) ?? -99))[0]?.last_cycle.tool ?? (await get("/v1/tools?limit=1")).items[0]?.id;
+    const fleet = await wholeFleet(1), order = { worn: 0, broken_suspected: 1, warning: 2, changed: 3 };
+    id = fleet.filter((item) => item.last_cycle).sort((a, b) => (order[a.wear?.state] ?? 9) - (order[b.wear?.state] ?? 9) || (levelPercent(b.wear) ?? -99) - (levelPercent(a.wear) ?? -99))[0]?.last_cycle.tool ?? (await get("/v1/tools?limit=1")).items[0]?.id;
   }
   if (!id) fill($("#main"), html`<section class="panel body">${empty(t("tool.none"), t("tool.noneText"), html`<a class="btn" href="/settings#tools">${t("nav.settings")}</a>`, true)}</section>`);
   else {
@@ -259,10 +259,7 @@ try {
     drawn = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${holding()}`;
     const kept = keep(async () => {
       if (drawn) { const first = drawn; await refresh(); head(); const now = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${holding()}`; if (now !== first) { drawn = now; build(); } }
-    }, BEAT_MS, 5000);
+    }, BEAT_MS, { least: 5000 });
     listen("", { cycle: (event) => { if (event.tool === id) kept.nudge(); }, gap: kept.nudge });
   }
-} catch (error) {
-  if (!(error instanceof ApiError)) throw error;
-  fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`);
-}
+}, (error) => fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`));
