@@ -169,6 +169,8 @@ async fn a_cycle_and_its_samples_can_be_read_back_and_listed() {
     assert_eq!(shop.get("/v1/cycles?cursor=nonsense").await.status, 400);
     let csv = shop.get("/v1/tools/T1/history.csv").await;
     assert_eq!(csv.text.lines().count(), 26);
+    assert_eq!(csv.text.matches("\r\n").count(), 26);
+    assert!(csv.text.contains("\n2026-05-04T06:00:10.000000Z,"), "{}", csv.text);
     assert!(csv.text.lines().nth(1).unwrap().contains("rated_power,2800"), "{}", csv.text);
 }
 

@@ -83,6 +83,34 @@ fn begun() -> Begun {
     Begun { started_at: at, sent_at: at, received_at: at }
 }
 
+/// What is known of a cycle with a good tool, and nothing in its way.
+fn standing<'a>(machine: &'a Machine, operation: &'a Operation, program: &'a Program) -> Standing<'a> {
+    Standing {
+        machine,
+        operation: Some(operation),
+        tool: Some(ToolState::Good),
+        program,
+        overload_open: false,
+        constant_feed: false,
+        process: None,
+    }
+}
+
+/// Feeds of a plunge at 2500 mm/min at most, within those of a machine: in the work, the least, out of the hole.
+fn plunge_limits(work: f64, least: f64, retract: f64, allowed_bite_mm: f64) -> PlungeLimits {
+    let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
+    let feed = |mm_min| BoundedFeed::within(&limits, mm_min).unwrap();
+    PlungeLimits {
+        plunge: feed(2500.0),
+        work: feed(work),
+        least: feed(least),
+        retract: feed(retract),
+        allowed_bite_mm,
+        answer_age_ms: 20.0,
+        period_ms: 10.0,
+    }
+}
+
 fn running_with(
     machine: &Machine,
     operation: &Operation,
@@ -435,29 +463,11 @@ fn times_that_run_backwards_and_numbers_beyond_all_bounds_do_no_harm() {
 
 #[test]
 fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
-    let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
-    let feed = |mm_min| BoundedFeed::within(&limits, mm_min).unwrap();
-    let plunge = PlungeLimits {
-        plunge: feed(2500.0),
-        work: feed(120.0),
-        least: feed(0.5),
-        retract: feed(9999.0),
-        allowed_bite_mm: 0.5,
-        answer_age_ms: 20.0,
-        period_ms: 10.0,
-    };
+    let plunge = plunge_limits(120.0, 0.5, 9999.0, 0.5);
     assert_eq!(plunge.retract.mm_min(), 3000.0);
     let detector = ContactSettings::new(ContactInput::DEFAULT).unwrap();
     let (machine, operation) = (machine(), operation(Process::Plunge));
-    let standing = Standing {
-        machine: &machine,
-        operation: Some(&operation),
-        tool: Some(ToolState::Good),
-        program: &Program::Unknown,
-        overload_open: false,
-        constant_feed: false,
-        process: None,
-    };
+    let standing = standing(&machine, &operation, &Program::Unknown);
     let looped = PlungeLoop::new(plunge, detector, 4);
     let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, Some(looped)).unwrap();
     let channels = vec![Channel::DepthMm, Channel::FeedActualMmMin, Channel::FeedDriveLoadPercent];
@@ -514,17 +524,7 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
 
 /// A plunge at 500 mm/min in air, with a working feed of 150 mm/min; samples of depth, actual feed and load every 10 ms.
 fn plunged(samples: impl IntoIterator<Item = (f64, f64, f64)>) -> Vec<(f64, PlungeStep, LoopReasons)> {
-    let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
-    let feed = |mm_min| BoundedFeed::within(&limits, mm_min).unwrap();
-    let limits = PlungeLimits {
-        plunge: feed(2500.0),
-        work: feed(150.0),
-        least: feed(1.0),
-        retract: feed(3000.0),
-        allowed_bite_mm: 0.5,
-        answer_age_ms: 20.0,
-        period_ms: 10.0,
-    };
+    let limits = plunge_limits(150.0, 1.0, 3000.0, 0.5);
     let mut plunge = PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
     let each = samples.into_iter().map(|(depth_mm, feed, load)| {
         let (step, reasons) = plunge.step(&Seen {
@@ -661,15 +661,8 @@ fn a_load_below_none_hides_no_crash() {
 fn samples_that_come_faster_than_declared_do_not_raise_faster() {
     let mut cycle = running();
     let timing = Timing::Stamps { usual_ms: PERIOD_MS };
-    let standing = Standing {
-        machine: &machine(),
-        operation: Some(&operation(Process::Friction)),
-        tool: Some(ToolState::Good),
-        program: &program(),
-        overload_open: false,
-        constant_feed: false,
-        process: None,
-    };
+    let (machine, operation, program) = (machine(), operation(Process::Friction), program());
+    let standing = standing(&machine, &operation, &program);
     let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, None).unwrap();
     let mut fast =
         RunningCycle::new(begun(), control, (CHANNELS.to_vec(), timing), (Mode::Advise, settings()));
@@ -696,15 +689,8 @@ fn a_number_that_was_never_taken_does_not_let_a_cycle_end_without_its_samples() 
 
 #[test]
 fn an_overload_that_nobody_has_acknowledged_is_told_with_every_answer() {
-    let standing = Standing {
-        machine: &machine(),
-        operation: Some(&operation(Process::Friction)),
-        tool: Some(ToolState::Good),
-        program: &program(),
-        overload_open: true,
-        constant_feed: false,
-        process: None,
-    };
+    let (machine, operation, program) = (machine(), operation(Process::Friction), program());
+    let standing = Standing { overload_open: true, ..standing(&machine, &operation, &program) };
     let overload = OverloadHold::UntilAcknowledged { relative_load: 2.0 };
     let control = control(&standing, &law(overload), PERIOD_MS, None).unwrap();
     let timing = Timing::Period { period_ms: PERIOD_MS };
@@ -727,18 +713,8 @@ fn what_is_changed_while_a_cycle_runs_ends_its_law() {
 
 #[test]
 fn a_working_feed_that_bites_too_deep_is_run_in_the_work_only() {
-    let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
-    let feed = |mm_min| BoundedFeed::within(&limits, mm_min).unwrap();
     // 0.1 mm within 60 ms: 100 mm/min.
-    let plunge = PlungeLimits {
-        plunge: feed(2500.0),
-        work: feed(120.0),
-        least: feed(1.0),
-        retract: feed(3000.0),
-        allowed_bite_mm: 0.1,
-        answer_age_ms: 20.0,
-        period_ms: 10.0,
-    };
+    let plunge = plunge_limits(120.0, 1.0, 3000.0, 0.1);
     let mut plunge = PlungeLoop::new(plunge, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
     let seen = |depth_mm: f64, load: f64| Seen {
         time_ms: 0.0,

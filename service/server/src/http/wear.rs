@@ -103,7 +103,8 @@ const HEADER: [&str; 20] = [
 ];
 
 fn csv_of(rows: &[StoredCycle], with_header: bool) -> Result<Bytes, StoreError> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
+    // RFC 4180, as the other tables.
+    let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new());
     let failed = |error: csv::Error| StoreError::Damaged { what: error.to_string() };
     if with_header {
         writer.write_record(HEADER).map_err(failed)?;
@@ -126,8 +127,8 @@ fn record(row: &StoredCycle) -> [String; HEADER.len()] {
     });
     let flags: Vec<&str> = summary.flags.iter().map(feedwright_core::cycle::Flag::as_str).collect();
     [
-        time::show(cycle.started_at),
-        time::show(row.received_at),
+        time::show_even(cycle.started_at),
+        time::show_even(row.received_at),
         cycle.machine.to_string(),
         cycle.id.to_string(),
         cycle.seq.map(|seq| seq.to_string()).unwrap_or_default(),

@@ -63,7 +63,13 @@ impl<'a> Scan<'a> {
         let mut path = String::new();
         for step in &self.steps {
             match step {
-                Step::Field(name) => path.extend([if path.is_empty() { "" } else { "." }, name]),
+                Step::Field(name) => {
+                    // A name may be escaped; its field is told as whoever knows it writes it.
+                    let plain =
+                        name.contains('\\').then(|| serde_json::from_str::<String>(&format!("\"{name}\"")));
+                    let plain = plain.and_then(Result::ok);
+                    path.extend([if path.is_empty() { "" } else { "." }, plain.as_deref().unwrap_or(name)]);
+                }
                 Step::Element(index) => path.push_str(&format!("[{index}]")),
             }
         }
@@ -184,6 +190,7 @@ mod tests {
         assert_eq!(found(r#"{"samples":{"a":[1,NaN,Infinity]}}"#), at("samples.a[1]", "NaN"));
         assert_eq!(found(r#"{"a":{"x":"]}\""},"b":[[],[ -Infinity ]]}"#), at("b[1][0]", "-Infinity"));
         assert_eq!(found(r#"{"a":1e999}"#), at("a", "1e999"));
+        assert_eq!(found(r#"{"depth\u005fmm":[1,NaN]}"#), at("depth_mm[1]", "NaN"));
         assert_eq!(found(r#"{"a":-1E+400,"b":true}"#), at("a", "-1E+400"));
     }
 
