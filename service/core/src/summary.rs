@@ -223,8 +223,10 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
         max_spindle_power_watts: peak(Channel::SpindlePowerWatts),
         max_thrust_newtons: peak(Channel::ThrustNewtons),
         max_torque_newton_metres: peak(Channel::TorqueNewtonMetres),
-        mean_spindle_load_percent: mean_spindle_load_percent.or(reported.mean_spindle_load_percent),
-        mean_feed_drive_load_percent: mean_feed_drive_load_percent.or(reported.mean_feed_drive_load_percent),
+        mean_spindle_load_percent: mean_spindle_load_percent
+            .or(unsampled(Channel::SpindleLoadPercent, reported.mean_spindle_load_percent)),
+        mean_feed_drive_load_percent: mean_feed_drive_load_percent
+            .or(unsampled(Channel::FeedDriveLoadPercent, reported.mean_feed_drive_load_percent)),
         mean_override_percent,
         operator_override_percent: operator_override.or(reported.operator_override_percent),
         median_spindle_speed_rpm: column(Channel::SpindleSpeedRpm).map(loads::median),

@@ -716,9 +716,13 @@ impl Config {
 fn is_filter(text: &str) -> bool {
     const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "trace"];
     let is_level = |word: &str| LEVELS.iter().any(|level| level.eq_ignore_ascii_case(word));
-    let known = text.split(',').map(str::trim).all(|directive| match directive.rsplit_once('=') {
-        Some((target, level)) => !target.trim().is_empty() && is_level(level.trim()),
-        None => is_level(directive),
-    });
+    // Spans and their fields have commas and signs of their own.
+    let has_spans = text.contains('[');
+    let directives = text.split(',').map(str::trim).filter(|directive| !directive.is_empty());
+    let known = has_spans
+        || directives.into_iter().all(|directive| match directive.rsplit_once('=') {
+            Some((target, level)) => !target.trim().is_empty() && is_level(level.trim()),
+            None => is_level(directive),
+        });
     known && tracing_subscriber::EnvFilter::try_new(text).is_ok()
 }

@@ -92,7 +92,7 @@ async fn a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays() {
     let repaired = json!({"action": "reingest", "reason": "unit was text", "body": cycle(json!(5000.0))});
     let settled = settle(&app, "q1", repaired).await;
     assert_eq!(settled.status, StatusCode::OK, "{settled:?}");
-    assert_eq!(settled.json()["how"], "repaired and re-ingested: unit was text");
+    assert_eq!(settled.json()["how"], "repaired and re-ingested as cycle c-1 of tool T1: unit was text");
     assert!(settled.json()["answer"].is_object());
     let stored = app.call(Role::Viewer, "GET", "/v1/machines/M1/cycles/c-1", &[], None).await;
     assert_eq!(stored.status, StatusCode::OK, "{stored:?}");

@@ -56,17 +56,39 @@ async fn what_is_changed_while_a_cycle_runs_ends_its_law() {
     assert!(risen["override_percent"].as_f64().unwrap() > 100.0, "{risen}");
     let changed = json!({"kind": "changed", "at": "2026-05-04T05:59:00Z", "reason": "story"});
     assert_eq!(served.send("POST", "/v1/tools/T1/events", Some(changed)).await.0, 201);
-    let mut last = risen;
+    outdated(&mut machine).await;
+    assert_eq!(
+        machine.start("b", json!({})).await["reasons"],
+        json!([]),
+        "the next one begins with what holds now"
+    );
+    assert!(machine.samples(0, 10).await["override_percent"].as_f64().unwrap() > 100.0);
+    let path = served.url("/v1/machines/M1");
+    let asked = served.client.get(&path).bearer_auth(&served.token).send().await.unwrap();
+    let tag = asked.headers()["etag"].clone();
+    let mut limits: Value = asked.json().await.unwrap();
+    limits["limits"]["override_max_percent"] = json!(110.0);
+    for member in ["id", "version"] {
+        limits.as_object_mut().unwrap().remove(member);
+    }
+    let put = served.client.put(&path).bearer_auth(&served.token).header("if-match", tag).json(&limits);
+    let answer = put.send().await.unwrap();
+    assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap());
+    outdated(&mut machine).await;
+    served.server.shutdown().await.unwrap();
+}
+
+/// Sends samples until they are answered that what the cycle was begun with holds no more.
+async fn outdated(machine: &mut Machine) {
     for from in 10..410 {
-        last = machine.samples(from, from + 1).await;
+        let last = machine.samples(from, from + 1).await;
         if codes(&last["reasons"]).contains(&"changed_meanwhile") {
-            break;
+            assert!(last["override_percent"].as_f64().unwrap() <= 100.0, "{last}");
+            return;
         }
         tokio::time::sleep(std::time::Duration::from_millis(25)).await;
     }
-    assert!(codes(&last["reasons"]).contains(&"changed_meanwhile"), "{last}");
-    assert!(last["override_percent"].as_f64().unwrap() <= 100.0, "{last}");
-    served.server.shutdown().await.unwrap();
+    panic!("nobody saw it");
 }
 
 #[tokio::test]

@@ -17,6 +17,9 @@ use crate::wear::ToolState;
 /// Version of the law and of the envelope around it, part of every answer.
 pub const LOOP_LAW_VERSION: &str = "fac-1";
 
+/// A tip that is so much above the deepest that it has been is drawn back, mm; less is what a control's position rests at.
+const DRAWN_BACK_MM: f64 = 0.5;
+
 /// How the law is set; from the configuration, checked when a cycle begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawSettings {
@@ -153,6 +156,8 @@ pub struct FrictionLoop {
     feeds_mm_min: (f64, f64),
     /// When the tip first was at the work, where its depth is sampled.
     contact_at_ms: Option<f64>,
+    /// The deepest that it has been, mm.
+    deepest_mm: f64,
 }
 
 /// What answers samples.
@@ -279,6 +284,7 @@ pub fn control(
             program,
             feeds_mm_min,
             contact_at_ms: None,
+            deepest_mm: f64::NEG_INFINITY,
         })),
         neutral,
         capped,
@@ -391,6 +397,7 @@ impl FrictionLoop {
             let reasons = self.watch(seen).and(why);
             return (self.state.withhold(&self.config, Some(seen.time_ms)), reasons);
         }
+        self.note_contact(seen);
         let sample = seen.as_law_sample(self.contact_ms(seen));
         let before = self.state.ovr();
         let mut step = self.state.step(&self.config, &sample);
@@ -401,15 +408,23 @@ impl FrictionLoop {
         (step.ovr, step.reasons.into())
     }
 
-    /// Time since the tip first was at the work, ms: since the start of the cycle where depth is not sampled.
-    fn contact_ms(&mut self, seen: &Seen) -> Option<f64> {
-        let Some(depth) = seen.depth_mm else {
-            return Some(seen.time_ms);
-        };
+    /// Notes when the tip first is at the work, by samples that may be judged: a wrong stamp must not end the heating.
+    fn note_contact(&mut self, seen: &Seen) {
+        let Some(depth) = seen.depth_mm.filter(|_| seen.time_ms.is_finite()) else { return };
+        self.deepest_mm = self.deepest_mm.max(depth);
         if depth >= 0.0 {
             self.contact_at_ms.get_or_insert(seen.time_ms);
         }
-        self.contact_at_ms.map(|at| seen.time_ms - at)
+    }
+
+    /// Time since the tip first was at the work, ms: since the start of the cycle where depth is not sampled. `None` while it
+    /// is above the work or drawn back in the hole: that nothing loads it there says nothing about the work.
+    fn contact_ms(&self, seen: &Seen) -> Option<f64> {
+        match seen.depth_mm {
+            None => Some(seen.time_ms),
+            Some(depth) if depth < 0.0 || depth < self.deepest_mm - DRAWN_BACK_MM => None,
+            Some(_) => self.contact_at_ms.map(|at| seen.time_ms - at),
+        }
     }
 
     /// The overrides, in percent, under which the programmed feed at this depth stays within the permitted feeds; where the

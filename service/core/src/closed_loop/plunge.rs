@@ -102,8 +102,10 @@ pub struct PlungeLoop {
     settling_samples: u32,
     /// Successive samples that were not judged.
     unjudged: u32,
-    /// The deepest that the tool has been, mm, and whether the last sample was above that.
+    /// The deepest that the tool has been, and where it was last, mm.
     deepest_mm: f64,
+    last_mm: f64,
+    /// Whether it is on its way out: above its deepest, and above where it was before.
     drawn_back: bool,
     contact_offset_mm: Option<f64>,
     breakthrough_depth_mm: Option<f64>,
@@ -123,6 +125,7 @@ impl PlungeLoop {
             settling_samples,
             unjudged: 0,
             deepest_mm: f64::NEG_INFINITY,
+            last_mm: f64::NEG_INFINITY,
             drawn_back: false,
             contact_offset_mm: None,
             breakthrough_depth_mm: None,
@@ -149,9 +152,10 @@ impl PlungeLoop {
         let is_judged = f64::from(self.unjudged) * self.limits.period_ms <= LONGEST_UNJUDGED_MS;
         // Where no work was found as deep as the drill may bite, either there is none or it was missed.
         let is_expected_in_work = found.depth_mm.is_none_or(|depth| depth > self.limits.allowed_bite_mm);
-        self.drawn_back = seen.depth_mm.is_some_and(|depth| depth < self.deepest_mm);
+        self.drawn_back = seen.depth_mm.is_some_and(|depth| depth < self.deepest_mm && depth < self.last_mm);
         if let Some(depth) = seen.depth_mm.filter(|depth| depth.is_finite()) {
             self.deepest_mm = self.deepest_mm.max(depth);
+            self.last_mm = depth;
         }
         self.in_work = found.event == Some(ContactEvent::Contact) || found.phase == Phase::InWork;
         self.phase = match (found.event, found.phase) {
@@ -172,9 +176,10 @@ impl PlungeLoop {
         (step, reasons)
     }
 
-    /// Passes a sample that may not be judged: the working feed, unless the tool is through already.
+    /// Passes a sample that may not be judged: the working feed.
     pub fn withhold(&mut self) -> PlungeStep {
         self.settling = self.settling_samples;
+        self.drawn_back = false;
         if self.phase == PlungePhase::Approach {
             self.phase = PlungePhase::Work;
         }
@@ -200,7 +205,7 @@ impl PlungeLoop {
         let delay_s = self.delay_s(age_ms);
         let feed = match self.phase {
             PlungePhase::Retract if self.drawn_back => self.limits.retract,
-            // Until it is drawn back it may meet work again.
+            // Unless it is on its way out it may meet work again.
             PlungePhase::Retract => self.limits.work,
             PlungePhase::Work if self.in_work => self.limits.work,
             // What bounds the approach bounds the feed of which it is not known whether it is one, so that nothing unknown

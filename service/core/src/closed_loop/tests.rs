@@ -516,6 +516,9 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
     assert!(work.0.breakthrough_depth_mm.is_some_and(|depth| (depth - 8.0).abs() < 1e-12));
     let back = step(8.2, 5.0).0;
     assert_eq!((back.phase, back.feed.mm_min()), (PlungePhase::Retract, 3000.0));
+    // On its way in again, though it is above the deepest yet.
+    let in_again = step(8.3, 5.0).0;
+    assert_eq!((in_again.phase, in_again.feed.mm_min()), (PlungePhase::Retract, 120.0));
     // A bore across the hole was none of its end.
     let deeper = step(9.0, 30.0).0;
     assert_eq!((deeper.phase, deeper.feed.mm_min()), (PlungePhase::Work, 120.0));
@@ -641,6 +644,13 @@ fn above_the_work_and_at_an_unknown_depth_the_law_is_off() {
     }
     let (risen, _) = *drilled(&mut cycle, &[(0.1, 10.0); 10]).last().unwrap();
     assert!(risen.percent() > 100.0, "in the work it acts");
+    // Drawn back, above the work or in the hole, it is off again, and begins anew from 100 %.
+    drilled(&mut cycle, &[(3.0, 10.0); 2]);
+    for (ovr, reasons) in drilled(&mut cycle, &[(-1.0, 3.0), (-0.5, 3.0), (1.0, 3.0), (2.4, 3.0)]) {
+        assert_eq!(ovr.percent(), 100.0);
+        assert!(reasons.has_law(Reason::Heating));
+    }
+    assert!(drilled(&mut cycle, &[(3.0, 10.0); 10]).last().unwrap().0.percent() > 100.0);
     for (ovr, reasons) in drilled(&mut cycle, &[(f64::NAN, 10.0); 10]) {
         assert_eq!(ovr.percent(), 100.0);
         assert!(reasons.has_law(Reason::UnknownDepth));

@@ -17,7 +17,8 @@ use super::{
 /// Version of the rules below; part of every advice.
 pub const TURNING_LAW_VERSION: &str = "turning-2";
 
-/// Most intervals of an edge that are folded for one answer: some 10 ms of computing, and 33 hours of minutes.
+/// Most intervals of an edge that are folded for one answer: some 10 ms of computing, thrice where readings of it
+/// are in doubt, and 33 hours of minutes.
 pub const MAX_EDGE_INTERVALS: usize = 2_000;
 
 /// One interval that an edge has cut.

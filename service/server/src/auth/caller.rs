@@ -21,9 +21,6 @@ const OUTAGE_PATIENCE: Duration = Duration::from_secs(1);
 /// How long the database has for saying whose a token is.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A session that another server ended is noticed within this time, ms.
-const SESSION_LOOK_MS: i64 = 30_000;
-
 /// Whom a route believes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Trust {
@@ -82,7 +79,8 @@ impl Caller {
             if left_ms <= 0 {
                 return;
             }
-            let wait = Duration::from_millis(left_ms.min(SESSION_LOOK_MS).unsigned_abs());
+            // A session that another server ended is noticed within that time.
+            let wait = Duration::from_millis(left_ms.unsigned_abs()).min(every);
             tokio::select! {
                 () = tokio::time::sleep(wait) => {}
                 () = moved => {}

@@ -37,6 +37,8 @@ const PARSED_ASIDE_BYTES: usize = 256 * 1024;
 const BATCHES_PREPARED: usize = 2;
 /// Contradicting cycles that are compared with what is stored at the same time.
 const COMPARED: usize = 2;
+/// How long it may take to tell what a contradicting cycle differs in: it is to be kept and answered all the same.
+const COMPARING: Duration = Duration::from_secs(1);
 
 /// How long a post waits for what the database says of its machine, tool and operation.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -100,7 +102,7 @@ pub struct CycleIntake {
     writing: Mutex<Option<JoinHandle<()>>>,
     preparing: Semaphore,
     settling: Mutex<()>,
-    comparing: Semaphore,
+    comparing: Arc<Semaphore>,
     singles: Unpacker,
     batches: Unpacker,
     habits: Habits,
@@ -203,7 +205,7 @@ impl CycleIntake {
             writing: Mutex::new(Some(writing)),
             preparing: Semaphore::new(BATCHES_PREPARED),
             settling: Mutex::new(()),
-            comparing: Semaphore::new(COMPARED),
+            comparing: Arc::new(Semaphore::new(COMPARED)),
             singles: Unpacker::default(),
             batches: Unpacker::default(),
             habits: Habits::default(),
@@ -344,22 +346,27 @@ impl CycleIntake {
     /// Paths of the fields in which a body is another content than what is stored under its id. Empty where that cannot be
     /// told: the conflict stands without it.
     async fn differences(&self, machine: &MachineId, json: &Bytes) -> Vec<String> {
-        // Two cycles are held in memory for each, of any length.
-        let Ok(_turn) = self.comparing.acquire().await else { return Vec::new() };
-        // It was taken once: the clock that refuses what lies ahead has only gone on.
-        let Ok(Ok(sent)) = self.decode(machine, Bytes::clone(json), self.clock.now()).await else {
-            return Vec::new();
+        let compared = async {
+            // Two cycles are held in memory for each, of any length.
+            let turn = Arc::clone(&self.comparing).acquire_owned().await.ok()?;
+            // It was taken once: the clock that refuses what lies ahead has only gone on.
+            let sent = self.decode(machine, Bytes::clone(json), self.clock.now()).await.ok()?.ok()?;
+            let store = Arc::clone(&self.store);
+            // A task of its own: what asks the database is never cut off.
+            let asked = tokio::spawn(async move {
+                let paths = store.differences(sent).await;
+                drop(turn);
+                paths
+            });
+            asked.await.ok()
         };
-        let store = Arc::clone(&self.store);
-        // A task of its own: what asks the database is never cut off.
-        let asked = tokio::spawn(async move { store.differences(sent).await });
-        match timeout(PATIENCE, asked).await {
-            Ok(Ok(Ok(paths))) => paths,
-            Ok(Ok(Err(error))) => {
+        match timeout(COMPARING, compared).await {
+            Ok(Some(Ok(paths))) => paths,
+            Ok(Some(Err(error))) => {
                 tracing::warn!(%error, %machine, "what a conflicting cycle differs in is not known");
                 Vec::new()
             }
-            Ok(Err(_)) | Err(_) => Vec::new(),
+            Ok(None) | Err(_) => Vec::new(),
         }
     }
 

@@ -95,7 +95,8 @@ async fn holds(state: &AppState, begun_with: &BegunWith) -> StoreResult<bool> {
     let BegunWith { machine, operation: (operation_id, operation), tool: (tool_id, tool), profile } =
         begun_with;
     let store = &state.store;
-    let Some((around, _)) = store.recent_surroundings(&machine.id, operation_id, tool_id).await? else {
+    // Not what is remembered here: another server may have changed it, which this one learns with its next commit.
+    let Some(around) = store.surroundings(&machine.id, operation_id, tool_id).await? else {
         return Ok(false);
     };
     // Names are for people.

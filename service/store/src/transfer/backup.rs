@@ -55,12 +55,9 @@ fn claim(making: &Path, to: &Path) -> Result<std::fs::File, TransferError> {
     let unusable = |error| io(making, "cannot be made", &error);
     let busy = || file(to, "is being made by another process; nothing was written");
     let mut claimed = for_owner().truncate(false).open(making).map_err(unusable)?;
-    match claimed.try_lock() {
-        Ok(()) => {}
-        Err(TryLockError::WouldBlock) => return Err(busy()),
-        // Not every file system has locks.
-        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
-        Err(TryLockError::Error(error)) => return Err(unusable(error)),
+    // Not every file system has locks; where there are none, two are not told from each other.
+    if let Err(TryLockError::WouldBlock) = claimed.try_lock() {
+        return Err(busy());
     }
     // Between opening and locking, the other one may have finished, and given the file its name.
     if !making.exists() || to.exists() {
@@ -68,7 +65,9 @@ fn claim(making: &Path, to: &Path) -> Result<std::fs::File, TransferError> {
     }
     let mut head = Vec::new();
     (&mut claimed).take(SQLITE.len() as u64).read_to_end(&mut head).map_err(unusable)?;
-    if !head.is_empty() && head != SQLITE {
+    // SQLite writes the first page last: what it has begun is zeros there.
+    let is_ours = head.len() < SQLITE.len() || head == SQLITE || head.iter().all(|byte| *byte == 0);
+    if !is_ours {
         return Err(file(making, "is in the way, and is nothing that was being made: move it away"));
     }
     discard_beside(making);
@@ -397,11 +396,13 @@ mod tests {
         assert!(why.contains("is being made by another process"), "{why}");
         drop(first);
         // What an interrupted one has left is made anew.
-        std::fs::write(&making, [SQLITE, b"half"].concat()).unwrap();
-        assert_eq!(claim(&making, &to).unwrap().metadata().unwrap().len(), 0);
-        std::fs::write(&making, "precious").unwrap();
+        for left in [[SQLITE, b"half"].concat(), vec![0; 8192], Vec::new()] {
+            std::fs::write(&making, left).unwrap();
+            assert_eq!(claim(&making, &to).unwrap().metadata().unwrap().len(), 0);
+        }
+        std::fs::write(&making, "something precious").unwrap();
         let why = claim(&making, &to).unwrap_err().to_string();
         assert!(why.contains("is in the way"), "{why}");
-        assert_eq!(std::fs::read_to_string(&making).unwrap(), "precious");
+        assert_eq!(std::fs::read_to_string(&making).unwrap(), "something precious");
     }
 }

@@ -164,7 +164,7 @@ proptest! {
         });
         prop_assert_eq!(
             read,
-            one_by_one.ok_or(WireError::LargeInteger(None))
+            one_by_one.ok_or(WireError::LargeInteger(Some(Channel::DepthMm)))
         );
     }
 

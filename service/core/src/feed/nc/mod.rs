@@ -244,11 +244,13 @@ fn down(value: f64) -> f64 {
 
 /// Overrides in percent that neither the profile nor the machine forbids, whole thousandths that contain 100 %.
 ///
-/// A machine's feed limits bound them too: the fastest feed of the profile may only be raised up to the machine's, the
-/// slowest one only be lowered down to it.
+/// Feed limits bound them too: the fastest feed of the profile may only be raised up to its own limit and to the machine's,
+/// the slowest one only be lowered down to the machine's. Below its own least feed a profile may be slowed: whoever brakes
+/// a jammed tool does not stop there.
 fn override_range(profile: &Profile, machine: Option<&FeedLimits>) -> (f64, f64) {
     let limits = profile.limits();
-    let (low, high) = (limits.override_min_percent, limits.override_max_percent);
+    let raised = down(limits.feed_max_mm_min / profile.fastest_mm_min() * 100.0).max(100.0);
+    let (low, high) = (limits.override_min_percent, limits.override_max_percent.min(raised));
     let Some(machine) = machine else { return (low, high) };
     let slowed = up(machine.min_mm_min() / profile.slowest_mm_min() * 100.0);
     let raised = down(machine.max_mm_min() / profile.fastest_mm_min() * 100.0);

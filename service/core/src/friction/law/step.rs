@@ -11,7 +11,7 @@ use crate::friction::filter::LoadFilter;
 pub struct LawSample {
     /// Time since the start of the cycle in ms: samples are told apart and gaps found by it.
     pub time_ms: f64,
-    /// Time since first contact in ms; `None` while the tip is above the work, where the law is off.
+    /// Time since first contact in ms; `None` while the tip is not in the work, where the law is off.
     pub contact_ms: Option<f64>,
     /// Tip depth in mm, if known; only needed where the heating ends at a depth.
     pub depth_mm: Option<f64>,
@@ -231,9 +231,12 @@ impl LawState {
         step.ovr = self.ovr;
     }
 
-    /// Once the heating is over it stays over, even when the tool is drawn back. Above the work nothing is heated yet, and
-    /// a light load there says nothing about the work.
+    /// Once the heating is over it stays over. Out of the work the law is off all the same: a light load there says nothing
+    /// about the work.
     fn is_heating(&mut self, heating: Heating, sample: &LawSample, reasons: &mut Reasons) -> bool {
+        if sample.contact_ms.is_none() {
+            return true;
+        }
         if self.heated {
             return false;
         }

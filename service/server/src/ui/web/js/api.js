@@ -62,7 +62,7 @@ const SHIFT_MS = 12 * 3_600_000;
 /** Whether who signs in again is to stay signed in as long as who was signed in before: a screen on the wall. */
 export let lasting = document.documentElement.dataset.view === "wall";
 /** Who is signed in, and what they may do; the frame hears of it by the event `session`. */
-export const session = () => known ||= get("/v1/session").then((who) => { entered = true; lasting ||= Date.parse(who.expires_at) - Date.now() > SHIFT_MS; dispatchEvent(new CustomEvent("session", { detail: who })); return who; }, (error) => { known = null; if (error.status === 401) return signInFrom(); throw error; });
+export const session = () => known ||= get("/v1/session").then((who) => { entered = true; lasting ||= Date.parse(who.expires_at) - Date.now() > 2 * SHIFT_MS; dispatchEvent(new CustomEvent("session", { detail: who })); return who; }, (error) => { known = null; if (error.status === 401) return signInFrom(); throw error; });
 /** Asks whether the session goes on; where it does not, whoever looks is asked to sign in again. */
 export const stillSignedIn = async () => { try { await get("/v1/session"); } catch (error) { if (error.status !== 401) throw error; await signInAgain(); } };
 /** Whether the session's role may use a route, as in `PUT /v1/tools/{tool}`: the server's table says so. */
