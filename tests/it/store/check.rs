@@ -121,6 +121,8 @@ async fn a_summary_that_is_not_its_cycles_is_named_with_its_columns(given: &Give
         ("mean_spindle_load_percent = mean_spindle_load_percent + 0.001", &["mean_spindle_load_percent"]),
         ("max_spindle_load_depth_mm = 0.75", &["max_spindle_load_depth_mm"]),
         ("max_depth_mm = max_depth_mm + 1", &["max_depth_mm"]),
+        // A value that was chosen, not added up: to the last bit.
+        ("max_depth_mm = max_depth_mm * 1.00000000001", &["max_depth_mm"]),
         ("duration_ms = duration_ms + 1", &["duration_ms"]),
         ("coverage = 0.96", &["coverage"]),
         ("flags = flags + 1", &["flags"]),

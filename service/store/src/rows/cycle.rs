@@ -194,6 +194,11 @@ fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-9 * a.abs().min(b.abs())
 }
 
+/// Whether a quantity is a value of its own, in which the order of adding plays no part.
+fn is_no_sum(name: &str) -> bool {
+    name.starts_with("max_") || name.starts_with("reported_") || name == "spindle_speed_rpm"
+}
+
 /// A row of `cycles` with whether samples are kept for it.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct CycleWithSamples {
@@ -537,6 +542,10 @@ impl CycleRow {
         for name in names.into_iter().filter(|name| same_context || !rests_on_context(name)) {
             let (stored, anew) = (stored.get(name).copied(), anew.get(name).copied());
             let holds = match (stored, anew) {
+                // What was chosen among samples or reported is it to the last bit; a zero has no sign.
+                (Some(stored), Some(anew)) if is_no_sum(name) => {
+                    (stored + 0.0).to_bits() == (anew + 0.0).to_bits()
+                }
                 (Some(stored), Some(anew)) => same(stored, anew),
                 _ => false,
             };

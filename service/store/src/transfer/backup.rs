@@ -87,6 +87,12 @@ fn settle(from: &Path, to: &Path) -> Result<u64, TransferError> {
     std::fs::rename(from, to).map_err(|error| io(to, "cannot be made", &error))?;
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let synced = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
+    // A folder that may be written and not listed cannot be opened: with all of its file system the name is durable too.
+    #[cfg(target_os = "linux")]
+    let synced = synced.or_else(|error| match error.kind() {
+        std::io::ErrorKind::PermissionDenied => Ok(rustix::fs::syncfs(std::fs::File::open(to)?)?),
+        _ => Err(error),
+    });
     synced.map_err(|error| io(folder, "cannot be written", &error))?;
     Ok(bytes)
 }
