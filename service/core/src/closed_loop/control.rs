@@ -277,10 +277,17 @@ pub fn control(
         overload: settings.overload,
     })?;
     let program = program.map(|(program, _)| program.clone());
+    let mut state = LawState::new();
+    if standing.overload_open {
+        // The tool that nobody has looked at may meet the same load again: the law may lower, and not raise.
+        neutral = neutral.without(LoopReason::OverloadUnacknowledged);
+        capped.add(LoopReason::OverloadUnacknowledged);
+        state = state.held();
+    }
     Ok((
         Control::Friction(Box::new(FrictionLoop {
             config,
-            state: LawState::new(),
+            state,
             program,
             feeds_mm_min,
             contact_at_ms: None,
@@ -351,7 +358,7 @@ impl Control {
     /// Goes on in the midst of a cycle whose memory was lost, at the override that the machine says is in force.
     pub fn resume_at(&mut self, in_force_percent: f64) {
         if let Self::Friction(friction) = self {
-            friction.state = LawState::resuming(&friction.config, in_force_percent);
+            friction.state = friction.state.resuming(&friction.config, in_force_percent);
         }
     }
 

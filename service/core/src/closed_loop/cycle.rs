@@ -190,6 +190,7 @@ impl RunningCycle {
     pub fn acknowledge(&mut self) {
         self.control.acknowledge();
         self.neutral = self.neutral.without(LoopReason::OverloadUnacknowledged);
+        self.capped = self.capped.without(LoopReason::OverloadUnacknowledged);
     }
 
     /// Whether an overload of this cycle still holds the override.
@@ -249,7 +250,7 @@ impl RunningCycle {
             quality: reasons.quality(),
             plunge: self.plunge,
             overloaded: self.control.is_overloaded()
-                || self.neutral.contains(LoopReason::OverloadUnacknowledged),
+                || self.standing_reasons().contains(LoopReason::OverloadUnacknowledged),
         }
     }
 

@@ -706,9 +706,18 @@ fn an_overload_that_nobody_has_acknowledged_is_told_with_every_answer() {
     let timing = Timing::Period { period_ms: PERIOD_MS };
     let mut cycle =
         RunningCycle::new(begun(), control, (CHANNELS.to_vec(), timing), (Mode::Advise, settings()));
-    assert!(send(&mut cycle, at(0), 0, &[10.0]).0.overloaded && !cycle.is_overloaded());
+    let low = send(&mut cycle, at(0), 0, &[10.0]).0;
+    assert!(low.overloaded && !cycle.is_overloaded());
+    assert_eq!(low.ovr.percent(), 100.0);
+    // The same load again is answered at once, and what was lowered is not raised.
+    let high: Vec<f64> = (1..20).map(|n| send(&mut cycle, at(n), n, &[55.0]).0.ovr.percent()).collect();
+    let lowered = *high.last().unwrap();
+    assert!(lowered < 100.0 && high.is_sorted_by(|before, after| before >= after), "{high:?}");
+    let held = send(&mut cycle, at(20), 20, &[1.0; 20]).0;
+    assert!(held.ovr.percent() <= lowered && held.reasons.contains(LoopReason::OverloadUnacknowledged));
     cycle.acknowledge();
-    assert!(!send(&mut cycle, at(1), 1, &[10.0]).0.overloaded);
+    let freed = send(&mut cycle, at(40), 40, &[1.0; 20]).0;
+    assert!(!freed.overloaded && freed.ovr.percent() > lowered, "{freed:?}");
 }
 
 #[test]

@@ -55,6 +55,8 @@ pub struct LawState {
     heated: bool,
     settling: u32,
     overloaded: bool,
+    /// An overload of before the cycle holds it too.
+    held: bool,
 }
 
 impl Default for LawState {
@@ -76,14 +78,21 @@ impl LawState {
             heated: false,
             settling: 0,
             overloaded: false,
+            held: false,
         }
+    }
+
+    /// The same held by an overload of before that nobody has acknowledged: the law may lower, and not raise.
+    #[must_use]
+    pub const fn held(self) -> Self {
+        Self { held: true, ..self }
     }
 
     /// The state of a cycle that goes on after its memory was lost, at the override that the machine says is in force:
     /// the lower of 100 % and that, and no rise before `settling_samples` good samples.
     #[must_use]
-    pub fn resuming(config: &LawConfig, in_force_percent: f64) -> Self {
-        let mut state = Self { settling: config.params().settling_samples, ..Self::new() };
+    pub fn resuming(self, config: &LawConfig, in_force_percent: f64) -> Self {
+        let mut state = Self { settling: config.params().settling_samples, held: self.held, ..Self::new() };
         state.ovr = config.params().bounds.clamp(in_force_percent).0.neutral_from();
         state
     }
@@ -128,6 +137,7 @@ impl LawState {
 
     /// Somebody has seen the overload: the law may act again, where the configuration lets it.
     pub const fn acknowledge(&mut self, config: &LawConfig) {
+        self.held = false;
         if matches!(config.params().overload, OverloadHold::UntilAcknowledged { .. }) {
             self.overloaded = false;
         }
@@ -185,8 +195,10 @@ impl LawState {
         if at_the_top {
             reasons.add(Reason::ClampedProfileMax);
         }
-        if self.overloaded {
+        if self.overloaded || self.held {
             wish = wish.min(self.ovr.neutral_from().percent());
+        }
+        if self.overloaded {
             reasons.add(Reason::OverloadHeld);
         }
         if wish > in_force {
