@@ -66,12 +66,12 @@ async fn what_is_changed_while_a_cycle_runs_ends_its_law() {
     let path = served.url("/v1/machines/M1");
     let asked = served.client.get(&path).bearer_auth(&served.token).send().await.unwrap();
     let tag = asked.headers()["etag"].clone();
-    let mut limits: Value = asked.json().await.unwrap();
-    limits["limits"]["override_max_percent"] = json!(110.0);
-    for member in ["id", "version"] {
-        limits.as_object_mut().unwrap().remove(member);
-    }
-    let put = served.client.put(&path).bearer_auth(&served.token).header("if-match", tag).json(&limits);
+    let mut stands: Value = asked.json().await.unwrap();
+    stands["limits"]["override_max_percent"] = json!(110.0);
+    let members = ["name", "control", "ipo_period_ms", "spindle", "feed_drive", "limits"];
+    let narrower: Value =
+        members.map(|member| (member.to_owned(), stands[member].take())).into_iter().collect();
+    let put = served.client.put(&path).bearer_auth(&served.token).header("if-match", tag).json(&narrower);
     let answer = put.send().await.unwrap();
     assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap());
     outdated(&mut machine).await;
