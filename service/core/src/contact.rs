@@ -158,6 +158,8 @@ pub struct ContactStep {
     pub contact_offset_mm: Option<f64>,
     /// Where the load fell back, below the programmed surface, mm.
     pub breakthrough_depth_mm: Option<f64>,
+    /// Whether the tool is on its way out: above its deepest, and above where it was before.
+    pub is_drawn_back: bool,
     /// Why the sample was not judged.
     pub ignored: Option<Ignored>,
 }
@@ -177,8 +179,9 @@ pub struct ContactDetector {
     /// Successive samples for the next event and the position of the first of them.
     run: u32,
     run_from_mm: f64,
-    /// The deepest that the tool has been before this sample, mm.
+    /// The deepest that the tool has been before this sample, and where it was last, mm.
     deepest_mm: f64,
+    last_mm: f64,
     contact_mm: Option<f64>,
     breakthrough_mm: Option<f64>,
 }
@@ -205,6 +208,7 @@ impl ContactDetector {
             run: 0,
             run_from_mm: 0.0,
             deepest_mm: f64::NEG_INFINITY,
+            last_mm: f64::NEG_INFINITY,
             contact_mm: None,
             breakthrough_mm: None,
         }
@@ -230,8 +234,10 @@ impl ContactDetector {
                 Some(why)
             }
         };
+        let is_drawn_back = sample.position_mm < self.deepest_mm && sample.position_mm < self.last_mm;
         if sample.position_mm.is_finite() {
             self.deepest_mm = self.deepest_mm.max(sample.position_mm);
+            self.last_mm = sample.position_mm;
         }
         let surface = self.settings.0.programmed_surface_mm;
         ContactStep {
@@ -240,6 +246,7 @@ impl ContactDetector {
             depth_mm: sample.position_mm.is_finite().then_some(sample.position_mm - surface),
             contact_offset_mm: self.contact_mm.map(|position| position - surface),
             breakthrough_depth_mm: self.breakthrough_mm.map(|position| position - surface),
+            is_drawn_back,
             ignored,
         }
     }

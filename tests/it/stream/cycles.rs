@@ -23,7 +23,7 @@ async fn a_streamed_cycle_is_answered_sample_by_sample_and_stored_as_the_posted_
     let started = machine.start("c1", json!({})).await;
     assert_eq!((&started["type"], &started["override_percent"]), (&json!("started"), &json!(100.0)));
     assert_eq!(started["override_range_percent"], json!([20.0, 150.0]));
-    assert_eq!((&started["mode"], &started["law_version"]), (&json!("advise"), &json!("fac-1")));
+    assert_eq!((&started["mode"], &started["law_version"]), (&json!("advise"), &json!("fac-2")));
     assert_eq!(started["program_hash"].as_str().unwrap().len(), 64);
 
     let mut before = 100.0;

@@ -15,9 +15,10 @@ use crate::units::Process;
 use crate::wear::ToolState;
 
 /// Version of the law and of the envelope around it, part of every answer.
-pub const LOOP_LAW_VERSION: &str = "fac-1";
+pub const LOOP_LAW_VERSION: &str = "fac-2";
 
-/// A tip that is so much above the deepest that it has been is drawn back, mm; less is what a control's position rests at.
+/// A tip that is so much above the deepest that it has been is drawn back, mm: less is no retreat, but how a position is
+/// read and an axis settles.
 const DRAWN_BACK_MM: f64 = 0.5;
 
 /// How the law is set; from the configuration, checked when a cycle begins.
@@ -409,8 +410,8 @@ impl FrictionLoop {
         let before = self.state.ovr();
         let mut step = self.state.step(&self.config, &sample);
         // The law acted: a neutral override stays exactly neutral.
-        if let (Some(_), Some(share)) = (step.correction, self.override_share(seen)) {
-            self.state.keep_within_feed(&self.config, share, before, &mut step);
+        if let (Some(_), Some(permitted)) = (step.correction, self.permitted_percent(seen)) {
+            self.state.keep_within_feed(&self.config, permitted, before, &mut step);
         }
         (step.ovr, step.reasons.into())
     }
@@ -436,7 +437,7 @@ impl FrictionLoop {
 
     /// The overrides, in percent, under which the programmed feed at this depth stays within the permitted feeds; where the
     /// depth is not sampled, anywhere in the program.
-    fn override_share(&self, seen: &Seen) -> Option<(f64, f64)> {
+    fn permitted_percent(&self, seen: &Seen) -> Option<(f64, f64)> {
         let program = self.program.as_ref()?;
         let (slowest, fastest) = match seen.depth_mm {
             Some(depth) => (program.feed_at(depth), program.feed_at(depth)),

@@ -102,10 +102,7 @@ pub struct PlungeLoop {
     settling_samples: u32,
     /// Successive samples that were not judged.
     unjudged: u32,
-    /// The deepest that the tool has been, and where it was last, mm.
-    deepest_mm: f64,
-    last_mm: f64,
-    /// Whether it is on its way out: above its deepest, and above where it was before.
+    /// Whether the tool is on its way out, by the last sample that was judged.
     drawn_back: bool,
     contact_offset_mm: Option<f64>,
     breakthrough_depth_mm: Option<f64>,
@@ -124,8 +121,6 @@ impl PlungeLoop {
             settling: 0,
             settling_samples,
             unjudged: 0,
-            deepest_mm: f64::NEG_INFINITY,
-            last_mm: f64::NEG_INFINITY,
             drawn_back: false,
             contact_offset_mm: None,
             breakthrough_depth_mm: None,
@@ -152,11 +147,7 @@ impl PlungeLoop {
         let is_judged = f64::from(self.unjudged) * self.limits.period_ms <= LONGEST_UNJUDGED_MS;
         // Where no work was found as deep as the drill may bite, either there is none or it was missed.
         let is_expected_in_work = found.depth_mm.is_none_or(|depth| depth > self.limits.allowed_bite_mm);
-        self.drawn_back = seen.depth_mm.is_some_and(|depth| depth < self.deepest_mm && depth < self.last_mm);
-        if let Some(depth) = seen.depth_mm.filter(|depth| depth.is_finite()) {
-            self.deepest_mm = self.deepest_mm.max(depth);
-            self.last_mm = depth;
-        }
+        self.drawn_back = found.is_drawn_back;
         self.in_work = found.event == Some(ContactEvent::Contact) || found.phase == Phase::InWork;
         self.phase = match (found.event, found.phase) {
             (Some(ContactEvent::Contact), _) | (_, Phase::InWork) => PlungePhase::Work,

@@ -96,6 +96,19 @@ fn standing<'a>(machine: &'a Machine, operation: &'a Operation, program: &'a Pro
     }
 }
 
+/// A sample of a plunge.
+const fn plunging(depth_mm: f64, feed_mm_min: f64, load: f64) -> Seen {
+    Seen {
+        time_ms: 0.0,
+        age_ms: 0.0,
+        depth_mm: Some(depth_mm),
+        feed_drive_percent: Some(load),
+        spindle_percent: None,
+        programmed_mm_min: None,
+        actual_mm_min: Some(feed_mm_min),
+    }
+}
+
 /// Feeds of a plunge at 2500 mm/min at most, within those of a machine: in the work, the least, out of the hole.
 fn plunge_limits(work: f64, least: f64, retract: f64, allowed_bite_mm: f64) -> PlungeLimits {
     let limits = FeedLimits::new(1.0, 3000.0, 20.0, 150.0).unwrap();
@@ -530,15 +543,7 @@ fn plunged(samples: impl IntoIterator<Item = (f64, f64, f64)>) -> Vec<(f64, Plun
     let limits = plunge_limits(150.0, 1.0, 3000.0, 0.5);
     let mut plunge = PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
     let each = samples.into_iter().map(|(depth_mm, feed, load)| {
-        let (step, reasons) = plunge.step(&Seen {
-            time_ms: 0.0,
-            age_ms: 0.0,
-            depth_mm: Some(depth_mm),
-            feed_drive_percent: Some(load),
-            spindle_percent: None,
-            programmed_mm_min: None,
-            actual_mm_min: Some(feed),
-        });
+        let (step, reasons) = plunge.step(&plunging(depth_mm, feed, load));
         (depth_mm, step, reasons)
     });
     each.collect()
@@ -735,15 +740,7 @@ fn a_working_feed_that_bites_too_deep_is_run_in_the_work_only() {
     // 0.1 mm within 60 ms: 100 mm/min.
     let plunge = plunge_limits(120.0, 1.0, 3000.0, 0.1);
     let mut plunge = PlungeLoop::new(plunge, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
-    let seen = |depth_mm: f64, load: f64| Seen {
-        time_ms: 0.0,
-        age_ms: 0.0,
-        depth_mm: Some(depth_mm),
-        feed_drive_percent: Some(load),
-        spindle_percent: None,
-        programmed_mm_min: None,
-        actual_mm_min: Some(100.0),
-    };
+    let seen = |depth_mm: f64, load: f64| plunging(depth_mm, 100.0, load);
     let mut phases = Vec::new();
     let mut check = |(step, reasons): (PlungeStep, LoopReasons)| {
         let known = step.contact_offset_mm.is_some();

@@ -246,15 +246,13 @@ impl LawState {
     /// Once the heating is over it stays over. Out of the work the law is off all the same: a light load there says nothing
     /// about the work.
     fn is_heating(&mut self, heating: Heating, sample: &LawSample, reasons: &mut Reasons) -> bool {
-        if sample.contact_ms.is_none() {
-            return true;
-        }
+        let Some(contact_ms) = sample.contact_ms else { return true };
         if self.heated {
             return false;
         }
         self.heated = match heating {
-            Heating::None => sample.contact_ms.is_some(),
-            Heating::Time { ms } => sample.contact_ms.is_some_and(|since| since >= ms),
+            Heating::None => true,
+            Heating::Time { ms } => contact_ms >= ms,
             Heating::Depth { mm } => {
                 let depth = sample.depth_mm.filter(|depth| depth.is_finite());
                 if depth.is_none() {
