@@ -12,9 +12,7 @@ use crate::state::AppState;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::feed::nc::{self, ExportOptions, Stamp};
-use feedwright_core::feed::profile::Profile;
 use feedwright_core::ids::{MachineId, ProfileId};
-use feedwright_core::machine::Machine;
 use feedwright_store::{ProfileSource, profile_hash};
 use http::{HeaderValue, StatusCode, header};
 
@@ -54,7 +52,9 @@ pub(super) async fn export(
         caller.must_be_for(machine.as_str())?;
         let found = state.store.machine(&machine).await?;
         let found = found.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?;
-        within(&found.value, &stored.content)?;
+        // A file of its content alone is for a machine too.
+        nc::within(&stored.content, &found.value.limits)
+            .map_err(|wrong| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, wrong.code, wrong.message))?;
         limits = Some(found.value.limits);
     }
     let name = format!("{id}.v{number}").replace(':', "_");
@@ -77,17 +77,6 @@ pub(super) async fn export(
         .map_err(|error| Problem::internal(error.to_string()))?;
     let kind = HeaderValue::from_static(kind);
     Ok(([(header::CONTENT_TYPE, kind), (header::CONTENT_DISPOSITION, place)], text).into_response())
-}
-
-/// Refuses feeds that the machine does not run.
-fn within(machine: &Machine, profile: &Profile) -> Result<(), Problem> {
-    let (slowest, fastest) = (profile.slowest_mm_min(), profile.fastest_mm_min());
-    let (min, max) = (machine.limits.min_mm_min(), machine.limits.max_mm_min());
-    if fastest <= max && slowest >= min {
-        return Ok(());
-    }
-    let why = format!("runs {slowest} to {fastest} mm/min, the machine {min} to {max} mm/min");
-    Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "outside_machine", why))
 }
 
 /// Drafts a version from what a shop has now: a stepped or linear feed list as CSV, or one hole of a simple program.

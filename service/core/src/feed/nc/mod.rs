@@ -208,8 +208,11 @@ fn rounded(
     if wrong.is_empty() { Ok(ExportOptions { clearance_mm, feed_error, law, machine }) } else { Err(wrong) }
 }
 
-/// Refuses feeds that the machine does not run.
-fn within(profile: &Profile, machine: &FeedLimits) -> Result<(), Violation> {
+/// Refuses a profile with feeds that the machine does not run.
+///
+/// # Errors
+/// `outside_machine`, at `machine`.
+pub fn within(profile: &Profile, machine: &FeedLimits) -> Result<(), Violation> {
     let (slowest, fastest) = (profile.slowest_mm_min(), profile.fastest_mm_min());
     let (min, max) = (machine.min_mm_min(), machine.max_mm_min());
     if min <= slowest && fastest <= max {

@@ -5,10 +5,9 @@
 //! where its reading does not change at all over a stretch that is long beside the way in contact, while the depth goes on
 //! and the other drive shows work, and where it reads exactly 0 although it never did so in the air.
 //!
-//! How long is long was taken from 1800 noisy recordings of the study's three process models at one and two and a half
-//! times their feed, as they are and in steps of 0.1 and of 1 %: with steps of 1 % a feed drive that idles behind its thrust
-//! maximum, while the torque still falls, stands for up to 45 % of the way, and a reading above idle for up to 21 % where
-//! the other drive changes by 0.3 of its peak or more. Such shorter stretches stay in the recording and tell nothing.
+//! How long is long is set so that noisy recordings of the study's process models, as they are and in steps of 0.1 and
+//! of 1 %, are not taken for dead: with steps of 1 % a feed drive that idles behind its thrust maximum, while the torque
+//! still falls, stands still for long. Such shorter stretches stay in the recording and tell nothing.
 
 use super::course::Sample;
 use super::recording::SkipReason;
