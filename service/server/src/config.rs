@@ -699,11 +699,9 @@ impl Config {
             "must be off, error, warn, info, debug or trace, or directives such as info,feedwright_store=debug",
         );
         let headers = self.traces.headers.expose_secret();
-        let named = headers.split(',').filter(|header| !header.trim().is_empty());
+        let mut headers = headers.split(',').filter(|header| !header.trim().is_empty());
         must(
-            named
-                .clone()
-                .all(|header| header.split_once('=').is_some_and(|(name, _)| !name.trim().is_empty())),
+            headers.all(|header| header.split_once('=').is_some_and(|(name, _)| !name.trim().is_empty())),
             "traces.headers",
             "must be name=value, separated by commas",
         );
@@ -718,11 +716,26 @@ fn is_filter(text: &str) -> bool {
     let is_level = |word: &str| LEVELS.iter().any(|level| level.eq_ignore_ascii_case(word));
     // Spans and their fields have commas and signs of their own.
     let has_spans = text.contains('[');
-    let directives = text.split(',').map(str::trim).filter(|directive| !directive.is_empty());
+    let mut directives = text.split(',').map(str::trim).filter(|directive| !directive.is_empty());
     let known = has_spans
-        || directives.into_iter().all(|directive| match directive.rsplit_once('=') {
+        || directives.all(|directive| match directive.rsplit_once('=') {
             Some((target, level)) => !target.trim().is_empty() && is_level(level.trim()),
             None => is_level(directive),
         });
     known && tracing_subscriber::EnvFilter::try_new(text).is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mistyped_level_is_no_filter() {
+        for filter in ["info", "WARN", "info,feedwright_store=debug", "off,", "[span{a=1,b=2}]=debug"] {
+            assert!(is_filter(filter), "{filter}");
+        }
+        for word in ["warning", "banana", "info,verbose", "feedwright_store=loud", "=debug"] {
+            assert!(!is_filter(word), "{word}");
+        }
+    }
 }

@@ -33,3 +33,23 @@ fn is_seen(character: char) -> bool {
 pub fn optional(path: &str, text: Option<&str>, most: usize, wrong: &mut Vec<Violation>) -> Option<String> {
     text.map(|text| required(path, text, most, wrong))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nobody_sees_is_no_text() {
+        let refused = |text: &str| {
+            let mut wrong = Vec::new();
+            required("reason", text, MAX_REASON, &mut wrong);
+            !wrong.is_empty()
+        };
+        for text in ["", "  ", "\u{200b}", "\u{2800}\u{feff} ", "\u{e0041}", "a\nb"] {
+            assert!(refused(text), "{text:?}");
+        }
+        for text in ["a", "\u{200b}a", "ä", "刃", "🔧\u{fe0f}"] {
+            assert!(!refused(text), "{text:?}");
+        }
+    }
+}
