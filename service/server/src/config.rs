@@ -731,7 +731,7 @@ mod tests {
 
     #[test]
     fn a_mistyped_level_is_no_filter() {
-        for filter in ["info", "WARN", "info,feedwright_store=debug", "off,", "[span{a=1,b=2}]=debug"] {
+        for filter in ["info", "WARN", "info,feedwright_store=debug", "off,", "[request{id=7}]=debug"] {
             assert!(is_filter(filter), "{filter}");
         }
         for word in ["warning", "banana", "info,verbose", "feedwright_store=loud", "=debug"] {
