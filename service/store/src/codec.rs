@@ -107,6 +107,7 @@ mod hash;
 pub(crate) mod input;
 mod noise;
 mod overrides;
+pub(crate) mod pack;
 mod predict;
 mod range;
 mod rice;

@@ -192,7 +192,6 @@ impl PostgresStore {
     /// Every question goes to the server.
     const fn block_at_once(
         &self,
-        _statement: &str,
         _machine: &MachineId,
         _id: &CycleId,
     ) -> Option<StoreResult<Option<Vec<u8>>>> {

@@ -19,6 +19,7 @@ mod open;
 mod readers;
 mod writing;
 
+pub(crate) use dialect::insert_blocks;
 pub(crate) use files::{beside, log_left};
 pub(crate) use journal::is_left;
 pub(crate) use open::MIGRATIONS;
@@ -140,17 +141,12 @@ impl SqliteStore {
         self.inner.max_samples
     }
 
-    /// What a statement finds, a block, for a cycle's machine and id, where this thread may read it.
-    fn block_at_once(
-        &self,
-        statement: &str,
-        machine: &MachineId,
-        id: &CycleId,
-    ) -> Option<StoreResult<Option<Vec<u8>>>> {
+    /// The block of a cycle's samples, where this thread may read it.
+    fn block_at_once(&self, machine: &MachineId, id: &CycleId) -> Option<StoreResult<Option<Vec<u8>>>> {
         if self.inner.writing.is_ahead() {
             return None;
         }
-        self.inner.block_reader.read(statement, machine, id)
+        self.inner.block_reader.read(machine, id)
     }
 
     /// A connection that reads what groups do not write: tokens and sessions.

@@ -25,8 +25,18 @@ use crate::error::{StoreError, StoreResult};
 use async_trait::async_trait;
 
 /// Tables that belong to the program and not to the data.
-const LEFT_OUT: [&str; 6] =
-    ["_sqlx_migrations", "write_probe", "last_backup", "backup_sums", "backup_made", "groups_journal"];
+const LEFT_OUT: [&str; 8] = [
+    "_sqlx_migrations",
+    "write_probe",
+    "last_backup",
+    "backup_sums",
+    "backup_made",
+    "groups_journal",
+    "sample_packs",
+    "sample_pack_drops",
+];
+/// The table that the engines have differently: with SQLite several blocks stand in one row of another.
+const SAMPLES: &str = "cycle_samples";
 /// A page of rows is about this large, bytes.
 const PAGE_BYTES: usize = 4 << 20;
 /// Most rows of a page.

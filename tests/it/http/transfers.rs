@@ -108,7 +108,8 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
     succeed(feedwright(&other, &["check"]).output().unwrap());
     // A block that is damaged stays damaged, and stays named.
     let mut conn = tables(&other).await;
-    let zeros = "UPDATE cycle_samples SET block = zeroblob(length(block)) WHERE cycle_id = 'c00007'";
+    let zeros = "UPDATE sample_packs SET blocks = zeroblob(length(blocks))
+                 WHERE pack = (SELECT pack FROM cycle_samples WHERE cycle_id = 'c00007')";
     sqlx::query(zeros).execute(&mut conn).await.unwrap();
     conn.close().await.unwrap();
     for arguments in [&["check"][..], &["check", "--repair"]] {

@@ -420,7 +420,7 @@ async fn damage_is_named_by_its_key(given: &Given) {
     let damage = if given.is_postgres() {
         "UPDATE cycle_samples SET block = decode(repeat('00', length(block)), 'hex') WHERE cycle_id = 'c00005'"
     } else {
-        "UPDATE cycle_samples SET block = zeroblob(length(block)) WHERE cycle_id = 'c00005'"
+        "UPDATE sample_packs SET blocks = CAST(substr(blocks, 1, length(blocks) - 50) || zeroblob(50) AS BLOB)"
     };
     assert_eq!(given.raw(damage).await.unwrap(), 1);
     let found = store.check_cycles(None, 100).await.unwrap();
@@ -693,4 +693,138 @@ async fn a_partition_is_asked_for_after_its_table() {
     }
     other.close().await.unwrap();
     given.done().await;
+}
+
+mod packs {
+    use super::super::given::{Given, Run, at, commit, engineer, machine, shop, stored};
+    use super::{FOR_EVER, days, run};
+    use feedwright_core::cycle::Samples;
+    use feedwright_store::{Precondition, SampleRetention, Store, StoreError};
+
+    const NOW: i64 = 1_000 * super::DAY;
+
+    /// Two machines whose cycles come in the same groups; of one samples are kept for a day, of the other for ever.
+    async fn two_machines(store: &dyn Store) {
+        shop(store).await;
+        store.put_machine(machine("M2"), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+        let day = SampleRetention { days: Some(1), bytes: None };
+        store
+            .put_retention(&"M1".try_into().unwrap(), day, Precondition::Absent, &engineer(), at(0))
+            .await
+            .unwrap();
+        for n in 0..20 {
+            let both = [Run::nth(n), Run { machine: "M2", load: 20.0, ..Run::nth(n) }];
+            let pair = Run { machine: "M2", id: format!("d{n:05}"), load: 40.0, ..Run::nth(n) };
+            for outcome in commit(store, &[both.as_slice(), &[pair]].concat()).await {
+                outcome.unwrap();
+            }
+        }
+    }
+
+    async fn samples_of(store: &dyn Store, machine: &str, cycle: &str) -> Option<Samples> {
+        let (machine, cycle) = (machine.try_into().unwrap(), cycle.try_into().unwrap());
+        store.cycle_samples(&machine, &cycle).await.unwrap()
+    }
+
+    async fn packs(given: &Given) -> (i64, i64) {
+        let packs = given.numbers("SELECT COUNT(*) FROM sample_packs").await[0];
+        let bytes = given.numbers("SELECT COALESCE(SUM(length(blocks)), 0) FROM sample_packs").await[0];
+        (packs, bytes)
+    }
+
+    #[tokio::test]
+    async fn what_is_dropped_goes_out_of_its_packs_and_nothing_else_does() {
+        let given = Given::sqlite().await;
+        let store = given.store();
+        let store = &*store;
+        two_machines(store).await;
+        let (all, before) = packs(&given).await;
+        assert_eq!(all, 20, "one for each group");
+        let mut kept = Vec::new();
+        for n in 0..20 {
+            for cycle in [format!("c{n:05}"), format!("d{n:05}")] {
+                let samples = samples_of(store, "M2", &cycle).await.unwrap();
+                kept.push((cycle, samples));
+            }
+        }
+        let (decided, dropped) = run(store, FOR_EVER, NOW).await;
+        assert_eq!((decided, dropped.cycles), (1, 20));
+        let (packs_left, after) = packs(&given).await;
+        assert_eq!(packs_left, 20);
+        assert_eq!(i64::try_from(dropped.bytes).unwrap(), before - after, "what is dropped takes no room");
+        assert_eq!(given.numbers("SELECT COUNT(*) FROM sample_pack_drops").await, [0]);
+        for (cycle, samples) in &kept {
+            assert_eq!(samples_of(store, "M2", cycle).await.as_ref(), Some(samples), "{cycle}");
+        }
+        assert_eq!(samples_of(store, "M1", "c00003").await, None);
+        let checked = store.check_cycles(None, 100).await.unwrap();
+        assert_eq!((checked.dropped, checked.faults.as_slice()), (20, [].as_slice()));
+        assert_eq!(store.check_tables().await.unwrap(), []);
+        // The rest goes, and so do the packs; what comes then has its own.
+        let forty = run(store, days(1), NOW).await.1.cycles;
+        assert_eq!((forty, packs(&given).await), (40, (0, 0)));
+        stored(store, &Run { seconds: NOW, ..Run::nth(50) }).await;
+        assert!(samples_of(store, "M1", "c00050").await.is_some());
+        assert_eq!(store.check_tables().await.unwrap(), []);
+        given.done().await;
+    }
+
+    /// A run that breaks off between dropping and tidying leaves it to the next one, and is no fault.
+    #[tokio::test]
+    async fn what_is_left_in_packs_goes_at_the_next_run() {
+        let given = Given::sqlite().await;
+        let store = given.store();
+        let store = &*store;
+        two_machines(store).await;
+        let (all, before) = packs(&given).await;
+        store.decide_drops(FOR_EVER, at(NOW)).await.unwrap();
+        while store.drop_some(7).await.unwrap().cycles > 0 {}
+        // That step found nothing to drop, and tidied: what is dropped from here on is not yet.
+        assert!(packs(&given).await.1 < before);
+        assert_eq!(
+            given.raw("DELETE FROM cycle_samples WHERE machine_id = 'M2' AND cycle_id < 'd'").await.unwrap(),
+            20
+        );
+        assert_eq!(given.numbers("SELECT COUNT(*) FROM sample_pack_drops").await, [20]);
+        assert_eq!(store.check_tables().await.unwrap(), []);
+        assert_eq!(run(store, FOR_EVER, NOW).await, (0, super::Dropped::default()));
+        assert_eq!(given.numbers("SELECT COUNT(*) FROM sample_pack_drops").await, [0]);
+        let (packs_left, after) = packs(&given).await;
+        assert!(packs_left == all && after < before / 2, "{after} of {before}");
+        for n in 0..20 {
+            assert!(samples_of(store, "M2", &format!("d{n:05}")).await.is_some(), "{n}");
+        }
+        given.done().await;
+    }
+
+    #[tokio::test]
+    async fn a_pack_that_is_damaged_is_told_of_each_of_its_cycles_and_one_of_none_by_its_number() {
+        let given = Given::sqlite().await;
+        let store = given.store();
+        let store = &*store;
+        two_machines(store).await;
+        // In the lengths of what is in it.
+        let damage = "UPDATE sample_packs
+             SET blocks = CAST(substr(blocks, 1, 4) || x'01' || substr(blocks, 6) AS BLOB)
+             WHERE pack = (SELECT pack FROM cycle_samples WHERE cycle_id = 'd00004')";
+        assert_eq!(given.raw(damage).await.unwrap(), 1);
+        let checked = store.check_cycles(None, 100).await.unwrap();
+        let keys: Vec<_> = checked.faults.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+        assert_eq!(keys, [("samples", "M1/c00004"), ("samples", "M2/c00004"), ("samples", "M2/d00004")]);
+        assert!(checked.faults[0].detail.contains("its checksum differs"), "{:?}", checked.faults[0]);
+        let (machine, cycle) = ("M2".try_into().unwrap(), "d00004".try_into().unwrap());
+        let read = store.cycle_samples(&machine, &cycle).await;
+        assert!(matches!(read, Err(StoreError::Damaged { .. })), "{read:?}");
+        // What cannot be read is not written anew either.
+        run(store, FOR_EVER, NOW).await;
+        assert_eq!(packs(&given).await.0, 20);
+        assert_eq!(
+            given.raw("INSERT INTO sample_packs (pack, blocks) VALUES (99, x'4642')").await.unwrap(),
+            1
+        );
+        let strays = store.check_tables().await.unwrap();
+        let strays: Vec<_> = strays.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+        assert_eq!(strays, [("samples", "pack 99")]);
+        given.done().await;
+    }
 }

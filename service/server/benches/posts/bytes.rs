@@ -28,7 +28,7 @@ pub(crate) async fn tell() {
     .fetch_all(&mut conn)
     .await
     .expect("pages by table");
-    let blocks: i64 = sqlx::query_scalar("SELECT SUM(length(block)) FROM cycle_samples")
+    let blocks: i64 = sqlx::query_scalar("SELECT SUM(bytes) FROM cycle_samples")
         .fetch_one(&mut conn)
         .await
         .expect("blocks");

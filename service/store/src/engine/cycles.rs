@@ -1,6 +1,6 @@
 //! Cycles and their samples: rows in and out.
 
-use super::{Conn, Db};
+use super::{Conn, Db, dialect};
 use crate::codec;
 use crate::error::StoreResult;
 use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
@@ -44,20 +44,6 @@ async fn row(conn: &mut Conn, machine: &MachineId, id: &CycleId) -> StoreResult<
     Ok(query.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
 }
 
-/// The block of a cycle's samples. Each row by its whole key: PostgreSQL has the time of receipt before it looks into any
-/// partition, and so looks into one; of a join it would have to try all of them.
-pub(super) const BLOCK: &str = "SELECT block FROM cycle_samples WHERE machine_id = $1 AND cycle_id = $2
-     AND received_at_us = (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)";
-
-pub(super) async fn block(
-    conn: &mut Conn,
-    machine: &MachineId,
-    id: &CycleId,
-) -> StoreResult<Option<Vec<u8>>> {
-    let query = sqlx::query_scalar::<Db, _>(BLOCK).bind(machine.as_str()).bind(id.as_str());
-    Ok(query.fetch_optional(&mut *conn).await?)
-}
-
 /// What was reported of a cycle's cut.
 pub(super) async fn cut(
     conn: &mut Conn,
@@ -97,7 +83,7 @@ pub(super) async fn content(
     let Some(CycleWithSamples { cycle, .. }) = row(conn, machine, id).await? else {
         return Ok(None);
     };
-    let (cut, block) = (cut(conn, machine, id).await?, block(conn, machine, id).await?);
+    let (cut, block) = (cut(conn, machine, id).await?, dialect::block(conn, machine, id).await?);
     Ok(Some(Content { row: cycle, cut, block }))
 }
 

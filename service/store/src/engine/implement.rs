@@ -486,9 +486,9 @@ impl Store for Engine {
     }
 
     async fn cycle_columns(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<Columns>> {
-        let block = match self.block_at_once(cycles::BLOCK, machine, id) {
+        let block = match self.block_at_once(machine, id) {
             Some(block) => block?,
-            None => read!(self, |conn| cycles::block(conn, machine, id).await)?,
+            None => read!(self, |conn| dialect::block(conn, machine, id).await)?,
         };
         let max_samples = self.max_samples();
         match block {

@@ -179,11 +179,13 @@ async fn size_horizon(
     let newest = now.micros().saturating_add(CLOCK_AHEAD_US);
     let (mut at, mut cycle, mut sum) = (newest, String::new(), 0_u64);
     loop {
-        let page: Vec<(i64, String, i64)> = sqlx::query_as::<Db, _>(
-            "SELECT received_at_us, cycle_id, CAST(length(block) AS BIGINT) FROM cycle_samples
+        let page: Vec<(i64, String, i64)> = sqlx::query_as::<Db, _>(concat!(
+            "SELECT received_at_us, cycle_id, ",
+            dialect::block_bytes!(),
+            " FROM cycle_samples
              WHERE machine_id = $1 AND received_at_us <= $2 AND (received_at_us, cycle_id) < ($2, $3)
              ORDER BY received_at_us DESC, cycle_id DESC LIMIT $4",
-        )
+        ))
         .bind(machine.as_str())
         .bind(at)
         .bind(&cycle)
@@ -251,7 +253,8 @@ pub(super) async fn decide(
     }))
 }
 
-/// Deletes the next few samples that decisions name; says how many, and whether there may be more.
+/// Deletes the next few samples that decisions name, and when none are left what they leave in packs; says how many, and
+/// whether there may be more.
 pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropped> {
     // Whoever drops a partition has locked that, and asks for the table; this asks for the table, and then for its partitions.
     dialect::lock(conn, &Locks::subject("partitions", "")).await?;
@@ -263,16 +266,19 @@ pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropp
     )
     .fetch_optional(&mut *conn)
     .await?;
-    let Some(machine) = machine else { return Ok(Dropped::default()) };
+    let Some(machine) = machine else {
+        return Ok(Dropped { more: dialect::tidy(conn).await?, ..Dropped::default() });
+    };
     dialect::lock(conn, &Locks::subject("retention", &machine)).await?;
     // Read under the lock: what stood before it may have been taken back by whoever had it.
     let before = dropped_before(conn, &machine).await?;
-    let lengths: Vec<i64> = sqlx::query_scalar::<Db, _>(
+    let lengths: Vec<i64> = sqlx::query_scalar::<Db, _>(concat!(
         "DELETE FROM cycle_samples WHERE machine_id = $1 AND (machine_id, received_at_us, cycle_id) IN (
              SELECT machine_id, received_at_us, cycle_id FROM cycle_samples
              WHERE machine_id = $1 AND received_at_us < $2 ORDER BY received_at_us, cycle_id LIMIT $3)
-         RETURNING CAST(length(block) AS BIGINT)",
-    )
+         RETURNING ",
+        dialect::block_bytes!(),
+    ))
     .bind(&machine)
     .bind(before)
     .bind(i64::from(most))

@@ -6,7 +6,7 @@ mod tables;
 
 pub(super) use tables::tables;
 
-use super::{Conn, Db, cycles, retention};
+use super::{Conn, Db, cycles, dialect, retention};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{CheckPage, EncodedCycle, NewCycle, StoreFault};
@@ -59,7 +59,13 @@ pub(super) async fn page(
             fault("cycle", "its key is no identifier".to_owned());
             continue;
         };
-        let block = cycles::block(conn, &machine, &cycle).await?;
+        let block = match dialect::block(conn, &machine, &cycle).await {
+            Err(StoreError::Damaged { what }) => {
+                fault("samples", what);
+                continue;
+            }
+            block => block?,
+        };
         let dropped = block.is_none() && row.sample_count > 0;
         if dropped {
             let received = Timestamp::from_micros(row.received_at_us);

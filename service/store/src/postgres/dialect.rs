@@ -10,6 +10,7 @@ use super::{Conn, Writer};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::StoreFault;
+use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
 
 /// Months for which partitions of samples are kept ready, the present one included.
@@ -30,6 +31,40 @@ pub(super) async fn age_horizon(conn: &mut Conn, at_us: i64) -> StoreResult<i64>
     .bind(at_us)
     .fetch_one(&mut *conn)
     .await?)
+}
+
+/// The block of a cycle's samples. Each row by its whole key: the server has the time of receipt before it looks into any
+/// partition, and so looks into one; of a join it would have to try all of them.
+pub(super) async fn block(
+    conn: &mut Conn,
+    machine: &MachineId,
+    id: &CycleId,
+) -> StoreResult<Option<Vec<u8>>> {
+    let block = sqlx::query_scalar(
+        "SELECT block FROM cycle_samples WHERE machine_id = $1 AND cycle_id = $2
+         AND received_at_us = (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)",
+    );
+    Ok(block.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
+}
+
+/// How long the block of a row of `cycle_samples` is.
+macro_rules! block_bytes {
+    () => {
+        "CAST(length(block) AS BIGINT)"
+    };
+}
+pub(super) use block_bytes;
+
+/// A row has its block to itself, and goes with it.
+#[expect(clippy::unused_async, reason = "the other engine has packs")]
+pub(super) async fn tidy(_conn: &mut Conn) -> StoreResult<bool> {
+    Ok(false)
+}
+
+/// There are no packs.
+#[expect(clippy::unused_async, reason = "the other engine has packs")]
+pub(super) async fn stray_packs(_conn: &mut Conn, _most: i64) -> StoreResult<Vec<StoreFault>> {
+    Ok(Vec::new())
 }
 
 /// Drops the oldest partition that had ended by then and of which nothing is kept; says what it held by machine: cycles and bytes. It waits for no

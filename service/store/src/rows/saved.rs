@@ -1,10 +1,12 @@
 //! Rows that a group writes many of at once.
 
 use super::{AdviceBody, CycleRow, count, float};
+use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{AlarmKind, IssuedRecommendation};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::wear::{Level, LevelBasis, MOST_LEVEL, Remaining};
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
@@ -25,7 +27,7 @@ pub(crate) struct SavedWear {
     pub(crate) version: i64,
 }
 
-/// A row of `cycle_samples`.
+/// A row of `cycle_samples`, with its block.
 #[derive(Debug)]
 pub(crate) struct BlockRow<'a> {
     pub(crate) machine_id: String,
@@ -40,15 +42,29 @@ pub(crate) const MOST_BLOCK_BYTES: usize = 256 << 20;
 impl<'a> BlockRow<'a> {
     /// Refuses a block that is empty or too long.
     pub(crate) fn of(cycle: &CycleRow, block: &'a [u8]) -> StoreResult<Self> {
+        let key = (cycle.machine_id.clone(), cycle.received_at_us, cycle.cycle_id.clone());
+        Self::checked(key, block)
+    }
+
+    /// The same of a machine, a receipt and a cycle.
+    pub(crate) fn checked(
+        (machine_id, received_at_us, cycle_id): (String, i64, String),
+        block: &'a [u8],
+    ) -> StoreResult<Self> {
         if !(1..=MOST_BLOCK_BYTES).contains(&block.len()) {
             return Err(StoreError::Refused { constraint: "cycle_samples_block_length".to_owned() });
         }
-        Ok(Self {
-            machine_id: cycle.machine_id.clone(),
-            received_at_us: cycle.received_at_us,
-            cycle_id: cycle.cycle_id.clone(),
-            block,
-        })
+        Ok(Self { machine_id, received_at_us, cycle_id, block })
+    }
+
+    /// How long the block is, as its column has it.
+    pub(crate) fn bytes(&self) -> i64 {
+        i64::try_from(self.block.len()).unwrap_or(i64::MAX)
+    }
+
+    /// The pack of the blocks of some rows.
+    pub(crate) fn pack(rows: &[Self]) -> Cow<'a, [u8]> {
+        pack::pack(&rows.iter().map(|row| row.block).collect::<Vec<_>>())
     }
 }
 

@@ -5,7 +5,9 @@
 //! it would have served waits with it. So only one reads like this at a time, and nobody for a while after a read that had to
 //! wait: then the disk is slow, or what is asked for is old.
 
+use super::dialect::{BLOCK, place};
 use super::open::SETTINGS;
+use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::ids::{CycleId, MachineId};
 use rusqlite::{Connection, OpenFlags, OptionalExtension};
@@ -48,14 +50,9 @@ impl BlockReader {
         Ok(Self { reader: Mutex::new(Some(Reader { conn, wary_until: None })) })
     }
 
-    /// What `statement` finds, a block, for a cycle's machine and id; `None` where this thread is not to wait for it, as
+    /// The block of a cycle's samples; `None` where this thread is not to wait for it, as
     /// where somebody else is reading, and after the end.
-    pub(super) fn read(
-        &self,
-        statement: &str,
-        machine: &MachineId,
-        id: &CycleId,
-    ) -> Option<StoreResult<Option<Vec<u8>>>> {
+    pub(super) fn read(&self, machine: &MachineId, id: &CycleId) -> Option<StoreResult<Option<Vec<u8>>>> {
         let mut reader = match self.reader.try_lock() {
             Ok(reader) => reader,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -67,10 +64,14 @@ impl BlockReader {
             return None;
         }
         let read = || {
-            let mut statement = conn.prepare_cached(statement)?;
-            statement.query_row([machine.as_str(), id.as_str()], |row| row.get(0)).optional()
+            let mut statement = conn.prepare_cached(BLOCK)?;
+            let block = statement.query_row([machine.as_str(), id.as_str()], |row| {
+                let (blocks, at) = (row.get_ref(0)?.as_blob()?, row.get(1)?);
+                Ok(place(at).and_then(|place| pack::block(blocks, place).map(<[u8]>::to_vec)))
+            });
+            block.optional()?.transpose()
         };
-        let block = read().map_err(StoreError::from);
+        let block = read();
         *wary_until = (begun.elapsed() > WAITED).then(|| Instant::now() + WARY);
         match block {
             Err(StoreError::Unavailable(_)) => None,

@@ -2,12 +2,15 @@
 
 mod assumed;
 mod many;
+mod samples;
 
 pub(super) use super::group_writer::Assumption;
 pub(super) use assumed::{MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
+pub(crate) use many::insert_blocks;
 pub(super) use many::{
-    BLOCKS, CYCLES, RECOMMENDATIONS, insert_cycles, insert_recommendations, save_wear, write_rest,
+    CYCLES, PLACES, RECOMMENDATIONS, insert_cycles, insert_recommendations, save_wear, write_rest,
 };
+pub(super) use samples::{BLOCK, PACK, block, packs, place, stray_packs, tidy};
 
 use super::{Conn, Writer};
 use crate::error::StoreResult;
@@ -113,6 +116,14 @@ pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     out.push(']');
     out
 }
+
+/// How long the block of a row of `cycle_samples` is.
+macro_rules! block_bytes {
+    () => {
+        "bytes"
+    };
+}
+pub(super) use block_bytes;
 
 /// A failed commit is never tried again: after a failed fsync the pages may be gone.
 pub(super) const COMMIT_ATTEMPTS: u32 = 1;

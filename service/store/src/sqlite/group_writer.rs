@@ -7,7 +7,7 @@
 #[cfg(test)]
 mod tests;
 
-use super::dialect::{BLOCKS, CYCLES, RECOMMENDATIONS};
+use super::dialect::{CYCLES, PACK, PLACES, RECOMMENDATIONS, packs};
 use super::engine::Heads;
 use super::group_folds::Folds;
 use super::journal::Journal;
@@ -440,9 +440,13 @@ fn insert_cycles(run: &mut Run<'_>, rows: &[Arc<CycleRow>]) -> rusqlite::Result<
 }
 
 fn insert_blocks(run: &mut Run<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<()> {
-    let mut statement = run.prepare(BLOCKS.one())?;
-    for row in rows {
-        run!(run, &mut statement, &row.machine_id, row.received_at_us, &row.cycle_id, row.block)?;
+    let (mut pack, mut place) = (run.prepare(PACK)?, run.prepare(PLACES.one())?);
+    for rows in packs(rows) {
+        run!(run, &mut pack, &*BlockRow::pack(rows))?;
+        for (at, row) in (0_i64..).zip(rows) {
+            let (machine, cycle) = (&row.machine_id, &row.cycle_id);
+            run!(run, &mut place, machine, row.received_at_us, cycle, at, row.bytes())?;
+        }
     }
     Ok(())
 }

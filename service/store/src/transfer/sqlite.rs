@@ -1,9 +1,12 @@
 //! A SQLite file as a side of a transfer.
 
-use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, quoted};
-use crate::error::StoreResult;
-use crate::sqlite::MIGRATIONS;
+use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, quoted};
+use crate::codec::pack;
+use crate::error::{StoreError, StoreResult};
+use crate::rows::BlockRow;
+use crate::sqlite::{MIGRATIONS, insert_blocks};
 use async_trait::async_trait;
+use futures_util::TryStreamExt;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow, SqliteSynchronous};
 use sqlx::{ConnectOptions, Connection, QueryBuilder, Row as _, Sqlite};
 use std::path::Path;
@@ -65,6 +68,57 @@ fn value(row: &SqliteRow, at: usize, kind: Kind) -> Result<Value, sqlx::Error> {
     })
 }
 
+/// The table of samples as the other engine has it, in which each row has its block.
+fn samples() -> Result<Table, TransferError> {
+    let columns = [
+        ("machine_id", Kind::Text),
+        ("received_at_us", Kind::Whole),
+        ("cycle_id", Kind::Text),
+        (BLOCK, Kind::Bytes),
+    ];
+    let key = ["machine_id", "received_at_us", "cycle_id"].map(str::to_owned);
+    Table::checked(SAMPLES.to_owned(), columns.map(|(name, kind)| (name.to_owned(), kind)).into(), &key)
+}
+
+const BLOCK: &str = "block";
+
+/// Asks for the columns of a table: in place of the block of a row of samples its pack, and behind the last column its place.
+fn select(table: &Table) -> String {
+    let names = table.columns.iter().map(|(name, _)| name.as_str());
+    if table.name != SAMPLES {
+        return format!("SELECT {} FROM \"{}\"", quoted(names, ""), table.name);
+    }
+    let names = quoted(names.map(|name| if name == BLOCK { "blocks" } else { name }), "");
+    format!("SELECT {names}, place FROM \"{SAMPLES}\" LEFT JOIN sample_packs USING (pack)")
+}
+
+/// The row with its block instead of its pack.
+fn with_block(table: &Table, mut row: Row, of: &SqliteRow) -> StoreResult<Row> {
+    let damaged =
+        || StoreError::Damaged { what: format!("{SAMPLES} {}: its pack is not there", table.show_key(&row)) };
+    let at = table.place(BLOCK).unwrap_or_default();
+    let Some(Value::Bytes(blocks)) = row.get(at) else { return Err(damaged()) };
+    let place = crate::rows::number("place", of.try_get::<i64, _>(table.columns.len())?)?;
+    row[at] = Value::Bytes(pack::block(blocks, place)?.to_vec());
+    Ok(row)
+}
+
+/// A row of samples as groups write it.
+fn block_row<'r>(table: &Table, row: &'r Row) -> StoreResult<BlockRow<'r>> {
+    let value = |name| table.place(name).and_then(|at| row.get(at));
+    match [value("machine_id"), value("received_at_us"), value("cycle_id"), value(BLOCK)] {
+        [
+            Some(Value::Text(machine)),
+            Some(Value::Whole(received)),
+            Some(Value::Text(cycle)),
+            Some(Value::Bytes(block)),
+        ] => BlockRow::checked((machine.clone(), *received, cycle.clone()), block),
+        _ => Err(StoreError::Damaged {
+            what: format!("{SAMPLES} {}: a value is missing", table.show_key(row)),
+        }),
+    }
+}
+
 fn bind(to: &mut sqlx::query_builder::Separated<'_, Sqlite, &'static str>, value: &Value) {
     match value {
         Value::Null => to.push_bind(None::<i64>),
@@ -99,6 +153,10 @@ impl Side for SqliteSide {
                     .bind(&name)
                     .fetch_all(&mut self.conn)
                     .await?;
+            if name == SAMPLES {
+                tables.push(samples()?);
+                continue;
+            }
             let key: Vec<String> =
                 columns.iter().filter(|(_, _, pk)| *pk > 0).map(|(column, _, _)| column.clone()).collect();
             let typed = columns.into_iter().map(|(column, declared, _)| match kind(&declared) {
@@ -125,9 +183,8 @@ impl Side for SqliteSide {
         until: Option<&Row>,
         limit: usize,
     ) -> StoreResult<Vec<Row>> {
-        let names = table.columns.iter().map(|(name, _)| name.as_str());
         let key = quoted(table.key.iter().map(|&at| table.columns[at].0.as_str()), "");
-        let mut query = QueryBuilder::new(format!("SELECT {} FROM \"{}\"", quoted(names, ""), table.name));
+        let mut query = QueryBuilder::new(select(table));
         for (bound, sign, word) in
             [(after, ">", " WHERE "), (until, "<=", if after.is_some() { " AND " } else { " WHERE " })]
         {
@@ -137,11 +194,15 @@ impl Side for SqliteSide {
             }
         }
         query.push(format!(" ORDER BY {key} LIMIT {limit}"));
-        let rows = query.build().persistent(false).fetch_all(&mut self.conn).await?;
-        let read = |row: &SqliteRow| {
-            table.columns.iter().enumerate().map(|(at, (_, kind))| value(row, at, *kind)).collect()
-        };
-        Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
+        // One by one: what comes of samples is a pack, of which a row takes its block.
+        let mut found = query.build().persistent(false).fetch(&mut self.conn);
+        let mut rows = Vec::new();
+        while let Some(row) = found.try_next().await? {
+            let columns = table.columns.iter().enumerate();
+            let values = columns.map(|(at, (_, kind))| value(&row, at, *kind)).collect::<Result<Row, _>>()?;
+            rows.push(if table.name == SAMPLES { with_block(table, values, &row)? } else { values });
+        }
+        Ok(rows)
     }
 
     async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>> {
@@ -171,6 +232,12 @@ impl Side for SqliteSide {
     }
 
     async fn insert(&mut self, table: &Table, rows: &[&Row]) -> StoreResult<()> {
+        if table.name == SAMPLES {
+            let blocks = rows.iter().map(|row| block_row(table, row)).collect::<StoreResult<Vec<_>>>()?;
+            let mut transaction = self.conn.begin_with("BEGIN IMMEDIATE").await?;
+            insert_blocks(&mut transaction, &blocks).await?;
+            return Ok(transaction.commit().await?);
+        }
         let names = quoted(table.columns.iter().map(|(name, _)| name.as_str()), "");
         let mut query = QueryBuilder::new(format!("INSERT INTO \"{}\" ({names}) VALUES ", table.name));
         for (at, row) in rows.iter().enumerate() {
@@ -200,8 +267,13 @@ impl Side for SqliteSide {
     async fn clear(&mut self, table: &Table) -> StoreResult<()> {
         let there: Vec<Row> = self.rows(table, None, None, 1).await?;
         if !there.is_empty() {
-            let mut query = QueryBuilder::<Sqlite>::new(format!("DELETE FROM \"{}\"", table.name));
-            query.build().persistent(false).execute(&mut self.conn).await?;
+            // In this order: what is left of packs when it breaks off is known to be of no cycle.
+            let of_packs: &[&str] =
+                if table.name == SAMPLES { &["sample_packs", "sample_pack_drops"] } else { &[] };
+            for name in std::iter::once(table.name.as_str()).chain(of_packs.iter().copied()) {
+                let mut query = QueryBuilder::<Sqlite>::new(format!("DELETE FROM \"{name}\""));
+                query.build().persistent(false).execute(&mut self.conn).await?;
+            }
         }
         Ok(())
     }

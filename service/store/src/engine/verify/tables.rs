@@ -40,6 +40,7 @@ pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFa
     let of_none = |(machine, cycle)| format!("{machine}/{cycle}");
     let strays = strays.into_iter().map(of_none);
     faults.extend(strays.map(|key| fault("samples", key, "they belong to no cycle")));
+    faults.extend(dialect::stray_packs(conn, most).await?);
     // Overrides of a stream do not: they are there before their cycle, which may have gone to quarantine.
     let cuts: Vec<(String, String)> = sqlx::query_as::<Db, _>(
         "SELECT k.machine_id, k.cycle_id FROM cycle_cuts k WHERE NOT EXISTS (

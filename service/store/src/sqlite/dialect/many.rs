@@ -10,6 +10,7 @@
 
 use super::assumed::{BEGIN, versions_text};
 use super::list;
+use super::samples::{PACK, packs};
 use crate::codec::zeros;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
@@ -137,20 +138,41 @@ pub(super) async fn begin_and_insert(
     Ok(())
 }
 
-pub(in crate::sqlite) static BLOCKS: LazyLock<Statements> = LazyLock::new(|| {
-    let head = "INSERT OR FAIL INTO cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ";
-    Statements::new(head, "(?,?,?,?)", "")
+/// Says where blocks are in the pack that was added last: a table without row numbers of its own does not change which that is.
+pub(in crate::sqlite) static PLACES: LazyLock<Statements> = LazyLock::new(|| {
+    let head = "INSERT OR FAIL INTO cycle_samples (machine_id, received_at_us, cycle_id, pack, place, bytes) VALUES ";
+    Statements::new(head, "(?,?,?,last_insert_rowid(),?,?)", "")
 });
 
-fn bind_blocks(mut query: Query, rows: &[BlockRow<'_>]) -> Query {
-    for row in rows {
+fn bind_pack(query: Query, rows: &[BlockRow<'_>]) -> Query {
+    query.bind(BlockRow::pack(rows).into_owned())
+}
+
+/// The first of these rows is at that place.
+fn bind_places(mut query: Query, rows: &[BlockRow<'_>], first: i64) -> Query {
+    for (place, row) in (first..).zip(rows) {
         query = query
             .bind(row.machine_id.clone())
             .bind(row.received_at_us)
             .bind(row.cycle_id.clone())
-            .bind(row.block.to_vec());
+            .bind(place)
+            .bind(row.bytes());
     }
     query
+}
+
+/// Inserts the blocks of cycles. In a transaction: another pack may not come between one and its places.
+pub(crate) async fn insert_blocks(conn: &mut Conn, rows: &[BlockRow<'_>]) -> StoreResult<()> {
+    for pack in packs(rows) {
+        bind_pack(sqlx::query(PACK), pack).execute(&mut *conn).await?;
+        let (mut left, mut first) = (pack, 0);
+        while let Some((text, rows, later)) = PLACES.first(left) {
+            left = later;
+            bind_places(sqlx::query(text), rows, first).execute(&mut *conn).await?;
+            first = first.saturating_add_unsigned(rows.len() as u64);
+        }
+    }
+    Ok(())
 }
 
 static WEAR: LazyLock<Statements> = LazyLock::new(|| {
@@ -254,11 +276,12 @@ fn unconfirmed(error: sqlx::Error) -> StoreError {
     }
 }
 
-/// Blocks, folds and recommendations of as many rows each, and [`COMMIT`]; parameters are numbered on from statement to
-/// statement.
+/// A pack of blocks, folds and recommendations of as many rows each, and [`COMMIT`]; parameters are numbered on from statement
+/// to statement.
 static REST: LazyLock<[&'static str; SIZES.len()]> = LazyLock::new(|| {
     let text = |at: usize| -> &'static str {
-        format!("{}; {}; {}; {COMMIT}", BLOCKS.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]).leak()
+        let (places, wear, issued) = (PLACES.texts[at], WEAR.texts[at], RECOMMENDATIONS.texts[at]);
+        format!("{PACK}; {places}; {wear}; {issued}; {COMMIT}").leak()
     };
     std::array::from_fn(text)
 });
@@ -267,11 +290,13 @@ static REST: LazyLock<[&'static str; SIZES.len()]> = LazyLock::new(|| {
 fn as_many_each(rest: &Rest<'_>) -> Option<&'static str> {
     let rows = rest.issued.len();
     let place = SIZES.iter().position(|size| *size == rows)?;
-    (rest.blocks.len() == rows && rest.wear.len() == rows).then(|| REST[place])
+    let is_one_pack = packs(&rest.blocks).next().is_some_and(|pack| pack.len() == rows);
+    (rest.blocks.len() == rows && is_one_pack && rest.wear.len() == rows).then(|| REST[place])
 }
 
 fn bind_rest(query: Query, rest: &Rest<'_>, now: Timestamp) -> Query {
-    bind_recommendations(bind_wear(bind_blocks(query, &rest.blocks), &rest.wear, now), &rest.issued)
+    let query = bind_places(bind_pack(query, &rest.blocks), &rest.blocks, 0);
+    bind_recommendations(bind_wear(query, &rest.wear, now), &rest.issued)
 }
 
 /// Writes the rest of a group and commits it.
@@ -285,11 +310,7 @@ pub(in crate::sqlite) async fn write_rest(
         query.fetch_one(&mut *conn).await.map_err(unconfirmed)?;
         return Ok(Written::whole());
     }
-    let mut left = rest.blocks.as_slice();
-    while let Some((text, rows, later)) = BLOCKS.first(left) {
-        left = later;
-        bind_blocks(sqlx::query(text), rows).execute(&mut *conn).await?;
-    }
+    insert_blocks(conn, &rest.blocks).await?;
     save_wear(conn, &rest.wear, now).await?;
     insert_recommendations(conn, &rest.issued).await?;
     sqlx::query(COMMIT).fetch_one(&mut *conn).await.map_err(unconfirmed)?;

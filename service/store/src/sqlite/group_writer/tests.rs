@@ -220,12 +220,19 @@ fn what_tables_are_checked_against_is_held_before() {
     ];
     assert_eq!(others, by_type);
 
-    let block = format!("CHECK (length(block) BETWEEN 1 AND {})", crate::rows::MOST_BLOCK_BYTES);
-    let samples = "SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = 'cycle_samples'";
-    let samples: String = writer.conn.query_row(samples, (), |row| row.get(0)).unwrap();
-    assert!(samples.contains(&block), "{samples}");
+    // Packs are of blocks that are no longer together than each may be alone.
+    let blocks = format!("CHECK (length(blocks) BETWEEN 1 AND {})", crate::rows::MOST_BLOCK_BYTES);
+    let packs = "SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = 'sample_packs'";
+    let packs: String = writer.conn.query_row(packs, (), |row| row.get(0)).unwrap();
+    assert!(packs.contains(&blocks), "{packs}");
+    let (ranges, others) = checks(&writer.conn, "cycle_samples");
+    let held =
+        [("bytes", 1, crate::rows::MOST_BLOCK_BYTES), ("place", 0, crate::codec::pack::MOST_PLACES - 1)];
+    #[expect(clippy::cast_precision_loss, reason = "far less than 2^52")]
+    let held = held.map(|(column, least, most)| (column.to_owned(), f64::from(least), most as f64));
+    assert_eq!((ranges.as_slice(), others.len()), (held.as_slice(), 0));
     for (table, by_type) in [
-        ("cycle_samples", vec!["cycle_samples_block_length"]),
+        ("sample_packs", vec!["sample_packs_blocks_length"]),
         ("advices", vec!["advices_advice_hash_length"]),
         (
             "alarms",
