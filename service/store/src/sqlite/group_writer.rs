@@ -503,7 +503,7 @@ fn insert_recommendations(run: &mut Run<'_>, rows: &[IssuedRow]) -> rusqlite::Re
             &row.recommendation_id,
             row.advice.hash.as_slice(),
             row.issued_at_us,
-            row.valid_until_us,
+            row.valid_for_us,
             row.level_as_run,
             row.level_lowest,
             row.level_highest,

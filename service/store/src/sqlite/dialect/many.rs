@@ -214,7 +214,7 @@ pub(in crate::sqlite) async fn save_wear(
 
 pub(in crate::sqlite) static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
     Statements::new(
-        "INSERT OR FAIL INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
+        "INSERT OR FAIL INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_for_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
              data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
          VALUES ",
@@ -229,7 +229,7 @@ fn bind_recommendations(mut query: Query, rows: &[IssuedRow]) -> Query {
             .bind(row.recommendation_id.clone())
             .bind(row.advice.hash.to_vec())
             .bind(row.issued_at_us)
-            .bind(row.valid_until_us)
+            .bind(row.valid_for_us)
             .bind(row.level_as_run)
             .bind(row.level_lowest)
             .bind(row.level_highest)
