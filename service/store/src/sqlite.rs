@@ -11,10 +11,12 @@ mod dialect;
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
 mod files;
+mod group_blocks;
 mod group_folds;
 mod group_thread;
 mod group_writer;
 mod journal;
+mod kept;
 mod open;
 mod readers;
 mod writing;
@@ -22,6 +24,7 @@ mod writing;
 pub(crate) use dialect::insert_blocks;
 pub(crate) use files::{beside, log_left};
 pub(crate) use journal::is_left;
+pub(crate) use kept::{Cell, Form, is_kept_for_another};
 pub(crate) use open::MIGRATIONS;
 pub use open::SqliteOptions;
 
@@ -54,7 +57,7 @@ pub(crate) async fn take_up(path: &Path) -> StoreResult<()> {
 }
 
 /// Free pages (8 MiB) that are left to be used again.
-const PAGES_KEPT_FREE: i64 = 1024;
+const PAGES_KEPT_FREE: i64 = 2048;
 
 /// The store in one SQLite file. Clones share it.
 #[derive(Debug, Clone)]

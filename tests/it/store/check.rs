@@ -141,7 +141,7 @@ async fn a_summary_that_is_not_its_cycles_is_named_with_its_columns(given: &Give
         // What is stored is put back by what it was.
         for statement in [
             "CREATE TABLE kept AS SELECT * FROM cycles WHERE cycle_id = 'c00003'".to_owned(),
-            format!("UPDATE cycles SET {change} WHERE cycle_id = 'c00003'"),
+            given.change(&format!("{change} WHERE cycle_id = 'c00003'")),
         ] {
             given.raw(AssertSqlSafe(statement)).await.unwrap();
         }
@@ -152,15 +152,25 @@ async fn a_summary_that_is_not_its_cycles_is_named_with_its_columns(given: &Give
             assert!(detail.contains(column), "{change}: {detail}");
         }
         assert_eq!(found.doubtful, BTreeSet::from(["T1".try_into().unwrap()]), "{change}");
+        let columns = [
+            "rated_power_joules",
+            "operator_override_percent",
+            "quantities",
+            "mean_spindle_load_percent",
+            "max_spindle_load_depth_mm",
+            "max_depth_mm",
+            "duration_ms",
+            "coverage",
+            "flags",
+            "energy_scale",
+            "depth_digest",
+        ];
+        let columns = columns.map(|column| given.kept_in(column)).join(", ");
         for statement in [
-            "UPDATE cycles SET (rated_power_joules, operator_override_percent, quantities, mean_spindle_load_percent,
-                 max_spindle_load_depth_mm, max_depth_mm, duration_ms, coverage, flags, energy_scale, depth_digest) =
-             (SELECT rated_power_joules, operator_override_percent, quantities, mean_spindle_load_percent,
-                 max_spindle_load_depth_mm, max_depth_mm, duration_ms, coverage, flags, energy_scale, depth_digest
-              FROM kept) WHERE cycle_id = 'c00003'",
-            "DROP TABLE kept",
+            format!("UPDATE cycles SET ({columns}) = (SELECT {columns} FROM kept) WHERE cycle_id = 'c00003'"),
+            "DROP TABLE kept".to_owned(),
         ] {
-            given.raw(statement).await.unwrap();
+            given.raw(AssertSqlSafe(statement)).await.unwrap();
         }
         assert_eq!(told(&checked(&*store).await), [], "{change}");
     }
@@ -189,16 +199,17 @@ async fn a_number_that_is_not_finite_is_named_like_any_other(given: &Given) {
         given.raw(*statement).await.unwrap();
     }
     for column in ["rated_power_joules", "mean_spindle_load_percent", "coverage"] {
+        let kept_in = given.kept_in(column);
         given
             .raw(AssertSqlSafe(format!(
-                "CREATE TABLE kept AS SELECT {column} AS was FROM cycles WHERE cycle_id = 'c00003'"
+                "CREATE TABLE kept AS SELECT {kept_in} AS was FROM cycles WHERE cycle_id = 'c00003'"
             )))
             .await
             .unwrap();
         for number in numbers {
             let unchecked = if given.is_postgres() { "" } else { "PRAGMA ignore_check_constraints = ON; " };
             let change =
-                format!("{unchecked}UPDATE cycles SET {column} = {number} WHERE cycle_id = 'c00003'");
+                format!("{unchecked}UPDATE cycles SET {kept_in} = {number} WHERE cycle_id = 'c00003'");
             given.raw(AssertSqlSafe(change)).await.unwrap();
             let found = checked(&*store).await;
             let [("summary", "M1/c00003", detail)] = told(&found)[..] else {
@@ -207,7 +218,7 @@ async fn a_number_that_is_not_finite_is_named_like_any_other(given: &Given) {
             assert!(detail.contains(column), "{number}: {detail}");
             assert_eq!(found.doubtful, BTreeSet::from(["T1".try_into().unwrap()]), "{column} {number}");
         }
-        let back = format!("UPDATE cycles SET {column} = (SELECT was FROM kept) WHERE cycle_id = 'c00003'");
+        let back = format!("UPDATE cycles SET {kept_in} = (SELECT was FROM kept) WHERE cycle_id = 'c00003'");
         given.raw(AssertSqlSafe(back)).await.unwrap();
         given.raw("DROP TABLE kept").await.unwrap();
         assert_eq!(told(&checked(&*store).await), [], "{column}");
@@ -329,10 +340,10 @@ async fn what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_th
     for (change, faults) in [
         ("mean_spindle_load_percent = 31 WHERE cycle_id = 'c00001'", &["M1/c00001"][..]),
         ("flags = flags + 1 WHERE cycle_id = 'c00003'", &["M1/c00001", "M1/c00003"]),
-        ("rated_power_joules = 1 WHERE cycle_id = 'c00002'", &["M1/c00001", "M1/c00003"]),
-        ("rated_power_joules = 1 WHERE cycle_id = 'c00006'", &["M1/c00001", "M1/c00003", "M1/c00006"]),
+        ("rated_power_joules = 1.0 WHERE cycle_id = 'c00002'", &["M1/c00001", "M1/c00003"]),
+        ("rated_power_joules = 1.0 WHERE cycle_id = 'c00006'", &["M1/c00001", "M1/c00003", "M1/c00006"]),
     ] {
-        given.raw(AssertSqlSafe(format!("UPDATE cycles SET {change}"))).await.unwrap();
+        given.raw(AssertSqlSafe(given.change(change))).await.unwrap();
         let found = checked(&*store).await;
         let keys: Vec<_> = told(&found).into_iter().map(|(_, key, _)| key).collect();
         assert_eq!(keys, faults, "{change}");
@@ -358,7 +369,7 @@ async fn whatever_clock_registered_an_operation_its_cycles_are_sound(given: &Giv
     assert_eq!((told(&found), found.unverified), (vec![], 0));
     for (cycle, change) in [("c00001", "- 1"), ("c00002", "+ 1")] {
         let change =
-            format!("UPDATE cycles SET max_depth_mm = max_depth_mm {change} WHERE cycle_id = '{cycle}'");
+            given.change(&format!("max_depth_mm = max_depth_mm {change} WHERE cycle_id = '{cycle}'"));
         given.raw(AssertSqlSafe(change)).await.unwrap();
     }
     let found = checked(&*store).await;

@@ -109,6 +109,21 @@ impl Given {
         Arc::clone(&self.store)
     }
 
+    /// Where a number of `cycles` is written: SQLite reads some out of columns that keep them shorter.
+    pub(crate) fn kept_in(&self, column: &str) -> String {
+        let is_shorter =
+            ["rated_power_joules", "reported_energy_joules", "max_depth_mm", "max_spindle_load_depth_mm"]
+                .contains(&column);
+        let ending = if is_shorter && !self.is_postgres() { "_stored" } else { "" };
+        format!("{column}{ending}")
+    }
+
+    /// A change of a row of `cycles`, `column = expression`, as it is written.
+    pub(crate) fn change(&self, change: &str) -> String {
+        let (column, expression) = change.split_once(" = ").expect("an assignment");
+        format!("UPDATE cycles SET {} = {expression}", self.kept_in(column))
+    }
+
     /// Runs a statement on the tables themselves, as any other client of the database might.
     pub(crate) async fn raw(&self, sql: impl sqlx::SqlSafeStr) -> Result<u64, sqlx::Error> {
         match &self.place {

@@ -410,12 +410,12 @@ async fn damage_is_named_by_its_key(given: &Given) {
     let clean = store.check_cycles(None, 100).await.unwrap();
     assert_eq!((clean.checked, clean.faults.as_slice()), (6, [].as_slice()));
     for statement in [
-        "DELETE FROM cycle_samples WHERE cycle_id = 'c00002'",
-        "UPDATE cycles SET reported_energy_joules = reported_energy_joules + 1 WHERE cycle_id = 'c00006'",
-        "UPDATE cycles SET sample_count = 21 WHERE cycle_id = 'c00003'",
-        "UPDATE cycle_samples SET cycle_id = 'stray' WHERE cycle_id = 'c00004'",
+        "DELETE FROM cycle_samples WHERE cycle_id = 'c00002'".to_owned(),
+        given.change("reported_energy_joules = reported_energy_joules + 1.0 WHERE cycle_id = 'c00006'"),
+        "UPDATE cycles SET sample_count = 21 WHERE cycle_id = 'c00003'".to_owned(),
+        "UPDATE cycle_samples SET cycle_id = 'stray' WHERE cycle_id = 'c00004'".to_owned(),
     ] {
-        given.raw(statement).await.unwrap();
+        given.raw(sqlx::AssertSqlSafe(statement)).await.unwrap();
     }
     let damage = if given.is_postgres() {
         "UPDATE cycle_samples SET block = decode(repeat('00', length(block)), 'hex') WHERE cycle_id = 'c00005'"
@@ -699,7 +699,7 @@ mod packs {
     use super::super::given::{Given, Run, at, commit, engineer, machine, shop, stored};
     use super::{FOR_EVER, days, run};
     use feedwright_core::cycle::Samples;
-    use feedwright_store::{Precondition, SampleRetention, Store, StoreError};
+    use feedwright_store::{Precondition, SampleRetention, SqliteOptions, Store, StoreError};
 
     const NOW: i64 = 1_000 * super::DAY;
 
@@ -721,6 +721,11 @@ mod packs {
         }
     }
 
+    /// Groups that come at once would share their packs.
+    async fn each_group_alone() -> Given {
+        Given::sqlite_with(SqliteOptions { alone: false, ..SqliteOptions::default() }).await
+    }
+
     async fn samples_of(store: &dyn Store, machine: &str, cycle: &str) -> Option<Samples> {
         let (machine, cycle) = (machine.try_into().unwrap(), cycle.try_into().unwrap());
         store.cycle_samples(&machine, &cycle).await.unwrap()
@@ -734,7 +739,7 @@ mod packs {
 
     #[tokio::test]
     async fn what_is_dropped_goes_out_of_its_packs_and_nothing_else_does() {
-        let given = Given::sqlite().await;
+        let given = each_group_alone().await;
         let store = given.store();
         let store = &*store;
         two_machines(store).await;
@@ -772,7 +777,7 @@ mod packs {
     /// A run that breaks off between dropping and tidying leaves it to the next one, and is no fault.
     #[tokio::test]
     async fn what_is_left_in_packs_goes_at_the_next_run() {
-        let given = Given::sqlite().await;
+        let given = each_group_alone().await;
         let store = given.store();
         let store = &*store;
         two_machines(store).await;
@@ -799,7 +804,7 @@ mod packs {
 
     #[tokio::test]
     async fn a_pack_that_is_damaged_is_told_of_each_of_its_cycles_and_one_of_none_by_its_number() {
-        let given = Given::sqlite().await;
+        let given = each_group_alone().await;
         let store = given.store();
         let store = &*store;
         two_machines(store).await;
@@ -825,6 +830,24 @@ mod packs {
         let strays = store.check_tables().await.unwrap();
         let strays: Vec<_> = strays.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
         assert_eq!(strays, [("samples", "pack 99")]);
+        given.done().await;
+    }
+
+    #[tokio::test]
+    async fn groups_of_one_transaction_share_packs() {
+        let later = std::time::Duration::from_secs(30);
+        let options = SqliteOptions { alone: true, commit_after: later, ..SqliteOptions::default() };
+        let given = Given::sqlite_with(options).await;
+        let store = given.store();
+        let store = &*store;
+        two_machines(store).await;
+        // Who reads has everything committed.
+        assert!(samples_of(store, "M2", "d00019").await.is_some());
+        let (all, _) = packs(&given).await;
+        assert!(all < 20, "{all} packs of twenty groups");
+        assert_eq!(given.numbers("SELECT COUNT(*) FROM cycle_samples").await, [60]);
+        let checked = store.check_cycles(None, 100).await.unwrap();
+        assert_eq!((checked.checked, checked.faults.as_slice()), (60, [].as_slice()));
         given.done().await;
     }
 }

@@ -153,17 +153,31 @@ async fn the_tables_refuse_what_is_no_number(given: &Given) {
     shop(&*store).await;
     stored(&*store, &Run::nth(1)).await;
     // 9e999 is infinity in SQLite and out of range in PostgreSQL; what SQLite makes of NaN is NULL.
-    let attempts: [&'static str; 6] = [
-        "UPDATE cycles SET coverage = 9e999",
-        "UPDATE cycles SET coverage = NULL",
-        "UPDATE cycles SET max_depth_mm = 9e999",
-        "UPDATE cycles SET max_depth_mm = NULL",
-        "UPDATE cycles SET rated_power_joules = -9e999",
-        "UPDATE machines SET feed_max_mm_min = 9e999",
+    let changes = [
+        "coverage = 9e999",
+        "coverage = NULL",
+        "max_depth_mm = 9e999",
+        "max_depth_mm = NULL",
+        "rated_power_joules = -9e999",
     ];
-    for attempt in attempts {
-        let refused = given.raw(attempt).await;
-        assert!(matches!(refused, Err(sqlx::Error::Database(_))), "{attempt}: {refused:?}");
+    let other = "UPDATE machines SET feed_max_mm_min = 9e999".to_owned();
+    for attempt in changes.map(|change| given.change(change)).into_iter().chain([other]) {
+        let refused = given.raw(sqlx::AssertSqlSafe(attempt.clone())).await;
+        let Err(sqlx::Error::Database(refused)) = refused else { panic!("{attempt}: {refused:?}") };
+        let refused = refused.message().to_ascii_lowercase();
+        assert!(
+            ["constraint", "out of range"].iter().any(|word| refused.contains(word)),
+            "{attempt}: {refused}"
+        );
+    }
+    if !given.is_postgres() {
+        // Neither in words, nor beyond it as what is kept shorter.
+        for attempt in ["'much'", "9000000000000000", "x'00'"]
+            .map(|value| given.change(&format!("max_depth_mm = {value}")))
+        {
+            let refused = given.raw(sqlx::AssertSqlSafe(attempt.clone())).await.unwrap_err().to_string();
+            assert!(refused.contains("cycles_max_depth_mm_range"), "{attempt}: {refused}");
+        }
     }
     if given.is_postgres() {
         let nan: [&'static str; 3] = [

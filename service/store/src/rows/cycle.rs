@@ -320,6 +320,21 @@ impl CycleRow {
         Ok(row)
     }
 
+    /// A part of an energy, by the name of its column.
+    pub(crate) fn energy_part(&self, column: &str) -> Option<f64> {
+        match column {
+            "dynamometer_spindle_joules" => self.dynamometer_spindle_joules,
+            "dynamometer_feed_drive_joules" => self.dynamometer_feed_drive_joules,
+            "calibrated_spindle_joules" => self.calibrated_spindle_joules,
+            "calibrated_feed_drive_joules" => self.calibrated_feed_drive_joules,
+            "measured_power_spindle_joules" => self.measured_power_spindle_joules,
+            "measured_power_feed_drive_joules" => self.measured_power_feed_drive_joules,
+            "rated_power_spindle_joules" => self.rated_power_spindle_joules,
+            "rated_power_feed_drive_joules" => self.rated_power_feed_drive_joules,
+            _ => None,
+        }
+    }
+
     /// The same, to be stored: refuses numbers out of their ranges.
     pub(crate) fn in_range(self) -> StoreResult<Self> {
         match self.out_of_range() {

@@ -33,7 +33,7 @@ pub(crate) struct BlockRow<'a> {
     pub(crate) machine_id: String,
     pub(crate) received_at_us: i64,
     pub(crate) cycle_id: String,
-    pub(crate) block: &'a [u8],
+    pub(crate) block: Cow<'a, [u8]>,
 }
 
 /// Longest block that is kept, bytes. The tables are checked against the same.
@@ -54,7 +54,7 @@ impl<'a> BlockRow<'a> {
         if !(1..=MOST_BLOCK_BYTES).contains(&block.len()) {
             return Err(StoreError::Refused { constraint: "cycle_samples_block_length".to_owned() });
         }
-        Ok(Self { machine_id, received_at_us, cycle_id, block })
+        Ok(Self { machine_id, received_at_us, cycle_id, block: Cow::Borrowed(block) })
     }
 
     /// How long the block is, as its column has it.
@@ -63,8 +63,18 @@ impl<'a> BlockRow<'a> {
     }
 
     /// The pack of the blocks of some rows.
-    pub(crate) fn pack(rows: &[Self]) -> Cow<'a, [u8]> {
-        pack::pack(&rows.iter().map(|row| row.block).collect::<Vec<_>>())
+    pub(crate) fn pack(rows: &[Self]) -> Cow<'_, [u8]> {
+        pack::pack(&rows.iter().map(|row| &*row.block).collect::<Vec<_>>())
+    }
+
+    /// The same with a block of its own.
+    pub(crate) fn to_owned(&self) -> BlockRow<'static> {
+        BlockRow {
+            machine_id: self.machine_id.clone(),
+            received_at_us: self.received_at_us,
+            cycle_id: self.cycle_id.clone(),
+            block: Cow::Owned(self.block.to_vec()),
+        }
     }
 }
 

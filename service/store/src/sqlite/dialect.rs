@@ -8,7 +8,7 @@ pub(super) use super::group_writer::Assumption;
 pub(super) use assumed::{MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
 pub(crate) use many::insert_blocks;
 pub(super) use many::{
-    CYCLES, PLACES, RECOMMENDATIONS, insert_cycles, insert_recommendations, save_wear, write_rest,
+    CYCLES, PLACES, RECOMMENDATIONS, insert_cycles, insert_recommendations, kept_cell, save_wear, write_rest,
 };
 pub(super) use samples::{BLOCK, PACK, block, packs, place, stray_packs, tidy};
 

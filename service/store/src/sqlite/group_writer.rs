@@ -7,8 +7,9 @@
 #[cfg(test)]
 mod tests;
 
-use super::dialect::{CYCLES, PACK, PLACES, RECOMMENDATIONS, packs};
+use super::dialect::{CYCLES, PACK, PLACES, RECOMMENDATIONS, kept_cell};
 use super::engine::Heads;
+use super::group_blocks::Blocks;
 use super::group_folds::Folds;
 use super::journal::Journal;
 use super::open::{SETTINGS, is_durable};
@@ -56,6 +57,8 @@ pub(super) struct GroupWriter {
     stuck: bool,
     /// What those groups have counted: a fold that each of them changes is written once, before the commit.
     folds: Folds,
+    /// The blocks that they brought, of which packs are made before the commit.
+    blocks: Blocks,
 }
 
 /// What a group rests on that takes these heads for granted: they are held against the database in the transaction that
@@ -106,6 +109,7 @@ impl GroupWriter {
             dirty: false,
             stuck: false,
             folds: Folds::default(),
+            blocks: Blocks::default(),
         })
     }
 
@@ -199,11 +203,12 @@ impl GroupWriter {
             journal.begin(&self.conn)?;
         }
         insert_cycles(&mut run, cycles)?;
-        insert_blocks(&mut run, &rest.blocks)?;
+        note_blocks(&mut run, &rest.blocks)?;
         note_wear(&mut run, &rest.wear, now)?;
         change_alarms(&mut run, &rest.alarms, now)?;
         insert_advices(&mut run, rest.with_new_advice())?;
         insert_recommendations(&mut run, &rest.issued)?;
+        self.blocks.add(&rest.blocks);
         Ok(true)
     }
 
@@ -218,6 +223,7 @@ impl GroupWriter {
             match journal.append() {
                 Ok(()) => {
                     self.folds.keep(assumption, wear, now);
+                    self.blocks.keep();
                     self.groups += 1;
                     self.cycles += cycles;
                     self.ahead.store(true, Ordering::Release);
@@ -246,6 +252,7 @@ impl GroupWriter {
         }
         let rolled_back =
             if self.conn.is_autocommit() { Ok(()) } else { self.conn.execute_batch("ROLLBACK") };
+        self.blocks.take_back();
         let outcome = rolled_back.map_err(StoreError::from).and_then(|()| self.resume());
         // Otherwise whoever comes next takes it back, or runs them again.
         self.dirty = !self.conn.is_autocommit() && outcome.is_err();
@@ -290,6 +297,7 @@ impl GroupWriter {
     /// Commits the transaction that is open, with the folds that were counted in it, those of its last group included.
     fn end(&mut self, last: Option<(&[Arc<SavedWear>], Timestamp)>) -> StoreResult<()> {
         self.folds.save(&self.conn, last)?;
+        self.blocks.save(&self.conn)?;
         // A record that may be on the disk is of an epoch that is over, also where it could not be relied on.
         let journal = self.journal.as_mut().filter(|journal| journal.is_touched());
         if let Some(journal) = &journal {
@@ -301,6 +309,7 @@ impl GroupWriter {
         }
         (self.groups, self.cycles) = (0, 0);
         self.folds.forget();
+        self.blocks.forget();
         self.ahead.store(false, Ordering::Release);
         // What a disk refused once is not tried again.
         self.journal.take_if(|journal| journal.has_failed());
@@ -432,21 +441,25 @@ fn insert_cycles(run: &mut Run<'_>, rows: &[Arc<CycleRow>]) -> rusqlite::Result<
     let mut statement = run.prepare(CYCLES.one())?;
     for row in rows {
         macro_rules! insert_row {
-            ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => { run!(run, &mut statement, $(&row.$column,)*) };
+            ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => { run!(run, &mut statement, $(kept_cell!(row, $column),)*) };
         }
         cycle_columns!(insert_row)?;
     }
     Ok(())
 }
 
-fn insert_blocks(run: &mut Run<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<()> {
-    let (mut pack, mut place) = (run.prepare(PACK)?, run.prepare(PLACES.one())?);
-    for rows in packs(rows) {
-        run!(run, &mut pack, &*BlockRow::pack(rows))?;
-        for (at, row) in (0_i64..).zip(rows) {
-            let (machine, cycle) = (&row.machine_id, &row.cycle_id);
-            run!(run, &mut place, machine, row.received_at_us, cycle, at, row.bytes())?;
-        }
+/// Notes blocks for who takes the journal up, each as a pack of its own. They are written before the commit.
+fn note_blocks(run: &mut Run<'_>, rows: &[BlockRow<'_>]) -> rusqlite::Result<()> {
+    let Some(journal) = &mut run.journal else { return Ok(()) };
+    for row in rows {
+        journal.stands_for(PACK)?;
+        journal.value(&*BlockRow::pack(std::slice::from_ref(row)))?;
+        journal.stands_for(PLACES.one())?;
+        journal.value(row.machine_id.as_str())?;
+        journal.value(&row.received_at_us)?;
+        journal.value(row.cycle_id.as_str())?;
+        journal.value(&0)?;
+        journal.value(&row.bytes())?;
     }
     Ok(())
 }

@@ -24,9 +24,9 @@ pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../mi
 /// A checkpoint that restarts the log holds up the writer while it waits for readers: no longer than this.
 const CHECKPOINT_PATIENCE: Duration = Duration::from_millis(20);
 
-/// A page of new files, bytes. A commit writes whole pages, and most of those that a cycle changes are its machine's own;
-/// but blocks of a kilobyte and more, and folds of several, leave more of smaller pages empty.
-const PAGE_BYTES: u32 = 8192;
+/// A page of new files, bytes. A commit writes whole pages, and most of those that a cycle changes are its machine's own; and what
+/// has next to nothing in it has a page. Packs of blocks are cut so that they fill such pages.
+const PAGE_BYTES: u32 = 4096;
 
 /// What stays, in bytes, of a log that a long reader or a migration made longer: usually it is begun anew long before,
 /// and a small disk has its space back.

@@ -4,7 +4,7 @@ use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, quo
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::BlockRow;
-use crate::sqlite::{MIGRATIONS, insert_blocks};
+use crate::sqlite::{Cell, Form, MIGRATIONS, insert_blocks, is_kept_for_another};
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow, SqliteSynchronous};
@@ -53,6 +53,8 @@ fn kind(declared: &str) -> Option<Kind> {
     match declared.to_ascii_uppercase().as_str() {
         "INTEGER" | "INT" => Some(Kind::Whole),
         "REAL" => Some(Kind::Float),
+        // Of cycles, where it is a number that is kept shorter.
+        "ANY" => Some(Kind::Float),
         "TEXT" => Some(Kind::Text),
         "BLOB" => Some(Kind::Bytes),
         _ => None,
@@ -103,6 +105,29 @@ fn with_block(table: &Table, mut row: Row, of: &SqliteRow) -> StoreResult<Row> {
     Ok(row)
 }
 
+const CYCLES: &str = "cycles";
+
+/// A row of cycles as its columns keep it.
+fn kept(table: &Table, row: &Row) -> Row {
+    let part = |name: &'static str| match table.place(name).and_then(|at| row.get(at)) {
+        Some(Value::Float(value)) => Some(*value),
+        _ => None,
+    };
+    let columns = table.columns.iter().zip(row);
+    let kept = columns.map(|((name, _), value)| {
+        let cell = match value {
+            Value::Float(value) => Cell::Float(*value),
+            Value::Text(text) => Cell::Text(text),
+            other => return other.clone(),
+        };
+        match cell.kept(Form::of(name), part) {
+            Cell::Whole(value) => Value::Whole(value),
+            _ => value.clone(),
+        }
+    });
+    kept.collect()
+}
+
 /// A row of samples as groups write it.
 fn block_row<'r>(table: &Table, row: &'r Row) -> StoreResult<BlockRow<'r>> {
     let value = |name| table.place(name).and_then(|at| row.get(at));
@@ -149,7 +174,8 @@ impl Side for SqliteSide {
         let mut tables = Vec::new();
         for name in names.into_iter().filter(|name| !LEFT_OUT.contains(&name.as_str())) {
             let columns: Vec<(String, String, i64)> =
-                sqlx::query_as("SELECT name, type, pk FROM pragma_table_info($1) ORDER BY pk")
+                // With those that are made of others, and without those.
+                sqlx::query_as("SELECT name, type, pk FROM pragma_table_xinfo($1) ORDER BY pk")
                     .bind(&name)
                     .fetch_all(&mut self.conn)
                     .await?;
@@ -157,6 +183,10 @@ impl Side for SqliteSide {
                 tables.push(samples()?);
                 continue;
             }
+            let columns: Vec<_> = columns
+                .into_iter()
+                .filter(|(column, ..)| !(name == CYCLES && is_kept_for_another(column)))
+                .collect();
             let key: Vec<String> =
                 columns.iter().filter(|(_, _, pk)| *pk > 0).map(|(column, _, _)| column.clone()).collect();
             let typed = columns.into_iter().map(|(column, declared, _)| match kind(&declared) {
@@ -238,13 +268,22 @@ impl Side for SqliteSide {
             insert_blocks(&mut transaction, &blocks).await?;
             return Ok(transaction.commit().await?);
         }
-        let names = quoted(table.columns.iter().map(|(name, _)| name.as_str()), "");
+        let kept_in = |name: &str| match table.name.as_str() {
+            CYCLES => Form::of(name).kept_in(name),
+            _ => name.to_owned(),
+        };
+        let names: Vec<String> = table.columns.iter().map(|(name, _)| kept_in(name)).collect();
+        let names = quoted(names.iter().map(String::as_str), "");
         let mut query = QueryBuilder::new(format!("INSERT INTO \"{}\" ({names}) VALUES ", table.name));
         for (at, row) in rows.iter().enumerate() {
             if at > 0 {
                 query.push(", ");
             }
-            tuple(&mut query, row);
+            if table.name == CYCLES {
+                tuple(&mut query, &kept(table, row));
+            } else {
+                tuple(&mut query, row);
+            }
         }
         query.build().persistent(false).execute(&mut self.conn).await?;
         Ok(())

@@ -58,7 +58,7 @@ async fn insert_blocks(conn: &mut Conn, rows: &[BlockRow<'_>]) -> StoreResult<()
     .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.received_at_us).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.cycle_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.block).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| &*row.block).collect::<Vec<_>>())
     .execute(&mut *conn)
     .await?;
     Ok(())

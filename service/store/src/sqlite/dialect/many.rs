@@ -16,6 +16,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
 use crate::sqlite::group_writer::Assumption;
+use crate::sqlite::kept::{Cell, Form};
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
@@ -51,26 +52,18 @@ impl Statements {
     }
 }
 
-macro_rules! cycles_head {
+macro_rules! cycles_names {
     ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
-        concat!(
-            "INSERT OR FAIL INTO cycles (", cycles_head!(@list $(stringify!($column),)*), ") VALUES "
-        )
+        [$(Form::of(stringify!($column)).kept_in(stringify!($column)),)*]
     };
-    (@list $first:expr, $($rest:expr,)*) => { concat!($first $(, ", ", $rest)*) };
-}
-
-macro_rules! cycles_row {
-    ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
-        concat!("(", cycles_row!(@list $($column,)*), ")")
-    };
-    (@list $first:ident, $($rest:ident,)*) => { concat!("?" $(, cycles_row!(@one $rest))*) };
-    (@one $column:ident) => { ",?" };
 }
 
 /// Inserts cycles that are taken to be new.
-pub(in crate::sqlite) static CYCLES: LazyLock<Statements> =
-    LazyLock::new(|| Statements::new(cycle_columns!(cycles_head), cycle_columns!(cycles_row), ""));
+pub(in crate::sqlite) static CYCLES: LazyLock<Statements> = LazyLock::new(|| {
+    let names = cycle_columns!(cycles_names);
+    let head = format!("INSERT OR FAIL INTO cycles ({}) VALUES ", names.join(", "));
+    Statements::new(&head, &format!("({})", vec!["?"; names.len()].join(",")), "")
+});
 
 /// Asks which of the keys are there, and inserts the others behind it: nobody else writes in between. RETURNING would
 /// hand every new key back, each a message from the connection's thread.
@@ -88,12 +81,33 @@ static NEW_CYCLES: LazyLock<Statements> = LazyLock::new(|| {
     Statements { texts: std::array::from_fn(both) }
 });
 
+/// A column of a cycle's row as it is kept.
+macro_rules! kept_cell {
+    ($row:expr, $column:ident) => {{
+        const FORM: $crate::sqlite::kept::Form = $crate::sqlite::kept::Form::of(stringify!($column));
+        $crate::sqlite::kept::Cell::from(&$row.$column).kept(FORM, |part| $row.energy_part(part))
+    }};
+}
+pub(in crate::sqlite) use kept_cell;
+
+fn bind_cell(query: Query, cell: Cell<'_>) -> Query {
+    match cell {
+        Cell::Null => query.bind(None::<i64>),
+        Cell::Whole(value) => query.bind(value),
+        Cell::Float(value) => query.bind(value),
+        Cell::Text(text) => query.bind(text.to_owned()),
+        Cell::Bytes(bytes) => query.bind(bytes.to_vec()),
+    }
+}
+
 fn bind_cycles(mut query: Query, rows: &[Arc<CycleRow>]) -> Query {
     for row in rows {
         macro_rules! bind {
-            ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => { query $(.bind(row.$column.clone()))* };
+            ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
+                $(query = bind_cell(query, kept_cell!(row, $column));)*
+            };
         }
-        query = cycle_columns!(bind);
+        cycle_columns!(bind);
     }
     query
 }
