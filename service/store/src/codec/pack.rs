@@ -24,7 +24,7 @@ const CHECKSUM: usize = 4;
 pub(crate) const MOST_PLACES: usize = 64;
 
 /// A pack is not made longer than this, but by one block alone: whoever reads a block reads its pack.
-const USUAL_BYTES: usize = 36 << 10;
+const USUAL_BYTES: usize = 18 << 10;
 
 /// Cuts blocks, each of such a length, into packs: how many of the next ones make that which leaves least empty for what it holds.
 pub(crate) fn together(lengths: impl Iterator<Item = usize>) -> usize {
@@ -182,8 +182,8 @@ mod tests {
         assert_eq!(of(&[1, 1 << 20]), 1);
         assert_eq!(of(&[usize::MAX, usize::MAX]), 1);
         assert_eq!(of(&[1; 100]), MOST_PLACES);
-        // Eight overflow pages, and hardly more than the least beside.
-        assert_eq!(of(&[900; 100]), 37);
+        // Four overflow pages, and hardly more than the least beside.
+        assert_eq!(of(&[900; 100]), 19);
         // Rather alone than half of a page.
         assert_eq!(of(&[900; 4]), 1);
     }

@@ -17,6 +17,8 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 pub(super) struct SqliteSide {
     conn: SqliteConnection,
+    /// Whether samples stand in packs; of a database of before each has a row. As [`Side::tables`] found it.
+    packs: bool,
 }
 
 impl SqliteSide {
@@ -24,7 +26,7 @@ impl SqliteSide {
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
         crate::sqlite::take_up(path).await?;
         let options = SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(PATIENCE);
-        Ok(Self { conn: options.connect().await? })
+        Ok(Self { conn: options.connect().await?, packs: true })
     }
 
     /// Writes a file that nobody else writes, as durably as the store does.
@@ -34,18 +36,23 @@ impl SqliteSide {
             .create_if_missing(false)
             .synchronous(SqliteSynchronous::Full)
             .busy_timeout(PATIENCE);
-        Ok(Self { conn: options.connect().await? })
+        Ok(Self { conn: options.connect().await?, packs: true })
     }
 
     /// A database in memory as the migrations leave it.
     pub(super) async fn model() -> Result<Self, TransferError> {
         let mut conn = SqliteConnectOptions::new().in_memory(true).connect().await?;
         MIGRATIONS.run(&mut conn).await.map_err(|error| crate::StoreError::Database(Box::new(error)))?;
-        Ok(Self { conn })
+        Ok(Self { conn, packs: true })
     }
 
     pub(super) const fn conn(&mut self) -> &mut SqliteConnection {
         &mut self.conn
+    }
+
+    /// Whether rows of a table have their block in a pack.
+    fn is_packed(&self, table: &Table) -> bool {
+        self.packs && table.name == SAMPLES
     }
 }
 
@@ -85,9 +92,9 @@ fn samples() -> Result<Table, TransferError> {
 const BLOCK: &str = "block";
 
 /// Asks for the columns of a table: in place of the block of a row of samples its pack, and behind the last column its place.
-fn select(table: &Table) -> String {
+fn select(table: &Table, is_packed: bool) -> String {
     let names = table.columns.iter().map(|(name, _)| name.as_str());
-    if table.name != SAMPLES {
+    if !is_packed {
         return format!("SELECT {} FROM \"{}\"", quoted(names, ""), table.name);
     }
     let names = quoted(names.map(|name| if name == BLOCK { "blocks" } else { name }), "");
@@ -180,8 +187,11 @@ impl Side for SqliteSide {
                     .fetch_all(&mut self.conn)
                     .await?;
             if name == SAMPLES {
-                tables.push(samples()?);
-                continue;
+                self.packs = !columns.iter().any(|(column, ..)| column == BLOCK);
+                if self.packs {
+                    tables.push(samples()?);
+                    continue;
+                }
             }
             let columns: Vec<_> = columns
                 .into_iter()
@@ -214,7 +224,8 @@ impl Side for SqliteSide {
         limit: usize,
     ) -> StoreResult<Vec<Row>> {
         let key = quoted(table.key.iter().map(|&at| table.columns[at].0.as_str()), "");
-        let mut query = QueryBuilder::new(select(table));
+        let is_packed = self.is_packed(table);
+        let mut query = QueryBuilder::new(select(table, is_packed));
         for (bound, sign, word) in
             [(after, ">", " WHERE "), (until, "<=", if after.is_some() { " AND " } else { " WHERE " })]
         {
@@ -230,7 +241,7 @@ impl Side for SqliteSide {
         while let Some(row) = found.try_next().await? {
             let columns = table.columns.iter().enumerate();
             let values = columns.map(|(at, (_, kind))| value(&row, at, *kind)).collect::<Result<Row, _>>()?;
-            rows.push(if table.name == SAMPLES { with_block(table, values, &row)? } else { values });
+            rows.push(if is_packed { with_block(table, values, &row)? } else { values });
         }
         Ok(rows)
     }
@@ -262,7 +273,7 @@ impl Side for SqliteSide {
     }
 
     async fn insert(&mut self, table: &Table, rows: &[&Row]) -> StoreResult<()> {
-        if table.name == SAMPLES {
+        if self.is_packed(table) {
             let blocks = rows.iter().map(|row| block_row(table, row)).collect::<StoreResult<Vec<_>>>()?;
             let mut transaction = self.conn.begin_with("BEGIN IMMEDIATE").await?;
             insert_blocks(&mut transaction, &blocks).await?;
@@ -308,7 +319,7 @@ impl Side for SqliteSide {
         if !there.is_empty() {
             // In this order: what is left of packs when it breaks off is known to be of no cycle.
             let of_packs: &[&str] =
-                if table.name == SAMPLES { &["sample_packs", "sample_pack_drops"] } else { &[] };
+                if self.is_packed(table) { &["sample_packs", "sample_pack_drops"] } else { &[] };
             for name in std::iter::once(table.name.as_str()).chain(of_packs.iter().copied()) {
                 let mut query = QueryBuilder::<Sqlite>::new(format!("DELETE FROM \"{name}\""));
                 query.build().persistent(false).execute(&mut self.conn).await?;
