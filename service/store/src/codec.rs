@@ -111,7 +111,9 @@ pub(crate) mod pack;
 mod predict;
 mod range;
 mod rice;
-pub(crate) mod zeros;
+mod squeeze;
+pub(crate) mod state;
+mod zeros;
 
 pub(crate) use column::extend_decimals;
 pub use column::{Column, Columns, Time};

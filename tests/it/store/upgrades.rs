@@ -275,10 +275,17 @@ async fn sums(given: &Given) -> Vec<(String, TableSum)> {
     made.unwrap().tables
 }
 
-/// A fold's state as that version stored it: with its runs of zeros (`codec/zeros.rs`).
+/// A fold's state as that version stored it: with its runs of zeros (`codec/state.rs`, `codec/zeros.rs`).
 fn unpacked(state: &[u8]) -> Vec<u8> {
-    let Some((&0xff, mut rest)) = state.split_first() else {
-        return state.to_vec();
+    let squeezed;
+    let mut rest = match state {
+        [0xfe, a, b, c, d, frame @ ..] => {
+            let length = u32::from_le_bytes([*a, *b, *c, *d]);
+            squeezed = zstd::bulk::decompress(frame, length.try_into().unwrap()).expect("a frame");
+            squeezed.strip_prefix(&[0xff]).expect("runs of zeros")
+        }
+        [0xff, rest @ ..] => rest,
+        plain => return plain.to_vec(),
     };
     let mut plain = Vec::new();
     while let [byte, later @ ..] = rest {

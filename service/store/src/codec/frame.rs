@@ -9,9 +9,9 @@ use super::noise::{self, Law, NoiseReader};
 use super::predict::{Predictor, Residuals, tried, unzigzag, zigzag};
 use super::range::{RangeReader, Zeros};
 use super::rice::RiceReader;
+use super::squeeze::{compress, decompress};
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::cycle::{Channel, Samples};
-use std::cell::RefCell;
 
 const MAGIC: [u8; 2] = *b"FB";
 const FIRST: u8 = 1;
@@ -27,12 +27,6 @@ const CHECKSUM: usize = 8;
 /// Channels and times.
 const MAX_BLOCKS: usize = 17;
 const LEVEL: i32 = 1;
-
-thread_local! {
-    // A context allocates some hundred kilobytes: making one per block costs more than compressing it.
-    static COMPRESSOR: RefCell<Option<zstd::bulk::Compressor<'static>>> = const { RefCell::new(None) };
-    static DECOMPRESSOR: RefCell<Option<zstd::bulk::Decompressor<'static>>> = const { RefCell::new(None) };
-}
 
 /// How versions 2 and 3 wrote residuals: the high half of a column's first byte, its predictor being the low one.
 const RICE: u8 = 0;
@@ -222,7 +216,7 @@ fn checksum(bytes: &[u8]) -> [u8; CHECKSUM] {
 }
 
 fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
-    match compress(plain).filter(|packed| packed.len() < plain.len()) {
+    match compress(plain, LEVEL).filter(|packed| packed.len() < plain.len()) {
         Some(packed) => {
             out.push(EXACT | COMPRESSED);
             put_varint(out, plain.len() as u64);
@@ -238,15 +232,6 @@ fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
 }
 
 /// `None` where zstd fails, which it does for want of memory only: the block is then stored as it is.
-fn compress(plain: &[u8]) -> Option<Vec<u8>> {
-    COMPRESSOR.with_borrow_mut(|slot| {
-        if slot.is_none() {
-            *slot = zstd::bulk::Compressor::new(LEVEL).ok();
-        }
-        slot.as_mut()?.compress(plain).ok()
-    })
-}
-
 fn planes(bits: &[u64]) -> Vec<u8> {
     let mut out = Vec::with_capacity(bits.len() * 8);
     for plane in 0..8 {
@@ -462,19 +447,6 @@ impl Input<'_> {
         };
         if form == EXACT { Ok(Column::Exact(unplanes(plain, len))) } else { undeltas(plain, len, form) }
     }
-}
-
-fn decompress(packed: &[u8], plain_length: usize) -> Result<Vec<u8>, &'static str> {
-    DECOMPRESSOR.with_borrow_mut(|slot| {
-        if slot.is_none() {
-            *slot = zstd::bulk::Decompressor::new().ok();
-        }
-        let decompressor = slot.as_mut().ok_or("no memory to decompress")?;
-        let mut plain = Vec::with_capacity(plain_length);
-        // Writes into the capacity and no further: a bomb fails.
-        decompressor.decompress_to_buffer(packed, &mut plain).map_err(|_| "not decompressible")?;
-        if plain.len() == plain_length { Ok(plain) } else { Err("length differs after decompression") }
-    })
 }
 
 /// A decimal column of version 2 or 3. `len` is within the reader's limit.

@@ -2,7 +2,7 @@
 
 use super::transaction::GroupTransaction;
 use super::{Conn, Db, dialect, tools};
-use crate::codec::zeros;
+use crate::codec::state;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
 use crate::locks::Locks;
@@ -105,12 +105,12 @@ const MOST_STATE: usize = 16 << 20;
 
 /// A fold's state as it is stored.
 pub(super) fn state_of(fold: &ToolFold) -> Vec<u8> {
-    zeros::pack(&fold.to_bytes())
+    state::pack(&fold.to_bytes())
 }
 
 /// A stored state as the fold gave it; `None` where it is damaged.
 pub(super) fn plain_state(stored: &[u8]) -> Option<Cow<'_, [u8]>> {
-    zeros::unpack(stored, MOST_STATE)
+    state::unpack(stored, MOST_STATE)
 }
 
 /// The fold of a stored state, where this version of the fold wrote it.

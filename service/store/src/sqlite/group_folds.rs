@@ -4,7 +4,7 @@
 //! hundred bytes, packed out of some thousand; all but the last of a transaction are read by nobody.
 
 use super::group_writer::Assumption;
-use crate::codec::zeros;
+use crate::codec::state;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::SavedWear;
 use feedwright_core::ids::{MachineId, ToolId};
@@ -98,7 +98,7 @@ impl Folds {
 
 /// Writes a fold over the version that is known to be in force.
 fn write(conn: &Connection, row: &SavedWear, at: Timestamp, stored: i64) -> StoreResult<()> {
-    let (state, at, version) = (zeros::pack(&row.state), at.micros(), row.version + 1);
+    let (state, at, version) = (state::pack(&row.state), at.micros(), row.version + 1);
     let (machine, tool) = (row.machine_id.as_str(), row.tool_id.as_str());
     let written = if stored > 0 {
         conn.prepare_cached(

@@ -11,7 +11,7 @@
 use super::assumed::{BEGIN, versions_text};
 use super::list;
 use super::samples::{PACK, packs};
-use crate::codec::zeros;
+use crate::codec::state;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
@@ -206,7 +206,7 @@ fn bind_wear(mut query: Query, rows: &[Arc<SavedWear>], now: Timestamp) -> Query
             .bind(row.tool_id.as_str().to_owned())
             .bind(row.folded)
             .bind(i64::from(FOLD_VERSION))
-            .bind(zeros::pack(&row.state))
+            .bind(state::pack(&row.state))
             .bind(now.micros());
     }
     query
