@@ -1,23 +1,12 @@
 -- A recommendation stands for every cycle, so each byte of it counts: its id is the sixteen bytes that it is a text of, and a 1 behind
--- them where it asks for a reference cycle; its advice has ten bytes of a hash, among which a plant meets none twice; how long it
--- is valid is told instead of until when; and where the level as run is all there is to say, it is said once. An id of another form, which this program gives none, is its text.
-
-CREATE TABLE shorter_advices (
-    advice_hash BLOB PRIMARY KEY NOT NULL
-        CONSTRAINT advices_advice_hash_length CHECK (length(advice_hash) = 10),
-    body TEXT NOT NULL
-) WITHOUT ROWID, STRICT;
-
-INSERT INTO shorter_advices SELECT substr(advice_hash, 1, 10), body FROM advices WHERE TRUE ORDER BY advice_hash;
-DROP TABLE advices;
-ALTER TABLE shorter_advices RENAME TO advices;
+-- them where it asks for a reference cycle. An id of another form, which this program gives none, is its text.
 
 CREATE TABLE shorter_recommendations (
     recommendation_id BLOB NOT NULL
         CONSTRAINT recommendations_recommendation_id_length CHECK (length(recommendation_id) BETWEEN 1 AND 128),
     advice_hash BLOB NOT NULL,
     issued_at_us INTEGER NOT NULL,
-    valid_for_us INTEGER NOT NULL,
+    valid_until_us INTEGER NOT NULL,
     level_as_run REAL
         CONSTRAINT recommendations_level_as_run_range CHECK (level_as_run BETWEEN -1000000.0 AND 1000000.0),
     level_lowest REAL
@@ -36,7 +25,6 @@ CREATE TABLE shorter_recommendations (
     operation_id TEXT
         CONSTRAINT recommendations_operation_id_length CHECK (length(operation_id) BETWEEN 1 AND 128),
     tool_id TEXT CONSTRAINT recommendations_tool_id_length CHECK (length(tool_id) BETWEEN 1 AND 128),
-    -- NULL where nothing decides; the value is the level as run where it is NULL.
     level_decides TEXT
         CONSTRAINT recommendations_level_decides_word
             CHECK (level_decides IN ('as_run', 'feed_compensated', 'reference_cycles')),
@@ -51,22 +39,21 @@ CREATE TABLE shorter_recommendations (
     PRIMARY KEY (recommendation_id, machine_id)
 ) WITHOUT ROWID, STRICT;
 
-INSERT INTO shorter_recommendations (recommendation_id, advice_hash, issued_at_us, valid_for_us, level_as_run, level_lowest,
+INSERT INTO shorter_recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run, level_lowest,
     level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high, data_age_ms, machine_id, operation_id,
     tool_id, level_decides, level_value, level_sd)
 SELECT COALESCE(
-           CASE WHEN recommendation_id <> lower(recommendation_id)
-                    OR recommendation_id NOT GLOB '????????-????-????-????-????????????*' THEN NULL
+           CASE WHEN recommendation_id NOT GLOB
+                    '[0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f]-[0-9a-f][0-9a-f][0-9a-f][0-9a-f]-[0-9a-f][0-9a-f][0-9a-f][0-9a-f]-[0-9a-f][0-9a-f][0-9a-f][0-9a-f]-' ||
+                    '[0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f][0-9a-f]*' THEN NULL
                 WHEN length(recommendation_id) = 36 THEN unhex(replace(recommendation_id, '-', ''))
                 WHEN length(recommendation_id) = 46 AND substr(recommendation_id, 37) = '-reference'
                     THEN unhex(replace(substr(recommendation_id, 1, 36), '-', '') || '01')
            END,
            CAST(recommendation_id AS BLOB)),
-       substr(advice_hash, 1, 10), issued_at_us, valid_until_us - issued_at_us, level_as_run, level_lowest, level_highest,
+       advice_hash, issued_at_us, valid_until_us, level_as_run, level_lowest, level_highest,
        level_n, level_window, remaining_cycles, remaining_low, remaining_high, data_age_ms, machine_id, operation_id, tool_id,
-       CASE WHEN level_as_run IS NOT NULL AND level_value IS NULL THEN 'as_run' ELSE level_decides END,
-       CASE WHEN level_decides IS NULL AND level_sd IS NULL AND level_value = level_as_run THEN NULL ELSE level_value END,
-       level_sd
+       level_decides, level_value, level_sd
 FROM recommendations WHERE TRUE ORDER BY recommendation_id, machine_id;
 DROP TABLE recommendations;
 ALTER TABLE shorter_recommendations RENAME TO recommendations;

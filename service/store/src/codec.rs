@@ -113,7 +113,7 @@ mod range;
 mod rice;
 mod squeeze;
 pub(crate) mod state;
-mod zeros;
+pub(crate) mod zeros;
 
 pub(crate) use column::extend_decimals;
 pub use column::{Column, Columns, Time};

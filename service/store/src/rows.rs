@@ -7,7 +7,6 @@ mod facts;
 mod feed_profile;
 mod fleet;
 mod library;
-pub(crate) mod recommendation_id;
 mod registry;
 mod saved;
 mod service;

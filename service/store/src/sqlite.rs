@@ -19,6 +19,7 @@ mod journal;
 mod kept;
 mod open;
 mod readers;
+pub(crate) mod recommendation_id;
 mod writing;
 
 pub(crate) use dialect::insert_blocks;

@@ -92,21 +92,13 @@ async fn set_back_sqlite(file: &Path) {
     let below = ["advices", "cycle_samples"];
     for (table, columns) in tables.into_iter().filter(|(table, _)| !below.contains(&table.as_str())) {
         let selected = match table.as_str() {
-            "recommendations" => columns
-                .replace("\"recommendation_id\"", ID)
-                .replace("\"level_value\"", "COALESCE(level_value, level_as_run)"),
+            "recommendations" => columns.replace("\"recommendation_id\"", ID),
             _ => columns.clone(),
-        };
-        let from = match table.as_str() {
-            "recommendations" => {
-                "(SELECT *, issued_at_us + valid_for_us AS valid_until_us FROM newer.recommendations)"
-            }
-            other => &format!("newer.\"{other}\""),
         };
         // The migrations fill some tables themselves.
         for sql in [
             format!("DELETE FROM main.\"{table}\""),
-            format!("INSERT INTO main.\"{table}\" ({columns}) SELECT {selected} FROM {from}"),
+            format!("INSERT INTO main.\"{table}\" ({columns}) SELECT {selected} FROM newer.\"{table}\""),
         ] {
             conn.execute(AssertSqlSafe(sql)).await.unwrap();
         }
@@ -130,8 +122,8 @@ async fn set_back_sqlite(file: &Path) {
     }
     // A hash of its own for each of the story's two machines and two tools.
     let hash =
-        "unhex(substr(hex(r.advice_hash), 1, 18) || CASE r.machine_id WHEN 'M1' THEN '0' ELSE '1' END ||
-                    CASE r.tool_id WHEN 'T1' THEN '0' ELSE '1' END || '000000000000')";
+        "unhex(substr(hex(r.advice_hash), 1, 30) || CASE r.machine_id WHEN 'M1' THEN '0' ELSE '1' END ||
+                    CASE r.tool_id WHEN 'T1' THEN '0' ELSE '1' END)";
     for sql in [
         format!(
             "INSERT INTO main.advices
@@ -184,12 +176,6 @@ const ID: &str = "CASE WHEN length(recommendation_id) < 16 THEN CAST(recommendat
     hex(substr(recommendation_id, 7, 2)) || '-' || hex(substr(recommendation_id, 9, 2)) || '-' ||
     hex(substr(recommendation_id, 11, 6))) || iif(length(recommendation_id) = 17, '-reference', '') END";
 
-/// The same of PostgreSQL's.
-const ID_POSTGRES: &str =
-    "CASE WHEN length(recommendation_id) < 16 THEN convert_from(recommendation_id, 'UTF8')
-    ELSE encode(substring(recommendation_id FROM 1 FOR 16), 'hex')::UUID::TEXT ||
-        CASE WHEN length(recommendation_id) = 17 THEN '-reference' ELSE '' END END";
-
 async fn set_back_postgres(address: &str) {
     let mut conn = PgConnection::connect(address).await.unwrap();
     conn.execute("ALTER SCHEMA public RENAME TO newer; CREATE SCHEMA public").await.unwrap();
@@ -207,17 +193,8 @@ async fn set_back_postgres(address: &str) {
     .unwrap();
     assert!(tables.len() > 20, "the tables are found: {tables:?}");
     for (table, columns) in tables {
-        let selected = match table.as_str() {
-            "recommendations" => &columns
-                .replace("recommendation_id", ID_POSTGRES)
-                .replace("valid_until_us", "issued_at_us + valid_for_us")
-                .replace("level_value", "COALESCE(level_value, level_as_run)")
-                .replace("advice_hash", "advice_hash || '\\x000000000000'"),
-            "advices" => continue,
-            _ => &columns,
-        };
         let copy = format!(
-            "INSERT INTO public.\"{table}\" ({columns}) OVERRIDING SYSTEM VALUE SELECT {selected} FROM newer.\"{table}\""
+            "INSERT INTO public.\"{table}\" ({columns}) OVERRIDING SYSTEM VALUE SELECT {columns} FROM newer.\"{table}\""
         );
         // The migrations fill some tables themselves; the audit lets nobody delete, and is not one of them.
         if table != "audit" {
@@ -225,8 +202,8 @@ async fn set_back_postgres(address: &str) {
         }
         conn.execute(AssertSqlSafe(copy)).await.unwrap();
     }
-    let hash = "set_byte(r.advice_hash, 9, CASE r.machine_id WHEN 'M1' THEN 0 ELSE 2 END +
-                    CASE r.tool_id WHEN 'T1' THEN 0 ELSE 1 END) || '\\x000000000000'";
+    let hash = "set_byte(r.advice_hash, 15, CASE r.machine_id WHEN 'M1' THEN 0 ELSE 2 END +
+                    CASE r.tool_id WHEN 'T1' THEN 0 ELSE 1 END)";
     for sql in [
         format!(
             "INSERT INTO public.advices
@@ -237,8 +214,7 @@ async fn set_back_postgres(address: &str) {
         format!(
             "UPDATE public.recommendations o SET advice_hash = {hash}
              FROM newer.recommendations r
-             WHERE {} = o.recommendation_id AND o.recommendation_id <> 'alone'",
-            ID_POSTGRES.replace("recommendation_id", "r.recommendation_id")
+             WHERE r.recommendation_id = o.recommendation_id AND o.recommendation_id <> 'alone'"
         ),
         "DELETE FROM public.advices WHERE body::JSON ->> 'machine' IS NULL".to_owned(),
     ] {
@@ -353,13 +329,10 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
     let changed = event(ToolEventKind::Changed, at(50 * 60));
     store.add_tool_event(&"T1".try_into().unwrap(), changed, &engineer(), at(9000)).await.unwrap();
     // A row whose advice is gone cannot be shown, and is kept all the same: whose it was, nobody knows.
-    let (alone, hash) = if given.is_postgres() {
-        ("'alone'::BYTEA", "'\\x00'::BYTEA")
-    } else {
-        ("CAST('alone' AS BLOB)", "x'00'")
-    };
+    let (alone, hash) =
+        if given.is_postgres() { ("'alone'", "'\\x00'::BYTEA") } else { ("CAST('alone' AS BLOB)", "x'00'") };
     let orphan = format!(
-        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_for_us, machine_id)
+        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, machine_id)
          VALUES ({alone}, {hash}, 1, 2, 'unknown')"
     );
     given.raw(AssertSqlSafe(orphan)).await.unwrap();

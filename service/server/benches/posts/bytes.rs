@@ -1,24 +1,21 @@
 //! Where the bytes of a SQLite file go, by table and index.
 
 use super::data::{self, Cycle};
-use super::lone::Lone;
 use super::process::Running;
-use super::{CYCLES, JSON};
+use super::{CYCLES, JSON, WHOLE, post_all};
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnectOptions;
+use std::sync::Arc;
 
 /// Fills a server with the cycles of one round, and asks `dbstat`.
 pub(crate) async fn tell() {
     let dir = tempfile::tempdir().expect("a directory");
     let server = Running::feedwright(dir.path()).await;
-    data::register(&reqwest::Client::new(), &server.address, &server.token, data::MACHINES).await;
-    let headers = format!("authorization: Bearer {}\r\ncontent-type: {}\r\n", server.token, JSON.media_type);
-    let mut lone = Lone::connect(&server.address, &headers);
-    let cycles = data::cycles(CYCLES);
-    for cycle in &cycles {
-        let path = format!("/v1/machines/{}/cycles", cycle.machine);
-        assert_eq!(lone.post(&path, &(JSON.body)(cycle)).1, 201);
-    }
+    let client = reqwest::Client::new();
+    data::register(&client, &server.address, &server.token, data::MACHINES).await;
+    let cycles = Arc::new(data::cycles(CYCLES));
+    let bodies = Arc::new(cycles.iter().map(JSON.body).collect());
+    post_all(&client, &server, (&cycles, &bodies), (JSON.media_type, WHOLE)).await;
     server.stop().await;
     let file = SqliteConnectOptions::new().filename(dir.path().join("feedwright.sqlite3")).read_only(true);
     let mut conn = file.connect().await.expect("the file");

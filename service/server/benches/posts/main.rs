@@ -204,22 +204,8 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form, prefer: &'static str)
     let client = reqwest::Client::new();
     data::register(&client, &server.address, &server.token, data::MACHINES).await;
     let bodies: Arc<Vec<Vec<u8>>> = Arc::new(cycles.iter().map(form.body).collect());
-    let next = Arc::new(AtomicUsize::new(0));
     let cpu = server.cpu_seconds();
-    let posters = (0..CLIENTS).map(|_| {
-        let (client, cycles, bodies, next) = (client.clone(), cycles.clone(), bodies.clone(), next.clone());
-        let (address, token, media_type) = (server.address.clone(), server.token.clone(), form.media_type);
-        tokio::spawn(async move {
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                let Some(cycle) = cycles[..CYCLES].get(index) else { return };
-                post(&client, &address, &token, cycle, (media_type, prefer), bodies[index].clone()).await;
-            }
-        })
-    });
-    for poster in posters.collect::<Vec<_>>() {
-        poster.await.expect("every post is acknowledged");
-    }
+    post_all(&client, &server, (cycles, &bodies), (form.media_type, prefer)).await;
     let spent = rest(&server, dir.path()).await - cpu;
     let group = mean_group(&client, &server).await;
     let headers = format!(
@@ -246,6 +232,30 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form, prefer: &'static str)
     let stored: usize = cycles.iter().map(Cycle::values).sum();
     let values = cycles[..CYCLES].iter().map(Cycle::values).sum();
     Round { group, ..round(values, spent, (alone, reads), resident, data::size_of(dir.path()), stored) }
+}
+
+/// Posts the first [`CYCLES`] of them, by as many clients as there are machines.
+async fn post_all(
+    client: &reqwest::Client,
+    server: &Running,
+    (cycles, bodies): (&Arc<Vec<Cycle>>, &Arc<Vec<Vec<u8>>>),
+    (media_type, prefer): (&'static str, &'static str),
+) {
+    let next = Arc::new(AtomicUsize::new(0));
+    let posters = (0..CLIENTS).map(|_| {
+        let (client, cycles, bodies, next) = (client.clone(), cycles.clone(), bodies.clone(), next.clone());
+        let (address, token) = (server.address.clone(), server.token.clone());
+        tokio::spawn(async move {
+            loop {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                let Some(cycle) = cycles[..CYCLES].get(index) else { return };
+                post(&client, &address, &token, cycle, (media_type, prefer), bodies[index].clone()).await;
+            }
+        })
+    });
+    for poster in posters.collect::<Vec<_>>() {
+        poster.await.expect("every post is acknowledged");
+    }
 }
 
 /// Cycles of a commit so far, on average, as the server itself counts them.

@@ -8,8 +8,8 @@
 //! the blocks, one after the other
 //! ```
 //!
-//! A block alone is a pack as it is, of one place, as long as it does not begin like one of several. Each block has a checksum of
-//! its own; that of the pack is over where they are.
+//! A block alone is a pack as it is, of one place, where it begins like one. Each block has a checksum of its own; that of the pack is
+//! over where they are. What begins otherwise is damaged: nothing is taken out of it.
 
 use super::input::{Input, put_varint};
 use crate::error::{StoreError, StoreResult};
@@ -17,6 +17,8 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 const MAGIC: [u8; 2] = *b"FP";
+/// Every version of a block begins so.
+const OF_BLOCK: [u8; 2] = *b"FB";
 const VERSION: u8 = 1;
 const CHECKSUM: usize = 4;
 
@@ -74,7 +76,7 @@ mod row {
 /// The pack of some blocks, at most as many as [`together`] says.
 pub(crate) fn pack<'a>(blocks: &[&'a [u8]]) -> Cow<'a, [u8]> {
     match blocks {
-        [block] if !block.starts_with(&MAGIC) => Cow::Borrowed(block),
+        [block] if block.starts_with(&OF_BLOCK) => Cow::Borrowed(block),
         blocks => Cow::Owned(several(blocks)),
     }
 }
@@ -112,7 +114,11 @@ pub(crate) fn block(pack: &[u8], place: usize) -> StoreResult<&[u8]> {
 
 /// The pack without what stands at these places, all others being where they were; `None` where nothing is left.
 pub(crate) fn without(pack: &[u8], dropped: &[usize]) -> Result<Option<Vec<u8>>, &'static str> {
-    let kept: Vec<&[u8]> = places(pack)?
+    let places = places(pack)?;
+    if dropped.iter().any(|place| *place >= places.len()) {
+        return Err("it has no such place");
+    }
+    let kept: Vec<&[u8]> = places
         .into_iter()
         .enumerate()
         .map(|(place, range)| if dropped.contains(&place) { &[] } else { &pack[range] })
@@ -122,8 +128,11 @@ pub(crate) fn without(pack: &[u8], dropped: &[usize]) -> Result<Option<Vec<u8>>,
 
 /// Where the blocks of a pack are; every range lies within it.
 fn places(pack: &[u8]) -> Result<Vec<Range<usize>>, &'static str> {
-    if !pack.starts_with(&MAGIC) {
+    if pack.starts_with(&OF_BLOCK) {
         return Ok(std::iter::once(0..pack.len()).collect());
+    }
+    if !pack.starts_with(&MAGIC) {
+        return Err("it begins like none");
     }
     let mut input = Input(&pack[MAGIC.len()..]);
     if input.byte()? != VERSION {
@@ -170,7 +179,7 @@ mod tests {
         let left = without(&both, &[0]).unwrap().unwrap();
         assert_eq!(left, b"FP\x01\x02\x00\x03\x08\xe6\x4f\xb1two");
         assert_eq!(without(&left, &[1]).unwrap(), None);
-        // One that looks like a pack is in one.
+        // What does not look like a block is in one of its own.
         assert_eq!(&*pack(&[b"FP"]), b"FP\x01\x01\x02\x25\x78\x9c\xcfFP");
     }
 
@@ -203,6 +212,7 @@ mod tests {
         let block = prop_oneof![
             prop::collection::vec(any::<u8>(), 1..300),
             prop::collection::vec(any::<u8>(), 1..9).prop_map(|rest| [&MAGIC[..], &rest].concat()),
+            prop::collection::vec(any::<u8>(), 1..300).prop_map(|rest| [&OF_BLOCK[..], &rest].concat()),
         ];
         prop::collection::vec(block, 1..=MOST_PLACES)
     }
@@ -233,6 +243,8 @@ mod tests {
                 prop_assert_eq!(block(&whole, place).unwrap(), *kept);
             }
             prop_assert!(block(&whole, blocks.len()).is_err());
+            prop_assert!(without(&whole, &[blocks.len()]).is_err(), "there is no such place");
+            let dropped: Vec<usize> = dropped.into_iter().filter(|place| *place < blocks.len()).collect();
             let left = without(&whole, &dropped).unwrap();
             let kept: Vec<usize> = (0..blocks.len()).filter(|place| !dropped.contains(place)).collect();
             prop_assert_eq!(left.is_none(), kept.is_empty());
@@ -256,8 +268,7 @@ mod tests {
             let whole = pack(&slices).into_owned();
             let head = whole.len() - blocks.iter().map(Vec::len).sum::<usize>();
             let mut other = whole.clone();
-            // What does not begin like a pack is a block, which has a checksum of its own.
-            other[MAGIC.len() + at.index(head - MAGIC.len())] ^= 1 << bit;
+            other[at.index(head)] ^= 1 << bit;
             prop_assert!(filled(&other).is_err() && block(&other, 0).is_err());
             prop_assert!(filled(&whole[..whole.len() - 1]).is_err());
             prop_assert!(filled(&[&whole[..], &[0]].concat()).is_err());

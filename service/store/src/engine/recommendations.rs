@@ -3,7 +3,7 @@
 use super::{Conn, Db, dialect};
 use crate::error::StoreResult;
 use crate::record::IssuedRecommendation;
-use crate::rows::{Advice, AdviceBody, IssuedRow, RecommendationRow, recommendation_id};
+use crate::rows::{Advice, AdviceBody, IssuedRow, RecommendationRow};
 use feedwright_core::ids::RecommendationId;
 
 /// Keeps one recommendation.
@@ -35,17 +35,15 @@ pub(super) async fn keep_advice(conn: &mut Conn, row: &IssuedRow) -> StoreResult
 
 pub(super) async fn get(conn: &mut Conn, id: &RecommendationId) -> StoreResult<Option<IssuedRecommendation>> {
     let row: Option<RecommendationRow> = sqlx::query_as::<Db, _>(
-        "SELECT r.recommendation_id, r.issued_at_us, r.valid_for_us, r.level_as_run, r.level_lowest,
+        "SELECT r.issued_at_us, r.valid_until_us, r.level_as_run, r.level_lowest,
                 r.level_highest, r.level_n, r.level_window, r.remaining_cycles, r.remaining_low, r.remaining_high,
                 r.data_age_ms, r.level_decides, r.level_value, r.level_sd, r.machine_id, r.operation_id, r.tool_id,
                 a.advice_hash, a.body
          FROM recommendations r JOIN advices a ON a.advice_hash = r.advice_hash
          WHERE r.recommendation_id = $1",
     )
-    .bind(recommendation_id::to_column(id.as_str()))
+    .bind(dialect::recommendation_key(id.as_str()))
     .fetch_optional(&mut *conn)
     .await?;
-    let issued = row.map(|row| row.issued()).transpose()?;
-    // Another text may be the bytes of one.
-    Ok(issued.filter(|issued| issued.id == *id))
+    row.map(|row| row.issued(id)).transpose()
 }

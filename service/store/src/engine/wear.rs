@@ -105,7 +105,7 @@ const MOST_STATE: usize = 16 << 20;
 
 /// A fold's state as it is stored.
 pub(super) fn state_of(fold: &ToolFold) -> Vec<u8> {
-    state::pack(&fold.to_bytes())
+    dialect::pack_state(&fold.to_bytes())
 }
 
 /// A stored state as the fold gave it; `None` where it is damaged.

@@ -7,6 +7,7 @@ pub(super) use assumed::{Assumption, MAY_ASSUME, assume, begin_assumed, undo, wr
 pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
 
 use super::{Conn, Writer};
+use crate::codec::zeros;
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::StoreFault;
@@ -54,6 +55,25 @@ macro_rules! block_bytes {
     };
 }
 pub(super) use block_bytes;
+
+/// What an id of a recommendation is looked for by.
+pub(super) fn recommendation_key(id: &str) -> String {
+    id.to_owned()
+}
+
+/// The id of a row of `recommendations`, `r`.
+macro_rules! told_id {
+    () => {
+        "r.recommendation_id"
+    };
+}
+pub(super) use told_id;
+
+/// A fold's state as it is stored: as servers of before read it too, which run beside this one while a plant is brought up to it. The
+/// server itself squeezes what is long.
+pub(super) fn pack_state(plain: &[u8]) -> Vec<u8> {
+    zeros::pack(plain)
+}
 
 /// A row has its block to itself, and goes with it.
 #[expect(clippy::unused_async, reason = "the other engine has packs")]

@@ -1,6 +1,6 @@
 //! Rows that a group writes many of at once.
 
-use super::{AdviceBody, CycleRow, count, float, recommendation_id};
+use super::{AdviceBody, CycleRow, count, float};
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{AlarmKind, IssuedRecommendation};
@@ -9,8 +9,8 @@ use feedwright_core::wear::{Level, LevelBasis, MOST_LEVEL, Remaining};
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Bytes of blake3 that name an advice: among ten million that a plant is given, two have the same with a probability of 4e-11.
-pub(crate) const ADVICE_HASH_BYTES: usize = 10;
+/// Bytes of blake3 that name an advice: a collision within one plant is out of reach.
+pub(crate) const ADVICE_HASH_BYTES: usize = 16;
 
 /// Most advices are shorter.
 const USUAL_ADVICE_BYTES: usize = 1024;
@@ -171,11 +171,10 @@ pub(crate) fn advice_hash(json: &str) -> [u8; ADVICE_HASH_BYTES] {
 /// A row of `recommendations`, with the advice that it refers to.
 #[derive(Debug)]
 pub(crate) struct IssuedRow {
-    /// See [`recommendation_id`].
-    pub(crate) recommendation_id: Vec<u8>,
+    pub(crate) recommendation_id: String,
     pub(crate) advice: Advice,
     pub(crate) issued_at_us: i64,
-    pub(crate) valid_for_us: i64,
+    pub(crate) valid_until_us: i64,
     pub(crate) level_as_run: Option<f64>,
     pub(crate) level_lowest: Option<f64>,
     pub(crate) level_highest: Option<f64>,
@@ -216,8 +215,6 @@ impl IssuedRow {
             level.map(|level| level_number(name, -MOST_LEVEL, part(level))).transpose()
         };
         let sd = level.and_then(|level| level.sd);
-        let says_as_run =
-            level.is_some_and(|level| level.sd.is_none() && level.value.to_bits() == level.as_run.to_bits());
         let remaining = recommendation.remaining.as_ref();
         let remaining_count = |name, part: fn(&Remaining) -> u64| {
             remaining.map(|remaining| count(name, part(remaining))).transpose()
@@ -226,13 +223,10 @@ impl IssuedRow {
             return Err(out_of_range("data_age_ms"));
         }
         Ok(Self {
-            recommendation_id: recommendation_id::to_column(issued.id.as_str()),
+            recommendation_id: issued.id.as_str().to_owned(),
             advice,
             issued_at_us: recommendation.issued_at.micros(),
-            valid_for_us: recommendation
-                .valid_until
-                .micros()
-                .saturating_sub(recommendation.issued_at.micros()),
+            valid_until_us: recommendation.valid_until.micros(),
             level_as_run: level_float("level_as_run", |level| level.as_run)?,
             level_lowest: level_float("level_lowest", |level| level.lowest)?,
             level_highest: level_float("level_highest", |level| level.highest)?,
@@ -243,7 +237,7 @@ impl IssuedRow {
             remaining_high: remaining_count("remaining_high", |remaining| remaining.high)?,
             data_age_ms: recommendation.data_age_ms,
             level_decides: level.and_then(|level| level.decides).map(LevelBasis::as_str),
-            level_value: level_float("level_value", |level| level.value)?.filter(|_| !says_as_run),
+            level_value: level_float("level_value", |level| level.value)?,
             level_sd: sd.map(|sd| level_number("level_sd", 0.0, sd)).transpose()?,
             machine_id: recommendation.machine.as_str().to_owned(),
             operation_id: recommendation.operation.as_str().to_owned(),

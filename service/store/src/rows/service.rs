@@ -1,8 +1,9 @@
 //! Rows of advice, alarms, quarantine, audit and tokens.
 
-use super::{ProcessAdviceBody, ProfileAdviceBody, id, number, recommendation_id, word};
+use super::{ProcessAdviceBody, ProfileAdviceBody, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{Alarm, AlarmKind, AuditEntry, IssuedRecommendation, QuarantineEntry, Role, TokenRecord};
+use feedwright_core::ids::RecommendationId;
 use feedwright_core::machine::FeedLimits;
 use feedwright_core::recommend::{Action, DataQuality, Recommendation, ReferenceRequest};
 use feedwright_core::units::{Process, Timestamp};
@@ -84,9 +85,8 @@ impl<'a> AdviceBody<'a> {
 /// A row of `recommendations` with its advice.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct RecommendationRow {
-    recommendation_id: Vec<u8>,
     issued_at_us: i64,
-    valid_for_us: i64,
+    valid_until_us: i64,
     level_as_run: Option<f64>,
     level_lowest: Option<f64>,
     level_highest: Option<f64>,
@@ -115,13 +115,15 @@ impl RecommendationRow {
         };
         let judged_as_run =
             Level::as_run(as_run, (lowest, highest), number("level_n", n)?, number("level_window", window)?);
-        let value = self.level_value.unwrap_or(as_run);
+        // Advice from before there was anything else was judged as run.
+        let Some(value) = self.level_value else { return Ok(Some(judged_as_run)) };
         let decides = self.level_decides.as_deref();
         let decides = decides.map(|text| word("level_decides", text, LevelBasis::parse)).transpose()?;
         Ok(Some(Level { decides, value, sd: self.level_sd, ..judged_as_run }))
     }
 
-    pub(crate) fn issued(&self) -> StoreResult<IssuedRecommendation> {
+    /// What was handed out under that id.
+    pub(crate) fn issued(&self, id_asked: &RecommendationId) -> StoreResult<IssuedRecommendation> {
         let body = AdviceBody::read(&self.advice_hash, &self.body)?;
         let [min, max, low, high] = body.limits;
         let limits = FeedLimits::new(min, max, low, high).map_err(|_| super::damaged("advices.body"))?;
@@ -141,10 +143,10 @@ impl RecommendationRow {
         let operation = whom("recommendations.operation_id", &self.operation_id, &body.operation)?;
         let tool = whom("recommendations.tool_id", &self.tool_id, &body.tool)?;
         Ok(IssuedRecommendation {
-            id: recommendation_id::from_column(&self.recommendation_id)?,
+            id: id_asked.clone(),
             recommendation: Recommendation {
                 issued_at: Timestamp::from_micros(self.issued_at_us),
-                valid_until: Timestamp::from_micros(self.issued_at_us.saturating_add(self.valid_for_us)),
+                valid_until: Timestamp::from_micros(self.valid_until_us),
                 machine: id("machine", machine)?,
                 operation: id("operation", &operation)?,
                 tool: id("tool", &tool)?,

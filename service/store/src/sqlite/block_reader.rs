@@ -5,9 +5,8 @@
 //! it would have served waits with it. So only one reads like this at a time, and nobody for a while after a read that had to
 //! wait: then the disk is slow, or what is asked for is old.
 
-use super::dialect::{BLOCK, place};
+use super::dialect::{BLOCK, block_of};
 use super::open::SETTINGS;
-use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::ids::{CycleId, MachineId};
 use rusqlite::{Connection, OpenFlags, OptionalExtension};
@@ -66,8 +65,7 @@ impl BlockReader {
         let read = || {
             let mut statement = conn.prepare_cached(BLOCK)?;
             let block = statement.query_row([machine.as_str(), id.as_str()], |row| {
-                let (blocks, at) = (row.get_ref(0)?.as_blob()?, row.get(1)?);
-                Ok(place(at).and_then(|place| pack::block(blocks, place).map(<[u8]>::to_vec)))
+                Ok(block_of(row.get_ref(0)?.as_blob_or_null()?, row.get(1)?))
             });
             block.optional()?.transpose()
         };

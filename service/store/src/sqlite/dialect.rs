@@ -10,12 +10,14 @@ pub(crate) use many::insert_blocks;
 pub(super) use many::{
     CYCLES, PLACES, RECOMMENDATIONS, insert_cycles, insert_recommendations, kept_cell, save_wear, write_rest,
 };
-pub(super) use samples::{BLOCK, PACK, block, packs, place, stray_packs, tidy};
+pub(super) use samples::{BLOCK, PACK, block, block_of, packs, stray_packs, tidy};
 
 use super::{Conn, Writer};
+use crate::codec::state;
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::record::StoreFault;
+use crate::sqlite::recommendation_id;
 use feedwright_core::units::Timestamp;
 
 /// The connection that a group asks with, and that writes what is not written as a whole.
@@ -115,6 +117,29 @@ pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     }
     out.push(']');
     out
+}
+
+/// What an id of a recommendation is looked for by.
+pub(super) fn recommendation_key(id: &str) -> Vec<u8> {
+    recommendation_id::to_column(id)
+}
+
+/// The id of a row of `recommendations`, `r`.
+macro_rules! told_id {
+    () => {
+        "CASE WHEN length(r.recommendation_id) IN (16, 17)
+              THEN lower(substr(hex(r.recommendation_id), 1, 8) || '-' || substr(hex(r.recommendation_id), 9, 4) || '-' ||
+                         substr(hex(r.recommendation_id), 13, 4) || '-' || substr(hex(r.recommendation_id), 17, 4) || '-' ||
+                         substr(hex(r.recommendation_id), 21, 12)) ||
+                   iif(length(r.recommendation_id) = 17, '-reference', '')
+              ELSE CAST(r.recommendation_id AS TEXT) END"
+    };
+}
+pub(super) use told_id;
+
+/// A fold's state as it is stored.
+pub(super) fn pack_state(plain: &[u8]) -> Vec<u8> {
+    state::pack(plain)
 }
 
 /// How long the block of a row of `cycle_samples` is.

@@ -13,6 +13,7 @@ use super::group_blocks::Blocks;
 use super::group_folds::Folds;
 use super::journal::Journal;
 use super::open::{SETTINGS, is_durable};
+use super::recommendation_id;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{AlarmChange, BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::work::Written;
@@ -513,10 +514,10 @@ fn insert_recommendations(run: &mut Run<'_>, rows: &[IssuedRow]) -> rusqlite::Re
         run!(
             run,
             &mut statement,
-            &row.recommendation_id,
+            recommendation_id::to_column(&row.recommendation_id),
             row.advice.hash.as_slice(),
             row.issued_at_us,
-            row.valid_for_us,
+            row.valid_until_us,
             row.level_as_run,
             row.level_lowest,
             row.level_highest,

@@ -4,7 +4,7 @@ use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, quo
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::BlockRow;
-use crate::sqlite::{Cell, Form, MIGRATIONS, insert_blocks, is_kept_for_another};
+use crate::sqlite::{Cell, Form, MIGRATIONS, insert_blocks, is_kept_for_another, recommendation_id};
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow, SqliteSynchronous};
@@ -17,8 +17,9 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 pub(super) struct SqliteSide {
     conn: SqliteConnection,
-    /// Whether samples stand in packs; of a database of before each has a row. As [`Side::tables`] found it.
-    packs: bool,
+    /// Whether samples stand in packs, and ids of recommendations by their bytes: a database of before has a row for each and texts. As
+    /// [`Side::tables`] found it.
+    is_shorter: bool,
 }
 
 impl SqliteSide {
@@ -26,7 +27,7 @@ impl SqliteSide {
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
         crate::sqlite::take_up(path).await?;
         let options = SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(PATIENCE);
-        Ok(Self { conn: options.connect().await?, packs: true })
+        Ok(Self { conn: options.connect().await?, is_shorter: true })
     }
 
     /// Writes a file that nobody else writes, as durably as the store does.
@@ -36,14 +37,14 @@ impl SqliteSide {
             .create_if_missing(false)
             .synchronous(SqliteSynchronous::Full)
             .busy_timeout(PATIENCE);
-        Ok(Self { conn: options.connect().await?, packs: true })
+        Ok(Self { conn: options.connect().await?, is_shorter: true })
     }
 
     /// A database in memory as the migrations leave it.
     pub(super) async fn model() -> Result<Self, TransferError> {
         let mut conn = SqliteConnectOptions::new().in_memory(true).connect().await?;
         MIGRATIONS.run(&mut conn).await.map_err(|error| crate::StoreError::Database(Box::new(error)))?;
-        Ok(Self { conn, packs: true })
+        Ok(Self { conn, is_shorter: true })
     }
 
     pub(super) const fn conn(&mut self) -> &mut SqliteConnection {
@@ -52,7 +53,7 @@ impl SqliteSide {
 
     /// Whether rows of a table have their block in a pack.
     fn is_packed(&self, table: &Table) -> bool {
-        self.packs && table.name == SAMPLES
+        self.is_shorter && table.name == SAMPLES
     }
 }
 
@@ -101,15 +102,32 @@ fn select(table: &Table, is_packed: bool) -> String {
     format!("SELECT {names}, place FROM \"{SAMPLES}\" LEFT JOIN sample_packs USING (pack)")
 }
 
-/// The row with its block instead of its pack.
+/// The row with its block instead of its pack; with all of the pack where that is damaged, as a block that is damaged is one too.
 fn with_block(table: &Table, mut row: Row, of: &SqliteRow) -> StoreResult<Row> {
-    let damaged =
-        || StoreError::Damaged { what: format!("{SAMPLES} {}: its pack is not there", table.show_key(&row)) };
     let at = table.place(BLOCK).unwrap_or_default();
-    let Some(Value::Bytes(blocks)) = row.get(at) else { return Err(damaged()) };
     let place = crate::rows::number("place", of.try_get::<i64, _>(table.columns.len())?)?;
-    row[at] = Value::Bytes(pack::block(blocks, place)?.to_vec());
+    row[at] = match &row[at] {
+        Value::Bytes(blocks) => Value::Bytes(pack::block(blocks, place).unwrap_or(blocks).to_vec()),
+        // There is none: whoever takes the row refuses it.
+        _ => Value::Bytes(Vec::new()),
+    };
     Ok(row)
+}
+
+const RECOMMENDATIONS: &str = "recommendations";
+const RECOMMENDATION_ID: &str = "recommendation_id";
+
+/// Where a table has an id by its bytes that the other engine has by its text.
+fn id_by_bytes(table: &Table) -> Option<usize> {
+    if table.name == RECOMMENDATIONS { table.place(RECOMMENDATION_ID) } else { None }
+}
+
+/// A value of that column as it is kept.
+fn kept_id(value: &Value) -> Value {
+    match value {
+        Value::Text(id) => Value::Bytes(recommendation_id::to_column(id)),
+        other => other.clone(),
+    }
 }
 
 const CYCLES: &str = "cycles";
@@ -187,8 +205,8 @@ impl Side for SqliteSide {
                     .fetch_all(&mut self.conn)
                     .await?;
             if name == SAMPLES {
-                self.packs = !columns.iter().any(|(column, ..)| column == BLOCK);
-                if self.packs {
+                self.is_shorter = !columns.iter().any(|(column, ..)| column == BLOCK);
+                if self.is_shorter {
                     tables.push(samples()?);
                     continue;
                 }
@@ -200,6 +218,9 @@ impl Side for SqliteSide {
             let key: Vec<String> =
                 columns.iter().filter(|(_, _, pk)| *pk > 0).map(|(column, _, _)| column.clone()).collect();
             let typed = columns.into_iter().map(|(column, declared, _)| match kind(&declared) {
+                Some(Kind::Bytes) if name == RECOMMENDATIONS && column == RECOMMENDATION_ID => {
+                    Ok((column, Kind::Text))
+                }
                 Some(kind) => Ok((column, kind)),
                 None => Err(TransferError::Schema(format!("{name}.{column} is of type {declared}"))),
             });
@@ -224,14 +245,18 @@ impl Side for SqliteSide {
         limit: usize,
     ) -> StoreResult<Vec<Row>> {
         let key = quoted(table.key.iter().map(|&at| table.columns[at].0.as_str()), "");
-        let is_packed = self.is_packed(table);
+        let (is_packed, id_by_bytes) =
+            (self.is_packed(table), id_by_bytes(table).filter(|_| self.is_shorter));
         let mut query = QueryBuilder::new(select(table, is_packed));
         for (bound, sign, word) in
             [(after, ">", " WHERE "), (until, "<=", if after.is_some() { " AND " } else { " WHERE " })]
         {
             if let Some(bound) = bound {
                 query.push(word).push(format!("({key}) {sign} "));
-                tuple(&mut query, bound);
+                let bound = bound.iter().zip(&table.key);
+                let bound = bound
+                    .map(|(value, at)| if Some(*at) == id_by_bytes { kept_id(value) } else { value.clone() });
+                tuple(&mut query, &bound.collect());
             }
         }
         query.push(format!(" ORDER BY {key} LIMIT {limit}"));
@@ -240,7 +265,14 @@ impl Side for SqliteSide {
         let mut rows = Vec::new();
         while let Some(row) = found.try_next().await? {
             let columns = table.columns.iter().enumerate();
-            let values = columns.map(|(at, (_, kind))| value(&row, at, *kind)).collect::<Result<Row, _>>()?;
+            let values = columns.map(|(at, (_, kind))| {
+                if Some(at) == id_by_bytes {
+                    let id = recommendation_id::from_column(&row.try_get::<Vec<u8>, _>(at)?)?;
+                    return Ok(Value::Text(id.as_str().to_owned()));
+                }
+                Ok(value(&row, at, *kind)?)
+            });
+            let values = values.collect::<StoreResult<Row>>()?;
             rows.push(if is_packed { with_block(table, values, &row)? } else { values });
         }
         Ok(rows)
@@ -290,10 +322,14 @@ impl Side for SqliteSide {
             if at > 0 {
                 query.push(", ");
             }
-            if table.name == CYCLES {
-                tuple(&mut query, &kept(table, row));
-            } else {
-                tuple(&mut query, row);
+            match (table.name.as_str(), id_by_bytes(table)) {
+                (CYCLES, _) => tuple(&mut query, &kept(table, row)),
+                (_, Some(id)) => {
+                    let mut row = Row::clone(row);
+                    row[id] = kept_id(&row[id]);
+                    tuple(&mut query, &row);
+                }
+                _ => tuple(&mut query, row),
             }
         }
         query.build().persistent(false).execute(&mut self.conn).await?;
@@ -317,13 +353,14 @@ impl Side for SqliteSide {
     async fn clear(&mut self, table: &Table) -> StoreResult<()> {
         let there: Vec<Row> = self.rows(table, None, None, 1).await?;
         if !there.is_empty() {
-            // In this order: what is left of packs when it breaks off is known to be of no cycle.
-            let of_packs: &[&str] =
-                if self.is_packed(table) { &["sample_packs", "sample_pack_drops"] } else { &[] };
+            let is_packed = self.is_packed(table);
+            let mut transaction = self.conn.begin_with("BEGIN IMMEDIATE").await?;
+            let of_packs: &[&str] = if is_packed { &["sample_packs", "sample_pack_drops"] } else { &[] };
             for name in std::iter::once(table.name.as_str()).chain(of_packs.iter().copied()) {
                 let mut query = QueryBuilder::<Sqlite>::new(format!("DELETE FROM \"{name}\""));
-                query.build().persistent(false).execute(&mut self.conn).await?;
+                query.build().persistent(false).execute(&mut *transaction).await?;
             }
+            transaction.commit().await?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Many rows in one statement: an array per column, so that one prepared statement takes any number of rows.
 
-use crate::codec::state;
+use crate::codec::zeros;
 use crate::error::{StoreError, StoreResult};
 use crate::postgres::Conn;
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
@@ -87,7 +87,7 @@ pub(in crate::postgres) async fn save_wear(
     .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.folded).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| state::pack(&row.state)).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| zeros::pack(&row.state)).collect::<Vec<_>>())
     .bind(i64::from(FOLD_VERSION))
     .bind(now.micros())
     .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())
@@ -108,15 +108,15 @@ pub(in crate::postgres) async fn insert_recommendations(
         return Ok(());
     }
     sqlx::query(
-        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_for_us, level_as_run,
+        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
              data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
          SELECT * FROM UNNEST($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19)",
     )
-    .bind(rows.iter().map(|row| row.recommendation_id.as_slice()).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.recommendation_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.advice.hash.as_slice()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.issued_at_us).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.valid_for_us).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| row.valid_until_us).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.level_as_run).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.level_lowest).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.level_highest).collect::<Vec<_>>())

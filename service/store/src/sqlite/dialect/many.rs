@@ -17,6 +17,7 @@ use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns}
 use crate::sqlite::Conn;
 use crate::sqlite::group_writer::Assumption;
 use crate::sqlite::kept::{Cell, Form};
+use crate::sqlite::recommendation_id;
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
@@ -228,7 +229,7 @@ pub(in crate::sqlite) async fn save_wear(
 
 pub(in crate::sqlite) static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::new(|| {
     Statements::new(
-        "INSERT OR FAIL INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_for_us, level_as_run,
+        "INSERT OR FAIL INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
              level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
              data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
          VALUES ",
@@ -240,10 +241,10 @@ pub(in crate::sqlite) static RECOMMENDATIONS: LazyLock<Statements> = LazyLock::n
 fn bind_recommendations(mut query: Query, rows: &[IssuedRow]) -> Query {
     for row in rows {
         query = query
-            .bind(row.recommendation_id.clone())
+            .bind(recommendation_id::to_column(&row.recommendation_id))
             .bind(row.advice.hash.to_vec())
             .bind(row.issued_at_us)
-            .bind(row.valid_for_us)
+            .bind(row.valid_until_us)
             .bind(row.level_as_run)
             .bind(row.level_lowest)
             .bind(row.level_highest)

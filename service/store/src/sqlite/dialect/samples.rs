@@ -1,7 +1,7 @@
 //! Samples in packs: see [`crate::codec::pack`].
 
 use crate::codec::pack;
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::record::StoreFault;
 use crate::rows::BlockRow;
 use crate::sqlite::Conn;
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 /// The pack of a cycle's samples, and their place in it.
 pub(in crate::sqlite) const BLOCK: &str =
-    "SELECT p.blocks, s.place FROM cycle_samples s JOIN sample_packs p ON p.pack = s.pack
+    "SELECT p.blocks, s.place FROM cycle_samples s LEFT JOIN sample_packs p ON p.pack = s.pack
      WHERE s.machine_id = $1 AND s.cycle_id = $2
        AND s.received_at_us = (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)";
 
@@ -38,13 +38,19 @@ pub(in crate::sqlite) async fn block(
     machine: &MachineId,
     id: &CycleId,
 ) -> StoreResult<Option<Vec<u8>>> {
-    let found: Option<(Vec<u8>, i64)> =
+    let found: Option<(Option<Vec<u8>>, i64)> =
         sqlx::query_as(BLOCK).bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?;
-    found.map(|(blocks, at)| Ok(pack::block(&blocks, place(at)?)?.to_vec())).transpose()
+    found.map(|(blocks, at)| block_of(blocks.as_deref(), at)).transpose()
+}
+
+/// The block of what [`BLOCK`] has found.
+pub(in crate::sqlite) fn block_of(blocks: Option<&[u8]>, at: i64) -> StoreResult<Vec<u8>> {
+    let damaged = || StoreError::Damaged { what: "a pack of samples: it is not there".to_owned() };
+    Ok(pack::block(blocks.ok_or_else(damaged)?, place(at)?)?.to_vec())
 }
 
 /// A place out of its column.
-pub(in crate::sqlite) fn place(at: i64) -> StoreResult<usize> {
+fn place(at: i64) -> StoreResult<usize> {
     crate::rows::number("place", at)
 }
 
@@ -82,7 +88,7 @@ pub(in crate::sqlite) async fn tidy(conn: &mut Conn) -> StoreResult<bool> {
                     .execute(&mut *conn)
                     .await?;
             }
-            // The check names it; what is in it is of no use to anybody.
+            // The check names it, and each cycle in it.
             Some(Err(what)) => tracing::error!(pack = number, what, "a pack of samples is damaged"),
         }
         sqlx::query("DELETE FROM sample_pack_drops WHERE pack = $1").bind(number).execute(&mut *conn).await?;
