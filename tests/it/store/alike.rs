@@ -1,6 +1,8 @@
 //! The same story leaves the same store on both engines, to the bit.
 
-use super::given::{Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, tool};
+use super::given::{
+    Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, tool, unpacked,
+};
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{AlarmFilter, Committed, CycleFilter, Page, Precondition, Store};
 
@@ -63,7 +65,9 @@ async fn dump(given: &Given) -> Vec<String> {
     lines.extend(alarms.iter().map(|alarm| format!("{alarm:?}")));
     let audit = store.audit(Page { after: None, limit: 100 }).await.unwrap();
     lines.extend(audit.iter().map(|line| format!("{line:?}")));
-    lines.extend(given.wear_states().await.iter().map(|state| format!("{state:?}")));
+    let states = given.wear_states().await.into_iter();
+    let states = states.map(|(machine, tool, folded, state)| (machine, tool, folded, unpacked(&state)));
+    lines.extend(states.map(|state| format!("{state:?}")));
     lines
 }
 

@@ -312,6 +312,33 @@ pub(crate) fn event(kind: ToolEventKind, at: Timestamp) -> ToolEvent {
     ToolEvent { kind, at, first_cycle: None, reason: Some("as the story goes".to_owned()) }
 }
 
+/// A fold's state without what is only packing, which each engine does by itself: with its runs of zeros (`codec/state.rs`,
+/// `codec/zeros.rs`).
+pub(crate) fn unpacked(state: &[u8]) -> Vec<u8> {
+    let squeezed;
+    let mut rest = match state {
+        [0xfe, a, b, c, d, frame @ ..] => {
+            let length = u32::from_le_bytes([*a, *b, *c, *d]);
+            squeezed = zstd::bulk::decompress(frame, length.try_into().unwrap()).expect("a frame");
+            squeezed.strip_prefix(&[0xff]).expect("runs of zeros")
+        }
+        [0xff, rest @ ..] => rest,
+        plain => return plain.to_vec(),
+    };
+    let mut plain = Vec::new();
+    while let [byte, later @ ..] = rest {
+        rest = later;
+        if *byte == 0 {
+            let (&run, later) = rest.split_first().expect("the length of a run");
+            plain.resize(plain.len() + usize::from(run), 0);
+            rest = later;
+        } else {
+            plain.push(*byte);
+        }
+    }
+    plain
+}
+
 /// Makes what stands in an index another thing than the index says: no table has changed, and rows are not found by it.
 pub(crate) const WRONG_INDEX: &str = "PRAGMA writable_schema = ON;
     UPDATE sqlite_schema SET sql = replace(sql, '(tool_id,', '(operation_id,') WHERE name = 'cycles_by_tool';

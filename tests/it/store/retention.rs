@@ -699,6 +699,7 @@ mod packs {
     use super::super::given::{Given, Run, at, commit, engineer, machine, shop, stored};
     use super::{FOR_EVER, days, run};
     use feedwright_core::cycle::Samples;
+    use feedwright_store::transfer::{back_up_sqlite, restore_to_sqlite};
     use feedwright_store::{Precondition, SampleRetention, SqliteOptions, Store, StoreError};
 
     const NOW: i64 = 1_000 * super::DAY;
@@ -808,21 +809,36 @@ mod packs {
         let store = given.store();
         let store = &*store;
         two_machines(store).await;
-        // In the lengths of what is in it.
-        let damage = "UPDATE sample_packs
-             SET blocks = CAST(substr(blocks, 1, 4) || x'01' || substr(blocks, 6) AS BLOB)
-             WHERE pack = (SELECT pack FROM cycle_samples WHERE cycle_id = 'd00004')";
-        assert_eq!(given.raw(damage).await.unwrap(), 1);
+        // In the lengths of what is in it, and in what says that it is one.
+        for (damage, cycle) in [
+            ("substr(blocks, 1, 4) || x'01' || substr(blocks, 6)", "d00004"),
+            ("x'47' || substr(blocks, 2)", "d00006"),
+        ] {
+            let damage = format!(
+                "UPDATE sample_packs SET blocks = CAST({damage} AS BLOB)
+                 WHERE pack = (SELECT pack FROM cycle_samples WHERE cycle_id = '{cycle}')"
+            );
+            assert_eq!(given.raw(sqlx::AssertSqlSafe(damage)).await.unwrap(), 1);
+        }
         let checked = store.check_cycles(None, 100).await.unwrap();
         let keys: Vec<_> = checked.faults.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
-        assert_eq!(keys, [("samples", "M1/c00004"), ("samples", "M2/c00004"), ("samples", "M2/d00004")]);
+        let of_both = ["M1/c00004", "M1/c00006", "M2/c00004", "M2/c00006", "M2/d00004", "M2/d00006"];
+        assert_eq!(keys, of_both.map(|key| ("samples", key)));
         assert!(checked.faults[0].detail.contains("its checksum differs"), "{:?}", checked.faults[0]);
         let (machine, cycle) = ("M2".try_into().unwrap(), "d00004".try_into().unwrap());
         let read = store.cycle_samples(&machine, &cycle).await;
         assert!(matches!(read, Err(StoreError::Damaged { .. })), "{read:?}");
-        // What cannot be read is not written anew either.
+        // What cannot be read is neither written anew nor removed, though some of it is dropped.
+        let kept = "SELECT length(blocks) FROM sample_packs
+                    WHERE pack IN (SELECT pack FROM cycle_samples WHERE cycle_id IN ('d00004', 'd00006')) ORDER BY pack";
+        let before = given.numbers(kept).await;
         run(store, FOR_EVER, NOW).await;
-        assert_eq!(packs(&given).await.0, 20);
+        assert_eq!((packs(&given).await.0, given.numbers(kept).await), (20, before));
+        // Nor is it in the way of a backup.
+        let folder = tempfile::tempdir().unwrap();
+        let (backup, restored) = (folder.path().join("backup"), folder.path().join("restored.sqlite3"));
+        back_up_sqlite(&given.file(), &backup, at(1)).await.unwrap();
+        restore_to_sqlite(&backup, &restored).await.unwrap();
         assert_eq!(
             given.raw("INSERT INTO sample_packs (pack, blocks) VALUES (99, x'4642')").await.unwrap(),
             1
@@ -830,6 +846,12 @@ mod packs {
         let strays = store.check_tables().await.unwrap();
         let strays: Vec<_> = strays.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
         assert_eq!(strays, [("samples", "pack 99")]);
+        // A pack that is gone is a loss, and no retention's.
+        let lost = "DELETE FROM sample_packs WHERE pack = (SELECT pack FROM cycle_samples WHERE cycle_id = 'd00009')";
+        assert_eq!(given.raw(lost).await.unwrap(), 1);
+        let checked = store.check_cycles(None, 100).await.unwrap();
+        let lost = checked.faults.iter().filter(|fault| fault.detail.contains("it is not there"));
+        assert_eq!(lost.count(), 2);
         given.done().await;
     }
 

@@ -1,6 +1,6 @@
 //! Databases of before: opened by this version, they hold what they held, to the bit.
 
-use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored, tool};
+use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored, tool, unpacked};
 use feedwright_core::cycle::Flag;
 use feedwright_core::ids::RecommendationId;
 use feedwright_core::recommend::RecommendSettings;
@@ -249,32 +249,6 @@ async fn sums(given: &Given) -> Vec<(String, TableSum)> {
         back_up_sqlite(&given.file(), &backup, at(1)).await
     };
     made.unwrap().tables
-}
-
-/// A fold's state as that version stored it: with its runs of zeros (`codec/state.rs`, `codec/zeros.rs`).
-fn unpacked(state: &[u8]) -> Vec<u8> {
-    let squeezed;
-    let mut rest = match state {
-        [0xfe, a, b, c, d, frame @ ..] => {
-            let length = u32::from_le_bytes([*a, *b, *c, *d]);
-            squeezed = zstd::bulk::decompress(frame, length.try_into().unwrap()).expect("a frame");
-            squeezed.strip_prefix(&[0xff]).expect("runs of zeros")
-        }
-        [0xff, rest @ ..] => rest,
-        plain => return plain.to_vec(),
-    };
-    let mut plain = Vec::new();
-    while let [byte, later @ ..] = rest {
-        rest = later;
-        if *byte == 0 {
-            let (&run, later) = rest.split_first().expect("the length of a run");
-            plain.resize(plain.len() + usize::from(run), 0);
-            rest = later;
-        } else {
-            plain.push(*byte);
-        }
-    }
-    plain
 }
 
 /// The folds as they are stored, without what is only packing.
