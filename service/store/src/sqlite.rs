@@ -57,7 +57,7 @@ pub(crate) async fn take_up(path: &Path) -> StoreResult<()> {
     task.await.map_err(panicked)?
 }
 
-/// Free pages (8 MiB) that are left to be used again.
+/// Free pages (8 MiB, of older files' pages 16) that are left to be used again.
 const PAGES_KEPT_FREE: i64 = 2048;
 
 /// The store in one SQLite file. Clones share it.

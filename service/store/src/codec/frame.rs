@@ -231,7 +231,6 @@ fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
     }
 }
 
-/// `None` where zstd fails, which it does for want of memory only: the block is then stored as it is.
 fn planes(bits: &[u64]) -> Vec<u8> {
     let mut out = Vec::with_capacity(bits.len() * 8);
     for plane in 0..8 {

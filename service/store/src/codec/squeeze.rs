@@ -7,7 +7,7 @@ thread_local! {
     static DECOMPRESSOR: RefCell<Option<zstd::bulk::Decompressor<'static>>> = const { RefCell::new(None) };
 }
 
-/// A zstd frame of the bytes; `None` where there is no memory for it.
+/// A zstd frame of the bytes; `None` where zstd fails, which it does for want of memory only.
 pub(super) fn compress(plain: &[u8], level: i32) -> Option<Vec<u8>> {
     COMPRESSOR.with_borrow_mut(|slot| {
         if slot.is_none() {

@@ -9,10 +9,10 @@ use std::time::Duration;
 use tokio::sync::{Mutex, Notify};
 use tokio::task::JoinHandle;
 
-/// A log this long (128 MiB of 4 KiB pages) means that a reader holds an old snapshot, or that the disk is too slow.
+/// A log this long (128 MiB of the 4 KiB pages of new files, twice as much of the 8 KiB pages of older ones) means that a reader holds an old snapshot, or that the disk is too slow.
 const LONG_WAL_PAGES: u64 = 32_768;
 
-/// A log this long (8 MiB) is begun anew: written over, not made longer, it needs no space of the file system in each
+/// A log this long (8 MiB, or 16) is begun anew: written over, not made longer, it needs no space of the file system in each
 /// commit.
 const REUSED_WAL_PAGES: u64 = 2_048;
 
