@@ -128,6 +128,13 @@ pub(crate) use predict::unzigzag;
 use crate::record::EncodedCycle;
 use feedwright_core::cycle::Cycle;
 
+/// The first bytes of blake3 over some: what shows that they were damaged.
+fn checksum<const N: usize>(bytes: &[u8]) -> [u8; N] {
+    let mut first = [0; N];
+    first.copy_from_slice(&blake3::hash(bytes).as_bytes()[..N]);
+    first
+}
+
 /// The smallest scale at which all values are decimals, with their integers; `None` where there is none.
 pub(crate) fn canonical_column(values: &[f64]) -> Option<(u8, Vec<i64>)> {
     match column::Column::of(values) {

@@ -1,6 +1,5 @@
 //! Block format: writing version 5, and reading all versions, which trusts nothing.
 
-use super::ans;
 use super::column::{Column, Columns, MAX_SCALE, Time};
 use super::guide::{self, Following, Guide, Guided, MOST_MEMORY};
 use super::habit::{Habit, Predicted, Usual};
@@ -10,6 +9,7 @@ use super::predict::{Predictor, Residuals, tried, unzigzag, zigzag};
 use super::range::{RangeReader, Zeros};
 use super::rice::RiceReader;
 use super::squeeze::{compress, decompress};
+use super::{ans, checksum};
 use crate::error::{StoreError, StoreResult};
 use feedwright_core::cycle::{Channel, Samples};
 
@@ -107,7 +107,7 @@ pub(super) fn encode_by(columns: &Columns, habit: &mut Habit) -> Vec<u8> {
     if has_law {
         residuals.coder.finish(&mut out);
     }
-    let checksum = checksum(&out);
+    let checksum = checksum::<CHECKSUM>(&out);
     out.extend_from_slice(&checksum);
     out
 }
@@ -208,13 +208,6 @@ impl Coded {
     }
 }
 
-fn checksum(bytes: &[u8]) -> [u8; CHECKSUM] {
-    let hash = blake3::hash(bytes);
-    let mut first = [0; CHECKSUM];
-    first.copy_from_slice(&hash.as_bytes()[..CHECKSUM]);
-    first
-}
-
 fn put_exact(out: &mut Vec<u8>, plain: &[u8]) {
     match compress(plain, LEVEL).filter(|packed| packed.len() < plain.len()) {
         Some(packed) => {
@@ -258,7 +251,7 @@ pub(super) fn damaged(what: &str) -> StoreError {
 fn read(bytes: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
     let end = bytes.len().checked_sub(CHECKSUM).ok_or("too short")?;
     let (body, sum) = bytes.split_at(end);
-    if checksum(body) != sum {
+    if checksum::<CHECKSUM>(body) != sum {
         return Err("checksum differs");
     }
     read_body(body, max_samples)

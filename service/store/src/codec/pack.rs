@@ -11,6 +11,7 @@
 //! A block alone is a pack as it is, of one place, where it begins like one. Each block has a checksum of its own; that of the pack is
 //! over where they are. What begins otherwise is damaged: nothing is taken out of it.
 
+use super::checksum;
 use super::input::{Input, put_varint};
 use crate::error::{StoreError, StoreResult};
 use std::borrow::Cow;
@@ -88,16 +89,10 @@ fn several(blocks: &[&[u8]]) -> Vec<u8> {
     out.push(VERSION);
     out.push(u8::try_from(blocks.len()).unwrap_or(u8::MAX));
     blocks.iter().for_each(|block| put_varint(&mut out, block.len() as u64));
-    let checksum = checksum(&out);
+    let checksum = checksum::<CHECKSUM>(&out);
     out.extend_from_slice(&checksum);
     blocks.iter().for_each(|block| out.extend_from_slice(block));
     out
-}
-
-fn checksum(directory: &[u8]) -> [u8; CHECKSUM] {
-    let mut first = [0; CHECKSUM];
-    first.copy_from_slice(&blake3::hash(directory).as_bytes()[..CHECKSUM]);
-    first
 }
 
 /// The block at a place of a pack.
@@ -147,7 +142,7 @@ fn places(pack: &[u8]) -> Result<Vec<Range<usize>>, &'static str> {
         *length = input.length()?;
     }
     let directory = &pack[..pack.len() - input.0.len()];
-    if input.take(CHECKSUM)? != checksum(directory) {
+    if input.take(CHECKSUM)? != checksum::<CHECKSUM>(directory) {
         return Err("its checksum differs");
     }
     let mut places = Vec::with_capacity(count);

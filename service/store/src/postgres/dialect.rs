@@ -56,18 +56,18 @@ macro_rules! block_bytes {
 }
 pub(super) use block_bytes;
 
+/// What stands for the id of a recommendation.
+pub(super) type RecommendationKey = String;
+
 /// What an id of a recommendation is looked for by.
-pub(super) fn recommendation_key(id: &str) -> String {
+pub(super) fn recommendation_key(id: &str) -> RecommendationKey {
     id.to_owned()
 }
 
-/// The id of a row of `recommendations`, `r`.
-macro_rules! told_id {
-    () => {
-        "r.recommendation_id"
-    };
+/// The id, as it is told where something is wrong.
+pub(super) fn recommendation_of(key: &RecommendationKey) -> String {
+    key.clone()
 }
-pub(super) use told_id;
 
 /// A fold's state as it is stored: as servers of before read it too, which run beside this one while a plant is brought up to it. The
 /// server itself squeezes what is long.

@@ -119,23 +119,21 @@ pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     out
 }
 
+/// What stands for the id of a recommendation.
+pub(super) type RecommendationKey = Vec<u8>;
+
 /// What an id of a recommendation is looked for by.
-pub(super) fn recommendation_key(id: &str) -> Vec<u8> {
+pub(super) fn recommendation_key(id: &str) -> RecommendationKey {
     recommendation_id::to_column(id)
 }
 
-/// The id of a row of `recommendations`, `r`.
-macro_rules! told_id {
-    () => {
-        "CASE WHEN length(r.recommendation_id) IN (16, 17)
-              THEN lower(substr(hex(r.recommendation_id), 1, 8) || '-' || substr(hex(r.recommendation_id), 9, 4) || '-' ||
-                         substr(hex(r.recommendation_id), 13, 4) || '-' || substr(hex(r.recommendation_id), 17, 4) || '-' ||
-                         substr(hex(r.recommendation_id), 21, 12)) ||
-                   iif(length(r.recommendation_id) = 17, '-reference', '')
-              ELSE CAST(r.recommendation_id AS TEXT) END"
-    };
+/// The id, as it is told where something is wrong.
+pub(super) fn recommendation_of(key: &RecommendationKey) -> String {
+    match recommendation_id::from_column(key) {
+        Ok(id) => id.as_str().to_owned(),
+        Err(_) => format!("{key:02x?}"),
+    }
 }
-pub(super) use told_id;
 
 /// A fold's state as it is stored.
 pub(super) fn pack_state(plain: &[u8]) -> Vec<u8> {

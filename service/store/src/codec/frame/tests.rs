@@ -47,7 +47,7 @@ fn unhex(text: &str) -> Vec<u8> {
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let end = bytes.len().saturating_sub(CHECKSUM);
     bytes.truncate(end);
-    let sum = checksum(&bytes);
+    let sum = checksum::<CHECKSUM>(&bytes);
     bytes.extend_from_slice(&sum);
     bytes
 }
@@ -425,6 +425,6 @@ fn a_column_of_zeros_that_lost_its_first_one_is_read() {
     let mut short = b"FB\x03\x28\x01\x00".to_vec();
     short.extend(10.0_f64.to_le_bytes());
     short.extend([Channel::OverridePercent as u8, 0, 1, RANGE]);
-    short.extend(super::checksum(&short));
+    short.extend(super::checksum::<CHECKSUM>(&short));
     assert_eq!(decode_samples(&short, 40).unwrap(), samples);
 }

@@ -18,18 +18,16 @@ pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFa
     let most = i64::try_from(MOST_NAMED).unwrap_or(i64::MAX);
     let damaged = quarantine::damaged(conn, most).await?.into_iter();
     faults.extend(damaged.map(|key| fault("quarantine", key, "its body is not what came")));
-    let silent: Vec<(String,)> = sqlx::query_as::<Db, _>(concat!(
-        "SELECT ",
-        dialect::told_id!(),
-        " FROM recommendations r WHERE NOT EXISTS (
+    let silent: Vec<(dialect::RecommendationKey,)> = sqlx::query_as::<Db, _>(
+        "SELECT r.recommendation_id FROM recommendations r WHERE NOT EXISTS (
              SELECT 1 FROM advices a WHERE a.advice_hash = r.advice_hash)
          ORDER BY r.recommendation_id LIMIT $1",
-    ))
+    )
     .bind(most)
     .fetch_all(&mut *conn)
     .await?;
-    let silent = silent.into_iter();
-    faults.extend(silent.map(|(key,)| fault("recommendation", key, "what it advised is not there")));
+    let silent = silent.into_iter().map(|(key,)| dialect::recommendation_of(&key));
+    faults.extend(silent.map(|id| fault("recommendation", id, "what it advised is not there")));
     let strays: Vec<(String, String)> = sqlx::query_as::<Db, _>(
         "SELECT s.machine_id, s.cycle_id FROM cycle_samples s WHERE NOT EXISTS (
              SELECT 1 FROM cycles c WHERE c.machine_id = s.machine_id AND c.cycle_id = s.cycle_id
