@@ -116,7 +116,7 @@ pub(crate) mod state;
 pub(crate) mod zeros;
 
 pub(crate) use column::extend_decimals;
-pub use column::{Column, Columns, Time};
+pub use column::{Column, Columns, Places, Time};
 #[cfg(test)]
 pub(crate) use frame::tests::cycle as cycle_of_every_field;
 pub use frame::{decode_columns, decode_samples, encode_samples};
@@ -137,7 +137,7 @@ fn checksum<const N: usize>(bytes: &[u8]) -> [u8; N] {
 
 /// The smallest scale at which all values are decimals, with their integers; `None` where there is none.
 pub(crate) fn canonical_column(values: &[f64]) -> Option<(u8, Vec<i64>)> {
-    match column::Column::of(values) {
+    match column::Column::of(values, None) {
         column::Column::Decimal { scale, values } => Some((scale, values)),
         column::Column::Exact(_) => None,
     }

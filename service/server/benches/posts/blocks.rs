@@ -27,7 +27,9 @@ pub(crate) fn measure() {
         println!("  {size} cycles in a block: {:.4}", bytes as f64 / values as f64);
     }
     let habits = codec::Habits::default();
-    let by_habit = cycles.iter().map(|cycle| habits.encode(&read(cycle)).samples.expect("a block").len());
+    let by_habit = cycles
+        .iter()
+        .map(|cycle| habits.encode(&read(cycle), codec::Places::default()).samples.expect("a block").len());
     println!("  one by one, by habit: {:.4}", by_habit.sum::<usize>() as f64 / values as f64);
     let bits: f64 = machines.iter().map(|cycles| entropy(&joined(cycles))).sum();
     println!(

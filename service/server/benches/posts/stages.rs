@@ -24,9 +24,10 @@ pub(crate) fn measure() {
     let frames: Vec<Vec<u8>> = cycles.iter().map(Cycle::frame).collect();
     let read = |index: usize, body: &[u8]| {
         let machine = cycles[index].machine.as_str().try_into().expect("an id");
-        body::decode(&machine, body, 10_000, now).expect("a cycle")
+        body::decode_with_places(&machine, body, 10_000, now).expect("a cycle")
     };
-    let decoded: Vec<_> = frames.iter().enumerate().map(|(index, frame)| read(index, frame)).collect();
+    let (decoded, places): (Vec<_>, Vec<_>) =
+        frames.iter().enumerate().map(|(index, frame)| read(index, frame)).unzip();
     let machine = machine();
     let context = Context { machine: &machine, calibration: None, operation: None };
     let encoded: Vec<_> = decoded.iter().map(codec::encode).collect();
@@ -42,7 +43,7 @@ pub(crate) fn measure() {
     });
     tell("content hash and block", |index| drop(black_box(codec::encode(&decoded[index]))));
     let habits = codec::Habits::default();
-    tell("the same by habit", |index| drop(black_box(habits.encode(&decoded[index]))));
+    tell("the same by habit", |index| drop(black_box(habits.encode(&decoded[index], places[index]))));
     tell("block to samples", |index| {
         let block = encoded[index].samples.as_deref().expect("samples");
         drop(black_box(codec::decode_samples(block, 10_000)));

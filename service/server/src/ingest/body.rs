@@ -17,6 +17,7 @@ use feedwright_core::cycle::{
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::units::{Process, Strategy, Timestamp};
+use feedwright_store::codec::Places;
 use feedwright_store::wire;
 use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -99,6 +100,8 @@ struct SamplesBody {
     period_ms: Option<f64>,
     time_ms: Option<Vec<f64>>,
     columns: Vec<(Channel, Vec<f64>)>,
+    /// As far as whoever has read it knows them.
+    places: Places,
 }
 
 /// Name of a field in `samples`, refused where there is no such field.
@@ -177,8 +180,19 @@ pub fn decode(
     max_samples: usize,
     now: Timestamp,
 ) -> Result<Cycle, BodyError> {
+    decode_with_places(machine, body, max_samples, now).map(|(cycle, _)| cycle)
+}
+
+/// As [`decode`], with how its samples were written, as far as that is known.
+pub fn decode_with_places(
+    machine: &MachineId,
+    body: &[u8],
+    max_samples: usize,
+    now: Timestamp,
+) -> Result<(Cycle, Places), BodyError> {
     let body = if is_frame(body) { frame::read(body, max_samples)? } else { parse(body, max_samples)? };
-    checked(machine, body, max_samples, now)
+    let places = body.samples.as_ref().map(|samples| samples.places).unwrap_or_default();
+    Ok((checked(machine, body, max_samples, now)?, places))
 }
 
 /// Whether a body is of the binary form.

@@ -16,7 +16,7 @@ use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::MachineId;
 use feedwright_core::summary::{Context, summarise};
 use feedwright_core::units::Timestamp;
-use feedwright_store::codec::Habits;
+use feedwright_store::codec::{Habits, Places};
 use feedwright_store::{
     Committed, CycleAnswer, NewCycle, QuarantineBounds, QuarantineEntry, Store, StoreError, wire,
 };
@@ -243,8 +243,8 @@ impl CycleIntake {
         refused: Refused,
     ) -> Result<Ready, Problem> {
         let now = self.clock.now();
-        let cycle = match self.decode(machine, json.clone(), now).await? {
-            Ok(cycle) => cycle,
+        let (cycle, places) = match self.decode(machine, json.clone(), now).await? {
+            Ok(decoded) => decoded,
             Err(BodyError::Malformed(why)) => {
                 return Err(Problem::bad_request("malformed_json", format!("the body is no JSON: {why}")));
             }
@@ -274,7 +274,7 @@ impl CycleIntake {
         };
         let mut summary = summarise(&cycle, context);
         summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
-        let encoded = self.habits.encode(&cycle);
+        let encoded = self.habits.encode(&cycle, places);
         // A group waits with tens of cycles: the memory of their samples serves the next ones meanwhile.
         let cycle = Arc::new(cycle.with_samples(None));
         let generation = Some(generation);
@@ -350,7 +350,7 @@ impl CycleIntake {
             // Two cycles are held in memory for each, of any length.
             let turn = Arc::clone(&self.comparing).acquire_owned().await.ok()?;
             // It was taken once: the clock that refuses what lies ahead has only gone on.
-            let sent = self.decode(machine, Bytes::clone(json), self.clock.now()).await.ok()?.ok()?;
+            let sent = self.decode(machine, Bytes::clone(json), self.clock.now()).await.ok()?.ok()?.0;
             let store = Arc::clone(&self.store);
             // A task of its own: what asks the database is never cut off.
             let asked = tokio::spawn(async move {
@@ -379,13 +379,13 @@ impl CycleIntake {
         machine: &MachineId,
         json: Bytes,
         now: Timestamp,
-    ) -> Result<Result<Cycle, BodyError>, Problem> {
+    ) -> Result<Result<(Cycle, Places), BodyError>, Problem> {
         let max_samples = self.max_samples;
         if json.len() <= PARSED_ASIDE_BYTES {
-            return Ok(body::decode(machine, &json, max_samples, now));
+            return Ok(body::decode_with_places(machine, &json, max_samples, now));
         }
         let machine = machine.clone();
-        tokio::task::spawn_blocking(move || body::decode(&machine, &json, max_samples, now))
+        tokio::task::spawn_blocking(move || body::decode_with_places(&machine, &json, max_samples, now))
             .await
             .map_err(|error| Problem::internal(format!("parsing a cycle failed: {error}")))
     }

@@ -25,7 +25,33 @@ pub enum Column {
 }
 
 impl Column {
-    pub(super) fn of(values: &[f64]) -> Self {
+    /// The canonical form of values, of which some may be known.
+    pub(super) fn of(values: &[f64], places: Option<u8>) -> Self {
+        places.and_then(|places| Self::of_decimals(values, places)).unwrap_or_else(|| Self::found(values))
+    }
+
+    /// That of values which each are the nearest there is to a decimal of so many places, and none −0: nothing has to be looked
+    /// for or held against it. `None` where they are larger than that, or fewer places may do.
+    ///
+    /// Integers below 2^49 have 15 digits at the most, and decimals of so many digits are as many values: one that needs all
+    /// places does not fit a smaller scale.
+    fn of_decimals(values: &[f64], places: u8) -> Option<Self> {
+        let power = *POWERS.get(usize::from(places))?;
+        let mut beyond = 0;
+        let integers: Vec<i64> = values
+            .iter()
+            .map(|&value| {
+                let integer = (value * power + ROUNDER).to_bits().wrapping_sub(ROUNDER.to_bits());
+                beyond |= beyond_limit(integer);
+                integer.cast_signed()
+            })
+            .collect();
+        let is_smallest = places == 0 || integers.iter().any(|integer| integer % 10 != 0);
+        (beyond == 0 && is_smallest).then_some(Self::Decimal { scale: places, values: integers })
+    }
+
+    /// The canonical form of values of which nothing is known.
+    fn found(values: &[f64]) -> Self {
         let mut integers = Vec::with_capacity(values.len());
         let mut scale = values.first().map_or(0, |&first| next_scale(first, 0));
         // Each scale passed over was refused by a value, so the one found is the smallest.
@@ -79,6 +105,12 @@ const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// which [`ROUNDER`] rounds otherwise than [`integer`], belong to no decimal.
 const ROUNDED_LIMIT: u64 = 1 << 49;
 
+/// Not 0 where an integer is not below [`ROUNDED_LIMIT`], above or below zero.
+#[inline(always)]
+const fn beyond_limit(integer: u64) -> u64 {
+    integer.wrapping_add(ROUNDED_LIMIT) & !(2 * ROUNDED_LIMIT - 1)
+}
+
 /// Appends the integers of `values`, where all of them are decimals of that scale and below [`ROUNDED_LIMIT`]; else
 /// nothing. The same integers as those of [`integer`], without a branch per value.
 fn extend_at_once(integers: &mut Vec<i64>, values: &[f64], scale: u8) -> bool {
@@ -106,7 +138,7 @@ fn extend_where_same(
         let shifted = scaled(value) + ROUNDER;
         let integer = shifted.to_bits().wrapping_sub(ROUNDER.to_bits());
         different |= value_of(shifted - ROUNDER).to_bits() ^ value.to_bits();
-        beyond |= integer.wrapping_add(ROUNDED_LIMIT) & !(2 * ROUNDED_LIMIT - 1);
+        beyond |= beyond_limit(integer);
         integer.cast_signed()
     }));
     let all = different | beyond == 0;
@@ -155,6 +187,40 @@ fn integer(value: f64, scale: u8) -> Option<i64> {
     (decimal(integer, scale).to_bits() == value.to_bits()).then_some(integer)
 }
 
+/// How many places the decimals of a cycle's columns were written with, as far as that is known: so much need not be found out
+/// of their values.
+///
+/// Whoever notes places says that each value of the column is the nearest there is to a decimal of so many places. If it were
+/// not, another value would be stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Places {
+    times: Option<u8>,
+    /// By the channels' codes, from 1 on.
+    channels: [Option<u8>; Channel::ALL.len()],
+}
+
+impl Places {
+    /// Notes those of a channel, or of the times.
+    pub fn note(&mut self, of: Option<Channel>, places: u8) {
+        match of {
+            None => self.times = Some(places),
+            Some(channel) => {
+                if let Some(known) = self.channels.get_mut(place_of(channel)) {
+                    *known = Some(places);
+                }
+            }
+        }
+    }
+
+    fn of(&self, channel: Channel) -> Option<u8> {
+        self.channels.get(place_of(channel)).copied().flatten()
+    }
+}
+
+const fn place_of(channel: Channel) -> usize {
+    channel as usize - 1
+}
+
 /// All columns of a cycle: made once for hash and blocks, and what a block is read to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Columns {
@@ -193,11 +259,17 @@ impl Columns {
 
     /// The canonical form of samples.
     pub fn of(samples: &Samples) -> Self {
+        Self::with(samples, Places::default())
+    }
+
+    /// The same, where it is known how their decimals were written.
+    pub(super) fn with(samples: &Samples, places: Places) -> Self {
         let time = match samples.time() {
             TimeBase::Period { period_ms } => Time::Period(period_ms.to_bits()),
-            TimeBase::Stamps { time_ms } => Time::Stamps(Column::of(time_ms)),
+            TimeBase::Stamps { time_ms } => Time::Stamps(Column::of(time_ms, places.times)),
         };
-        let channels = samples.columns().map(|(channel, values)| (channel, Column::of(values))).collect();
+        let column = |(channel, values)| (channel, Column::of(values, places.of(channel)));
+        let channels = samples.columns().map(column).collect();
         Self { len: samples.len(), time, channels }
     }
 }
@@ -209,7 +281,7 @@ mod tests {
 
     #[test]
     fn the_smallest_scale_is_taken() {
-        let scale = |values: &[f64]| match Column::of(values) {
+        let scale = |values: &[f64]| match Column::found(values) {
             Column::Decimal { scale, .. } => Some(scale),
             Column::Exact(_) => None,
         };
@@ -268,15 +340,31 @@ mod tests {
         }
 
         #[test]
+        fn what_is_known_of_a_column_changes_nothing(
+            integers in prop_oneof![
+                prop::collection::vec(-1_000_i64..1_000, 0..100),
+                prop::collection::vec((-1_000_i64..1_000).prop_map(|m| m * 100), 0..20),
+                prop::collection::vec(-(1_i64 << 53) + 1..1 << 53, 1..20),
+                prop::collection::vec(-(1_i64 << 49)..=1 << 49, 1..20),
+            ],
+            places in 0_u8..=12,
+        ) {
+            let power = 10_f64.powi(places.into());
+            #[expect(clippy::cast_precision_loss, reason = "below 2^53")]
+            let values: Vec<f64> = integers.iter().map(|&m| m as f64 / power).collect();
+            prop_assert_eq!(Column::of(&values, Some(places)), Column::found(&values));
+        }
+
+        #[test]
         fn every_column_comes_back_to_the_bit(values in prop::collection::vec(any::<f64>(), 1..50)) {
-            let back = Column::of(&values).into_values();
+            let back = Column::found(&values).into_values();
             prop_assert!(values.iter().zip(&back).all(|(a, b)| a.to_bits() == b.to_bits()));
         }
 
         #[test]
         fn decimals_are_found(integers in prop::collection::vec(-10_000_000_i64..10_000_000, 1..50), scale in 0_u8..=9) {
             let values: Vec<f64> = integers.iter().map(|&integer| decimal(integer, scale)).collect();
-            match Column::of(&values) {
+            match Column::found(&values) {
                 Column::Decimal { scale: found, .. } => prop_assert!(found <= scale),
                 Column::Exact(_) => prop_assert!(false, "decimals must be found"),
             }

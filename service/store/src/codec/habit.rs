@@ -6,7 +6,7 @@
 //! to look again. Any way to predict suits any values, so that a block which is written by habit is read as every other; at
 //! worst it is longer.
 
-use super::column::Columns;
+use super::column::{Columns, Places};
 use super::frame::{self, Way};
 use super::hash;
 use super::noise::Law;
@@ -46,9 +46,10 @@ impl Default for Habits {
 }
 
 impl Habits {
-    /// Makes the content hash and the sample blocks of a cycle, as [`super::encode`] does, which looks for everything anew.
-    pub fn encode(&self, cycle: &Cycle) -> EncodedCycle {
-        let columns = cycle.samples.as_ref().map(Columns::of);
+    /// Makes the content hash and the sample blocks of a cycle, as [`super::encode`] does, which looks for everything anew; `places`
+    /// are those that its decimals were written with.
+    pub fn encode(&self, cycle: &Cycle, places: Places) -> EncodedCycle {
+        let columns = cycle.samples.as_ref().map(|samples| Columns::with(samples, places));
         let hash = hash::of_parts(cycle, columns.as_ref());
         let samples = columns.map(|columns| {
             let of = key(cycle);

@@ -2,7 +2,7 @@
 
 use super::{CHECKSUM, FLOATS, Field, HEAD, KNOWN_FIELDS, MAGIC, REPORTED};
 use crate::codec::input::varint;
-use crate::codec::{extend_decimals, unzigzag};
+use crate::codec::{Places, extend_decimals, unzigzag};
 use feedwright_core::cycle::Channel;
 use feedwright_core::units::Timestamp;
 
@@ -50,6 +50,8 @@ pub struct PostedSamples {
     pub time_ms: Option<Vec<f64>>,
     /// The channels.
     pub columns: Vec<(Channel, Vec<f64>)>,
+    /// The places that those which were written as decimals have.
+    pub places: Places,
 }
 
 /// Why bytes are not read.
@@ -231,7 +233,9 @@ impl<'a> Input<'a> {
             return malformed("it has more samples than bytes");
         }
         if stamped {
-            samples.time_ms = Some(self.column(length)?);
+            let (times, places) = self.column(length)?;
+            samples.time_ms = Some(times);
+            places.into_iter().for_each(|places| samples.places.note(None, places));
         }
         let channels = self.byte()?;
         for _ in 0..channels {
@@ -240,19 +244,21 @@ impl<'a> Input<'a> {
             if samples.columns.iter().any(|(known, _)| *known == channel) {
                 return Err(WireError::ChannelTwice(channel));
             }
-            let column = self.column(length).map_err(|error| match error {
+            let (column, places) = self.column(length).map_err(|error| match error {
                 WireError::LargeInteger(None) => WireError::LargeInteger(Some(channel)),
                 other => other,
             })?;
             samples.columns.push((channel, column));
+            places.into_iter().for_each(|places| samples.places.note(Some(channel), places));
         }
         Ok(samples)
     }
 
-    fn column(&mut self, length: usize) -> Read<Vec<f64>> {
+    /// A column, with the places of its decimals where it is of such.
+    fn column(&mut self, length: usize) -> Read<(Vec<f64>, Option<u8>)> {
         match self.byte()? {
-            places @ 0..=9 => self.decimals(length, places),
-            FLOATS => (0..length).map(|_| self.float()).collect(),
+            places @ 0..=9 => Ok((self.decimals(length, places)?, Some(places))),
+            FLOATS => Ok(((0..length).map(|_| self.float()).collect::<Read<_>>()?, None)),
             _ => malformed("a column's form is neither 0 to 9 nor 15"),
         }
     }

@@ -63,10 +63,11 @@ impl From<Post> for Body {
             reference_cycle: post.reference_cycle,
             spindle_speed_rpm: post.spindle_speed_rpm.map(Number),
             outcome: post.outcome,
-            samples: post.samples.map(|PostedSamples { period_ms, time_ms, columns }| SamplesBody {
+            samples: post.samples.map(|PostedSamples { period_ms, time_ms, columns, places }| SamplesBody {
                 period_ms,
                 time_ms,
                 columns,
+                places,
             }),
             reported: Some(ReportedBody {
                 energy_joules,

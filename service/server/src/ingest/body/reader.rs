@@ -3,7 +3,7 @@
 //! missing or given twice, broken JSON) is `None` here and read again by `serde_json`, which alone says what is wrong.
 //! So this reader can refuse, but never accept what serde would not, nor read another value.
 
-use super::super::number::{Number, Numbers};
+use super::super::number::Number;
 use super::short;
 use super::{Body, ProfileBody, ReportedBody, SamplesBody, Started};
 use feedwright_core::cycle::Channel;
@@ -69,7 +69,7 @@ impl<'a> Reader<'a> {
             "law_version" => once(&mut fields.law_version, reader.text()?),
             "profile" => once(&mut fields.profile, reader.profile()?),
             "recommendation_id" => once(&mut fields.recommendation_id, reader.text()?),
-            "spindle_speed_rpm" => once(&mut fields.spindle_speed_rpm, Number(reader.number()?)),
+            "spindle_speed_rpm" => once(&mut fields.spindle_speed_rpm, Number(reader.number()?.0)),
             "outcome" => once(&mut fields.outcome, reader.text()?),
             "samples" => once(&mut fields.samples, reader.samples()?),
             "reported" => once(&mut fields.reported, reader.reported()?),
@@ -124,7 +124,7 @@ impl<'a> Reader<'a> {
                 "edge_wear_mm" => &mut body.edge_wear_mm,
                 _ => return None,
             };
-            once(field, Number(reader.number()?))
+            once(field, Number(reader.number()?.0))
         })?;
         Some(body)
     }
@@ -134,14 +134,20 @@ impl<'a> Reader<'a> {
         let mut room = FIRST_ROOM;
         self.object(|reader, name| {
             match name {
-                "period_ms" => return once(&mut body.period_ms, reader.number()?),
-                "time_ms" => once(&mut body.time_ms, reader.numbers(room)?.0)?,
+                "period_ms" => return once(&mut body.period_ms, reader.number()?.0),
+                "time_ms" => {
+                    let (values, places) = reader.numbers(room)?;
+                    once(&mut body.time_ms, values)?;
+                    places.into_iter().for_each(|places| body.places.note(None, places));
+                }
                 _ => {
                     let channel = Channel::parse(name)?;
                     if body.columns.iter().any(|(known, _)| *known == channel) {
                         return None;
                     }
-                    body.columns.push((channel, reader.numbers(room)?.0));
+                    let (values, places) = reader.numbers(room)?;
+                    body.columns.push((channel, values));
+                    places.into_iter().for_each(|places| body.places.note(Some(channel), places));
                 }
             }
             // A column that was read is as long as the next: room for it was made with bytes that did come.
@@ -173,31 +179,39 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn numbers(&mut self, room: usize) -> Option<Numbers> {
+    /// The numbers of an array, and the most places behind the point that any of them has.
+    fn numbers(&mut self, room: usize) -> Option<(Vec<f64>, Option<u8>)> {
         self.token(b'[')?;
         self.skip_space();
         let mut values = Vec::with_capacity(room);
         if self.peek()? == b']' {
             self.at += 1;
-            return Some(Numbers(values));
+            return Some((values, None));
         }
-        let mut spaced = false;
+        let (mut spaced, mut all_places) = (false, 0_u32);
         loop {
             let rest = self.json.get(self.at..)?;
-            let rest = if spaced {
+            let (rest, places) = if spaced {
                 short::run::<true>(rest, &mut values)
             } else {
                 short::run::<false>(rest, &mut values)
             };
+            all_places |= places;
             self.at = self.json.len() - rest.len();
             self.skip_space();
-            let (value, length) = self.any_number()?;
+            let (value, length, places) = self.any_number()?;
             values.push(value);
+            all_places |= places;
             self.at += length;
             self.skip_space();
             match self.next()? {
                 b',' => {}
-                b']' => return Some(Numbers(values)),
+                b']' => {
+                    return Some((
+                        values,
+                        all_places.checked_ilog2().and_then(|most| u8::try_from(most).ok()),
+                    ));
+                }
                 _ => return None,
             }
             spaced = self.peek()? == b' ';
@@ -205,20 +219,21 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// A number with its length. What follows it is looked at by the caller.
+    /// A number, its length, and 1 shifted by its places. What follows it is looked at by the caller.
     #[inline(never)]
-    fn any_number(&self) -> Option<(f64, usize)> {
+    fn any_number(&self) -> Option<(f64, usize, u32)> {
         let rest = self.json.get(self.at..)?;
         let (negative, text) = rest.strip_prefix(b"-").map_or((false, rest), |behind| (true, behind));
-        if let Some((value, length, _)) = short::reached(text).and_then(short::number) {
-            return Some(if negative { (-value, length + 1) } else { (value, length) });
+        if let Some((value, length, _, places)) = short::reached(text).and_then(short::number) {
+            return Some(if negative { (-value, length + 1, places) } else { (value, length, places) });
         }
         let mut reader = Reader { json: rest, at: 0 };
-        Some((reader.number()?, reader.at))
+        let (value, places) = reader.number()?;
+        Some((value, reader.at, 1 << places))
     }
 
-    /// A number without exponent. What follows it is looked at by the caller.
-    fn number(&mut self) -> Option<f64> {
+    /// A number without exponent, and its places. What follows it is looked at by the caller.
+    fn number(&mut self) -> Option<(f64, usize)> {
         let negative = self.peek()? == b'-';
         let begin = self.at + usize::from(negative);
         let (mut mantissa, mut at) = digits(self.json, begin, 0);
@@ -242,7 +257,7 @@ impl<'a> Reader<'a> {
         #[expect(clippy::cast_precision_loss, reason = "below 10^15")]
         let mantissa = mantissa as f64;
         let value = if places == 0 { mantissa } else { mantissa / POWERS[places] };
-        Some(if negative { -value } else { value })
+        Some((if negative { -value } else { value }, places))
     }
 
     /// A whole number that is not negative.
@@ -310,12 +325,16 @@ fn digits(json: &[u8], mut at: usize, mut value: u64) -> (u64, usize) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::number::Numbers;
     use super::*;
+    use feedwright_store::codec::Places;
     use proptest::prelude::*;
 
     /// The reader may refuse what serde takes, but what it takes serde takes too, to the bit.
     fn agrees(json: &[u8]) -> Result<bool, TestCaseError> {
-        let Some(read) = read(json) else { return Ok(false) };
+        let Some(mut read) = read(json) else { return Ok(false) };
+        // Serde does not tell them.
+        read.samples.iter_mut().for_each(|samples| samples.places = Places::default());
         let expected = serde_json::from_slice::<Body>(json);
         let shown = expected.as_ref().map(|body| format!("{body:?}")).map_err(ToString::to_string);
         // Shown, because 0.0 == -0.0 and their text differs.
@@ -421,10 +440,13 @@ mod tests {
         ) {
             let json = format!("[{}]{behind}", texts.join(&format!("{space},{space}")));
             let mut reader = Reader { json: json.as_bytes(), at: 0 };
-            let bits = |Numbers(values): Numbers| values.into_iter().map(f64::to_bits).collect::<Vec<_>>();
-            if let Some(values) = reader.numbers(0) {
+            let bits = |values: Vec<f64>| values.into_iter().map(f64::to_bits).collect::<Vec<_>>();
+            if let Some((values, places)) = reader.numbers(0) {
                 prop_assert_eq!(reader.at, json.trim_end().len());
-                prop_assert_eq!(bits(values), bits(serde_json::from_str(&json).unwrap()), "{}", json);
+                let Numbers(expected) = serde_json::from_str(&json).unwrap();
+                prop_assert_eq!(bits(values), bits(expected), "{}", json);
+                let behind = |text: &String| text.split_once('.').map_or(0, |(_, places)| places.len());
+                prop_assert_eq!(places.map(usize::from), texts.iter().map(behind).max());
             } else {
                 let unusual = |text: &String| text.contains(['e', 'E', '+']) || text.len() > MOST_DIGITS;
                 prop_assert!(texts.iter().any(unusual) || serde_json::from_str::<Numbers>(&json).is_err(), "{}", json);

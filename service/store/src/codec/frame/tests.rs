@@ -145,8 +145,11 @@ fn all_ways() -> Columns {
         Channel::TorqueNewtonMetres,
         Channel::SpindlePowerWatts,
     ];
-    let mut channels: Vec<_> =
-        channels.into_iter().zip(&ways()).map(|(channel, values)| (channel, Column::of(values))).collect();
+    let mut channels: Vec<_> = channels
+        .into_iter()
+        .zip(&ways())
+        .map(|(channel, values)| (channel, Column::of(values, None)))
+        .collect();
     channels.sort_by_key(|(channel, _)| *channel as u8);
     Columns { len: 300, time: Time::Period(10.0_f64.to_bits()), channels }
 }

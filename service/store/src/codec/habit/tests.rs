@@ -117,13 +117,13 @@ fn each_machine_has_its_own_habit_and_there_are_only_so_many() {
     };
     let (one, other) = (of_machine("M1", "bush"), of_machine("M2", "bush"));
     for _ in 0..3 {
-        assert_eq!(habits.encode(&one), encode(&one));
+        assert_eq!(habits.encode(&one, Places::default()), encode(&one));
     }
     assert!(kept(&one) && !kept(&other) && !kept(&of_machine("M1", "flange")));
     let without = one.clone().with_samples(None);
-    assert_eq!(habits.encode(&without), encode(&without));
+    assert_eq!(habits.encode(&without, Places::default()), encode(&without));
     for machine in 0..2 * PLACES {
-        habits.encode(&of_machine(&format!("N{machine}"), "bush"));
+        habits.encode(&of_machine(&format!("N{machine}"), "bush"), Places::default());
     }
     let places = habits.places();
     assert_eq!(places.len(), PLACES);
@@ -218,7 +218,7 @@ proptest! {
         let samples = drilled(len, seed).into_samples().unwrap();
         let cycle = cycle_of_every_field().with_samples(Some(samples.clone()));
         for _ in 0..4 {
-            let EncodedCycle { hash, samples: block } = habits.encode(&cycle);
+            let EncodedCycle { hash, samples: block } = habits.encode(&cycle, Places::default());
             prop_assert_eq!(hash, encode(&cycle).hash);
             let block = block.unwrap();
             prop_assert_eq!(super::super::decode_samples(&block, samples.len()).unwrap(), samples.clone());
