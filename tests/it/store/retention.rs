@@ -21,6 +21,7 @@ stories!(
     what_a_clock_that_was_ahead_has_decided_is_taken_back,
     what_was_decided_but_not_dropped_yet_stays,
     what_a_clock_that_was_ahead_received_pushes_nothing_out,
+    what_comes_after_a_clock_was_set_back_by_minutes_is_not_dropped_before_the_rest,
     what_goes_while_a_decision_is_taken_back_is_told_too,
     what_is_committed_after_a_decision_was_taken_back_is_kept,
     a_clock_that_is_not_set_yet_takes_nothing_back,
@@ -237,6 +238,32 @@ async fn what_a_clock_that_was_ahead_received_pushes_nothing_out(store: Arc<dyn 
     stored(&*store, &Run { seconds: 302 * DAY, ..Run::nth(20) }).await;
     let some = SampleRetention { days: None, bytes: Some(1 << 20) };
     assert_eq!(run(&*store, some, 303 * DAY).await, (0, Dropped::default()));
+}
+
+async fn what_comes_after_a_clock_was_set_back_by_minutes_is_not_dropped_before_the_rest(
+    store: Arc<dyn Store>,
+) {
+    shop(&*store).await;
+    let received = |n, seconds| Run { seconds, ..Run::nth(n) };
+    stored(&*store, &received(0, 0)).await;
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    let three = bytes_of(3, run(&*store, none, 60).await.1);
+    stored(&*store, &received(1, DAY - 3600)).await;
+    // Eight minutes ahead; then it is set right, and others come.
+    for n in 2..7 {
+        stored(&*store, &received(n, DAY + 60 + i64::from(n) * 60)).await;
+    }
+    for n in 7..10 {
+        stored(&*store, &received(n, DAY + i64::from(n))).await;
+    }
+    assert_eq!(run(&*store, three, DAY + 90).await.1.cycles, 1, "what came an hour ago");
+    assert_eq!(kept(&*store).await, [[false; 2].as_slice(), &[true; 8]].concat());
+    // None of them lies ahead any more.
+    for n in 10..13 {
+        stored(&*store, &received(n, DAY + 900 + i64::from(n))).await;
+    }
+    assert_eq!(run(&*store, three, DAY + 960).await.1.cycles, 8);
+    assert_eq!(kept(&*store).await, [[false; 10].as_slice(), &[true; 3]].concat());
 }
 
 /// As many bytes as that many blocks of these cycles, and half a block.

@@ -169,7 +169,9 @@ pub(super) async fn horizon(
 }
 
 /// Adds up sizes from the newest cycle on; what was received before the answer no longer fits. What a clock that was ahead
-/// received later than now is left out: it would take the place of all that comes until then, and be the answer.
+/// received later than now is left out: it would take the place of all that comes until then, and be the answer. Servers are
+/// apart by minutes: what lies ahead by so little counts, and as long as any does, nothing that came in as many minutes goes, as it
+/// may be newer than that.
 async fn size_horizon(
     conn: &mut Conn,
     machine: &MachineId,
@@ -178,6 +180,7 @@ async fn size_horizon(
 ) -> StoreResult<Option<i64>> {
     let newest = now.micros().saturating_add(CLOCK_AHEAD_US);
     let (mut at, mut cycle, mut sum) = (newest, String::new(), 0_u64);
+    let mut most_horizon = None;
     loop {
         let page: Vec<(i64, String, i64)> = sqlx::query_as::<Db, _>(concat!(
             "SELECT received_at_us, cycle_id, ",
@@ -193,9 +196,13 @@ async fn size_horizon(
         .fetch_all(&mut *conn)
         .await?;
         for (received, _, length) in &page {
+            let most_horizon = *most_horizon.get_or_insert_with(|| {
+                let is_ahead = *received > now.micros();
+                if is_ahead { now.micros().saturating_sub(CLOCK_AHEAD_US) } else { i64::MAX }
+            });
             sum = sum.saturating_add(number("length", *length)?);
             if sum > most {
-                return Ok(Some(received.saturating_add(1)));
+                return Ok(Some(received.saturating_add(1).min(most_horizon)));
             }
         }
         let Some(last) = page.last() else { return Ok(None) };
