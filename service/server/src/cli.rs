@@ -10,6 +10,7 @@ pub mod demo;
 pub mod healthcheck;
 pub mod openapi;
 pub mod replay;
+mod scratch;
 pub mod serve;
 pub mod simulate;
 pub mod token;

@@ -58,13 +58,16 @@ pub enum StoreError {
 impl StoreError {
     /// Of tables that could not be brought up to this program's: those of a later one are said to be that.
     pub(crate) fn of_migration(error: sqlx::migrate::MigrateError) -> Self {
-        Self::Database(match error {
-            sqlx::migrate::MigrateError::VersionMissing(number) => format!(
-                "it was written by a later version of this program: its migration {number} is not known here"
-            )
-            .into(),
-            error => Box::new(error),
-        })
+        match error {
+            sqlx::migrate::MigrateError::VersionMissing(number) => Self::of_later_version(number),
+            error => Self::Database(Box::new(error)),
+        }
+    }
+
+    /// Of a database that a later program has written.
+    pub(crate) fn of_later_version(migration: i64) -> Self {
+        let what = "it was written by a later version of this program";
+        Self::Database(format!("{what}: its migration {migration} is not known here").into())
     }
 
     /// What is damaged, with the cycle that it was found in.

@@ -13,6 +13,7 @@ mod notice;
 mod open;
 mod reader;
 
+pub(crate) use open::MIGRATIONS;
 pub use open::PostgresOptions;
 
 use crate::error::{StoreError, StoreResult};
@@ -43,10 +44,11 @@ const WORD: Duration = Duration::from_secs(2);
 type Writer = Conn;
 type Engine = PostgresStore;
 
-/// One statement of a change takes no longer; a change that forgets its transaction is ended. The last setting is for
-/// Citus, and nothing to a server without it: by one connection to each worker a change reads what it wrote before, by
-/// several it may be refused (Citus issue 3426).
-const BEGIN: &str = "BEGIN; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_timeout = '15s'; \
+/// One statement of a change takes no longer; a change that forgets its transaction is ended. Its level is named, as a role or a
+/// database may have another one by default: what a change waits for by its first statement, a lock, it has to see by the next.
+/// The last setting is for Citus, and nothing to a server without it: by one connection to each worker a change reads what it
+/// wrote before, by several it may be refused (Citus issue 3426).
+const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_timeout = '15s'; \
                      SET LOCAL idle_in_transaction_session_timeout = '30s'; \
                      SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
@@ -54,7 +56,8 @@ const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
                               SET LOCAL idle_in_transaction_session_timeout = '30s'";
 /// The same behind a pooler. sqlx 0.9.0 names its statements even where it remembers none of them, and the connection
 /// that the pooler chose may have others of the same names: they go first.
-const BEGIN_POOLED: &str = "BEGIN; DEALLOCATE ALL; SET LOCAL statement_timeout = '30s'; \
+const BEGIN_POOLED: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; DEALLOCATE ALL; \
+                            SET LOCAL statement_timeout = '30s'; \
                             SET LOCAL lock_timeout = '15s'; \
                             SET LOCAL idle_in_transaction_session_timeout = '30s'; \
                             SET LOCAL citus.max_adaptive_executor_pool_size = 1";

@@ -65,6 +65,9 @@ pub enum TransferError {
         /// What about it.
         what: &'static str,
     },
+    /// Two would each take the rows of the other for foreign ones.
+    #[error("another copy or restore is at work on the target")]
+    InUse,
     /// What arrived is not what was sent.
     #[error("{table} differs after the transfer: {from} there, {to} here")]
     Differs {
@@ -197,6 +200,10 @@ pub(crate) trait Side: Send {
     /// Every table of the data, by name.
     async fn tables(&mut self) -> Result<Vec<Table>, TransferError>;
 
+    /// A migration of it that this program does not know: a later version has written it, and its blocks, say, may not be readable
+    /// though its tables are the same.
+    async fn unknown_migration(&mut self) -> StoreResult<Option<i64>>;
+
     /// From here on reads see one state, and nothing is written.
     async fn begin_snapshot(&mut self) -> StoreResult<()>;
 
@@ -232,6 +239,11 @@ pub(crate) trait Side: Send {
 
     /// Closes the connection.
     async fn close(self: Box<Self>);
+}
+
+/// The first of these migrations that a program does not have.
+fn first_unknown(applied: &[i64], known: &sqlx::migrate::Migrator) -> Option<i64> {
+    applied.iter().copied().find(|number| !known.version_exists(*number))
 }
 
 /// What an engine's text of a statement is made of: quoted names, separated.

@@ -1,13 +1,17 @@
 //! Alarms are raised and cleared with what they tell of.
 
-use super::given::{Run, at, engineer, event, shop, stored, stories};
+use super::given::{Run, at, engineer, event, machine, shop, stored, stories};
 use feedwright_core::cycle::Flag;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::wear::ToolState;
-use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, Store};
+use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, Precondition, Store};
 use std::sync::Arc;
 
-stories!(a_worn_tool_alarms_until_it_is_changed, an_overload_waits_for_a_person);
+stories!(
+    a_worn_tool_alarms_until_it_is_changed,
+    a_worn_tool_alarms_on_each_machine_that_runs_it,
+    an_overload_waits_for_a_person,
+);
 
 async fn alarms(store: &dyn Store, open: bool) -> Vec<Alarm> {
     let filter = AlarmFilter { open: Some(open), ..AlarmFilter::default() };
@@ -40,6 +44,30 @@ async fn a_worn_tool_alarms_until_it_is_changed(store: Arc<dyn Store>) {
     assert_eq!(alarms(&*store, true).await, []);
     let cleared = alarms(&*store, false).await;
     assert_eq!(cleared.last().unwrap(), &Alarm { cleared_at: Some(at(7000)), ..seen });
+}
+
+async fn a_worn_tool_alarms_on_each_machine_that_runs_it(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    for n in 1..=60 {
+        stored(&*store, &Run { load: 30.0 + 30.0 * 0.003 * f64::from(n), ..Run::nth(n) }).await;
+    }
+    let machines = async |open| -> Vec<String> {
+        let alarms = alarms(&*store, open).await;
+        alarms.iter().map(|alarm| alarm.machine.as_ref().unwrap().to_string()).collect()
+    };
+    assert_eq!(machines(true).await, ["M1"]);
+    // It is put into another machine, which runs it in turn with the first: one alarm for each of them, and no more.
+    for n in 61..=70 {
+        let machine = if n % 3 == 0 { "M1" } else { "M2" };
+        let answer = stored(&*store, &Run { machine, load: 36.0, ..Run::nth(n) }).await;
+        assert_eq!(answer.verdict.state, ToolState::Worn);
+        assert_eq!(machines(true).await, ["M1", "M2"]);
+    }
+    let changed = event(ToolEventKind::Changed, at(7000));
+    store.add_tool_event(&"T1".try_into().unwrap(), changed, &engineer(), at(7000)).await.unwrap();
+    assert_eq!(machines(true).await, [""; 0]);
+    assert_eq!(machines(false).await, ["M1", "M2"]);
 }
 
 async fn an_overload_waits_for_a_person(store: Arc<dyn Store>) {

@@ -14,10 +14,11 @@ use feedwright_store::{
     TokenRecord, WatchSettings,
 };
 use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::{ConnectOptions, Connection, PgConnection};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// Something in every table that a shop fills: cycles with and without samples, quarantine, alarms, tokens, events.
 async fn fill(store: &dyn Store) {
@@ -173,6 +174,66 @@ async fn a_target_with_other_data_is_refused_untouched() {
     assert_eq!(sums("after").await, before, "nothing of it has changed");
     cell.done().await;
     other.done().await;
+}
+
+/// Its tables may be the same, and its blocks not.
+#[tokio::test]
+async fn what_a_later_version_wrote_is_neither_copied_nor_backed_up() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    for given in [&plant, &cell] {
+        shop(&*given.store()).await;
+        stored(&*given.store(), &Run::nth(1)).await;
+        let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time)
+                     SELECT 9999, 'of a later version', success, checksum, 0 FROM _sqlx_migrations WHERE version = 1";
+        assert_eq!(given.raw(later).await.unwrap(), 1);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (to, backup) = (folder.path().join("copy.sqlite3"), folder.path().join("plant.backup"));
+    // With its cause, as the command tells it.
+    let of = |error: TransferError| format!("{error:?}");
+    for from in [Address::Postgres(plant.address()), Address::Sqlite(cell.file())] {
+        let why = of(copied(&from, &Address::Sqlite(to.clone())).await.unwrap_err());
+        assert!(why.contains("later version") && why.contains("9999"), "{why}");
+    }
+    let why = of(back_up_postgres(&plant.address(), &backup, at(1)).await.unwrap_err());
+    assert!(why.contains("later version") && !backup.exists(), "{why}");
+    cell.done().await;
+    plant.done().await;
+}
+
+#[tokio::test]
+async fn two_copies_do_not_write_into_one_plant() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    fill(&*cell.store()).await;
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    // The first one waits for a table.
+    let mut conn = PgConnection::connect(&plant.address()).await.unwrap();
+    let mut looking = PgConnection::connect(&plant.address()).await.unwrap();
+    let mut holding = conn.begin().await.unwrap();
+    sqlx::query("LOCK TABLE audit").execute(&mut *holding).await.unwrap();
+    let waits = "SELECT EXISTS (SELECT 1 FROM pg_stat_activity WHERE datname = current_database()
+                     AND application_name = 'feedwright transfer' AND wait_event_type = 'Lock')";
+    let second = async {
+        // What it sees of others stands still within a transaction.
+        while !sqlx::query_scalar::<_, bool>(waits).fetch_one(&mut looking).await.unwrap() {}
+        let refused = copied(&from, &to).await.unwrap_err();
+        assert!(matches!(refused, TransferError::InUse), "{refused}");
+        holding.commit().await.unwrap();
+    };
+    let both = async { tokio::join!(copied(&from, &to), second) };
+    let (first, ()) = tokio::time::timeout(Duration::from_secs(60), both).await.expect("the first one waits");
+    first.unwrap();
+    assert_eq!(copied(&from, &to).await.unwrap().1, 0);
+    conn.close().await.unwrap();
+    looking.close().await.unwrap();
+    cell.done().await;
+    plant.done().await;
 }
 
 async fn session(store: &dyn Store, n: u8) {

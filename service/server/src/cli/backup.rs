@@ -1,6 +1,6 @@
 //! `feedwright backup` and `feedwright restore`.
 
-use super::{Settings, log, print};
+use super::{Settings, log, print, scratch};
 use crate::clock::Clock;
 use crate::config::{Config, Engine};
 use crate::data_dir::DataDirLock;
@@ -77,7 +77,8 @@ pub async fn restore(settings: &Settings, arguments: RestoreArguments) -> anyhow
             restore_to_sqlite(&arguments.file, &path).await?
         }
         Engine::Postgres(_) => {
-            restore_to_postgres(&arguments.file, &server_url(&config), &std::env::temp_dir()).await?
+            let (backup, to) = (arguments.file, server_url(&config));
+            scratch::within(async |folder| Ok(restore_to_postgres(&backup, &to, &folder).await?)).await?
         }
     };
     print(&listed(&sums))?;

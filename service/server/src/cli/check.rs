@@ -1,6 +1,6 @@
 //! `feedwright check`: every block, every hash, every summary against its samples, wear against its fold.
 
-use super::{Settings, log, print};
+use super::{Settings, log, print, scratch};
 use crate::config::Engine;
 use crate::database::{self, Database};
 use anyhow::{Context, bail};
@@ -32,11 +32,7 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     let config = settings.load(Vec::new())?;
     log(&config.log)?;
     if let Some(backup) = &arguments.backup {
-        let folder = std::env::temp_dir().join(format!("feedwright-check-{}", uuid::Uuid::now_v7()));
-        std::fs::create_dir(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        let outcome = of_backup(backup, &folder.join("check.sqlite3")).await;
-        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
-        return outcome;
+        return scratch::within(async |folder| of_backup(backup, &folder.join("check.sqlite3")).await).await;
     }
     // Opening makes what is not there: nothing would be found wrong with the wrong folder.
     if let Engine::Sqlite(path) = config.engine()

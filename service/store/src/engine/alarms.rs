@@ -1,6 +1,7 @@
 //! Alarms: raised and cleared in the transaction of what they tell of.
 //!
-//! Worn, broken suspected and conditions changed follow the verdict on the tool: raised with it, cleared with it.
+//! Worn, broken suspected and conditions changed follow the verdict on the tool: raised with it, cleared with it, on every machine
+//! that runs the tool meanwhile: who stands before the one that has it now is to see it there.
 //! An overload stays open until someone acknowledges it, whatever runs later: a crash is looked at, not outrun.
 //! A machine's quarantine alarm is open as long as an entry of it is unsettled. Silence, and a quarantine that fills up
 //! (an alarm of no machine), are raised and cleared by the round in `watch`.
@@ -8,7 +9,7 @@
 use super::{Conn, Db, audit};
 use crate::error::StoreResult;
 use crate::record::{Actor, Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
-use crate::rows::{AlarmChange, AlarmRow, word};
+use crate::rows::{AlarmChange, AlarmRow, id, word};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{ToolState, Verdict};
@@ -34,30 +35,32 @@ const fn kind_of(state: ToolState) -> Option<AlarmKind> {
     }
 }
 
-/// What a verdict changes of its tool's open alarms: what it calls for is raised, what it no longer does is cleared. `open`
-/// are the kinds that are open, and are to be when that is written.
-pub(super) fn changes(tool: &ToolId, verdict: &Verdict, open: &mut Vec<AlarmKind>) -> Vec<AlarmChange> {
+/// An open alarm of a tool: its kind, and the machine that ran the tool.
+pub(super) type Open = (AlarmKind, Option<MachineId>);
+
+/// What a verdict changes of its tool's open alarms: what it calls for is raised where the tool ran last, what it no longer does is
+/// cleared. `open` are those that are open, and are to be when that is written.
+pub(super) fn changes(tool: &ToolId, verdict: &Verdict, open: &mut Vec<Open>) -> Vec<AlarmChange> {
     let wanted = kind_of(verdict.state);
-    if open.iter().copied().eq(wanted) {
-        return Vec::new();
-    }
     let mut changes = Vec::new();
-    if open.iter().any(|kind| Some(*kind) != wanted) {
+    let before = open.len();
+    open.retain(|(kind, _)| Some(*kind) == wanted);
+    if open.len() < before {
         let but = wanted.map(AlarmKind::as_str);
         changes.push(AlarmChange::ClearVerdicts { tool_id: tool.as_str().to_owned(), but });
     }
+    let machine = verdict.last.as_ref().map(|last| &last.machine);
     if let Some(kind) = wanted
-        && !open.contains(&kind)
+        && !open.iter().any(|(_, there)| there.as_ref() == machine)
     {
         // What decides is said last.
         let message = match verdict.reasons.last() {
             Some((_, why)) => format!("tool {tool}: {why}"),
             None => format!("tool {tool}: {}", kind.as_str()),
         };
-        let machine = verdict.last.as_ref().map(|last| &last.machine);
         changes.push(AlarmChange::raise(kind, machine, Some(tool), message));
+        open.push((kind, machine.cloned()));
     }
-    *open = Vec::from_iter(wanted);
     changes
 }
 
@@ -75,17 +78,21 @@ pub(super) async fn follow_verdict(
     Ok(())
 }
 
-/// The kinds of a tool's open alarms that follow its verdict, on whichever machine.
-pub(super) async fn open_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<AlarmKind>> {
-    let kinds: Vec<String> = sqlx::query_scalar::<Db, _>(
-        "SELECT DISTINCT kind FROM alarms
+/// A tool's open alarms that follow its verdict.
+pub(super) async fn open_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<Open>> {
+    let open: Vec<(String, Option<String>)> = sqlx::query_as::<Db, _>(
+        "SELECT kind, machine_id FROM alarms
          WHERE tool_id = $1 AND cleared_at_us IS NULL
            AND kind IN ('worn', 'broken_suspected', 'conditions_changed')",
     )
     .bind(tool.as_str())
     .fetch_all(&mut *conn)
     .await?;
-    kinds.iter().map(|kind| word("kind", kind, AlarmKind::parse)).collect()
+    let open = open.into_iter().map(|(kind, machine)| {
+        let machine = machine.map(|machine| id("machine_id", &machine)).transpose()?;
+        Ok((word("kind", &kind, AlarmKind::parse)?, machine))
+    });
+    open.collect()
 }
 
 /// Makes a change.
@@ -207,6 +214,7 @@ pub(super) async fn list(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use feedwright_core::wear::OrderKey;
 
     fn verdict(state: ToolState) -> Verdict {
         let mut verdict = Verdict::unknown("masked_by_feed", "said first");
@@ -219,10 +227,11 @@ mod tests {
     fn a_verdict_clears_what_it_does_not_call_for_and_tells_what_decides() {
         let tool = ToolId::try_from("T1").unwrap();
         let mut open = Vec::new();
+        let nowhere = |kind| vec![(kind, None)];
         let raised = changes(&tool, &verdict(ToolState::Worn), &mut open);
         let [AlarmChange::Raise { kind: "worn", message, .. }] = &raised[..] else { panic!("{raised:?}") };
         assert_eq!(message, "tool T1: said last");
-        assert_eq!(open, [AlarmKind::Worn]);
+        assert_eq!(open, nowhere(AlarmKind::Worn));
         assert!(changes(&tool, &verdict(ToolState::Worn), &mut open).is_empty());
 
         let changed = changes(&tool, &verdict(ToolState::Changed), &mut open);
@@ -231,7 +240,7 @@ mod tests {
         else {
             panic!("{changed:?}")
         };
-        assert_eq!(open, [AlarmKind::ConditionsChanged]);
+        assert_eq!(open, nowhere(AlarmKind::ConditionsChanged));
 
         let good = changes(&tool, &verdict(ToolState::Good), &mut open);
         assert!(matches!(&good[..], [AlarmChange::ClearVerdicts { but: None, .. }]), "{good:?}");
@@ -239,9 +248,20 @@ mod tests {
         assert!(changes(&tool, &verdict(ToolState::Good), &mut open).is_empty());
 
         // Two stand of which one is called for: it is not raised again.
-        let mut both = vec![AlarmKind::Worn, AlarmKind::BrokenSuspected];
+        let mut both = [AlarmKind::Worn, AlarmKind::BrokenSuspected].map(|kind| (kind, None)).to_vec();
         let cleared = changes(&tool, &verdict(ToolState::BrokenSuspected), &mut both);
         assert!(matches!(&cleared[..], [AlarmChange::ClearVerdicts { but: Some("broken_suspected"), .. }]));
-        assert_eq!(both, [AlarmKind::BrokenSuspected]);
+        assert_eq!(both, nowhere(AlarmKind::BrokenSuspected));
+
+        // The tool has come to a machine, and then to another one.
+        for (machine, raised) in [("M1", true), ("M1", false), ("M2", true), ("M1", false)] {
+            let mut worn = verdict(ToolState::BrokenSuspected);
+            let (machine, cycle) = (MachineId::try_from(machine).unwrap(), "c1".try_into().unwrap());
+            worn.last = Some(OrderKey { started_at: Timestamp::from_micros(0), machine, seq: None, cycle });
+            assert_eq!(changes(&tool, &worn, &mut both).len(), usize::from(raised), "{both:?}");
+        }
+        assert_eq!(both.len(), 3);
+        let good = changes(&tool, &verdict(ToolState::Good), &mut both);
+        assert!(matches!(&good[..], [AlarmChange::ClearVerdicts { but: None, .. }]), "{good:?}");
     }
 }

@@ -1,12 +1,11 @@
 //! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
 
 use super::transaction::GroupTransaction;
-use super::{Conn, Db, dialect, tools};
+use super::{Conn, Db, alarms, dialect, tools};
 use crate::codec::state;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
 use crate::locks::Locks;
-use crate::record::AlarmKind;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::units::Timestamp;
@@ -53,9 +52,9 @@ pub(super) struct ToolWear {
     machines: BTreeMap<MachineId, Cached>,
     /// The fold over all machines, where there are several and it is known.
     whole: Option<(ToolFold, u64)>,
-    /// Kinds of open alarms that follow the verdict, where they are known. They hold as long as the folds of these versions do:
+    /// The open alarms that follow the verdict, where they are known. They hold as long as the folds of these versions do:
     /// who changes such an alarm writes a fold or begins another generation of the registry.
-    pub(super) alarms: Option<Vec<AlarmKind>>,
+    pub(super) alarms: Option<Vec<alarms::Open>>,
 }
 
 #[derive(sqlx::FromRow)]

@@ -10,7 +10,7 @@ use sqlx::{ConnectOptions, Connection, Row};
 use std::sync::Arc;
 use std::time::Duration;
 
-static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/postgres");
+pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/postgres");
 
 /// How a PostgreSQL store is run.
 #[derive(Debug, Clone)]

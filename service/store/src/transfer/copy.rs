@@ -7,6 +7,7 @@ use super::moves::{Drops, Goes, Moves, SURPLUS};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
 use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, Value};
+use crate::error::StoreError;
 use std::path::PathBuf;
 
 /// Where a database is.
@@ -62,7 +63,7 @@ impl Address {
                 let options = crate::PostgresOptions { connections: 1, ..crate::PostgresOptions::default() };
                 let store = crate::PostgresStore::open(url, options).await?;
                 store.close().await;
-                Box::new(PostgresSide::connect(url).await?)
+                Box::new(PostgresSide::connect_alone(url).await?)
             }
         })
     }
@@ -103,6 +104,9 @@ pub(super) async fn transfer(
     told: &mut (dyn FnMut(&str, TableSum, u64) + Send),
 ) -> Result<Vec<(String, TableSum)>, TransferError> {
     source.begin_snapshot().await?;
+    if let Some(number) = source.unknown_migration().await? {
+        return Err(StoreError::of_later_version(number).into());
+    }
     let tables = source.tables().await?;
     same_schema(&tables, &target.tables().await?)?;
     let drops = Drops::of(source, &tables).await?;

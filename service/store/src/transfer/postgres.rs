@@ -1,7 +1,9 @@
 //! A PostgreSQL database as a side of a transfer.
 
-use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, quoted};
+use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, first_unknown, quoted};
 use crate::error::StoreResult;
+use crate::locks::Locks;
+use crate::postgres::MIGRATIONS;
 use async_trait::async_trait;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
 use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
@@ -22,6 +24,18 @@ impl PostgresSide {
         let options: PgConnectOptions = url.parse()?;
         let conn = options.application_name("feedwright transfer").connect().await?;
         Ok(Self { conn, numbered: Vec::new() })
+    }
+
+    /// The same, to write into: nobody else who does may have it meanwhile.
+    pub(super) async fn connect_alone(url: &str) -> Result<Self, TransferError> {
+        let mut side = Self::connect(url).await?;
+        // Of the session: it ends with it, however that ends.
+        let subject = Locks::subject("transfer", "");
+        let is_alone: bool = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)")
+            .bind(subject.exclusive.first())
+            .fetch_one(&mut side.conn)
+            .await?;
+        if is_alone { Ok(side) } else { Err(TransferError::InUse) }
     }
 
     pub(super) const fn conn(&mut self) -> &mut PgConnection {
@@ -122,6 +136,17 @@ impl Side for PostgresSide {
             }
         }
         tables.into_iter().map(|(name, columns, key)| Table::checked(name, columns, &key)).collect()
+    }
+
+    async fn unknown_migration(&mut self) -> StoreResult<Option<i64>> {
+        let table = "SELECT to_regclass('_sqlx_migrations') IS NOT NULL";
+        if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut self.conn).await? {
+            return Ok(None);
+        }
+        let applied: Vec<i64> = sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version")
+            .fetch_all(&mut self.conn)
+            .await?;
+        Ok(first_unknown(&applied, &MIGRATIONS))
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {

@@ -1,6 +1,6 @@
 //! A SQLite file as a side of a transfer.
 
-use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, quoted};
+use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, first_unknown, quoted};
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::BlockRow;
@@ -228,6 +228,17 @@ impl Side for SqliteSide {
             tables.push(Table::checked(name, typed, &key)?);
         }
         Ok(tables)
+    }
+
+    async fn unknown_migration(&mut self) -> StoreResult<Option<i64>> {
+        let table = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')";
+        if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut self.conn).await? {
+            return Ok(None);
+        }
+        let applied: Vec<i64> = sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version")
+            .fetch_all(&mut self.conn)
+            .await?;
+        Ok(first_unknown(&applied, &MIGRATIONS))
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {
