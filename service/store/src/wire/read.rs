@@ -230,7 +230,7 @@ impl<'a> Input<'a> {
         }
         // Of every column each value takes a byte at the least.
         if length > self.0.len() {
-            return malformed("it has more samples than bytes");
+            return malformed("it has more samples than bytes of columns");
         }
         if stamped {
             let (times, places) = self.column(length)?;

@@ -91,7 +91,10 @@ fn a_few_bytes_do_not_ask_for_much_memory() {
     let mut bomb = GOLDEN.to_vec();
     let at = bomb.windows(4).position(|window| window == [5, 0, 0, 0]).unwrap();
     bomb[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
-    assert_eq!(read(&sealed(bomb), usize::MAX), Err(WireError::Malformed("it has more samples than bytes")));
+    assert_eq!(
+        read(&sealed(bomb), usize::MAX),
+        Err(WireError::Malformed("it has more samples than bytes of columns"))
+    );
 }
 
 #[test]

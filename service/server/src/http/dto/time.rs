@@ -123,7 +123,9 @@ pub fn read_bound(path: &str, text: &str) -> Result<Timestamp, Violation> {
 pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
     let invalid = |message| Violation::new(path, "invalid_timestamp", message);
     if !is_rfc3339(text) {
-        return Err(invalid("must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z"));
+        return Err(invalid(
+            "must be an RFC 3339 time with an offset, as 2026-05-04T06:00:00Z (a leap second as 23:59:60Z alone)",
+        ));
     }
     let nanos = within_digits(text).parse::<jiff::Timestamp>().ok().map(jiff::Timestamp::as_nanosecond);
     let at = nanos.and_then(|nanos| i64::try_from(nanos.div_euclid(1000)).ok());
