@@ -66,7 +66,9 @@ pub enum TransferError {
         what: &'static str,
     },
     /// Two would each take the rows of the other for foreign ones.
-    #[error("another copy or restore is at work on the target")]
+    #[error(
+        "another copy or restore is at work on the target (its session there is called `feedwright transfer`)"
+    )]
     InUse,
     /// What arrived is not what was sent.
     #[error("{table} differs after the transfer: {from} there, {to} here")]
@@ -240,6 +242,9 @@ pub(crate) trait Side: Send {
     /// Closes the connection.
     async fn close(self: Box<Self>);
 }
+
+/// The migrations that a database has.
+const APPLIED: &str = "SELECT version FROM _sqlx_migrations ORDER BY version";
 
 /// The first of these migrations that a program does not have.
 fn first_unknown(applied: &[i64], known: &sqlx::migrate::Migrator) -> Option<i64> {

@@ -200,6 +200,8 @@ async fn what_a_later_version_wrote_is_neither_copied_nor_backed_up() {
     }
     let why = of(back_up_postgres(&plant.address(), &backup, at(1)).await.unwrap_err());
     assert!(why.contains("later version") && !backup.exists(), "{why}");
+    let why = of(back_up_sqlite(&cell.file(), &backup, at(1)).await.unwrap_err());
+    assert!(why.contains("later version") && !backup.exists(), "{why}");
     cell.done().await;
     plant.done().await;
 }

@@ -27,7 +27,12 @@ pub enum Column {
 impl Column {
     /// The canonical form of values, of which some may be known.
     pub(super) fn of(values: &[f64], places: Option<u8>) -> Self {
-        places.and_then(|places| Self::of_decimals(values, places)).unwrap_or_else(|| Self::found(values))
+        let known = places.and_then(|places| Self::of_decimals(values, places));
+        debug_assert!(
+            known.as_ref().is_none_or(|known| *known == Self::found(values)),
+            "{places:?}: {values:?}"
+        );
+        known.unwrap_or_else(|| Self::found(values))
     }
 
     /// That of values which each are the nearest there is to a decimal of so many places, and none −0: nothing has to be looked

@@ -1,7 +1,7 @@
 //! Alarms: raised and cleared in the transaction of what they tell of.
 //!
-//! Worn, broken suspected and conditions changed follow the verdict on the tool: raised with it, cleared with it, on every machine
-//! that runs the tool meanwhile: who stands before the one that has it now is to see it there.
+//! Worn, broken suspected and conditions changed follow the verdict on the tool: raised with it and cleared with it. They are
+//! raised on the machine that ran the tool last, by the beginnings of its cycles; as it moves, on one after the other.
 //! An overload stays open until someone acknowledges it, whatever runs later: a crash is looked at, not outrun.
 //! A machine's quarantine alarm is open as long as an entry of it is unsettled. Silence, and a quarantine that fills up
 //! (an alarm of no machine), are raised and cleared by the round in `watch`.

@@ -180,7 +180,7 @@ async fn size_horizon(
 ) -> StoreResult<Option<i64>> {
     let newest = now.micros().saturating_add(CLOCK_AHEAD_US);
     let (mut at, mut cycle, mut sum) = (newest, String::new(), 0_u64);
-    let mut most_horizon = None;
+    let mut no_later = None;
     loop {
         let page: Vec<(i64, String, i64)> = sqlx::query_as::<Db, _>(concat!(
             "SELECT received_at_us, cycle_id, ",
@@ -196,13 +196,13 @@ async fn size_horizon(
         .fetch_all(&mut *conn)
         .await?;
         for (received, _, length) in &page {
-            let most_horizon = *most_horizon.get_or_insert_with(|| {
+            let no_later = *no_later.get_or_insert_with(|| {
                 let is_ahead = *received > now.micros();
                 if is_ahead { now.micros().saturating_sub(CLOCK_AHEAD_US) } else { i64::MAX }
             });
             sum = sum.saturating_add(number("length", *length)?);
             if sum > most {
-                return Ok(Some(received.saturating_add(1).min(most_horizon)));
+                return Ok(Some(received.saturating_add(1).min(no_later)));
             }
         }
         let Some(last) = page.last() else { return Ok(None) };

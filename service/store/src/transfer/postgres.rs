@@ -1,6 +1,6 @@
 //! A PostgreSQL database as a side of a transfer.
 
-use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, first_unknown, quoted};
+use super::{APPLIED, Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, first_unknown, quoted};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::postgres::MIGRATIONS;
@@ -29,6 +29,13 @@ impl PostgresSide {
     /// The same, to write into: nobody else who does may have it meanwhile.
     pub(super) async fn connect_alone(url: &str) -> Result<Self, TransferError> {
         let mut side = Self::connect(url).await?;
+        // A client that is gone without a word holds nothing up for hours.
+        sqlx::raw_sql(
+            "SET tcp_keepalives_idle = 60; SET tcp_keepalives_interval = 10; SET tcp_keepalives_count = 6;
+             SET client_connection_check_interval = '10s'",
+        )
+        .execute(&mut side.conn)
+        .await?;
         // Of the session: it ends with it, however that ends.
         let subject = Locks::subject("transfer", "");
         let is_alone: bool = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)")
@@ -143,9 +150,7 @@ impl Side for PostgresSide {
         if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut self.conn).await? {
             return Ok(None);
         }
-        let applied: Vec<i64> = sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version")
-            .fetch_all(&mut self.conn)
-            .await?;
+        let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut self.conn).await?;
         Ok(first_unknown(&applied, &MIGRATIONS))
     }
 

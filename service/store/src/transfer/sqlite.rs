@@ -1,6 +1,8 @@
 //! A SQLite file as a side of a transfer.
 
-use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, first_unknown, quoted};
+use super::{
+    APPLIED, Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, first_unknown, quoted,
+};
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::BlockRow;
@@ -27,7 +29,12 @@ impl SqliteSide {
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
         crate::sqlite::take_up(path).await?;
         let options = SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(PATIENCE);
-        Ok(Self { conn: options.connect().await?, is_shorter: true })
+        let mut side = Self { conn: options.connect().await?, is_shorter: true };
+        // What this program takes for blocks may be something else there: no sum over it would tell.
+        match side.unknown_migration().await? {
+            None => Ok(side),
+            Some(number) => Err(StoreError::of_later_version(number)),
+        }
     }
 
     /// Writes a file that nobody else writes, as durably as the store does.
@@ -235,9 +242,7 @@ impl Side for SqliteSide {
         if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut self.conn).await? {
             return Ok(None);
         }
-        let applied: Vec<i64> = sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version")
-            .fetch_all(&mut self.conn)
-            .await?;
+        let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut self.conn).await?;
         Ok(first_unknown(&applied, &MIGRATIONS))
     }
 

@@ -60,7 +60,7 @@ export function todo(alarms, wear, { silentFor } = {}) {
   const open = [...alarms].sort((a, b) => (worst[a.kind] ?? 9) - (worst[b.kind] ?? 9) || a.id - b.id);
   const [first] = open, value = levelPercent(wear);
   const found = (level, text, more = 0) => ({ level, text, more });
-  if (first && levels[first.kind] !== "plan") return found("act", first.kind === "worn" && value != null ? t("todo.wornEnergy", { level: shownLevel(value) }) : t(`alarm.${first.kind}`), open.length - 1);
+  if (first && levels[first.kind] !== "plan") return found("act", first.kind === "worn" && wear?.state === "worn" && value != null ? t("todo.wornEnergy", { level: shownLevel(value) }) : t(`alarm.${first.kind}`), open.length - 1);
   if (silentFor) return found("plan", t("todo.silent", { span: silentFor }), open.length);
   if (first) return found("plan", t(`alarm.${first.kind}`), open.length - 1);
   if (wear?.state === "warning") return found("plan", wear.remaining ? t("todo.warning", { cycles: rounded(wear.remaining.cycles) }) : t("todo.warningUnknown"));
