@@ -108,7 +108,17 @@ await check("spans: what is rounded is taken apart", async () => {
   for (let s = 60; s < 90_000; s += 7) assert.ok(!/\b60 /.test(said(s)), `${s} s: ${said(s)}`);
 });
 
-if (!ONLY || !["texts", "tracks", "spans"].some((name) => ONLY.startsWith(name))) {
+await check("todo: of an alarm of another tool than the last one the tool is told, and not the last one's energy", async () => {
+  global.document = { documentElement: { lang: "en" } };
+  const { todo } = await import(`${WEB}js/wear.js`);
+  const worn = (tool, id = 1) => ({ id, kind: "worn", tool }), wear = { state: "good", level: { value: 1.01, decides: "as_run" }, baselines: [] };
+  assert.match(todo([worn("T2")], wear, { tool: "T2" }).text, /^Change the tool now, energy .*1/);
+  assert.equal(todo([worn("T1")], wear, { tool: "T2" }).text, "Change the tool now (T1)");
+  assert.deepEqual(todo([{ id: 3, kind: "machine_silent", tool: null }, worn("T1", 7)], wear, { tool: "T2" }), { level: "act", text: "Change the tool now (T1)", more: 1 });
+  assert.equal(todo([{ id: 3, kind: "quarantine" }], wear, { tool: "T2" }).text, "Look at the cycles that were not accepted");
+});
+
+if (!ONLY || !["texts", "tracks", "spans", "todo"].some((name) => ONLY.startsWith(name))) {
   await mkdir(SHOTS, { recursive: true });
   [shop, browser] = await Promise.all([Shop.open(), Browser.open()]);
   console.log(`a shop with ${(await shop.ask("GET", "/v1/machines?limit=1000")).body.items.length} machines at ${shop.address}`);

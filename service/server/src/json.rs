@@ -34,13 +34,21 @@ pub fn read<'de, T: Deserialize<'de>>(json: &'de [u8]) -> Result<T, Wrong> {
     }
 }
 
+/// What some editors and libraries put before UTF-8.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
 /// Reads again to tell where the first fault is; `error` is what reading it the first time ended with.
 fn located<'de, T: Deserialize<'de>>(json: &'de [u8], error: &serde_json::Error) -> Wrong {
     let malformed = || Wrong::Malformed(error.to_string());
     // A torn text may break a rule of ours before its tear: whether it is JSON at all comes first.
     if let Err(torn) = serde_json::from_slice::<IgnoredAny>(json) {
         // Meant as JSON but for a word like NaN: named like every other bad field.
-        let torn = || Wrong::Malformed(torn.to_string());
+        let torn = || {
+            let marked = json.starts_with(BYTE_ORDER_MARK).then(|| {
+                "it begins with a byte order mark (EF BB BF), which JSON must not have: write UTF-8 without it".to_owned()
+            });
+            Wrong::Malformed(marked.unwrap_or_else(|| torn.to_string()))
+        };
         return first_non_finite(json).map_or_else(torn, |(path, literal)| {
             Wrong::Field(Violation::new(path, "not_finite", format!("must be a finite number, is {literal}")))
         });
@@ -215,6 +223,8 @@ mod tests {
         }
         let Err(Wrong::Malformed(why)) = read::<Outer>(br#"{"other":5,"#) else { panic!("it is torn") };
         assert!(why.starts_with("EOF"), "of the tear, not of a rule that was broken before: {why}");
+        let Err(Wrong::Malformed(why)) = read::<Outer>(b"\xef\xbb\xbf{}") else { panic!("JSON has no mark") };
+        assert!(why.contains("byte order mark"), "{why}");
         let deep = format!("{{\"any\":{}{}}}", "[".repeat(1000), "]".repeat(1000));
         assert_eq!(refused(&deep).1, "malformed", "nested deeper than is followed");
     }

@@ -142,6 +142,29 @@ fn one_of_the_version_before_is_taken_up() {
 
 /// The epoch fits, and the state does not.
 #[test]
+fn one_beside_a_database_of_a_later_version_is_left_to_that() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, conn) = given(folder.path());
+    let mut journal = Journal::open(&path, &conn).unwrap();
+    conn.execute_batch("BEGIN").unwrap();
+    journal.begin(&conn).unwrap();
+    insert(&mut journal, &conn, &Value::Integer(5));
+    journal.append().unwrap();
+    conn.execute_batch("ROLLBACK").unwrap();
+    drop(journal);
+    conn.execute_batch(
+        "CREATE TABLE _sqlx_migrations (version); INSERT INTO _sqlx_migrations VALUES (1), (9999)",
+    )
+    .unwrap();
+    let refused = take_up_closed(&path).unwrap_err();
+    assert!(std::error::Error::source(&refused).unwrap().to_string().contains("9999"), "{refused:?}");
+    assert_eq!(all(&conn), []);
+    conn.execute_batch("DELETE FROM _sqlx_migrations WHERE version = 9999").unwrap();
+    take_up_closed(&path).unwrap();
+    assert_eq!(all(&conn), [Value::Integer(5)]);
+}
+
+#[test]
 fn another_state_is_not_gone_on_with() {
     let changes = [
         "INSERT INTO cycles (cycle_id) VALUES ('c2')",

@@ -55,14 +55,17 @@ export const leftCell = (left) => left.count == null ? html`<span class="faint">
 
 const worst = { worn: 0, broken_suspected: 1, overload: 2, machine_silent: 3, conditions_changed: 4, quarantine: 5 };
 const levels = { worn: "act", broken_suspected: "act", overload: "act", conditions_changed: "plan", machine_silent: "plan", quarantine: "plan" };
-/** What to do about a machine: `{ level, text, more }`, null where nothing is. */
-export function todo(alarms, wear, { silentFor } = {}) {
+/** What to do about a machine whose newest cycle ran a tool, which `wear` is of: `{ level, text, more }`, null where nothing is. */
+export function todo(alarms, wear, { silentFor, tool } = {}) {
   const open = [...alarms].sort((a, b) => (worst[a.kind] ?? 9) - (worst[b.kind] ?? 9) || a.id - b.id);
   const [first] = open, value = levelPercent(wear);
   const found = (level, text, more = 0) => ({ level, text, more });
-  if (first && levels[first.kind] !== "plan") return found("act", first.kind === "worn" && wear?.state === "worn" && value != null ? t("todo.wornEnergy", { level: shownLevel(value) }) : t(`alarm.${first.kind}`), open.length - 1);
+  // A machine may have a magazine of tools: what is known of another one is its name.
+  const isOfAnother = first?.tool != null && first.tool !== tool;
+  const says = (alarm) => isOfAnother ? `${t(`alarm.${alarm.kind}`)} (${alarm.tool})` : alarm.kind === "worn" && value != null ? t("todo.wornEnergy", { level: shownLevel(value) }) : t(`alarm.${alarm.kind}`);
+  if (first && levels[first.kind] !== "plan") return found("act", says(first), open.length - 1);
   if (silentFor) return found("plan", t("todo.silent", { span: silentFor }), open.length);
-  if (first) return found("plan", t(`alarm.${first.kind}`), open.length - 1);
+  if (first) return found("plan", says(first), open.length - 1);
   if (wear?.state === "warning") return found("plan", wear.remaining ? t("todo.warning", { cycles: rounded(wear.remaining.cycles) }) : t("todo.warningUnknown"));
   const learning = wear?.state === "learning" && wear.baselines.find((b) => b.baseline_joules == null);
   if (learning) return found("note", t("todo.learning", { have: learning.learnt_from, need: learning.needed }));

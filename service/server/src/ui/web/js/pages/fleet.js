@@ -30,7 +30,7 @@ function judge(item, stale) {
   const runs = Math.min(LONGEST_RUN_MS, Math.max(SHORTEST_RUN_MS, CADENCES * (item.cadence_ms ?? 0)));
   const silent = last && (since > stale || item.alarms.some((alarm) => alarm.kind === "machine_silent"));
   const state = drilling.has(item.machine) ? "drilling" : !last ? "none" : silent ? "silent" : since <= runs ? "running" : "idle";
-  return { ...item, since, state, todo: todo(item.alarms, item.wear, { silentFor: silent ? span(since) : null }) ?? (last ? null : { level: "note", text: t("todo.first"), more: 0 }), left: cyclesLeft(item.wear, silent), level: levelPercent(item.wear) };
+  return { ...item, since, state, todo: todo(item.alarms, item.wear, { silentFor: silent ? span(since) : null, tool: last?.tool }) ?? (last ? null : { level: "note", text: t("todo.first"), more: 0 }), left: cyclesLeft(item.wear, silent), level: levelPercent(item.wear) };
 }
 let stale = 0;
 async function load() {
