@@ -444,9 +444,11 @@ mod tests {
             if let Some((values, places)) = reader.numbers(0) {
                 prop_assert_eq!(reader.at, json.trim_end().len());
                 let Numbers(expected) = serde_json::from_str(&json).unwrap();
-                prop_assert_eq!(bits(values), bits(expected), "{}", json);
+                prop_assert_eq!(bits(values), bits(expected.clone()), "{}", json);
                 let behind = |text: &String| text.split_once('.').map_or(0, |(_, places)| places.len());
-                prop_assert_eq!(places.map(usize::from), texts.iter().map(behind).max());
+                // A text of nothing is no number: an array of it alone is an empty one.
+                let most = texts.iter().map(behind).max().filter(|_| !expected.is_empty());
+                prop_assert_eq!(places.map(usize::from), most);
             } else {
                 let unusual = |text: &String| text.contains(['e', 'E', '+']) || text.len() > MOST_DIGITS;
                 prop_assert!(texts.iter().any(unusual) || serde_json::from_str::<Numbers>(&json).is_err(), "{}", json);
