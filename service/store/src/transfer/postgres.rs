@@ -31,8 +31,7 @@ impl PostgresSide {
         let mut side = Self::connect(url).await?;
         // A client that is gone without a word holds nothing up for hours.
         sqlx::raw_sql(
-            "SET tcp_keepalives_idle = 60; SET tcp_keepalives_interval = 10; SET tcp_keepalives_count = 6;
-             SET client_connection_check_interval = '10s'",
+            "SET tcp_keepalives_idle = 60; SET tcp_keepalives_interval = 10; SET tcp_keepalives_count = 6",
         )
         .execute(&mut side.conn)
         .await?;
