@@ -65,9 +65,16 @@ impl StoreError {
     }
 
     /// Of a database that a later program has written.
-    pub(crate) fn of_later_version(migration: i64) -> Self {
+    fn of_later_version(migration: i64) -> Self {
         let what = "it was written by a later version of this program";
         Self::Database(format!("{what}: its migration {migration} is not known here").into())
+    }
+
+    /// Refuses a database that has a migration which this program does not: though its tables are the same, what stands in them may
+    /// mean something else, and no sum over it would tell.
+    pub(crate) fn unless_known(applied: &[i64], known: &sqlx::migrate::Migrator) -> StoreResult<()> {
+        let later = applied.iter().copied().find(|number| !known.version_exists(*number));
+        later.map_or(Ok(()), |number| Err(Self::of_later_version(number)))
     }
 
     /// What is damaged, with the cycle that it was found in.

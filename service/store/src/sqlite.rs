@@ -26,8 +26,8 @@ pub(crate) use dialect::insert_blocks;
 pub(crate) use files::{beside, log_left};
 pub(crate) use journal::is_left;
 pub(crate) use kept::{Cell, Form, is_kept_for_another};
-pub(crate) use open::MIGRATIONS;
 pub use open::SqliteOptions;
+pub(crate) use open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS};
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};

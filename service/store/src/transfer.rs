@@ -202,10 +202,6 @@ pub(crate) trait Side: Send {
     /// Every table of the data, by name.
     async fn tables(&mut self) -> Result<Vec<Table>, TransferError>;
 
-    /// A migration of it that this program does not know: a later version has written it, and its blocks, say, may not be readable
-    /// though its tables are the same.
-    async fn unknown_migration(&mut self) -> StoreResult<Option<i64>>;
-
     /// From here on reads see one state, and nothing is written.
     async fn begin_snapshot(&mut self) -> StoreResult<()>;
 
@@ -241,14 +237,6 @@ pub(crate) trait Side: Send {
 
     /// Closes the connection.
     async fn close(self: Box<Self>);
-}
-
-/// The migrations that a database has.
-const APPLIED: &str = "SELECT version FROM _sqlx_migrations ORDER BY version";
-
-/// The first of these migrations that a program does not have.
-fn first_unknown(applied: &[i64], known: &sqlx::migrate::Migrator) -> Option<i64> {
-    applied.iter().copied().find(|number| !known.version_exists(*number))
 }
 
 /// What an engine's text of a statement is made of: quoted names, separated.

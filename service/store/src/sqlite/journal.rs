@@ -34,7 +34,7 @@ mod tests;
 use self::blocks::{BLOCK, Blocks, up};
 use self::records::{Records, latest_epoch};
 use super::files::{Identity, beside};
-use super::open::{MIGRATIONS, SETTINGS};
+use super::open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS, SETTINGS};
 use crate::error::{StoreError, StoreResult};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, OpenFlags, OptionalExtension, ToSql, TransactionBehavior};
@@ -414,18 +414,12 @@ pub(super) fn take_up_closed(database: &Path) -> StoreResult<()> {
 
 /// Refuses a database of a later version, whose statements may mean something else here.
 fn is_known(conn: &Connection) -> StoreResult<()> {
-    let table = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')";
-    if !conn.query_row(table, (), |row| row.get(0))? {
+    if !conn.query_row(HAS_MIGRATIONS, (), |row| row.get(0))? {
         return Ok(());
     }
-    let mut applied = conn.prepare("SELECT version FROM _sqlx_migrations ORDER BY version")?;
-    for number in applied.query_map((), |row| row.get(0))? {
-        let number = number?;
-        if !MIGRATIONS.version_exists(number) {
-            return Err(StoreError::of_later_version(number));
-        }
-    }
-    Ok(())
+    let mut applied = conn.prepare(APPLIED)?;
+    let applied = applied.query_map((), |row| row.get(0))?.collect::<Result<Vec<i64>, _>>()?;
+    StoreError::unless_known(&applied, &MIGRATIONS)
 }
 
 /// How long a process that has the journal is given to commit what is in it, how long to give it back, and the time

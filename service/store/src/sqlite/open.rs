@@ -19,6 +19,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+/// Whether a file has a list of its migrations, and the list.
+pub(crate) const HAS_MIGRATIONS: &str =
+    "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')";
+pub(crate) const APPLIED: &str = "SELECT version FROM _sqlx_migrations ORDER BY version";
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/sqlite");
 
 /// A checkpoint that restarts the log holds up the writer while it waits for readers: no longer than this.

@@ -171,7 +171,7 @@ pub async fn back_up_postgres(from: &str, to: &Path, now: Timestamp) -> Result<B
         create(making)?;
         let store = SqliteStore::open(making, SqliteOptions::default());
         store.await.map_err(|error| of_target(to, error))?.close().await;
-        let mut source = PostgresSide::connect(from).await?;
+        let mut source = PostgresSide::read(from).await?;
         let mut target = SqliteSide::write(making).await.map_err(|error| of_target(to, error))?;
         let sums = transfer(&mut source, &mut target, &mut |_, _, _| {}).await;
         Box::new(source).close().await;

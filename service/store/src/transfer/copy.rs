@@ -7,7 +7,6 @@ use super::moves::{Drops, Goes, Moves, SURPLUS};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
 use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, Value};
-use crate::error::StoreError;
 use std::path::PathBuf;
 
 /// Where a database is.
@@ -34,7 +33,7 @@ impl Address {
             Self::Sqlite(path) => {
                 Box::new(SqliteSide::read(path).await.map_err(|error| of_source(path, error))?)
             }
-            Self::Postgres(url) => Box::new(PostgresSide::connect(url).await?),
+            Self::Postgres(url) => Box::new(PostgresSide::read(url).await?),
         })
     }
 
@@ -104,9 +103,6 @@ pub(super) async fn transfer(
     told: &mut (dyn FnMut(&str, TableSum, u64) + Send),
 ) -> Result<Vec<(String, TableSum)>, TransferError> {
     source.begin_snapshot().await?;
-    if let Some(number) = source.unknown_migration().await? {
-        return Err(StoreError::of_later_version(number).into());
-    }
     let tables = source.tables().await?;
     same_schema(&tables, &target.tables().await?)?;
     let drops = Drops::of(source, &tables).await?;

@@ -1,7 +1,7 @@
 //! A PostgreSQL database as a side of a transfer.
 
-use super::{APPLIED, Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, first_unknown, quoted};
-use crate::error::StoreResult;
+use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, quoted};
+use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::postgres::MIGRATIONS;
 use async_trait::async_trait;
@@ -24,6 +24,18 @@ impl PostgresSide {
         let options: PgConnectOptions = url.parse()?;
         let conn = options.application_name("feedwright transfer").connect().await?;
         Ok(Self { conn, numbered: Vec::new() })
+    }
+
+    /// The same, to read from.
+    pub(super) async fn read(url: &str) -> StoreResult<Self> {
+        let mut side = Self::connect(url).await?;
+        let has_migrations = "SELECT to_regclass('_sqlx_migrations') IS NOT NULL";
+        if sqlx::query_scalar(has_migrations).fetch_one(&mut side.conn).await? {
+            let applied = "SELECT version FROM _sqlx_migrations ORDER BY version";
+            let applied: Vec<i64> = sqlx::query_scalar(applied).fetch_all(&mut side.conn).await?;
+            StoreError::unless_known(&applied, &MIGRATIONS)?;
+        }
+        Ok(side)
     }
 
     /// The same, to write into: nobody else who does may have it meanwhile.
@@ -142,15 +154,6 @@ impl Side for PostgresSide {
             }
         }
         tables.into_iter().map(|(name, columns, key)| Table::checked(name, columns, &key)).collect()
-    }
-
-    async fn unknown_migration(&mut self) -> StoreResult<Option<i64>> {
-        let table = "SELECT to_regclass('_sqlx_migrations') IS NOT NULL";
-        if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut self.conn).await? {
-            return Ok(None);
-        }
-        let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut self.conn).await?;
-        Ok(first_unknown(&applied, &MIGRATIONS))
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {

@@ -1,12 +1,12 @@
 //! A SQLite file as a side of a transfer.
 
-use super::{
-    APPLIED, Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, first_unknown, quoted,
-};
+use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, quoted};
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::BlockRow;
-use crate::sqlite::{Cell, Form, MIGRATIONS, insert_blocks, is_kept_for_another, recommendation_id};
+use crate::sqlite::{
+    APPLIED, Cell, Form, HAS_MIGRATIONS, MIGRATIONS, insert_blocks, is_kept_for_another, recommendation_id,
+};
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow, SqliteSynchronous};
@@ -29,12 +29,12 @@ impl SqliteSide {
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
         crate::sqlite::take_up(path).await?;
         let options = SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(PATIENCE);
-        let mut side = Self { conn: options.connect().await?, is_shorter: true };
-        // What this program takes for blocks may be something else there: no sum over it would tell.
-        match side.unknown_migration().await? {
-            None => Ok(side),
-            Some(number) => Err(StoreError::of_later_version(number)),
+        let mut conn = options.connect().await?;
+        if sqlx::query_scalar(HAS_MIGRATIONS).fetch_one(&mut conn).await? {
+            let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut conn).await?;
+            StoreError::unless_known(&applied, &MIGRATIONS)?;
         }
+        Ok(Self { conn, is_shorter: true })
     }
 
     /// Writes a file that nobody else writes, as durably as the store does.
@@ -235,15 +235,6 @@ impl Side for SqliteSide {
             tables.push(Table::checked(name, typed, &key)?);
         }
         Ok(tables)
-    }
-
-    async fn unknown_migration(&mut self) -> StoreResult<Option<i64>> {
-        let table = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')";
-        if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut self.conn).await? {
-            return Ok(None);
-        }
-        let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut self.conn).await?;
-        Ok(first_unknown(&applied, &MIGRATIONS))
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {
