@@ -125,12 +125,18 @@ impl<'de> Deserialize<'de> for SamplesField {
                     "time_ms" => Ok(SamplesField::TimeMs),
                     _ => Channel::parse(name)
                         .map(SamplesField::Column)
-                        .ok_or_else(|| E::custom(format!("unknown field `{name}`, expected a channel"))),
+                        .ok_or_else(|| E::custom(no_channel(name))),
                 }
             }
         }
         deserializer.deserialize_identifier(Name)
     }
+}
+
+/// Says that samples have no such field, and which channels there are.
+pub(crate) fn no_channel(name: &str) -> String {
+    let channels: Vec<_> = Channel::ALL.iter().map(|channel| format!("`{}`", channel.as_str())).collect();
+    format!("unknown field `{name}`, expected a channel: one of {}", channels.join(", "))
 }
 
 impl<'de> Deserialize<'de> for SamplesBody {

@@ -4,6 +4,7 @@
 //! error with the path of the field, never a guess.
 
 use crate::http::dto::peak_to_peak::ControllerBody;
+use crate::ingest::body::no_channel;
 use crate::json::{self, Wrong};
 use feedwright_core::cycle::Channel;
 use feedwright_core::invalid::Violation;
@@ -404,9 +405,7 @@ impl<'de> Deserialize<'de> for SamplesMessage {
                         }
                         name => {
                             let Some(channel) = Channel::parse(name) else {
-                                return Err(A::Error::custom(format!(
-                                    "unknown field `{name}`, expected a channel"
-                                )));
+                                return Err(A::Error::custom(no_channel(name)));
                             };
                             if message.ends.iter().any(|(known, _)| *known == channel) {
                                 return Err(A::Error::custom(format!("duplicate field `{name}`")));

@@ -81,6 +81,14 @@ fn fields_that_are_unknown_missing_or_given_twice_are_named() {
     let at = |path: &str, code| (path.to_owned(), code);
     assert_eq!(refusal(&with(r#""feed":1"#)), at("feed", "unknown_field"));
     assert_eq!(refusal(&samples(r#""load":[1]"#)), at("samples.load", "unknown_field"));
+    let Err(BodyError::Invalid(violations)) = of(&samples(r#""load":[1]"#)) else { panic!("refused") };
+    for channel in Channel::ALL {
+        assert!(
+            violations[0].message.contains(channel.as_str()),
+            "the channels there are: {}",
+            violations[0].message
+        );
+    }
     assert_eq!(refusal(&with(r#""reported":{"joules":1}"#)), at("reported.joules", "unknown_field"));
     assert_eq!(refusal(&with(r#""tool":"T2""#)), at("tool", "duplicate_field"));
     assert_eq!(
