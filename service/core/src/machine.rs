@@ -100,6 +100,24 @@ pub struct FeedLimits {
 }
 
 impl FeedLimits {
+    /// The same, held within other limits; feeds only where the two have more than one in common.
+    #[must_use]
+    pub fn within(&self, feeds_mm_min: (f64, f64), overrides_percent: (f64, f64)) -> Self {
+        let (min_mm_min, max_mm_min) =
+            (self.min_mm_min.max(feeds_mm_min.0), self.max_mm_min.min(feeds_mm_min.1));
+        let feeds = if min_mm_min < max_mm_min {
+            (min_mm_min, max_mm_min)
+        } else {
+            (self.min_mm_min, self.max_mm_min)
+        };
+        Self {
+            min_mm_min: feeds.0,
+            max_mm_min: feeds.1,
+            override_min_percent: self.override_min_percent.max(overrides_percent.0),
+            override_max_percent: self.override_max_percent.min(overrides_percent.1),
+        }
+    }
+
     /// Checks that the feed range is not empty and that the override range holds 100 %.
     pub fn new(
         min_mm_min: f64,

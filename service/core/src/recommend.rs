@@ -13,7 +13,7 @@ pub use process::{
 };
 
 use crate::cycle::ProfileVersion;
-use crate::feed::choose::{ActiveProfile, ProfileAdvice, choose};
+use crate::feed::choose::{ActiveProfile, ProfileAdvice, choose, lower};
 use crate::ids::{MachineId, OperationId, REFERENCE_ID_ENDING, ToolId};
 use crate::machine::{FeedLimits, Machine};
 use crate::operation::Operation;
@@ -21,7 +21,7 @@ use crate::units::{Process, Timestamp};
 use crate::wear::{Level, Remaining, ToolState, Verdict};
 
 /// Version of the rules below; part of every recommendation.
-pub const LAW_VERSION: &str = "profile-1";
+pub const LAW_VERSION: &str = "profile-2";
 
 /// The override that leaves the programmed feed as it is, %.
 pub const NEUTRAL_OVERRIDE_PERCENT: f64 = 100.0;
@@ -165,11 +165,11 @@ pub struct Recommendation {
     pub override_percent: f64,
     /// The feed profile to run instead of one feed; none where no active one fits, as the reasons say.
     pub profile: Option<ProfileAdvice>,
-    /// Limits that hold whatever the control does.
+    /// Limits that hold whatever the control does: the machine's, and the profile's where one is to be run.
     pub limits: FeedLimits,
-    /// Set load of the spindle drive, %.
+    /// Set load of the spindle drive, %: the lower of the operation's and the profile's.
     pub spindle_load_set_percent: Option<f64>,
-    /// Set load of the feed drive, %.
+    /// Set load of the feed drive, %, likewise.
     pub feed_drive_load_set_percent: Option<f64>,
     /// The tool's state.
     pub tool_state: ToolState,
@@ -241,6 +241,15 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     let process_advice =
         operation.and_then(|operation| process::advise(question, operation, &mut action, &mut say));
     let reference_cycle = reference_cycle(question, action, &mut say);
+    // Whoever runs the profile runs it within what was set for it as well.
+    let of_profile = profile.map(|one| one.profile.limits());
+    let limits = of_profile.map_or(machine.limits, |own| {
+        let overrides_percent = (own.override_min_percent, own.override_max_percent);
+        machine.limits.within((own.feed_min_mm_min, own.feed_max_mm_min), overrides_percent)
+    });
+    let set_load = |of_operation: fn(&Operation) -> Option<f64>, of_profile: Option<f64>| {
+        lower(operation.and_then(of_operation), of_profile)
+    };
     Recommendation {
         issued_at: now,
         valid_until: now.plus_millis(settings.validity_ms),
@@ -252,10 +261,16 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         // A profile is no single feed: who cannot run it runs the program.
         feed_mm_min: feed.filter(|_| profile.is_none()),
         override_percent: NEUTRAL_OVERRIDE_PERCENT,
-        profile,
-        limits: machine.limits,
-        spindle_load_set_percent: operation.and_then(|operation| operation.spindle_load_set_percent),
-        feed_drive_load_set_percent: operation.and_then(|operation| operation.feed_drive_load_set_percent),
+        profile: profile.map(ProfileAdvice::of),
+        limits,
+        spindle_load_set_percent: set_load(
+            |operation| operation.spindle_load_set_percent,
+            of_profile.and_then(|own| own.spindle_load_set_percent),
+        ),
+        feed_drive_load_set_percent: set_load(
+            |operation| operation.feed_drive_load_set_percent,
+            of_profile.and_then(|own| own.feed_drive_load_set_percent),
+        ),
         tool_state: verdict.state,
         level: verdict.level,
         remaining: verdict.remaining,
@@ -295,12 +310,12 @@ fn reference_cycle(
 }
 
 /// The feed profile to run, and why it is that one or none.
-fn profile(
-    question: &Question<'_>,
+fn profile<'a>(
+    question: &Question<'a>,
     action: Action,
     stale: bool,
     say: &mut impl FnMut(&str, &str),
-) -> Option<ProfileAdvice> {
+) -> Option<&'a ActiveProfile> {
     // Without the operation its program, material and depth are not known; without the tool its type is not.
     let operation = question.operation.filter(|_| question.tool_registered);
     let active = if operation.is_some() { question.profiles } else { &[] };

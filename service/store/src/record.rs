@@ -6,10 +6,10 @@ use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::plunge::Material;
 use feedwright_core::recommend::Recommendation;
-use feedwright_core::summary::{CycleSummary, EnergyBasis};
+use feedwright_core::summary::CycleSummary;
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
-use feedwright_core::units::{Process, Strategy, Timestamp};
+use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::{CycleFacts, Exclusion, Level, Verdict};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -200,6 +200,9 @@ pub struct FleetRow {
     pub names: (Option<String>, Option<String>),
     /// The verdict on the tool of the newest cycle.
     pub verdict: Option<Verdict>,
+    /// Energies of those of the newest cycles that this tool ran in its current life, each over the new tool's that it is compared
+    /// with, oldest first.
+    pub energy_ratios: Vec<f64>,
     /// Its open alarms, oldest first.
     pub alarms: Vec<Alarm>,
 }
@@ -207,30 +210,16 @@ pub struct FleetRow {
 /// What a glance needs of a cycle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FleetCycle {
-    /// Its machine.
-    pub machine: MachineId,
-    /// Its id.
-    pub id: CycleId,
+    /// What wear needs of it.
+    pub facts: CycleFacts,
+    /// Whether its operation is friction drilling, as far as that is registered.
+    pub is_friction: bool,
     /// Its tool.
     pub tool: ToolId,
-    /// Its operation.
-    pub operation: OperationId,
-    /// When it began, by the machine's clock.
-    pub started_at: Timestamp,
     /// When the server received it.
     pub received_at: Timestamp,
     /// How it ended.
     pub outcome: Outcome,
-    /// Strategy of the feed.
-    pub strategy: Option<Strategy>,
-    /// Cycle time, ms.
-    pub duration_ms: Option<f64>,
-    /// Energy on the best basis there is, J.
-    pub energy: Option<(EnergyBasis, f64)>,
-    /// The part of it from contact to full depth, J, where depth was sampled.
-    pub contact_joules: Option<f64>,
-    /// Fingerprint of the ratings and fitted lines that it rests on: energies of another do not compare.
-    pub energy_scale: i64,
 }
 
 /// The cycles of a tool's current life, each with what became of it.

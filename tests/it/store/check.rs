@@ -516,7 +516,7 @@ async fn a_course_that_cannot_be_read_costs_its_cycle_alone(given: &Given) {
     assert!(store.cycle_samples(&machine, &id).await.unwrap().is_some());
     assert_eq!(store.points(&all, page()).await.unwrap().len(), 8);
     let fleet = store.fleet_machine(&machine, 8).await.unwrap().unwrap();
-    let contacts: Vec<_> = fleet.recent.iter().map(|cycle| cycle.contact_joules.is_some()).collect();
+    let contacts: Vec<_> = fleet.recent.iter().map(|cycle| cycle.facts.digest.is_some()).collect();
     assert_eq!(contacts.iter().filter(|known| **known).count(), 6, "{contacts:?}");
 
     // A late cycle folds the tool's history anew, past the one that is damaged: of that nothing is known.

@@ -1,6 +1,6 @@
 //! The fleet at a glance, and sessions of browsers.
 
-use super::given::{Run, at, commit, engineer, event, machine, mounted, shop, stories};
+use super::given::{Run, at, commit, engineer, event, machine, mounted, operation, shop, stories};
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::wear::ToolState;
 use feedwright_store::{Page, Precondition, Role, SessionRecord, Store, TokenRecord};
@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 stories!(
     the_fleet_tells_of_every_machine_its_newest_cycles_and_its_tool,
+    a_glance_at_energies_is_of_this_life_and_each_over_what_it_is_compared_with,
     a_session_is_found_with_its_token_and_the_oldest_makes_room,
 );
 
@@ -26,11 +27,12 @@ async fn the_fleet_tells_of_every_machine_its_newest_cycles_and_its_tool(store: 
     let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
     assert_eq!(busy.verdict.as_ref(), Some(&verdict));
     assert_eq!(busy.recent.len(), 5);
-    assert!(busy.recent.is_sorted_by(|a, b| a.started_at > b.started_at), "newest first");
-    let last = store.cycle(&busy.recent[0].machine, &busy.recent[0].id).await.unwrap().unwrap();
-    let best = last.summary.best_energy().map(|energy| (energy.basis, energy.total_joules));
-    assert_eq!((busy.recent[0].energy, busy.recent[0].duration_ms), (best, last.summary.duration_ms));
-    assert_eq!(busy.recent[0].energy_scale, last.summary.energy_scale);
+    assert!(busy.recent.is_sorted_by(|a, b| a.facts.order > b.facts.order), "newest first");
+    let newest = &busy.recent[0].facts;
+    let last = store.cycle(&newest.order.machine, &newest.order.cycle).await.unwrap().unwrap();
+    let best = last.summary.best_energy().map(|energy| (energy.basis, false, energy.total_joules));
+    assert_eq!((newest.energy, newest.duration_ms), (best, last.summary.duration_ms));
+    assert_eq!(newest.energy_scale, last.summary.energy_scale);
     assert!(busy.names.0.is_some() && busy.names.1.is_some(), "{:?}", busy.names);
     let quiet = &rows[1];
     assert_eq!((quiet.recent.len(), quiet.verdict.is_none(), quiet.alarms.len()), (0, true, 0));
@@ -92,4 +94,41 @@ async fn a_session_is_found_with_its_token_and_the_oldest_makes_room(store: Arc<
     assert!(store.end_session(&[5; 32], &engineer(), at(2002)).await.unwrap());
     assert!(!store.end_session(&[5; 32], &engineer(), at(2003)).await.unwrap());
     assert_eq!(store.session_by_hash(&[5; 32]).await.unwrap(), None);
+}
+
+async fn a_glance_at_energies_is_of_this_life_and_each_over_what_it_is_compared_with(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    store.put_operation(operation("O2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    mounted(&*store, "T1", 0).await;
+    let ratios = async || {
+        let row = store.fleet_machine(&"M1".try_into().unwrap(), 60).await.unwrap().unwrap();
+        row.energy_ratios.iter().map(|ratio| (ratio * 100.0).round()).collect::<Vec<_>>()
+    };
+    let run = async |numbers: std::ops::Range<u32>, change: &dyn Fn(&mut Run)| {
+        let runs: Vec<_> = numbers
+            .map(|n| {
+                let mut run = Run { sampled: false, ..Run::nth(n) };
+                change(&mut run);
+                run
+            })
+            .collect();
+        commit(&*store, &runs).await.into_iter().for_each(|stored| drop(stored.unwrap()));
+    };
+    run(1..16, &|run| run.load = 45.0).await;
+    assert_eq!(ratios().await, [100.0; 15]);
+    // Reground, run elsewhere for longer than ever here, and back.
+    let reground = event(ToolEventKind::Reground, at(16 * 60 - 1));
+    store.add_tool_event(&"T1".try_into().unwrap(), reground, &engineer(), at(9000)).await.unwrap();
+    run(16..40, &|run| run.machine = "M2").await;
+    run(40..47, &|_| ()).await;
+    assert_eq!(ratios().await, [100.0; 7], "cycles of the life before have other baselines");
+    // Another operation in turn: each is compared with its own.
+    run(47..67, &|run| {
+        if run.seconds % 120 == 0 {
+            (run.operation, run.load) = ("O2", 60.0);
+        }
+    })
+    .await;
+    assert_eq!(ratios().await, [100.0; 27]);
 }

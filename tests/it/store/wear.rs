@@ -1,9 +1,10 @@
 //! Wear is the fold over the unique cycles in their order, however and whenever they arrive.
 
 use super::given::{
-    Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, stored, stories, tool,
+    Given, Run, at, commit, engineer, event, machine, mounted, new_cycle, operation, shop, stored, stories,
+    tool,
 };
-use feedwright_core::cycle::Flag;
+use feedwright_core::cycle::{Cycle, Flag, Reported};
 use feedwright_core::operation::WearSettings;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::{ToolEvent, ToolEventKind};
@@ -23,6 +24,7 @@ stories!(
     an_event_takes_effect_with_the_cycle_it_names,
     an_event_after_the_last_cycle_acts_at_once,
     changed_settings_are_judged_again,
+    what_was_run_is_judged_by_what_its_operation_asked_for_then,
     a_beginning_that_is_told_late_is_the_beginning,
     an_event_that_a_clock_which_was_ahead_told_is_revoked_and_told_again,
     wherever_an_event_stands_it_is_as_if_it_had_not_been_told_once_it_is_revoked,
@@ -348,6 +350,72 @@ async fn changed_settings_are_judged_again(store: Arc<dyn Store>) {
     assert_eq!(after, naive(&runs, true, wear));
     assert_ne!(after.level, before.level);
     assert_clean(&*store).await;
+}
+
+async fn what_was_run_is_judged_by_what_its_operation_asked_for_then(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let who = engineer();
+    let second = "T2".try_into().unwrap();
+    store.put_tool(tool("T2"), Precondition::Absent, &who, at(0)).await.unwrap();
+    let asks = async |(version, seconds), depth_mm, speed| {
+        let asked = feedwright_core::operation::Operation {
+            depth_mm: Some(depth_mm),
+            spindle_speed_rpm: Some(speed),
+            ..operation("O1")
+        };
+        store.put_operation(asked, Precondition::Version(version), &who, at(seconds)).await.unwrap();
+    };
+    // Reported cycles that name no speed: what the operation asked for is all that is known of it.
+    let run = async |tool: &str, number: u32, joules: f64, depth_mm: f64| {
+        let mut draft = Run::nth(number).draft();
+        draft.tool = tool.try_into().unwrap();
+        draft.id = format!("{tool}-{number}").as_str().try_into().unwrap();
+        (draft.samples, draft.spindle_speed_rpm) = (None, None);
+        draft.reported =
+            Reported { energy_joules: Some(joules), max_depth_mm: Some(depth_mm), ..Reported::default() };
+        // Summed up under what was in force before: it is summed up again.
+        let new = NewCycle { generation: Some(-1), ..new_cycle(Cycle::new(draft).unwrap()) };
+        let answers = store.commit_cycles(vec![new], at(3000), RecommendSettings::default()).await;
+        let Ok(Committed::Stored(answer)) = answers.into_iter().next().unwrap() else { panic!("stored") };
+        answer.verdict
+    };
+    asks((1, 10), 10.0, 2400.0).await;
+    let mut verdict = run("T1", 1, 1000.0, 10.1).await;
+    for number in 2..=40 {
+        verdict = run("T1", number, 1000.0 + 4.0 * f64::from(number), 10.1).await;
+    }
+    assert_eq!(verdict.state, ToolState::Worn, "{verdict:?}");
+    for number in 1..=12 {
+        run("T2", number, 2000.0, 10.1).await;
+    }
+
+    asks((2, 2430), 12.0, 2640.0).await;
+    let deeper = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!(
+        (deeper.state, deeper.counted),
+        (ToolState::Worn, 40),
+        "a deeper hole makes no worn tool good"
+    );
+    for number in 41..=52 {
+        verdict = run("T1", number, 1450.0, 12.1).await;
+    }
+    assert_eq!(verdict.state, ToolState::Worn, "{verdict:?}");
+
+    let learnt = store.verdict(&second).await.unwrap();
+    assert_eq!(learnt.baselines[0].key.spindle_speed_rpm, Some(2400.0), "{learnt:?}");
+    for number in 13..=24 {
+        verdict = run("T2", number, 2200.0, 12.1).await;
+    }
+    let speeds: Vec<_> = verdict.baselines.iter().map(|baseline| baseline.key.spindle_speed_rpm).collect();
+    assert_eq!(speeds, [Some(2640.0), Some(2400.0)], "{verdict:?}");
+    assert_ne!(
+        verdict.state,
+        ToolState::Worn,
+        "a tenth more energy at another speed is no wear: {verdict:?}"
+    );
+    assert_clean(&*store).await;
+    assert_eq!(store.verdict(&second).await.unwrap(), Verdict::clone(&verdict));
+    assert_eq!(store.check_cycles(None, 1000).await.unwrap().faults, vec![]);
 }
 
 async fn cycles_that_were_cut_short_do_not_count_however_they_arrive(store: Arc<dyn Store>) {

@@ -4,6 +4,7 @@ use super::plunge::{PlungeLoop, PlungeStep};
 use super::profile::RunProfile;
 use super::reason::{LoopReason, LoopReasons};
 use crate::cycle::Channel;
+use crate::feed::choose::lower;
 use crate::friction::error::Invalid;
 use crate::friction::feed_override::{FeedOverride, HIGHEST_OVERRIDE_PERCENT, OverrideBounds, OverrideRange};
 use crate::friction::filter::FilterWeights;
@@ -297,14 +298,6 @@ pub fn control(
         neutral,
         capped,
     ))
-}
-
-/// The lower of two preferred loads: both are limits that somebody has set.
-fn lower(one: Option<f64>, other: Option<f64>) -> Option<f64> {
-    match (one, other) {
-        (Some(one), Some(other)) => Some(one.min(other)),
-        (one, other) => one.or(other),
-    }
 }
 
 fn range_of(limits: &FeedLimits) -> Result<OverrideRange, Invalid> {

@@ -38,6 +38,26 @@ pub struct ProfileAdvice {
     pub wear_to_level: f64,
 }
 
+impl ProfileAdvice {
+    /// Of a version that is handed out.
+    pub fn of(one: &ActiveProfile) -> Self {
+        Self {
+            version: one.version.clone(),
+            hash: one.hash,
+            time_s: one.profile.time_s(),
+            wear_to_level: one.profile.wear().to_level,
+        }
+    }
+}
+
+/// The lower of two preferred loads: both are limits that somebody has set.
+pub fn lower(one: Option<f64>, other: Option<f64>) -> Option<f64> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (one, other) => one.or(other),
+    }
+}
+
 /// Why no version is handed out: a stable code and a sentence.
 pub type Withheld = (&'static str, String);
 
@@ -47,13 +67,13 @@ pub type Withheld = (&'static str, String);
 ///
 /// # Errors
 /// With the reason why the program is to be run as it is.
-pub fn choose(
-    active: &[ActiveProfile],
+pub fn choose<'a>(
+    active: &'a [ActiveProfile],
     operation: &Operation,
     limits: &FeedLimits,
     verdict: &Verdict,
     (in_order, stale): (bool, bool),
-) -> Result<ProfileAdvice, Withheld> {
+) -> Result<&'a ActiveProfile, Withheld> {
     let withheld = |code, why: String| Err((code, why));
     if active.is_empty() {
         return withheld("no_profile", "no feed profile is active: 100 % of the programmed feed".to_owned());
@@ -86,13 +106,7 @@ pub fn choose(
         );
     };
     matches(chosen, operation, limits)?;
-    let profile = &chosen.profile;
-    Ok(ProfileAdvice {
-        version: chosen.version.clone(),
-        hash: chosen.hash,
-        time_s: profile.time_s(),
-        wear_to_level: profile.wear().to_level,
-    })
+    Ok(chosen)
 }
 
 /// Whether a version was made for this operation as it is now, and for this machine's feeds.
@@ -226,7 +240,7 @@ mod tests {
 
     fn chosen(bands: &[ActiveProfile], verdict: &Verdict) -> Result<String, &'static str> {
         choose(bands, &operation(), &limits(), verdict, (true, false))
-            .map(|advice| advice.version.profile.to_string())
+            .map(|one| one.version.profile.to_string())
             .map_err(|(code, _)| code)
     }
 

@@ -251,3 +251,56 @@ fn no_plunge_feed_for_a_tool_that_is_to_be_looked_at() {
     let turned = turned(edge(2, 0.0, plausible), 0.0, WIDE, ToolState::Changed);
     assert!(says(&turned, "turning_withheld") && turning(&turned).next.is_none());
 }
+
+#[test]
+fn a_profile_is_run_within_its_own_limits_too_and_at_the_lower_of_two_set_loads() {
+    use crate::feed::profile::tests::given;
+    use crate::feed::profile::{LimitsInput, Profile, ProfileHash, ProfileInput};
+    let input = given::input();
+    let limits = LimitsInput {
+        override_min_percent: 30.0,
+        override_max_percent: 120.0,
+        spindle_load_set_percent: Some(40.0),
+        feed_drive_load_set_percent: Some(30.0),
+        ..input.limits
+    };
+    let operation = Operation {
+        program: input.conditions.program.clone(),
+        work_material: input.conditions.work_material.clone(),
+        spindle_speed_rpm: input.conditions.spindle_speed_rpm,
+        depth_mm: Some(20.5),
+        programmed_feed_mm_min: Some(110.0),
+        spindle_load_set_percent: Some(45.0),
+        feed_drive_load_set_percent: Some(25.0),
+        ..operation(Process::Friction)
+    };
+    let profile = Profile::new(ProfileInput { limits, ..input }).unwrap();
+    let version = crate::cycle::ProfileVersion { profile: "P1".try_into().unwrap(), version: 1 };
+    let active = [ActiveProfile { version, hash: ProfileHash::from_bytes([0; 32]), profile }];
+    let machine = machine(10.0, 2000.0);
+    let tool = "T1".try_into().unwrap();
+    let verdict = Verdict { state: ToolState::Learning, life: 1, cycles: 3, ..Verdict::unknown("x", "x") };
+    let question = |profiles| Question {
+        now: Timestamp::from_micros(0),
+        machine: &machine,
+        operation_id: &operation.id,
+        operation: Some(&operation),
+        tool_id: &tool,
+        tool_registered: true,
+        verdict: &verdict,
+        knowledge: &Knowledge::None,
+        profiles,
+        ran: None,
+        settings: RecommendSettings::default(),
+    };
+    let with = recommend(&question(&active[..]));
+    assert!(with.profile.is_some(), "{:?}", with.reasons);
+    assert_eq!((with.spindle_load_set_percent, with.feed_drive_load_set_percent), (Some(40.0), Some(25.0)));
+    assert_eq!(with.limits, FeedLimits::new(50.0, 1000.0, 30.0, 120.0).unwrap());
+    let without = recommend(&question(&[]));
+    assert_eq!(
+        (without.spindle_load_set_percent, without.feed_drive_load_set_percent),
+        (Some(45.0), Some(25.0))
+    );
+    assert_eq!(without.limits, machine.limits);
+}

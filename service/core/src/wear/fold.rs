@@ -17,7 +17,7 @@ use crate::tool::ToolEventKind;
 use crate::units::{Process, Strategy};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 4;
+pub const FOLD_VERSION: u16 = 5;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
@@ -33,6 +33,8 @@ const LEAST_RATIOS: usize = 5;
 const LASTING: usize = 3;
 /// Two single cycles off the usual within so many of one key: conditions alternate.
 const FLIP_SPAN: u64 = 6;
+/// A hole of this share of its depth has worked the tool.
+const HALF: f64 = 0.5;
 /// Levels are compared with the limits with this much room for rounding.
 const ROUNDING: f64 = 1e-9;
 
@@ -183,7 +185,12 @@ impl ToolFold {
         let (compared, settings) = match self.countable(facts, settings) {
             Ok(found) => found,
             Err(why) => {
-                if !matches!(why, Exclusion::Aborted | Exclusion::Incomplete) {
+                let worked = match why {
+                    Exclusion::Aborted => false,
+                    Exclusion::Incomplete => is_half_a_hole(facts, settings),
+                    _ => true,
+                };
+                if worked {
                     self.unmeasured += 1;
                 }
                 self.exclude(&facts.order.machine, &facts.order.cycle, why);
@@ -251,7 +258,7 @@ impl ToolFold {
         if facts.coverage < COVERAGE_FLOOR {
             return Err(Exclusion::LowCoverage);
         }
-        if let (Some(asked), Some(reached)) = (settings.depth_mm, facts.max_depth_mm)
+        if let (Some(asked), Some(reached)) = (asked_of(facts, settings), facts.max_depth_mm)
             && reached < DEPTH_FLOOR * asked
         {
             return Err(Exclusion::Incomplete);
@@ -261,23 +268,8 @@ impl ToolFold {
 
     /// The place of the cycle's key, which is made where it is met first.
     fn key_of(&mut self, facts: &CycleFacts, in_contact: bool, settings: &FoldSettings) -> usize {
-        let (basis, idle_subtracted) = facts
-            .energy
-            .map_or((crate::summary::EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
-        // What else a machine names with a reference cycle it was asked for is what runs between them.
-        let as_told = facts.compared_as() == facts.strategy;
-        let key = BaselineKey {
-            machine: facts.order.machine.clone(),
-            operation: facts.operation.clone(),
-            spindle_speed_rpm: facts.spindle_speed_rpm.or(settings.spindle_speed_rpm),
-            basis,
-            idle_subtracted,
-            in_contact,
-            energy_scale: facts.energy_scale,
-            strategy: facts.compared_as(),
-            law_version: facts.law_version.clone().filter(|_| as_told),
-            profile: facts.profile.clone().filter(|_| as_told),
-        };
+        let speed_rpm = facts.spindle_speed_rpm.or(settings.spindle_speed_rpm);
+        let key = BaselineKey::of(facts, in_contact, speed_rpm);
         if let Some(at) = self.keys.iter().position(|known| known.matches(&key)) {
             return at;
         }
@@ -553,6 +545,22 @@ impl ToolFold {
         }
         self.last_excluded.push((machine.clone(), cycle.clone(), why));
     }
+}
+
+/// The depth that a complete cycle reaches, mm: the lesser of what its operation asked for when it was received and asks for now. A
+/// depth that was declared wrong and is mended is judged by the new one; a deeper hole that is drilled from now on makes none of
+/// those before incomplete.
+fn asked_of(facts: &CycleFacts, settings: &FoldSettings) -> Option<f64> {
+    match (facts.asked_depth_mm, settings.depth_mm) {
+        (Some(then), Some(now)) => Some(then.min(now)),
+        (_, now) => now,
+    }
+}
+
+/// Whether a cycle that is short of its depth has worked the tool like others all the same.
+fn is_half_a_hole(facts: &CycleFacts, settings: Option<&FoldSettings>) -> bool {
+    let asked = settings.and_then(|settings| asked_of(facts, settings));
+    asked.zip(facts.max_depth_mm).is_some_and(|(asked, reached)| reached >= HALF * asked)
 }
 
 /// Cycles that make a step lasting: no more than flip the median of the window.

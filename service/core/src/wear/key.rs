@@ -1,11 +1,11 @@
 //! One baseline key: learning its baseline, and telling usual cycles from unusual ones.
 
 use super::facts::CycleFacts;
-use super::verdict::{BaselineKey, Exclusion};
+use super::verdict::{BaselineKey, Exclusion, MOST_LEVEL, Verdict};
 use crate::friction::relation::{FeedSource, Per, Relation};
 use crate::ids::{CycleId, MachineId};
 use crate::operation::WearSettings;
-use crate::summary::{DepthDigest, median, relation_config};
+use crate::summary::{DepthDigest, EnergyBasis, median, relation_config};
 use crate::units::Strategy;
 
 /// Below this share of what is usual, hardly anything was cut.
@@ -193,6 +193,53 @@ fn speeds_match(one: Option<f64>, other: Option<f64>) -> bool {
     }
 }
 
+impl BaselineKey {
+    /// What a cycle is compared under.
+    pub(super) fn of(facts: &CycleFacts, in_contact: bool, spindle_speed_rpm: Option<f64>) -> Self {
+        let (basis, idle_subtracted) =
+            facts.energy.map_or((EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
+        // What else a machine names with a reference cycle it was asked for is what runs between them.
+        let as_told = facts.compared_as() == facts.strategy;
+        Self {
+            machine: facts.order.machine.clone(),
+            operation: facts.operation.clone(),
+            spindle_speed_rpm,
+            basis,
+            idle_subtracted,
+            in_contact,
+            energy_scale: facts.energy_scale,
+            strategy: facts.compared_as(),
+            law_version: facts.law_version.clone().filter(|_| as_told),
+            profile: facts.profile.clone().filter(|_| as_told),
+        }
+    }
+
+    /// Whether `other` is this one, speeds being alike within ±2 %.
+    fn matches(&self, other: &Self) -> bool {
+        speeds_match(self.spindle_speed_rpm, other.spindle_speed_rpm)
+            && self.machine == other.machine
+            && self.operation == other.operation
+            && self.basis == other.basis
+            && self.idle_subtracted == other.idle_subtracted
+            && self.in_contact == other.in_contact
+            && self.energy_scale == other.energy_scale
+            && self.strategy == other.strategy
+            && self.law_version == other.law_version
+            && self.profile == other.profile
+    }
+}
+
+impl Verdict {
+    /// Energy of a cycle of the tool's current life over that of the new tool that it is compared with, at most
+    /// [`MOST_LEVEL`] either way; `None` where it has none, or the new tool's is not known.
+    pub fn ratio_of(&self, facts: &CycleFacts, is_friction: bool) -> Option<f64> {
+        let (in_contact, joules, _) = facts.compared(is_friction)?;
+        let key = BaselineKey::of(facts, in_contact, facts.spindle_speed_rpm);
+        let baseline = self.baselines.iter().find(|baseline| baseline.key.matches(&key))?.baseline_joules?;
+        (baseline > 0.0).then(|| (joules / baseline).clamp(-MOST_LEVEL, MOST_LEVEL))
+    }
+}
+
 impl KeyState {
     pub(super) fn new(key: BaselineKey, settings: WearSettings, level_at_entry: f64) -> Self {
         Self {
@@ -218,18 +265,9 @@ impl KeyState {
         }
     }
 
-    /// Whether `key` is this one, speeds being alike within ±2 %.
+    /// Whether `key` is this one.
     pub(super) fn matches(&self, key: &BaselineKey) -> bool {
-        speeds_match(self.key.spindle_speed_rpm, key.spindle_speed_rpm)
-            && self.key.machine == key.machine
-            && self.key.operation == key.operation
-            && self.key.basis == key.basis
-            && self.key.idle_subtracted == key.idle_subtracted
-            && self.key.in_contact == key.in_contact
-            && self.key.energy_scale == key.energy_scale
-            && self.key.strategy == key.strategy
-            && self.key.law_version == key.law_version
-            && self.key.profile == key.profile
+        self.key.matches(key)
     }
 
     /// Whether `key` differs from this one only in the commanded speed: the same operation, run otherwise.

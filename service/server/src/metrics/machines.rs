@@ -149,12 +149,12 @@ impl MachineMetrics {
             if let (Some(newest), Some(verdict)) = (row.recent.first(), &row.verdict) {
                 // A cycle that came while the rows were read told more.
                 let is_behind = self.labelled(&row.machine.value.id, |known| {
-                    known.newest.as_ref().is_some_and(|(_, shown)| newest.started_at < *shown)
+                    known.newest.as_ref().is_some_and(|(_, shown)| newest.facts.order.started_at < *shown)
                 });
                 if is_behind == Some(true) {
                     continue;
                 }
-                self.verdict(&row.machine.value.id, (&newest.tool, newest.started_at), verdict);
+                self.verdict(&row.machine.value.id, (&newest.tool, newest.facts.order.started_at), verdict);
             }
         }
     }

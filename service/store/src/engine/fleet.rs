@@ -3,7 +3,7 @@
 use super::{Conn, Db, alarms, machines, operations, tools, wear};
 use crate::error::StoreResult;
 use crate::record::{Alarm, AlarmFilter, FleetCycle, FleetRow, Page, Versioned};
-use crate::rows::FleetCycleRow;
+use crate::rows::{FleetCycleRow, Place};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::machine::Machine;
 use feedwright_core::wear::Verdict;
@@ -13,10 +13,13 @@ use std::collections::BTreeMap;
 const MOST_ALARMS: u32 = 2000;
 
 // Newest first along an index: as many rows are read as are wanted, whatever the history holds.
-const LAST_CYCLES: &str = "SELECT machine_id, cycle_id, tool_id, operation_id, started_at_us, received_at_us, outcome,
-        strategy, duration_ms, dynamometer_joules, calibrated_joules, measured_power_joules, rated_power_joules,
-        reported_energy_joules, energy_scale, depth_digest
-    FROM cycles WHERE machine_id = $1 ORDER BY started_at_us DESC, COALESCE(seq, -1) DESC, cycle_id DESC LIMIT $2";
+const LAST_CYCLES: &str = concat!(
+    "SELECT ",
+    wear::facts_columns!(),
+    ", c.tool_id, c.received_at_us, c.outcome
+     FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
+     WHERE c.machine_id = $1 ORDER BY c.started_at_us DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $2"
+);
 
 /// Machines by id, each with its newest `recent` cycles (newest first), the verdict on the tool of the newest one and
 /// its open alarms.
@@ -40,29 +43,41 @@ async fn rows(
     recent: u32,
 ) -> StoreResult<Vec<FleetRow>> {
     let mut alarms = open_alarms(conn, only).await?;
-    let mut known_tools: BTreeMap<ToolId, (Option<String>, Verdict)> = BTreeMap::new();
+    let mut known_tools: BTreeMap<ToolId, (Option<String>, (Verdict, Place))> = BTreeMap::new();
     let mut known_operations: BTreeMap<OperationId, Option<String>> = BTreeMap::new();
     let mut rows = Vec::with_capacity(machines.len());
     for machine in machines {
         let recent = last_cycles(conn, &machine.value.id, recent).await?;
         let alarms = alarms.remove(machine.value.id.as_str()).unwrap_or_default();
-        let Some(FleetCycle { tool, operation, .. }) = recent.first() else {
-            rows.push(FleetRow { machine, recent, names: (None, None), verdict: None, alarms });
+        let Some(FleetCycle { tool, facts, .. }) = recent.first() else {
+            let (names, energy_ratios) = ((None, None), Vec::new());
+            rows.push(FleetRow { machine, recent, names, verdict: None, energy_ratios, alarms });
             continue;
         };
+        let operation = &facts.operation;
         if !known_tools.contains_key(tool) {
             let name = tools::get(conn, tool).await?.map(|tool| tool.value.name);
-            known_tools.insert(tool.clone(), (name, wear::verdict(conn, tool).await?));
+            known_tools.insert(tool.clone(), (name, wear::verdict_of_life(conn, tool).await?));
         }
         if !known_operations.contains_key(operation) {
             let name = operations::get(conn, operation).await?.map(|operation| operation.value.name);
             known_operations.insert(operation.clone(), name);
         }
-        let (tool_name, verdict) = known_tools.get(tool).cloned().unzip();
+        let (tool_name, of_life) = known_tools.get(tool).cloned().unzip();
         let names = (tool_name.flatten(), known_operations.get(operation).cloned().flatten());
-        rows.push(FleetRow { machine, recent, names, verdict, alarms });
+        let energy_ratios =
+            of_life.as_ref().map(|of_life| energy_ratios(&recent, tool, of_life)).unwrap_or_default();
+        let verdict = of_life.map(|(verdict, _)| verdict);
+        rows.push(FleetRow { machine, recent, names, verdict, energy_ratios, alarms });
     }
     Ok(rows)
+}
+
+/// Energies of a tool's cycles over its baselines, oldest first. Of its current life only: the one before had baselines of its own.
+fn energy_ratios(recent: &[FleetCycle], tool: &ToolId, (verdict, life): &(Verdict, Place)) -> Vec<f64> {
+    let of_life =
+        recent.iter().rev().filter(|cycle| cycle.tool == *tool && Place::of(&cycle.facts.order) >= *life);
+    of_life.filter_map(|cycle| verdict.ratio_of(&cycle.facts, cycle.is_friction)).collect()
 }
 
 async fn open_alarms(conn: &mut Conn, only: Option<&MachineId>) -> StoreResult<BTreeMap<String, Vec<Alarm>>> {

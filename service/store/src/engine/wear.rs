@@ -117,19 +117,28 @@ fn readable(version: i64, stored: &[u8]) -> Option<ToolFold> {
     (version == i64::from(FOLD_VERSION)).then(|| ToolFold::from_bytes(&plain_state(stored)?)).flatten()
 }
 
+/// The columns of a [`FactsRow`], of `cycles c LEFT JOIN operations o`.
+macro_rules! facts_columns {
+    () => {
+        "c.machine_id, c.cycle_id, c.operation_id, c.started_at_us, c.seq, c.strategy, c.law_version, c.profile_id,
+         c.profile_version, c.spindle_speed_rpm, c.median_spindle_speed_rpm, c.dynamometer_joules,
+         c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts, c.rated_power_joules,
+         c.reported_energy_joules, c.duration_ms, c.max_depth_mm, c.energy_scale, c.spindle_load_fall_depth_mm,
+         c.operator_override_percent, c.coverage, c.flags, c.depth_digest, c.recommendation_id, c.asked_depth_um,
+         c.asked_speed_milli_rpm, o.baseline_cycles, o.window_cycles, o.reference_every_cycles,
+         o.reference_feed_mm_min, o.process AS operation_process,
+         o.programmed_feed_mm_min AS operation_feed_mm_min, o.depth_mm AS operation_depth_mm,
+         o.spindle_speed_rpm AS operation_speed_rpm"
+    };
+}
+pub(super) use facts_columns;
+
 macro_rules! select_facts {
     ($tail:literal) => {
         concat!(
-            "SELECT c.machine_id, c.cycle_id, c.operation_id, c.started_at_us, c.seq, c.strategy, c.law_version,
-                    c.profile_id, c.profile_version, c.spindle_speed_rpm, c.median_spindle_speed_rpm,
-                    c.dynamometer_joules, c.calibrated_joules, c.measured_power_joules,
-                    c.measured_power_idle_watts, c.rated_power_joules, c.reported_energy_joules, c.duration_ms,
-                    c.max_depth_mm, c.energy_scale, c.spindle_load_fall_depth_mm, c.operator_override_percent, c.coverage, c.flags,
-                    c.depth_digest, c.recommendation_id, o.baseline_cycles, o.window_cycles, o.reference_every_cycles,
-                    o.reference_feed_mm_min, o.process AS operation_process,
-                    o.programmed_feed_mm_min AS operation_feed_mm_min, o.depth_mm AS operation_depth_mm,
-                    o.spindle_speed_rpm AS operation_speed_rpm
-             FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
+            "SELECT ",
+            facts_columns!(),
+            " FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
              WHERE c.tool_id = $1 AND c.started_at_us >= $2
                AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($2, $3, $4, $5) ",
             $tail,
@@ -641,8 +650,16 @@ pub(super) async fn count_operation(
 
 /// The verdict on a tool, read only.
 pub(super) async fn verdict(conn: &mut Conn, tool: &ToolId) -> StoreResult<Verdict> {
+    Ok(verdict_of_life(conn, tool).await?.0)
+}
+
+/// The verdict on a tool, read only, with the place from which on cycles are of its current life.
+pub(super) async fn verdict_of_life(conn: &mut Conn, tool: &ToolId) -> StoreResult<(Verdict, Place)> {
     if !is_registered(conn, tool).await? {
-        return Ok(not_registered());
+        return Ok((not_registered(), BEGINNING));
     }
-    ToolWear::load(conn, tool).await?.verdict(conn).await
+    let mut wear = ToolWear::load(conn, tool).await?;
+    let verdict = wear.verdict(conn).await?;
+    let last = wear.events.iter().rfind(|event| event.kind.begins_life());
+    Ok((verdict, last.map_or(BEGINNING, |event| event.place.clone())))
 }

@@ -6,10 +6,10 @@ use crate::record::StoredToolEvent;
 use feedwright_core::cycle::{Flags, ProfileVersion};
 use feedwright_core::ids::{CycleId, MachineId, RecommendationId};
 use feedwright_core::operation::{Operation, WearSettings};
-use feedwright_core::summary::{CycleSummary, DepthDigest, EnergyBasis};
+use feedwright_core::summary::{Asked, CycleSummary, DepthDigest, EnergyBasis};
 use feedwright_core::tool::{ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Strategy, Timestamp};
-use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey};
+use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey, speed_of};
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
@@ -65,6 +65,8 @@ pub(crate) struct FactsRow {
     pub(crate) recommendation_id: Option<String>,
     pub(crate) coverage: f64,
     pub(crate) flags: i64,
+    pub(crate) asked_depth_um: Option<i64>,
+    pub(crate) asked_speed_milli_rpm: Option<i64>,
     pub(crate) baseline_cycles: Option<i64>,
     pub(crate) window_cycles: Option<i64>,
     pub(crate) reference_every_cycles: Option<i64>,
@@ -109,6 +111,8 @@ impl FactsRow {
             recommendation_id: row.recommendation_id.clone(),
             coverage: row.coverage,
             flags: row.flags,
+            asked_depth_um: row.asked_depth_um,
+            asked_speed_milli_rpm: row.asked_speed_milli_rpm,
             baseline_cycles: operation.map(|operation| i64::from(operation.wear.baseline_cycles)),
             window_cycles: operation.map(|operation| i64::from(operation.wear.window_cycles)),
             reference_every_cycles: operation
@@ -170,10 +174,12 @@ impl FactsRow {
             }),
             _ => None,
         };
+        let asked = Asked { depth_um: self.asked_depth_um, speed_milli_rpm: self.asked_speed_milli_rpm };
         let facts = CycleFacts {
             order: self.order()?,
             operation: id("operation_id", &self.operation_id)?,
-            spindle_speed_rpm: self.spindle_speed_rpm.or(self.median_spindle_speed_rpm),
+            spindle_speed_rpm: speed_of(self.spindle_speed_rpm, self.median_spindle_speed_rpm, asked),
+            asked_depth_mm: asked.depth_mm(),
             strategy: self
                 .strategy
                 .as_deref()

@@ -4,7 +4,7 @@ use super::alarm::AlarmView;
 use super::time;
 use super::wear::WearBody;
 use feedwright_core::summary::EnergyBasis;
-use feedwright_core::units::Strategy;
+use feedwright_core::units::{Strategy, Timestamp};
 use feedwright_store::{FleetCycle, FleetRow};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -74,8 +74,8 @@ pub struct FleetMachineBody {
     pub cadence_ms: Option<i64>,
     /// How worn the tool of the newest cycle is.
     pub wear: Option<WearBody<'static>>,
-    /// Energies of the newest cycles of that tool on this machine over its baseline, oldest first: 1 is the new tool.
-    /// Only cycles of this life that compare: same operation, strategy, energy basis and scale. Empty before the baseline stands.
+    /// Energies of those of the newest cycles that this tool ran in its current life, each over the baseline that it is compared
+    /// with, oldest first: 1 is the new tool. Cycles without energy, or whose baseline does not stand yet, are left out.
     pub energy_ratios: Vec<f64>,
     /// Its open alarms, oldest first.
     pub alarms: Vec<AlarmView>,
@@ -113,18 +113,19 @@ pub struct FleetCycleBody {
 impl FleetCycleBody {
     /// Of a cycle, with what people call its tool and its operation.
     pub fn new(cycle: &FleetCycle, (tool_name, operation_name): (Option<String>, Option<String>)) -> Self {
-        let (basis, joules) = cycle.energy.unzip();
+        let facts = &cycle.facts;
+        let (basis, joules) = facts.energy.map(|(basis, _, joules)| (basis, joules)).unzip();
         Self {
-            cycle_id: cycle.id.to_string(),
+            cycle_id: facts.order.cycle.to_string(),
             tool: cycle.tool.to_string(),
             tool_name,
-            operation: cycle.operation.to_string(),
+            operation: facts.operation.to_string(),
             operation_name,
-            started_at: time::show(cycle.started_at),
+            started_at: time::show(facts.order.started_at),
             received_at: time::show(cycle.received_at),
             outcome: cycle.outcome.as_str(),
-            strategy: cycle.strategy.map(Strategy::as_str),
-            duration_ms: cycle.duration_ms,
+            strategy: facts.strategy.map(Strategy::as_str),
+            duration_ms: facts.duration_ms,
             energy_joules: joules,
             energy_basis: basis.map(EnergyBasis::as_str),
         }
@@ -134,62 +135,43 @@ impl FleetCycleBody {
 impl From<&FleetRow> for FleetMachineBody {
     fn from(row: &FleetRow) -> Self {
         let last = row.recent.first();
+        let began: Vec<_> = row.recent.iter().map(|cycle| cycle.facts.order.started_at).collect();
         Self {
             machine: row.machine.value.id.to_string(),
             name: row.machine.value.name.clone(),
             control: row.machine.value.control.clone(),
             last_cycle: last.map(|last| FleetCycleBody::new(last, row.names.clone())),
-            cadence_ms: cadence_ms(&row.recent),
+            cadence_ms: cadence_ms(&began),
             wear: row.verdict.as_ref().map(|verdict| WearBody::from(verdict).owned()),
-            energy_ratios: energy_ratios(row),
+            energy_ratios: row.energy_ratios.clone(),
             alarms: row.alarms.iter().cloned().map(Into::into).collect(),
         }
     }
 }
 
-/// Median distance of the cycles, which stand newest first.
-fn cadence_ms(recent: &[FleetCycle]) -> Option<i64> {
-    let mut gaps: Vec<i64> =
-        recent.windows(2).map(|pair| pair[0].started_at.millis_since(pair[1].started_at)).collect();
+/// Median distance of what began at these times, newest first, ms.
+fn cadence_ms(began: &[Timestamp]) -> Option<i64> {
+    let mut gaps: Vec<i64> = began.windows(2).map(|pair| pair[0].millis_since(pair[1])).collect();
     gaps.sort_unstable();
-    gaps.get(gaps.len() / 2).copied()
+    let upper = *gaps.get(gaps.len() / 2)?;
+    Some(if gaps.len().is_multiple_of(2) { gaps[gaps.len() / 2 - 1].midpoint(upper) } else { upper })
 }
 
-fn energy_ratios(row: &FleetRow) -> Vec<f64> {
-    let (Some(last), Some(verdict)) = (row.recent.first(), &row.verdict) else {
-        return Vec::new();
-    };
-    let Some((basis, _)) = last.energy else {
-        return Vec::new();
-    };
-    // Baselines stand with the one that ran last first.
-    let current = verdict.baselines.iter().find(|baseline| {
-        let key = &baseline.key;
-        key.machine == last.machine
-            && key.operation == last.operation
-            && key.basis == basis
-            && key.strategy == last.strategy
-            && key.energy_scale == last.energy_scale
-    });
-    let Some((baseline, in_contact)) = current
-        .and_then(|baseline| Some((baseline.baseline_joules?, baseline.key.in_contact)))
-        .filter(|(joules, _)| *joules > 0.0)
-    else {
-        return Vec::new();
-    };
-    // Of this life of the tool only: the one before had a baseline of its own.
-    let life = usize::try_from(verdict.cycles).unwrap_or(usize::MAX);
-    let alike = row.recent.iter().filter(|cycle| cycle.tool == last.tool).take(life).filter(|cycle| {
-        cycle.operation == last.operation
-            && cycle.strategy == last.strategy
-            && cycle.energy_scale == last.energy_scale
-    });
-    let joules = |cycle: &FleetCycle| {
-        let (of, whole) = cycle.energy?;
-        let joules = if in_contact { cycle.contact_joules? } else { whole };
-        (of == basis).then_some(joules)
-    };
-    let mut ratios: Vec<f64> = alike.filter_map(joules).map(|joules| joules / baseline).collect();
-    ratios.reverse();
-    ratios
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cadence_is_the_median_of_the_gaps() {
+        let began = |seconds: &[i64]| {
+            let began: Vec<_> = seconds.iter().map(|at| Timestamp::from_micros(at * 1_000_000)).collect();
+            cadence_ms(&began)
+        };
+        assert_eq!(began(&[]), None);
+        assert_eq!(began(&[7]), None);
+        assert_eq!(began(&[17, 7]), Some(10_000));
+        assert_eq!(began(&[110, 100, 0]), Some(55_000));
+        assert_eq!(began(&[315, 115, 110, 10, 0]), Some(55_000));
+        assert_eq!(began(&[1110, 110, 100, 0]), Some(100_000));
+    }
 }

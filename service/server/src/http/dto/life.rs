@@ -3,13 +3,10 @@
 use super::time;
 use super::wear::WearBody;
 use feedwright_core::units::Strategy;
-use feedwright_core::wear::{BaselineEvidence, CycleFacts, Exclusion, LevelBasis};
+use feedwright_core::wear::{Exclusion, LevelBasis};
 use feedwright_store::{LifeCycle, ToolLife};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
-
-/// Speeds within this share belong to one baseline.
-const SAME_SPEED: f64 = 0.02;
 
 /// How much of a life.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -63,12 +60,7 @@ impl From<&ToolLife> for LifeBody {
             Some((_, _, duration_ms)) => duration_ms,
             None => cycle.facts.duration_ms,
         };
-        let baselines = &life.verdict.baselines;
-        let ratio = |cycle: &LifeCycle| {
-            // A basis that could not be told at all is no energy, whatever the verdict on the cycle.
-            let (in_contact, joules, _) = cycle.facts.compared(cycle.is_friction)?;
-            baseline(baselines, &cycle.facts, in_contact).map(|baseline| joules / baseline)
-        };
+        let ratio = |cycle: &LifeCycle| life.verdict.ratio_of(&cycle.facts, cycle.is_friction);
         Self {
             wear: WearBody::from(&life.verdict).owned(),
             before: life.before,
@@ -90,29 +82,4 @@ impl From<&ToolLife> for LifeBody {
             excluded: life.cycles.iter().map(|cycle| cycle.excluded.map(Exclusion::as_str)).collect(),
         }
     }
-}
-
-/// The baseline that a cycle is compared with, J.
-fn baseline(baselines: &[BaselineEvidence], facts: &CycleFacts, in_contact: bool) -> Option<f64> {
-    let (basis, idle_subtracted, _) = facts.energy?;
-    // What else a machine names with a reference cycle that it was asked for is what runs between them.
-    let compared_as = facts.compared_as();
-    let as_told = compared_as == facts.strategy;
-    let alike = |one: &&BaselineEvidence| {
-        let key = &one.key;
-        key.machine == facts.order.machine
-            && key.operation == facts.operation
-            && key.basis == basis
-            && key.idle_subtracted == idle_subtracted
-            && key.in_contact == in_contact
-            && key.energy_scale == facts.energy_scale
-            && key.strategy == compared_as
-            && key.law_version.as_ref() == facts.law_version.as_ref().filter(|_| as_told)
-            && key.profile.as_ref() == facts.profile.as_ref().filter(|_| as_told)
-            && match (key.spindle_speed_rpm, facts.spindle_speed_rpm) {
-                (Some(usual), Some(speed)) => (speed - usual).abs() <= SAME_SPEED * usual,
-                (usual, speed) => usual == speed,
-            }
-    };
-    baselines.iter().find(alike)?.baseline_joules.filter(|joules| *joules > 0.0)
 }

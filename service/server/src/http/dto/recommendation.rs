@@ -190,7 +190,7 @@ pub struct RecommendedProfileBody {
     pub content: String,
 }
 
-/// Limits of the machine.
+/// Limits of the machine, and of the feed profile where one is to be run.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct AdviceLimitsBody {
     /// Slowest feed, mm/min.
@@ -203,7 +203,7 @@ pub struct AdviceLimitsBody {
     pub override_max_percent: f64,
 }
 
-/// Set loads of the operation, percent of the machine's declared ratings.
+/// Set loads, percent of the machine's declared ratings: the operation's, or the feed profile's where one is to be run and its are lower.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct SetLoadsBody {
     /// Of the spindle drive, %.
