@@ -62,6 +62,17 @@ fn number(text: &str) -> Option<f64> {
     plain.then(|| text.parse().ok())?
 }
 
+/// The largest number of whole thousandths that is not above `value`: a profile keeps no more digits.
+fn thousandths_below(value: f64) -> f64 {
+    let nearest = (value * 1000.0).round();
+    if nearest / 1000.0 > value { (nearest - 1.0) / 1000.0 } else { nearest / 1000.0 }
+}
+
+/// The smallest number of whole thousandths that is not below `value`.
+fn thousandths_above(value: f64) -> f64 {
+    -thousandths_below(-value)
+}
+
 /// Knots out of a list: two columns, depth in mm and feed in mm/min, separated by comma, semicolon or tab.
 ///
 /// Lines that begin with `#` and empty ones are passed over, as is a first line of words.
@@ -110,7 +121,7 @@ pub fn list(text: &str, kind: ListKind, acceleration_mm_s2: f64) -> Result<Vec<K
         if feed_mm_min <= 0.0 {
             return Err(at_line(at, "out_of_range", "a feed must be above 0"));
         }
-        rows.push(KnotInput { depth_mm, feed_mm_min });
+        rows.push(KnotInput { depth_mm, feed_mm_min: thousandths_below(feed_mm_min) });
     }
     if rows.len() < 2 {
         let why = "needs two rows at least: where it begins and where it ends";
@@ -141,6 +152,8 @@ fn at_most_knots(knots: Vec<KnotInput>) -> Result<Vec<KnotInput>, Vec<Violation>
 
 /// Knots of held feeds, with ramps that the acceleration allows, each on the slower side of its change.
 ///
+/// A profile keeps thousandths: feeds are rounded down, and borders to where the slower feed is longer.
+///
 /// # Errors
 /// Where a stretch is too short for its ramps.
 pub fn ramped(held: &[Held], acceleration_mm_s2: f64) -> Result<Vec<KnotInput>, Vec<Violation>> {
@@ -151,9 +164,11 @@ pub fn ramped(held: &[Held], acceleration_mm_s2: f64) -> Result<Vec<KnotInput>, 
     let Some(first) = held.first() else {
         return Err(vec![Violation::new("text", "too_few", "holds no feed")]);
     };
-    let mut knots = vec![KnotInput { depth_mm: 0.0, feed_mm_min: first.feed_mm_min }];
+    let mut knots = vec![KnotInput { depth_mm: 0.0, feed_mm_min: thousandths_below(first.feed_mm_min) }];
     for pair in held.windows(2) {
-        let (border, from, to) = (pair[0].to_mm, pair[0].feed_mm_min, pair[1].feed_mm_min);
+        let [from, to] = [pair[0], pair[1]].map(|one| thousandths_below(one.feed_mm_min));
+        let border =
+            if to > from { thousandths_above(pair[0].to_mm) } else { thousandths_below(pair[0].to_mm) };
         if (to - from).abs() < 0.0005 {
             continue;
         }
@@ -179,7 +194,7 @@ pub fn ramped(held: &[Held], acceleration_mm_s2: f64) -> Result<Vec<KnotInput>, 
         let why = "the last feed is changed to closer to the end than the acceleration allows";
         return Err(vec![Violation::new("text", "acceleration", why)]);
     }
-    knots.push(KnotInput { depth_mm: last.to_mm, feed_mm_min: last.feed_mm_min });
+    knots.push(KnotInput { depth_mm: last.to_mm, feed_mm_min: thousandths_below(last.feed_mm_min) });
     at_most_knots(knots)
 }
 
@@ -207,6 +222,42 @@ mod tests {
         for (is, meant) in pairs(&knots).into_iter().zip(meant) {
             assert!((is.0 - meant.0).abs() < 1e-9 && (is.1 - meant.1).abs() < 1e-9, "{knots:?}");
         }
+    }
+
+    #[test]
+    fn a_feed_of_more_digits_is_rounded_down() {
+        let kept = |feed: &str| {
+            list(&format!("0,{feed}\n5,{feed}"), ListKind::Stepped, 300.0).unwrap()[0].feed_mm_min
+        };
+        for (feed, meant) in [
+            ("100.0009", 100.0),
+            ("100.0009999999", 100.0),
+            ("100.001", 100.001),
+            ("0.1239", 0.123),
+            ("29999.9999", 29_999.999),
+            ("545", 545.0),
+        ] {
+            assert_eq!(kept(feed).to_bits(), f64::to_bits(meant), "{feed}");
+        }
+        // Every thousandth is itself: a program and its profile are the same to the last digit.
+        for thousandth in 1..200_000 {
+            let feed = format!("{}.{:03}", thousandth / 1000, thousandth % 1000).parse::<f64>().unwrap();
+            assert_eq!(thousandths_below(feed).to_bits(), feed.to_bits());
+            assert_eq!(thousandths_above(feed).to_bits(), feed.to_bits());
+        }
+        let hole = gcode("G1 Z-5.0004 F100.0009\nZ-10.0004 F200.0009\nZ-20 F100.0009", 0.0).unwrap();
+        let knots = ramped(&hole.held, 300.0).unwrap();
+        assert_eq!(knots[0].feed_mm_min.to_bits(), 100.0_f64.to_bits());
+        // Up behind its border, down before it.
+        assert_eq!(pairs(&knots)[1], (5.001, 100.0));
+        assert_eq!(pairs(&knots)[4], (10.0, 100.0));
+        assert_eq!(
+            list("0,100.0009\n5,200.0009", ListKind::Linear, 300.0).unwrap(),
+            [
+                KnotInput { depth_mm: 0.0, feed_mm_min: 100.0 },
+                KnotInput { depth_mm: 5.0, feed_mm_min: 200.0 },
+            ]
+        );
     }
 
     #[test]
@@ -239,19 +290,31 @@ mod tests {
         #[test]
         fn ramps_keep_the_acceleration_and_stay_below_the_steps(
             steps in prop::collection::vec((0.5..5.0_f64, 50.0..900.0_f64), 1..20), acceleration in 200.0..5000.0_f64,
+            decimals in 0_i32..7,
         ) {
             let mut to_mm = 0.0;
+            let digits = 10.0_f64.powi(decimals);
             let held: Vec<Held> = steps.iter().map(|&(way, feed)| {
-                to_mm += (way * 1000.0).round() / 1000.0;
-                Held { to_mm, feed_mm_min: feed.round() }
+                to_mm += (way * digits).ceil() / digits;
+                Held { to_mm, feed_mm_min: (feed * digits).round() / digits }
             }).collect();
             let Ok(knots) = ramped(&held, acceleration) else { return Ok(()) };
+            // As a profile keeps them.
+            let kept = |value: f64| (value * 1000.0).round() / 1000.0;
+            let knots: Vec<KnotInput> = knots.iter().map(|knot| {
+                KnotInput { depth_mm: kept(knot.depth_mm), feed_mm_min: kept(knot.feed_mm_min) }
+            }).collect();
             let feed_of = |depth: f64| held.iter().find(|one| depth <= one.to_mm).map_or(f64::MAX, |one| one.feed_mm_min);
+            for knot in &knots {
+                // Where two stretches meet, the profile is at the slower one's feed; the end may be rounded deeper.
+                let either = [-1e-9, 1e-9].map(|to| feed_of((knot.depth_mm + to).min(held[held.len() - 1].to_mm)));
+                prop_assert!(knot.feed_mm_min <= either[0].min(either[1]), "{knot:?} {either:?}");
+            }
             for pair in knots.windows(2) {
                 prop_assert!(pair[1].depth_mm > pair[0].depth_mm);
                 let middle = f64::midpoint(pair[0].depth_mm, pair[1].depth_mm);
                 let feed = f64::midpoint(pair[0].feed_mm_min, pair[1].feed_mm_min);
-                prop_assert!(feed <= feed_of(middle) + 1e-9);
+                prop_assert!(feed <= feed_of(middle.min(held[held.len() - 1].to_mm)) + 1e-9);
                 let rise = (pair[1].feed_mm_min - pair[0].feed_mm_min).abs();
                 let a = pair[0].feed_mm_min.max(pair[1].feed_mm_min) * rise / (pair[1].depth_mm - pair[0].depth_mm) / 3600.0;
                 prop_assert!(a <= acceleration);
