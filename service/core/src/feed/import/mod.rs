@@ -73,9 +73,45 @@ fn thousandths_above(value: f64) -> f64 {
     -thousandths_below(-value)
 }
 
+/// Whether a cell of the head says that its column is the depth in mm, or the feed in mm/min: `names` once at most, then
+/// nothing or the unit. What else it says could be another unit, in a language that nobody foresaw.
+fn says(cell: &str, names: &[&str], units: &[&[&str]]) -> bool {
+    let cell = cell.to_lowercase();
+    let mut said: Vec<&str> = cell.split(|letter: char| !letter.is_alphanumeric()).collect();
+    said.retain(|word| !word.is_empty());
+    let name = said.iter().take_while(|word| names.contains(word)).count();
+    let mut unit = &said[name..];
+    // `depth in mm`; `depth_in` is another unit.
+    if let ["in", rest @ ..] = unit
+        && name > 0
+        && !rest.is_empty()
+    {
+        unit = rest;
+    }
+    !said.is_empty() && (unit.is_empty() || units.contains(&unit))
+}
+
+/// Refuses a head that names other columns than a list is read as.
+fn head_agrees(depth: &str, feed: &str) -> Result<(), String> {
+    const DEPTH: [&str; 3] = ["tip", "depth", "tiefe"];
+    const FEED: [&str; 5] = ["feed", "rate", "feedrate", "programmed", "vorschub"];
+    const MM: [&[&str]; 1] = [&["mm"]];
+    const MM_MIN: [&[&str]; 3] = [&["mm", "min"], &["mm", "per", "min"], &["mm", "minute"]];
+    if says(depth, &DEPTH, &MM) && says(feed, &FEED, &MM_MIN) {
+        return Ok(());
+    }
+    let begins = |cell: &str, names: &[&str]| names.iter().any(|name| cell.to_lowercase().starts_with(name));
+    let why = if begins(depth, &FEED) && begins(feed, &DEPTH) {
+        "the head names the feed first"
+    } else {
+        "the head does not say that these columns are depth in mm and feed in mm/min"
+    };
+    Err(format!("{why}: it has to be like `depth_mm,feed_mm_min`, or is left out"))
+}
+
 /// Knots out of a list: two columns, depth in mm and feed in mm/min, separated by comma, semicolon or tab.
 ///
-/// Lines that begin with `#` and empty ones are passed over, as is a first line of words.
+/// Lines that begin with `#` and empty ones are passed over, as is a head that names these columns and no other unit.
 /// `acceleration_mm_s2` makes the ramps of a stepped list.
 ///
 /// # Errors
@@ -103,7 +139,9 @@ pub fn list(text: &str, kind: ListKind, acceleration_mm_s2: f64) -> Result<Vec<K
             return Err(at_line(at, "columns", why));
         };
         let (Some(depth_mm), Some(feed_mm_min)) = (number(depth), number(feed)) else {
-            if head && depth.starts_with(|letter: char| letter.is_alphabetic()) {
+            let is_name = |cell: &str| number(cell).is_none() && cell.contains(char::is_alphabetic);
+            if head && is_name(depth) && is_name(feed) {
+                head_agrees(depth, feed).map_err(|why| at_line(at, "columns", why))?;
                 head = false;
                 continue;
             }
@@ -258,6 +296,62 @@ mod tests {
                 KnotInput { depth_mm: 5.0, feed_mm_min: 200.0 },
             ]
         );
+    }
+
+    #[test]
+    fn a_head_has_to_name_depth_in_mm_and_feed_in_mm_per_min() {
+        let rows = "0;105\n20.5;345\n";
+        for head in [
+            "depth_mm;feed_mm_min",
+            "depth;feed",
+            "Depth (mm); Feed [mm/min]",
+            "depth in mm;feed rate in mm/min",
+            "Tip depth, mm;Feedrate, mm per min",
+            "Tiefe;Vorschub mm/min",
+            "mm;mm/min",
+        ] {
+            let knots = list(&format!("{head}\n{rows}"), ListKind::Linear, 300.0).expect(head);
+            assert_eq!(pairs(&knots), [(0.0, 105.0), (20.5, 345.0)], "{head}");
+        }
+        for (head, why) in [
+            ("depth_inch;feed_mm_s", "depth in mm and feed in mm/min"),
+            ("depth_inch;feed_mm_min", "depth in mm"),
+            ("depth_mm;feed_mm_s", "feed in mm/min"),
+            ("depth_in;feed", "depth in mm"),
+            ("depth in;feed", "depth in mm"),
+            ("depth;feed in/min", "feed in mm/min"),
+            ("depth;feed ipm", "feed in mm/min"),
+            ("depth;feed m/min", "feed in mm/min"),
+            ("depth;feed mm/rev", "feed in mm/min"),
+            ("depth;feed mm/min/min", "feed in mm/min"),
+            ("depth µm;feed", "depth in mm"),
+            ("depth;depth", "feed in mm/min"),
+            ("depth;speed", "feed in mm/min"),
+            ("time;feed", "depth in mm"),
+            ("Zoll;Vorschub", "depth in mm"),
+            ("feed_mm_min;depth_mm", "names the feed first"),
+            ("Feed;Depth", "names the feed first"),
+            ("feed_mm_s;depth_inch", "names the feed first"),
+        ] {
+            let wrong =
+                list(&format!("# what we run\n{head}\n{rows}"), ListKind::Linear, 300.0).expect_err(head);
+            assert_eq!((wrong[0].path.as_str(), wrong[0].code), ("text:line 2", "columns"), "{head}");
+            assert!(wrong[0].message.contains(why), "{head}: {}", wrong[0].message);
+        }
+        // A row with a letter in it is no head, and nothing stands for one twice.
+        for (line, text) in [
+            (1, "O;160\n4;480\n8;150"),
+            (1, "0;l60\n4;480"),
+            (1, "depth;\n0;105\n5;100"),
+            (2, "depth;feed\nmm;mm/min\n0;1"),
+        ] {
+            let wrong = list(text, ListKind::Linear, 300.0).unwrap_err();
+            assert_eq!(
+                (wrong[0].path.clone(), wrong[0].code),
+                (format!("text:line {line}"), "not_a_number"),
+                "{text}"
+            );
+        }
     }
 
     #[test]
