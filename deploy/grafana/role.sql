@@ -1,5 +1,6 @@
--- The role that Grafana reads with; run once as the owner of the database, after Feedwright's first start:
+-- The role that Grafana reads with; run once by who may make roles (postgres, say), after Feedwright's first start:
 --   psql -v password="'…'" -f role.sql feedwright
+\set ON_ERROR_STOP on
 -- It sees the views that are made for dashboards, none of the tables behind them (tokens, audit, bodies in quarantine),
 -- and a query that a dashboard's author got wrong ends by itself.
 SELECT 'CREATE ROLE feedwright_grafana LOGIN'

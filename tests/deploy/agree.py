@@ -9,6 +9,7 @@ import pathlib
 import re
 import subprocess
 import sys
+import tempfile
 
 import yaml
 
@@ -193,7 +194,7 @@ def operations():
     # Lines that are commands, and code within a sentence; other words in front of the name make it another program's.
     code = re.findall(r"^ {4}(.*)$|`([^`\n]*)`", text, re.M)
     commands = {found[1] for line in code for part in line
-                if (found := re.match(r"(?:[A-Z_]+=\S+ |15 2 \* \* \* root )*feedwright(?:-ctl)? ([a-z]+)\b", part))}
+                if (found := re.match(r"(?:[A-Z_]+=\S+ |15 2 \* \* \* root /usr/sbin/)*feedwright(?:-ctl)? ([a-z]+)\b", part))}
     for command in commands:
         expect(re.search(rf"^  {command} ", listed, re.M), f"operations.md: there is no command {command}")
     for file in re.findall(r"`((?:deploy|docs|tests)/[\w./-]+)`", text):
@@ -203,8 +204,36 @@ def operations():
     print(f"operations.md: {found[0]} requests, {found[1]} settings, {found[2]} metrics and {found[3]} commands are there")
 
 
+def environment():
+    """Whether feedwright-ctl reads a file of settings as systemd's EnvironmentFile= does (its env-file.c)."""
+    script = (DEPLOY / "debian/feedwright-ctl").read_text()
+    reader = re.search(r"^assignments\(\) \{\n.*?^\}\n", script, re.M | re.S)[0]
+    cases = {
+        "A=postgres://x?a=b&c$d\n": {"A": "postgres://x?a=b&c$d"},
+        "  A=1\n\tB=2": {"A": "1", "B": "2"},
+        "A=debug  \nB=5\r\nC = x y \n": {"A": "debug", "B": "5", "C": "x y"},
+        'A="debug"  \nB=\'it"s\'\nC="a b  "\n': {"A": "debug", "B": 'it"s', "C": "a b  "},
+        "A=x\\\\y\nB=a\\\nb\nC=\"\\$\\q\"\n": {"A": "x\\y", "B": "ab", "C": "$\\q"},
+        "A=a'b\nB=\"two\nlines\"\n": {"A": "a'b", "B": "two\nlines"},
+        "# A=1\n;B=2\nexport C=3\n4=5\nno assignment\nD=\n": {"D": ""},
+        "": {},
+    }
+    with tempfile.NamedTemporaryFile("w", newline="") as file:
+        for text, means in cases.items():
+            file.seek(0)
+            file.truncate()
+            file.write(text)
+            file.flush()
+            read = subprocess.run(["sh", "-c", reader + 'eval "$(assignments "$1")"\nenv -0', "sh", file.name],
+                                  env={"PATH": os.environ["PATH"]}, capture_output=True, text=True, check=True).stdout
+            found = dict(each.split("=", 1) for each in read.split("\0") if each)
+            found = {name: value for name, value in found.items() if name not in {"PATH", "PWD", "OLDPWD", "_"}}
+            expect(found == means, f"feedwright-ctl reads {text!r} as {found}, not as {means}")
+
+
 services, mounts = compose()
 operations()
+environment()
 provisioning(services, mounts)
 prometheus(services, mounts)
 settings(image(), "Containerfile")

@@ -300,6 +300,60 @@ async fn after_a_restart_of_the_server_work_goes_on() {
 }
 
 #[tokio::test]
+async fn a_server_that_demands_tls_is_reached_and_held_against_its_certificate() {
+    let Some(cluster) = Cluster::new() else { return };
+    let data = cluster.data();
+    let owner = std::fs::metadata(&data).unwrap();
+    let (uid, gid) = {
+        use std::os::unix::fs::MetadataExt;
+        (owner.uid(), owner.gid())
+    };
+    let give = |name: &str, text: &str| {
+        let path = data.join(name);
+        std::fs::write(&path, text).unwrap();
+        std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
+        std::os::unix::fs::chown(&path, Some(uid), Some(gid)).unwrap();
+    };
+    let certificate = |name: &str| {
+        let key = rcgen::KeyPair::generate().unwrap();
+        let params = rcgen::CertificateParams::new(vec![name.to_owned()]).unwrap();
+        (params.self_signed(&key).unwrap().pem(), key.serialize_pem())
+    };
+    let ((own, key), (other, _)) = (certificate("127.0.0.1"), certificate("127.0.0.1"));
+    give("server.crt", &own);
+    give("server.key", &key);
+    give("pg_hba.conf", "hostssl all all all trust\nhostnossl all all all reject\n");
+    let config = std::fs::read_to_string(data.join("postgresql.conf")).unwrap();
+    give("postgresql.conf", &format!("{config}\nssl = on\n"));
+    cluster.control(&["restart"]);
+
+    let roots = tempfile::tempdir().unwrap();
+    let root = |name: &str, pem: &str| {
+        std::fs::write(roots.path().join(name), pem).unwrap();
+        format!("{}?sslmode=verify-full&sslrootcert={}", cluster.url(), roots.path().join(name).display())
+    };
+    let open = async |url: &str| PostgresStore::open(url, PostgresOptions::default()).await;
+    let told = |outcome: Result<PostgresStore, StoreError>| format!("{:?}", outcome.err());
+    let clear = told(open(&format!("{}?sslmode=disable", cluster.url())).await);
+    assert!(clear.contains("no encryption"), "{clear}");
+    let foreign = told(open(&root("other.pem", &other)).await);
+    assert!(foreign.contains("InvalidCertificate"), "{foreign}");
+
+    let url = root("own.pem", &own);
+    let store = open(&url).await.unwrap();
+    store.answers().await.unwrap();
+    let mut conn = PgConnection::connect(&url).await.unwrap();
+    let without: i64 = sqlx::query_scalar(
+        "SELECT count(*) FROM pg_stat_ssl JOIN pg_stat_activity USING (pid)
+         WHERE application_name LIKE 'feedwright%' AND NOT ssl",
+    )
+    .fetch_one(&mut conn)
+    .await
+    .unwrap();
+    assert_eq!(without, 0);
+}
+
+#[tokio::test]
 async fn a_demoted_server_is_neither_written_nor_believed() {
     let Some(cluster) = Cluster::new() else {
         return;

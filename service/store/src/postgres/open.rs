@@ -52,6 +52,8 @@ impl PostgresStore {
         let mut migrating = direct.clone().application_name("feedwright migrations").connect().await?;
         assert_durable(&mut migrating).await?;
         assert_encoding(&mut migrating).await?;
+        // A limit that a role has for questions is none for writing tables anew.
+        sqlx::query("SET statement_timeout = 0").execute(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
         MIGRATIONS.run(&mut migrating).await.map_err(StoreError::of_migration)?;
         migrating.close().await?;
