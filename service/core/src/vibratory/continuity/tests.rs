@@ -76,6 +76,55 @@ fn the_border_of_stability_has_the_known_values() {
     near(2.0 * 0.01 * g + kr * w.sin(), 0.0, 1e-9);
 }
 
+/// kc of one lobe by the two equations as they are printed, bisected in W₀.
+fn kc_of_lobe(p: f64, damping: f64, exponent: f64, lobe: u32) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    let ratio_at = |w: f64| {
+        let c = 1.0 / (w / 2.0).tan();
+        (damping + damping.hypot(c)) / c.abs()
+    };
+    let (mut low, mut high) = (PI, TAU);
+    for _ in 0..200 {
+        let w = low.midpoint(high);
+        let below = (w + TAU * f64::from(lobe)) / (TAU * ratio_at(w)) < p;
+        (low, high) = if below { (w, high) } else { (low, w) };
+    }
+    let w = low.midpoint(high);
+    // Of 2ζG + kr·sin W = 0, which loses no digits where G is near 1.
+    -2.0 * damping * ratio_at(w) / w.sin() / exponent
+}
+
+fn lowest_of_many_lobes(p: f64, damping: f64, exponent: f64) -> f64 {
+    (0..400).filter(|lobe| f64::from(*lobe) + 1.0 > p).fold(f64::INFINITY, |lowest, lobe| {
+        lowest.min(kc_of_lobe(p, damping, exponent, lobe))
+    })
+}
+
+#[test]
+fn the_border_is_looked_for_on_the_lobe_that_holds_it() {
+    for (p, damping, exponent, kc) in [
+        (95.99, 0.1, 0.75, 0.2936),
+        (95.99, 0.2, 0.75, 0.640),
+        (95.99, 0.5, 0.75, 2.000),
+        (95.99, 0.05, 0.75, 0.1400),
+        (4.81, 0.838, 0.776, 3.970),
+        (29.99, 0.328, 0.306, 2.845),
+    ] {
+        let at = border_at(p, damping, exponent).unwrap();
+        near(at.cutting_coefficient, kc, 1e-3 * kc);
+        near(at.cutting_coefficient, lowest_of_many_lobes(p, damping, exponent), 1e-6 * kc);
+    }
+    // At the corners of what is accepted, and where p is a whole number.
+    for p in [0.01, 0.5, 1.0, 2.0, 99.0, 100.0] {
+        for damping in [1e-6, 1e-3, 1.0] {
+            let at = border_at(p, damping, 2.0).unwrap();
+            let lowest = lowest_of_many_lobes(p, damping, 2.0);
+            assert!((at.cutting_coefficient / lowest - 1.0).abs() < 1e-6, "{p} {damping}: {at:?}, {lowest}");
+            assert!(at.cutting_coefficient >= border_minimum(damping, 2.0).unwrap() * (1.0 - 1e-12));
+        }
+    }
+}
+
 #[test]
 fn segmentation_sets_in_at_the_border_given_time_to_grow() {
     for p in [1.4, 1.5, 1.7] {
@@ -177,6 +226,22 @@ fn bad_processes_are_refused_by_name() {
     let wide = MapAxis { min: 1.0, max: 2.0, count: 100_000 };
     let map = MapInput { frequency_ratio: wide, cutting_coefficient: wide, process: base };
     assert_eq!(MapQuestion::new(map).unwrap_err().code(), "too_many");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+
+    #[test]
+    fn no_lobe_lies_below_the_border(p in 0.01..100.0_f64, ln in -13.8..0.0_f64, exponent in 0.1..2.0_f64) {
+        let damping = ln.exp();
+        let at = border_at(p, damping, exponent).unwrap();
+        let lowest = lowest_of_many_lobes(p, damping, exponent);
+        prop_assert!((at.cutting_coefficient / lowest - 1.0).abs() < 1e-6, "{at:?}, {lowest}");
+        // It lies on its lobe, and the lobe is the one that it names.
+        let waves = p * at.chatter_ratio;
+        let beyond = waves - f64::from(at.lobe);
+        prop_assert!((0.5 - 1e-9..=1.0 + 1e-9).contains(&beyond), "{at:?}");
+    }
 }
 
 proptest! {
