@@ -232,6 +232,7 @@ mod tests {
     fn a_simulated_cut_gives_back_its_continuity() {
         let process = Process::new(ProcessInput::gouskov_2015(1.5, 0.1, None)).unwrap();
         let (steady, points) = trace(&process, 1).unwrap();
+        let steady = steady.unwrap();
         let late = &points[40_000..];
         let displacement: Vec<f64> = late.iter().map(|point| point.displacement).collect();
         let force: Vec<f64> = late.iter().map(|point| point.force).collect();
