@@ -859,6 +859,32 @@ proptest! {
 }
 
 #[test]
+fn what_cannot_be_used_leaves_a_monitor_as_it_was() {
+    let settings = ControllerSettings::new(ControllerInput::IVANOV_2024).unwrap();
+    let wave = |n: u32| {
+        let phase = std::f64::consts::TAU * 74.0 * f64::from(n) * 300e-6;
+        VibrationSample {
+            velocity_mm_s: 20.0 * phase.cos(),
+            acceleration_mm_s2: -20.0 * std::f64::consts::TAU * 74.0 * phase.sin(),
+        }
+    };
+    let mut monitor = Monitor::new(settings);
+    let good = monitor.take(0, &(0..1000).map(wave).collect::<Vec<_>>());
+    assert!(good.amplitude_mm > 0.05 && (good.frequency_hz - 70.86).abs() > 1.0);
+    let state = |advice: super::monitor::BlockAdvice| (advice.amplitude_mm, advice.frequency_hz);
+    let nothing = monitor.take(1000, &[]);
+    assert_eq!((state(nothing), nothing.gain, nothing.next), (state(good), 0.0, 1000));
+    assert!(nothing.reasons.contains(LoopReason::UnusableSample));
+    let dead = [VibrationSample { velocity_mm_s: f64::NAN, acceleration_mm_s2: 1e200 }; 3];
+    let bad = monitor.take(1000, &dead);
+    assert_eq!((state(bad), bad.gain, bad.gain_range, bad.unusable), (state(good), 0.0, (0.0, 0.0), 3));
+    assert!(!bad.reasons.contains(LoopReason::RepeatDiffers), "a block of nothing was no block");
+    // Time went on: three samples later the wave is met where it is.
+    let on = monitor.take(1003, &(1003..2000).map(wave).collect::<Vec<_>>());
+    assert!(on.reasons.is_empty() && (on.frequency_hz - 74.0).abs() < 0.5, "{on:?}");
+}
+
+#[test]
 fn a_monitor_answers_as_the_controller_does_and_restarts_after_a_gap() {
     let settings = ControllerSettings::new(ControllerInput::IVANOV_2024).unwrap();
     let wave = |n: u64| {
