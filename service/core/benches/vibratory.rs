@@ -36,7 +36,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let start = Instant::now();
         let map = run_map(&question, workers, &|_, _| {}, &AtomicBool::new(false))?;
         let elapsed = start.elapsed();
-        let segmented = map.points.iter().filter(|point| point.segmented()).count();
+        let segmented =
+            map.points.iter().filter(|point| point.is_ok_and(|steady| steady.segmented())).count();
         println!(
             "map 101x101, 500 periods, {name}, {workers} workers: {elapsed:?} ({segmented} points segment)"
         );

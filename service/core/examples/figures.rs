@@ -284,7 +284,8 @@ fn continuity(folder: &Path) -> Outcome {
 fn cells(panel: &Panel, map: &Map) -> Result<String, std::fmt::Error> {
     let mut out = String::from("<g shape-rendering=\"crispEdges\">\n");
     let shade = |row: usize, column: usize| {
-        let continuity = map.at(row, column).map_or(1.0, |point| point.continuity);
+        let continuity =
+            map.at(row, column).and_then(|point| point.ok()).map_or(1.0, |point| point.continuity);
         ((1.0 - continuity) / 0.07).ceil().clamp(0.0, 10.0)
     };
     for row in 0..map.coefficients.len() {

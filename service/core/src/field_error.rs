@@ -10,6 +10,7 @@ use core::fmt;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FieldError {
     field: &'static str,
+    index: Option<usize>,
     problem: Problem,
 }
 
@@ -97,13 +98,25 @@ impl FieldError {
     /// A refusal of `field`.
     #[must_use]
     pub const fn new(field: &'static str, problem: Problem) -> Self {
-        Self { field, problem }
+        Self { field, index: None, problem }
+    }
+
+    /// The same of one element of the field, which is a list.
+    #[must_use]
+    pub const fn at(self, index: usize) -> Self {
+        Self { index: Some(index), ..self }
     }
 
     /// Name of the refused field, as it is called in the input structure.
     #[must_use]
     pub const fn field(&self) -> &'static str {
         self.field
+    }
+
+    /// Place of the refused element where the field is a list; none where it is the whole of it.
+    #[must_use]
+    pub const fn index(&self) -> Option<usize> {
+        self.index
     }
 
     /// What is wrong with it.
@@ -118,17 +131,26 @@ impl FieldError {
         self.problem.code()
     }
 
-    /// Path of the field inside `parent`, such as `drills[3].diameter_mm`.
+    /// Path of the field inside `parent`, such as `drills[3].diameter_mm` or `speeds_rpm[1]`.
     #[cfg(feature = "std")]
     #[must_use]
     pub fn path_in(&self, parent: &str) -> String {
-        if parent.is_empty() { self.field.to_owned() } else { format!("{parent}.{}", self.field) }
+        let mut path =
+            if parent.is_empty() { self.field.to_owned() } else { format!("{parent}.{}", self.field) };
+        if let Some(index) = self.index {
+            path += &format!("[{index}]");
+        }
+        path
     }
 }
 
 impl fmt::Display for FieldError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}", self.field, self.problem)
+        f.write_str(self.field)?;
+        if let Some(index) = self.index {
+            write!(f, "[{index}]")?;
+        }
+        write!(f, " {}", self.problem)
     }
 }
 
@@ -143,6 +165,15 @@ pub(crate) fn within(field: &'static str, value: f64, min: f64, max: f64) -> Res
         return Err(FieldError::new(field, Problem::OutOfRange { value, min, max }));
     }
     Ok(value)
+}
+
+/// Passes a list of which every value is finite and within `min..=max`.
+#[cfg(feature = "std")]
+pub(crate) fn each_within(field: &'static str, values: &[f64], min: f64, max: f64) -> Result<(), FieldError> {
+    let check = |(index, value): (usize, &f64)| {
+        within(field, *value, min, max).map(|_| ()).map_err(|error| error.at(index))
+    };
+    values.iter().enumerate().try_for_each(check)
 }
 
 /// Passes a count through when it lies within `min..=max`.
@@ -175,6 +206,12 @@ mod tests {
     fn a_refusal_inside_a_list_is_found_again() {
         let refused = within("diameter_mm", -1.0, 0.1, 100.0).unwrap_err();
         assert_eq!(refused.path_in("drills[3]"), "drills[3].diameter_mm");
+        let refused = each_within("speeds_rpm", &[3000.0, 1e7], 1.0, 1e6).unwrap_err();
+        assert_eq!(
+            (refused.path_in(""), refused.path_in("job")),
+            ("speeds_rpm[1]".into(), "job.speeds_rpm[1]".into())
+        );
+        assert_eq!(refused.to_string(), "speeds_rpm[1] is 10000000, must lie within 1 and 1000000");
         assert_eq!(count("drills", 0, 1, 9).unwrap_err().code(), "empty");
         assert_eq!(count("drills", 10, 1, 9).unwrap_err().code(), "too_many");
     }

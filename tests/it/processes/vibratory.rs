@@ -26,6 +26,25 @@ async fn the_points_of_the_paper_come_over_http() {
 }
 
 #[tokio::test]
+async fn a_run_that_grows_without_end_is_flagged_and_has_no_numbers() {
+    let shop = Shop::open().await;
+    let settings = json!({"damping": 0, "exponent": 2});
+    let endless =
+        json!({"frequency_ratio": 1.5, "cutting_coefficient": 100, "settings": settings, "trace_every": 100});
+    let answer = shop.post("/v1/vibratory/simulate", &endless).await;
+    assert_eq!(answer.status, 200, "{}", answer.text);
+    let steady = &answer.body["steady"];
+    assert_eq!((&steady["diverged"], &steady["segmented"]), (&json!(true), &json!(false)));
+    assert_eq!((&steady["amplitude"], &steady["largest_amplitude"]), (&json!(null), &json!(null)));
+    assert!(answer.body["trace"].as_array().unwrap().iter().all(|point| point["displacement"].is_f64()));
+    let map = json!({"frequency_ratio": {"min": 1.4, "max": 1.5, "count": 2},
+        "cutting_coefficient": {"min": 0.01, "max": 100, "count": 2}, "settings": settings});
+    let map = shop.post("/v1/vibratory/map", &map).await;
+    assert_eq!(map.body["diverged"], json!([false, false, true, true]), "{}", map.text);
+    assert!(map.body["amplitude"][1].is_f64() && map.body["amplitude"][3].is_null());
+}
+
+#[tokio::test]
 async fn the_controller_holds_its_target_and_is_tuned_as_in_the_paper() {
     let shop = Shop::open().await;
     let answer = shop.post("/v1/vibratory/loop", &json!({"spindle_rpm": 3000})).await;
@@ -109,6 +128,30 @@ async fn bad_questions_are_named() {
         ("loop", r#"{"spindle_rpm":3000,"process":{"duration_s":9000}}"#, "too_many", "process.duration_s"),
         ("loop", r#"{"spindle_rpm":3000,"process":{"stiff":1}}"#, "unknown_field", "process.stiff"),
         ("poincare", r#"{"speeds_rpm":[]}"#, "invalid_length", "speeds_rpm"),
+        ("poincare", r#"{"speeds_rpm":[3000,-5]}"#, "out_of_range", "speeds_rpm[1]"),
+        ("poincare", r#"{"speeds_rpm":[3000,1e6]}"#, "inconsistent", "speeds_rpm[1]"),
+        ("poincare", r#"{"speeds_rpm":[3000],"process":{"damping":2}}"#, "out_of_range", "process.damping"),
+        (
+            "tuning",
+            r#"{"eigenfrequency_hz":70.86,"edges":2,"feed_mm_edge":0.02,"speeds_rpm":[2000,0],"actuator_limit_n":100,
+            "computation_s":3e-4}"#,
+            "out_of_range",
+            "speeds_rpm[1]",
+        ),
+        (
+            "advice",
+            r#"{"edges":2,"feed_mm_edge":0.05,"cutting_coefficient":700,"mass_kg":10,"stiffnesses_n_mm":[1000,0],
+            "speeds_rpm":{"min":1000,"max":3000,"count":9},"most_amplitude_feeds":5,"scatter":0.3}"#,
+            "out_of_range",
+            "stiffnesses_n_mm[1]",
+        ),
+        (
+            "advice",
+            r#"{"edges":2,"feed_mm_edge":0.05,"cutting_coefficient":700,"mass_kg":10,"stiffnesses_n_mm":[1000],
+            "speeds_rpm":{"min":1000,"max":3000,"count":9},"most_amplitude_feeds":5,"scatter":0.3,"periods":0}"#,
+            "out_of_range",
+            "periods",
+        ),
         ("recorded", r#"{"signal":"velocity","values":[1,2],"period_s":0.001}"#, "too_few", "values"),
         (
             "recorded",

@@ -340,12 +340,21 @@ impl Control {
         }
     }
 
-    /// Passes a sample that may not be judged: neutral.
-    pub fn withhold(&mut self, time_ms: Option<f64>) -> (FeedOverride, Option<PlungeStep>) {
+    /// Passes a sample that may not be judged: neutral. The reasons are those of what is done instead.
+    pub fn withhold(
+        &mut self,
+        time_ms: Option<f64>,
+        age_ms: f64,
+    ) -> (FeedOverride, LoopReasons, Option<PlungeStep>) {
         match self {
-            Self::Friction(friction) => (friction.state.withhold(&friction.config, time_ms), None),
-            Self::Plunge(plunge) => (FeedOverride::NEUTRAL, Some(plunge.withhold())),
-            Self::Neutral => (FeedOverride::NEUTRAL, None),
+            Self::Friction(friction) => {
+                (friction.state.withhold(&friction.config, time_ms), LoopReasons::NONE, None)
+            }
+            Self::Plunge(plunge) => {
+                let (step, reasons) = plunge.withhold(age_ms);
+                (FeedOverride::NEUTRAL, reasons, Some(step))
+            }
+            Self::Neutral => (FeedOverride::NEUTRAL, LoopReasons::NONE, None),
         }
     }
 

@@ -112,6 +112,8 @@ pub struct RunningCycle {
     valid_until: Timestamp,
     age_ms: Option<f64>,
     plunge: Option<PlungeStep>,
+    /// Why the plunge that is told is what it is.
+    plunge_reasons: LoopReasons,
 }
 
 impl RunningCycle {
@@ -139,6 +141,7 @@ impl RunningCycle {
             valid_until: begun.received_at.plus_millis(settings.validity_ms),
             age_ms: None,
             plunge: None,
+            plunge_reasons: LoopReasons::NONE,
             settings,
         }
     }
@@ -227,9 +230,9 @@ impl RunningCycle {
 
     /// Passes a message that could not be read, or that is about nothing: neutral.
     pub fn fault(&mut self, now: Timestamp, reason: LoopReason) -> Answer {
-        self.withhold(None);
+        let advice = self.withhold(None, LoopReasons::of(reason));
         self.valid_until = now.plus_millis(self.settings.validity_ms);
-        self.answer(now, LoopReasons::of(reason))
+        self.answer(now, advice.reasons)
     }
 
     /// What is in force, without anything new.
@@ -239,7 +242,7 @@ impl RunningCycle {
     }
 
     fn answer(&self, now: Timestamp, last: LoopReasons) -> Answer {
-        let reasons = last.and(self.capped).and(self.neutral).and(self.passing);
+        let reasons = last.and(self.plunge_reasons).and(self.capped).and(self.neutral).and(self.passing);
         Answer {
             ovr: self.control.in_force(),
             reasons,
@@ -254,10 +257,11 @@ impl RunningCycle {
         }
     }
 
-    fn withhold(&mut self, time_ms: Option<f64>) -> FeedOverride {
-        let (ovr, plunge) = self.control.withhold(time_ms);
-        self.plunge = plunge;
-        ovr
+    /// What is done for something that may not be judged, and why not.
+    fn withhold(&mut self, time_ms: Option<f64>, why: LoopReasons) -> SampleAdvice {
+        let (ovr, reasons, plunge) = self.control.withhold(time_ms, self.age_ms.unwrap_or(0.0));
+        (self.plunge, self.plunge_reasons) = (plunge, reasons);
+        SampleAdvice { ovr, reasons: why.and(reasons) }
     }
 
     /// A number that was passed already: its earlier answer where the content is the same; else neutral.
@@ -266,7 +270,7 @@ impl RunningCycle {
             let time_ms = self.record.time_ms(batch, i);
             self.age_ms = Some(self.age_ms_of(now, time_ms));
             let reasons = self.watch(batch, i, time_ms).and(LoopReasons::of(LoopReason::OutOfOrder));
-            let advice = SampleAdvice { ovr: self.withhold(None), reasons };
+            let advice = self.withhold(None, reasons);
             self.record.keep(batch, i, advice);
             return advice;
         }
@@ -274,10 +278,7 @@ impl RunningCycle {
             Some(advice) if self.record.is_same(batch, i) => {
                 SampleAdvice { reasons: advice.reasons.and(LoopReasons::of(LoopReason::Repeated)), ..advice }
             }
-            _ => {
-                let reasons = LoopReasons::of(LoopReason::RepeatDiffers);
-                SampleAdvice { ovr: self.withhold(None), reasons }
-            }
+            _ => self.withhold(None, LoopReasons::of(LoopReason::RepeatDiffers)),
         }
     }
 
@@ -315,13 +316,14 @@ impl RunningCycle {
         let advice = if why.is_empty() {
             let seen = self.seen(batch, i, time_ms);
             let (ovr, reasons, plunge) = self.control.step(&seen);
+            self.plunge_reasons = if plunge.is_some() { reasons } else { LoopReasons::NONE };
             self.plunge = plunge;
             SampleAdvice { ovr, reasons: reasons.and(self.capped) }
         } else {
             if !never_taken {
                 why = why.and(self.watch(batch, i, time_ms));
             }
-            SampleAdvice { ovr: self.withhold(Some(time_ms)), reasons: why }
+            self.withhold(Some(time_ms), why)
         };
         if kept && !too_long && !never_taken {
             self.record.keep(batch, i, advice);

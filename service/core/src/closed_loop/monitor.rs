@@ -47,7 +47,8 @@ impl Monitor {
     /// Takes the block whose first sample has the number `first`; at most [`MOST_BLOCK`] samples are looked at.
     ///
     /// A block that does not follow its predecessor starts the controller anew: its times would be wrong. The last
-    /// block again, with the same content, gets its answer again.
+    /// block again, with the same content, gets its answer again. Samples that cannot be used, and a block of none,
+    /// leave amplitude and frequency as they were; the gain is 0 after them.
     pub fn take(&mut self, first: u64, block: &[VibrationSample]) -> BlockAdvice {
         let block = &block[..block.len().min(MOST_BLOCK)];
         let mut reasons = LoopReasons::NONE;
@@ -67,14 +68,11 @@ impl Monitor {
         let mut unusable = 0;
         let mut gain = 0.0;
         let mut gain_range = (f64::INFINITY, f64::NEG_INFINITY);
-        let (mut amplitude_mm, mut frequency_hz) = (0.0, self.settings.data().eigenfrequency_hz);
         for sample in block {
             match self.controller.step(*sample) {
                 Ok(step) => {
                     gain = step.gain;
                     gain_range = (gain_range.0.min(gain), gain_range.1.max(gain));
-                    amplitude_mm = step.displacement_mm;
-                    frequency_hz = step.frequency_rad_s / std::f64::consts::TAU;
                 }
                 Err(_) => {
                     // The actuator is off for a sample that cannot be used.
@@ -91,9 +89,20 @@ impl Monitor {
             gain_range = (0.0, 0.0);
         }
         self.next = first.saturating_add(block.len() as u64);
-        let answer =
-            BlockAdvice { gain, gain_range, amplitude_mm, frequency_hz, unusable, reasons, next: self.next };
-        self.last = Some((first, block.to_vec(), answer));
+        let answer = BlockAdvice {
+            gain,
+            gain_range,
+            // Of the controller, not of its last step: a sample that cannot be used leaves both as they were.
+            amplitude_mm: self.controller.displacement_mm(),
+            frequency_hz: self.controller.frequency_rad_s() / std::f64::consts::TAU,
+            unusable,
+            reasons,
+            next: self.next,
+        };
+        // A block of nothing is none that the next one of its number could repeat.
+        if !block.is_empty() {
+            self.last = Some((first, block.to_vec(), answer));
+        }
         answer
     }
 }

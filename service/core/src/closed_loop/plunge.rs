@@ -4,10 +4,15 @@
 //! detector's lag and the answer's age. Fast is only what is known to be in air: while the idle band is being learnt,
 //! after anything unusable, where nothing could be judged for long, and deeper below the programmed surface than the
 //! drill may bite, the advice is at most the working feed. Out of the work fast is only a tool that is drawn back.
+//!
+//! No axis runs slower than the machine's slowest feed. Where even that bites deeper than is permitted, there is no
+//! plunge: from the start by the delay that is reckoned with, as the static answer has it (`loop_too_slow`), or for as
+//! long as answers come later than that, which says so with the slowest feed.
 
 use super::control::Seen;
 use super::reason::{LoopReason, LoopReasons};
 use crate::contact::{ContactDetector, ContactEvent, ContactSample, ContactSettings, Ignored, Phase};
+use crate::friction::law::Reason;
 use crate::machine::FeedLimits;
 
 /// An axis reaches its feed well within this: where it seems to accelerate for longer, contact is not looked for, ms.
@@ -109,10 +114,11 @@ pub struct PlungeLoop {
 }
 
 impl PlungeLoop {
-    /// Starts above the work.
+    /// Starts above the work; none where the machine's slowest feed bites deeper than is permitted before the axis
+    /// reacts: the loop is too slow for a plunge.
     #[must_use]
-    pub const fn new(limits: PlungeLimits, detector: ContactSettings, settling_samples: u32) -> Self {
-        Self {
+    pub fn new(limits: PlungeLimits, detector: ContactSettings, settling_samples: u32) -> Option<Self> {
+        let plunge = Self {
             limits,
             confirm_samples: detector.data().confirm_samples,
             detector: ContactDetector::new(detector),
@@ -124,7 +130,8 @@ impl PlungeLoop {
             drawn_back: false,
             contact_offset_mm: None,
             breakthrough_depth_mm: None,
-        }
+        };
+        (plunge.permitted_mm_min(plunge.delay_s(0.0)) >= limits.least.0).then_some(plunge)
     }
 
     /// Judges one sample.
@@ -156,7 +163,10 @@ impl PlungeLoop {
                 reasons.add(LoopReason::IdleUnknown);
                 PlungePhase::Work
             }
-            (_, Phase::Approach) if self.settling > 0 => PlungePhase::Work,
+            (_, Phase::Approach) if self.settling > 0 => {
+                reasons = reasons.and(LoopReasons::of_law(Reason::Settling));
+                PlungePhase::Work
+            }
             (_, Phase::Approach) if !is_judged || is_expected_in_work => {
                 reasons.add(LoopReason::IdleUnknown);
                 PlungePhase::Work
@@ -167,14 +177,15 @@ impl PlungeLoop {
         (step, reasons)
     }
 
-    /// Passes a sample that may not be judged: the working feed.
-    pub fn withhold(&mut self) -> PlungeStep {
+    /// Passes a sample that may not be judged: the working feed, and what bounds it.
+    pub fn withhold(&mut self, age_ms: f64) -> (PlungeStep, LoopReasons) {
         self.settling = self.settling_samples;
         self.drawn_back = false;
         if self.phase == PlungePhase::Approach {
             self.phase = PlungePhase::Work;
         }
-        self.advice(0.0, &mut LoopReasons::default())
+        let mut reasons = LoopReasons::NONE;
+        (self.advice(age_ms, &mut reasons), reasons)
     }
 
     /// Seconds from contact to the axis acting on it.
@@ -183,13 +194,23 @@ impl PlungeLoop {
         (lag_ms + age_ms.max(self.limits.answer_age_ms)) / 1000.0
     }
 
-    /// A feed that bites no deeper than is allowed.
+    /// The feed that bites as deep as is permitted, mm/min.
+    fn permitted_mm_min(&self, delay_s: f64) -> f64 {
+        self.limits.allowed_bite_mm / delay_s * 60.0
+    }
+
+    /// A feed that bites no deeper than is permitted. Where the machine runs none so slow it is its slowest, and the
+    /// reasons say that it is no plunge feed.
     fn bounded(&self, wish_mm_min: f64, delay_s: f64, reasons: &mut LoopReasons) -> BoundedFeed {
-        let bitten = self.limits.allowed_bite_mm / delay_s * 60.0;
-        if bitten < wish_mm_min {
+        let permitted = self.permitted_mm_min(delay_s);
+        if permitted < wish_mm_min {
             reasons.add(LoopReason::BiteLimited);
         }
-        BoundedFeed(wish_mm_min.min(bitten).max(self.limits.least.0))
+        if permitted < self.limits.least.0 {
+            reasons.add(LoopReason::NoPlungeFeed);
+            return self.limits.least;
+        }
+        BoundedFeed(wish_mm_min.min(permitted))
     }
 
     fn advice(&self, age_ms: f64, reasons: &mut LoopReasons) -> PlungeStep {
@@ -204,8 +225,13 @@ impl PlungeLoop {
             PlungePhase::Work => self.bounded(self.limits.work.0.min(self.limits.plunge.0), delay_s, reasons),
             PlungePhase::Approach => self.bounded(self.limits.plunge.0, delay_s, reasons),
         };
+        // What bites too deep is no approach, for a control that goes by the phase.
+        let phase = match self.phase {
+            PlungePhase::Approach if reasons.contains(LoopReason::NoPlungeFeed) => PlungePhase::Work,
+            phase => phase,
+        };
         PlungeStep {
-            phase: self.phase,
+            phase,
             feed,
             bite_mm: feed.mm_min() / 60.0 * delay_s,
             contact_offset_mm: self.contact_offset_mm,

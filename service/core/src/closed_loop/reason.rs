@@ -76,7 +76,8 @@ reasons! {
     Restarted = 22, "restarted";
     /// The plunge: the idle band of the feed drive is being learnt, so contact cannot be told yet.
     IdleUnknown = 23, "idle_unknown";
-    /// The plunge: the operation lacks what a plunge feed needs, or the drill bears none.
+    /// The plunge: the operation lacks what a plunge feed needs, the drill bears none, or the loop is too slow: even the
+    /// machine's slowest feed bites deeper than is permitted.
     NoPlungeFeed = 24, "no_plunge_feed";
     /// The plunge: the answer would come too late for the permitted bite at the full plunge feed.
     BiteLimited = 25, "bite_limited";
@@ -114,6 +115,12 @@ impl LoopReasons {
     #[must_use]
     pub const fn of(reason: LoopReason) -> Self {
         Self(reason.bit())
+    }
+
+    /// One reason of the law.
+    #[must_use]
+    pub const fn of_law(reason: law::Reason) -> Self {
+        Self(1 << reason as u32)
     }
 
     /// Adds a reason.
@@ -193,7 +200,9 @@ impl LoopReasons {
                 LoopReason::Restarted,
             ],
             &[Law::Gap, Law::Settling, Law::Heating],
-        ) {
+        ) || (self.contains(LoopReason::BiteLimited) && self.contains(LoopReason::NoPlungeFeed))
+        {
+            // The last: a plunge whose answers come too late for the bite.
             Quality::Limited
         } else {
             Quality::Good

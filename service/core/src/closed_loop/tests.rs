@@ -6,6 +6,7 @@ use super::control::{LawSettings, Program, Seen, control};
 use super::monitor::Monitor;
 use super::plunge::{BoundedFeed, PlungeLimits, PlungeLoop, PlungePhase, PlungeStep};
 use super::profile::RunProfile;
+use super::reason::Quality;
 use super::record::Timing;
 use super::{
     Answer, Batch, Begun, LoopReason, LoopReasons, LoopSettings, Mode, RunningCycle, SampleAdvice, Standing,
@@ -481,7 +482,7 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
     let detector = ContactSettings::new(ContactInput::DEFAULT).unwrap();
     let (machine, operation) = (machine(), operation(Process::Plunge));
     let standing = standing(&machine, &operation, &Program::Unknown);
-    let looped = PlungeLoop::new(plunge, detector, 4);
+    let looped = PlungeLoop::new(plunge, detector, 4).unwrap();
     let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, Some(looped)).unwrap();
     let channels = vec![Channel::DepthMm, Channel::FeedActualMmMin, Channel::FeedDriveLoadPercent];
     let timing = Timing::Period { period_ms: PERIOD_MS };
@@ -512,7 +513,9 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
     assert_eq!(blind.phase, PlungePhase::Work);
     assert!(why.contains(LoopReason::UnusableSample));
     for _ in 0..3 {
-        assert_eq!(step(-5.9, 3.0).0.phase, PlungePhase::Work);
+        let (settling, why) = step(-5.9, 3.0);
+        assert_eq!(settling.phase, PlungePhase::Work);
+        assert_eq!(why.codes().collect::<Vec<_>>(), ["settling"]);
     }
     assert_eq!(step(-5.8, 3.0).0.phase, PlungePhase::Approach);
     let mut work = step(0.1, 30.0);
@@ -538,10 +541,33 @@ fn a_plunge_is_fast_only_in_air_and_within_the_bite() {
     assert_eq!(deeper.breakthrough_depth_mm, None);
 }
 
+#[test]
+fn a_heartbeat_in_a_plunge_says_why_as_the_sample_before_it_did() {
+    let detector = ContactSettings::new(ContactInput::DEFAULT).unwrap();
+    let (machine, operation) = (machine(), operation(Process::Plunge));
+    let standing = standing(&machine, &operation, &Program::Unknown);
+    let looped = PlungeLoop::new(plunge_limits(120.0, 1.0, 3000.0, 0.5), detector, 4).unwrap();
+    let control = control(&standing, &law(OverloadHold::Off), PERIOD_MS, Some(looped)).unwrap();
+    let channels = vec![Channel::DepthMm, Channel::FeedActualMmMin, Channel::FeedDriveLoadPercent];
+    let timing = Timing::Period { period_ms: PERIOD_MS };
+    let mut cycle = RunningCycle::new(begun(), control, (channels, timing), (Mode::Advise, settings()));
+    for n in 0..40 {
+        let load = if n % 17 == 16 { f64::NAN } else { 3.0 };
+        #[expect(clippy::cast_precision_loss, reason = "a few dozen")]
+        let values = [-10.0 + n as f64 * 0.1, 500.0, load];
+        let batch = Batch { first: n, count: 1, values: &values, times_ms: &[] };
+        let told = cycle.take(at(n), &batch, &mut Vec::new());
+        let heartbeat = cycle.standing(at(n));
+        assert_eq!((heartbeat.reasons, heartbeat.plunge), (told.reasons, told.plunge));
+        assert!(!told.reasons.is_empty(), "{n}: {told:?}");
+    }
+}
+
 /// A plunge at 500 mm/min in air, with a working feed of 150 mm/min; samples of depth, actual feed and load every 10 ms.
 fn plunged(samples: impl IntoIterator<Item = (f64, f64, f64)>) -> Vec<(f64, PlungeStep, LoopReasons)> {
     let limits = plunge_limits(150.0, 1.0, 3000.0, 0.5);
-    let mut plunge = PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
+    let mut plunge =
+        PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4).unwrap();
     let each = samples.into_iter().map(|(depth_mm, feed, load)| {
         let (step, reasons) = plunge.step(&plunging(depth_mm, feed, load));
         (depth_mm, step, reasons)
@@ -739,7 +765,8 @@ fn what_is_changed_while_a_cycle_runs_ends_its_law() {
 fn a_working_feed_that_bites_too_deep_is_run_in_the_work_only() {
     // 0.1 mm within 60 ms: 100 mm/min.
     let plunge = plunge_limits(120.0, 1.0, 3000.0, 0.1);
-    let mut plunge = PlungeLoop::new(plunge, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4);
+    let mut plunge =
+        PlungeLoop::new(plunge, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4).unwrap();
     let seen = |depth_mm: f64, load: f64| plunging(depth_mm, 100.0, load);
     let mut phases = Vec::new();
     let mut check = |(step, reasons): (PlungeStep, LoopReasons)| {
@@ -761,7 +788,100 @@ fn a_working_feed_that_bites_too_deep_is_run_in_the_work_only() {
     phases.dedup();
     let (approach, work) = (PlungePhase::Approach, PlungePhase::Work);
     assert_eq!(phases, [work, approach, work, approach, work]);
-    assert!((plunge.withhold().feed.mm_min() - 120.0).abs() < 1e-9);
+    assert!((plunge.withhold(0.0).0.feed.mm_min() - 120.0).abs() < 1e-9);
+}
+
+#[test]
+fn where_the_slowest_feed_bites_too_deep_there_is_no_plunge() {
+    let detector = || ContactSettings::new(ContactInput::DEFAULT).unwrap();
+    // 0.5 mm within 4 samples of 10 ms and 20 ms of age are 500 mm/min: the machine runs no slower than that, or faster.
+    assert!(PlungeLoop::new(plunge_limits(900.0, 500.0, 3000.0, 0.5), detector(), 4).is_some());
+    assert!(PlungeLoop::new(plunge_limits(900.0, 501.0, 3000.0, 0.5), detector(), 4).is_none());
+    // Answers that come later than was reckoned with, for as long as they do.
+    let mut plunge = PlungeLoop::new(plunge_limits(450.0, 400.0, 3000.0, 0.5), detector(), 4).unwrap();
+    let seen = |k: u32, age_ms: f64| Seen { age_ms, ..plunging(-10.0 + f64::from(k) * 0.1, 450.0, 3.0) };
+    for k in 0..30 {
+        plunge.step(&seen(k, 5.0));
+    }
+    let (fast, why) = plunge.step(&seen(30, 5.0));
+    assert_eq!((fast.phase, why.quality()), (PlungePhase::Approach, Quality::Good));
+    assert!((fast.feed.mm_min() - 500.0).abs() < 1e-9 && (fast.bite_mm - 0.5).abs() < 1e-12);
+    for k in 31..40 {
+        let (late, why) = plunge.step(&seen(k, 60.0));
+        assert_eq!((late.phase, late.feed.mm_min()), (PlungePhase::Work, 400.0));
+        assert!(late.bite_mm > 0.5 && why.quality() == Quality::Limited);
+        assert_eq!(why.codes().collect::<Vec<_>>(), ["no_plunge_feed", "bite_limited"]);
+    }
+    // What may not be judged is bounded, and told, in the same way.
+    let (late, why) = plunge.withhold(60.0);
+    assert_eq!(late.feed.mm_min(), 400.0);
+    assert_eq!(why.codes().collect::<Vec<_>>(), ["no_plunge_feed", "bite_limited"]);
+    let (in_time, why) = plunge.withhold(5.0);
+    assert!((in_time.feed.mm_min() - 450.0).abs() < 1e-9 && why.is_empty());
+    for k in 40..45 {
+        plunge.step(&seen(k, 5.0));
+    }
+    assert_eq!(plunge.step(&seen(45, 5.0)).0.phase, PlungePhase::Approach, "in time again");
+}
+
+proptest! {
+    /// Whatever comes, a feed of which it is not known to be in the work bites no deeper than is permitted, or says so.
+    #[test]
+    fn no_plunge_bites_deeper_than_is_permitted_without_saying_so(
+        (work, least, bite_mm) in (1.0..900.0_f64, 1.0..600.0_f64, 0.05..2.0_f64),
+        samples in prop::collection::vec((-12.0..1.0_f64, 0.0..200.0_f64, 0..20_u32), 1..120)
+    ) {
+        let limits = plunge_limits(work.max(least), least, 3000.0, bite_mm);
+        let Some(mut plunge) = PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4) else {
+            prop_assert!(least * 0.06 / 60.0 > bite_mm);
+            return Ok(());
+        };
+        for (depth_mm, age_ms, kind) in samples {
+            let (step, reasons) = if kind == 0 {
+                plunge.withhold(age_ms)
+            } else {
+                let load = if kind == 1 { f64::NAN } else { 3.0 };
+                plunge.step(&Seen { age_ms, ..plunging(depth_mm, 500.0, load) })
+            };
+            prop_assert!(step.feed.mm_min() >= least);
+            let too_deep = step.bite_mm > bite_mm * (1.0 + 1e-12);
+            if step.contact_offset_mm.is_none() && too_deep {
+                prop_assert!(reasons.contains(LoopReason::NoPlungeFeed), "{step:?} {reasons:?}");
+                prop_assert!(reasons.quality() != Quality::Good && step.phase == PlungePhase::Work);
+                prop_assert!((step.feed.mm_min() - least).abs() < 1e-12);
+            }
+            // Work that is not known to be work has a reason.
+            if step.phase == PlungePhase::Work && step.contact_offset_mm.is_none() && kind > 0 {
+                prop_assert!(!reasons.is_empty(), "{step:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_used_leaves_a_monitor_as_it_was() {
+    let settings = ControllerSettings::new(ControllerInput::IVANOV_2024).unwrap();
+    let wave = |n: u32| {
+        let phase = std::f64::consts::TAU * 74.0 * f64::from(n) * 300e-6;
+        VibrationSample {
+            velocity_mm_s: 20.0 * phase.cos(),
+            acceleration_mm_s2: -20.0 * std::f64::consts::TAU * 74.0 * phase.sin(),
+        }
+    };
+    let mut monitor = Monitor::new(settings);
+    let good = monitor.take(0, &(0..1000).map(wave).collect::<Vec<_>>());
+    assert!(good.amplitude_mm > 0.05 && (good.frequency_hz - 70.86).abs() > 1.0);
+    let state = |advice: super::monitor::BlockAdvice| (advice.amplitude_mm, advice.frequency_hz);
+    let nothing = monitor.take(1000, &[]);
+    assert_eq!((state(nothing), nothing.gain, nothing.next), (state(good), 0.0, 1000));
+    assert!(nothing.reasons.contains(LoopReason::UnusableSample));
+    let dead = [VibrationSample { velocity_mm_s: f64::NAN, acceleration_mm_s2: 1e200 }; 3];
+    let bad = monitor.take(1000, &dead);
+    assert_eq!((state(bad), bad.gain, bad.gain_range, bad.unusable), (state(good), 0.0, (0.0, 0.0), 3));
+    assert!(!bad.reasons.contains(LoopReason::RepeatDiffers), "a block of nothing was no block");
+    // Time went on: three samples later the wave is met where it is.
+    let on = monitor.take(1003, &(1003..2000).map(wave).collect::<Vec<_>>());
+    assert!(on.reasons.is_empty() && (on.frequency_hz - 74.0).abs() < 0.5, "{on:?}");
 }
 
 #[test]

@@ -424,13 +424,19 @@ pub fn poincare_map(
     control: &ControllerSettings,
 ) -> Result<Vec<PoincareColumn>, FieldError> {
     count("speeds_rpm", speeds_rpm.len(), 1, MAX_SPEEDS)?;
+    let column = |spindle_rpm: f64| {
+        let at_speed = LoopRun::new(LoopInput { spindle_rpm, ..run.0 })?;
+        let (free, controlled) = (run_loop(&at_speed, None)?, run_loop(&at_speed, Some(control))?);
+        Ok(PoincareColumn { spindle_rpm, free, controlled })
+    };
+    let of_the_list = |index: usize, error: FieldError| match error.field() {
+        "spindle_rpm" => FieldError::new("speeds_rpm", error.problem()).at(index),
+        _ => error,
+    };
     speeds_rpm
         .iter()
-        .map(|&spindle_rpm| {
-            let at_speed = LoopRun::new(LoopInput { spindle_rpm, ..run.0 })?;
-            let (free, controlled) = (run_loop(&at_speed, None)?, run_loop(&at_speed, Some(control))?);
-            Ok(PoincareColumn { spindle_rpm, free, controlled })
-        })
+        .enumerate()
+        .map(|(index, rpm)| column(*rpm).map_err(|error| of_the_list(index, error)))
         .collect()
 }
 

@@ -155,6 +155,18 @@ impl Controller {
         }
     }
 
+    /// Peak-to-peak displacement A after the last sample that could be used, filtered, mm (Eq. 5).
+    #[must_use]
+    pub const fn displacement_mm(&self) -> f64 {
+        self.displacement_mm
+    }
+
+    /// Chatter frequency ω after the last sample that could be used, filtered, rad/s (Eq. 6).
+    #[must_use]
+    pub const fn frequency_rad_s(&self) -> f64 {
+        self.frequency_rad_s
+    }
+
     /// Takes the next sample, exactly one period after the last.
     ///
     /// # Errors

@@ -4,7 +4,7 @@
 
 use std::f64::consts::PI;
 
-use crate::field_error::{FieldError, count, within};
+use crate::field_error::{FieldError, count, each_within, within};
 
 use super::continuity::segmentation_amplitude;
 use super::peak_to_peak::{ControllerInput, ControllerSettings};
@@ -83,13 +83,11 @@ pub fn tune(input: &TuningInput) -> Result<Tuning, FieldError> {
     within("actuator_limit_n", input.actuator_limit_n, 1e-3, 1e9)?;
     within("computation_s", input.computation_s, 1e-7, 0.125 / f0)?;
     count("speeds_rpm", input.speeds_rpm.len(), 1, MAX_SPEEDS)?;
+    each_within("speeds_rpm", &input.speeds_rpm, 1.0, 1e6)?;
     let needed_mm = input
         .speeds_rpm
         .iter()
-        .map(|rpm| {
-            within("speeds_rpm", *rpm, 1.0, 1e6)?;
-            segmentation_amplitude(feed, CHATTER_RATIO * f0 * 60.0 / (f64::from(input.edges) * rpm))
-        })
+        .map(|rpm| segmentation_amplitude(feed, CHATTER_RATIO * f0 * 60.0 / (f64::from(input.edges) * rpm)))
         .collect::<Result<Vec<_>, _>>()?;
     let most = needed_mm.iter().map(|needed| needed.unwrap_or(f64::INFINITY)).fold(0.0, f64::max);
     let target_mm = (TARGET_MARGIN * most).clamp(LEAST_TARGET_FEEDS * feed, MOST_TARGET_FEEDS * feed);
@@ -185,6 +183,8 @@ mod tests {
         assert_eq!(refused(TuningInput { feed_mm_edge: 0.0, ..paper() }), "feed_mm_edge");
         assert_eq!(refused(TuningInput { speeds_rpm: vec![], ..paper() }), "speeds_rpm");
         assert_eq!(refused(TuningInput { speeds_rpm: vec![f64::NAN], ..paper() }), "speeds_rpm");
+        let second = TuningInput { speeds_rpm: vec![3000.0, 1e7], ..paper() };
+        assert_eq!(tune(&second).unwrap_err().path_in(""), "speeds_rpm[1]");
         assert_eq!(refused(TuningInput { computation_s: 1.0, ..paper() }), "computation_s");
     }
 }

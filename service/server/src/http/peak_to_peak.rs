@@ -7,7 +7,7 @@ use super::dto::job::JobBody;
 use super::dto::mirror::{To, WarningBody, violation};
 use super::dto::peak_to_peak::{
     BlockAnswer, BlockQuestion, LoopAnswer, LoopQuestion, PoincareAnswer, PoincareQuestion, TuningAnswer,
-    TuningQuestion, controller,
+    TuningQuestion, controller, of_process,
 };
 use super::jobs::{computed, json};
 use super::problem::Problem;
@@ -62,10 +62,6 @@ fn both(run: &LoopRun, control: &ControllerSettings) -> Result<PoincareColumn, F
     Ok(PoincareColumn { spindle_rpm: run.data().spindle_rpm, free, controlled })
 }
 
-fn of_process(error: FieldError) -> Violation {
-    violation(if error.field() == "spindle_rpm" { "" } else { "process" }, error)
-}
-
 /// Runs the drilling process without and with the controller at one spindle speed.
 #[utoipa::path(post, path = "/v1/vibratory/loop", tag = "vibratory", request_body = LoopQuestion,
     responses((status = 200, body = LoopAnswer)))]
@@ -74,13 +70,7 @@ pub(super) async fn close_loop(
     Json(question): Json<LoopQuestion>,
 ) -> Result<axum::Json<LoopAnswer>, Problem> {
     let control = controller(question.controller)?;
-    let at_speed = |mut bad: Violation| {
-        if bad.path == "speeds_rpm" {
-            "spindle_rpm".clone_into(&mut bad.path);
-        }
-        bad
-    };
-    let run = question.process.run(question.spindle_rpm).map_err(at_speed)?;
+    let run = question.process.run(question.spindle_rpm)?;
     cost(&run, &control)?;
     let done = state.jobs.inline(&state.lifecycle, move || both(&run, &control)).await?;
     let PoincareColumn { free, controlled, .. } = done.map_err(of_process)?;
@@ -104,12 +94,19 @@ pub(super) async fn poincare(
         return Err(Violation::new("speeds_rpm", "invalid_length", message).into());
     }
     let control = controller(settings)?;
-    let runs = speeds_rpm.iter().map(|rpm| process.run(*rpm)).collect::<Result<Vec<_>, _>>()?;
+    let of_the_list = |index: usize, bad: Violation| match bad.path.as_str() {
+        "spindle_rpm" => Violation { path: format!("speeds_rpm[{index}]"), ..bad },
+        _ => bad,
+    };
+    let mut runs = Vec::with_capacity(speeds_rpm.len());
     let mut steps = 0;
-    for run in &runs {
-        steps += cost(run, &control)?;
+    for (index, rpm) in speeds_rpm.iter().enumerate() {
+        let run = process.run(*rpm).map_err(|bad| of_the_list(index, bad))?;
+        steps += cost(&run, &control)?;
         // An edge that passes within a few integration steps is found out here rather than in the job.
-        run_loop(&first_moment(run)?, Some(&control)).map_err(of_process)?;
+        let moment = run_loop(&first_moment(&run)?, Some(&control));
+        moment.map_err(|error| of_the_list(index, of_process(error)))?;
+        runs.push(run);
     }
     let warnings = process.warnings();
     let about = Question { kind: "vibratory_poincare", parameters, total: runs.len(), steps };

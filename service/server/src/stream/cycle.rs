@@ -444,7 +444,7 @@ fn plunge_loop(
         answer_age_ms: latency.answer_age_s * 1000.0,
         period_ms,
     };
-    Some(PlungeLoop::new(limits, detector, settling))
+    PlungeLoop::new(limits, detector, settling)
 }
 
 /// Samples as the cycle's channels have them: column after column, in their order.

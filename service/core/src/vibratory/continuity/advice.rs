@@ -5,16 +5,19 @@
 
 use std::f64::consts::TAU;
 
-use crate::field_error::{FieldError, Problem, count, within};
+use crate::field_error::{FieldError, Problem, count, each_within, within};
 
 use super::map::MapAxis;
-use super::process::{ContinuityControl, Process, ProcessInput, Steady, simulate_many};
+use super::process::{ContinuityControl, Process, ProcessInput, Simulated, Steady, simulate_many};
 
 /// Most simulations of one question: about half a minute on one core.
 pub const MAX_SIMULATIONS: usize = 20_000;
 
 /// Share of time in cut above which a gap is too short to count as segmented chips.
 const SEGMENTED: f64 = 0.99;
+
+/// Share of the feed by which the mean chip of a run may be off, however large its vibration: half of what is advanced.
+const MOST_REMOVED_OFF: f64 = 0.5;
 
 /// Unchecked question.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,12 +71,11 @@ impl AdviceQuestion {
         within("damping", input.damping, 1e-6, 1.0)?;
         within("mass_kg", input.mass_kg, 1e-6, 1e6)?;
         count("stiffnesses_n_mm", input.stiffnesses_n_mm.len(), 1, 1000)?;
-        for stiffness in &input.stiffnesses_n_mm {
-            within("stiffnesses_n_mm", *stiffness, 1e-3, 1e9)?;
-        }
+        each_within("stiffnesses_n_mm", &input.stiffnesses_n_mm, 1e-3, 1e9)?;
         within("most_amplitude_feeds", input.most_amplitude_feeds, 0.1, 1e3)?;
         within("scatter", input.scatter, 0.0, 0.45)?;
         within("scatter_steps", f64::from(input.scatter_steps), 1.0, 50.0)?;
+        within("periods", f64::from(input.periods), 2.0, 1e6)?;
         let axis = input.speeds_rpm;
         within("speeds_rpm", axis.min, 1.0, 1e6)?;
         within("speeds_rpm", axis.max, axis.min, 1e6)?;
@@ -98,6 +100,10 @@ impl AdviceQuestion {
                             let why =
                                 "reach where the head vibrates too often, or too rarely, per edge passing";
                             FieldError::new("speeds_rpm", Problem::Inconsistent(why))
+                        }
+                        "cutting_coefficient" => {
+                            let why = "is too large for a stiffness and the feed: with the scatter, Kc/(k·a^(1 − r)) may be 100";
+                            FieldError::new("cutting_coefficient", Problem::Inconsistent(why))
                         }
                         _ => error,
                     })?;
@@ -126,10 +132,17 @@ impl AdviceQuestion {
         })
     }
 
-    fn good(&self, steady: &Steady) -> bool {
-        steady.continuity <= SEGMENTED
-            && steady.amplitude <= self.input.most_amplitude_feeds
-            && !(self.input.control.is_some() && steady.bursting())
+    /// Whether a run, of the nominal coefficient or of a scattered one, is one to recommend: it ends in a cut that
+    /// segments chips within the accepted amplitude. Without the cut there are no chips: a drill that an earlier
+    /// motion has thrown out of the work rests in the air, with ψ = 0 and the least amplitude of all.
+    fn good<'a>(&self, run: &'a Simulated) -> Option<&'a Steady> {
+        run.as_ref().ok().filter(|steady| {
+            steady.segmented()
+                && (steady.removed - 1.0).abs() <= MOST_REMOVED_OFF
+                && steady.continuity <= SEGMENTED
+                && steady.amplitude <= self.input.most_amplitude_feeds
+                && !(self.input.control.is_some() && steady.bursting())
+        })
     }
 }
 
@@ -206,29 +219,29 @@ pub fn advise_head(question: &AdviceQuestion, head: usize) -> Option<HeadAdvice>
         .flat_map(|speed| question.factors.iter().map(move |factor| (*speed, *factor)))
         .filter_map(|(speed, factor)| question.process(head, speed, factor).ok())
         .collect();
-    let steady = simulate_many(&processes);
+    let runs = simulate_many(&processes);
     let per_speed = question.factors.len();
     let middle = per_speed / 2;
     let feed = question.input.feed_mm_edge;
     let mut windows: Vec<Vec<SpeedPoint>> = vec![Vec::new()];
-    for ((speed, processes), steady) in
-        question.speeds.iter().zip(processes.chunks(per_speed)).zip(steady.chunks(per_speed))
+    for ((speed, processes), runs) in
+        question.speeds.iter().zip(processes.chunks(per_speed)).zip(runs.chunks(per_speed))
     {
-        let good: Vec<bool> = steady.iter().map(|steady| question.good(steady)).collect();
-        if !good[middle] {
+        let Some(nominal) = question.good(&runs[middle]) else {
             windows.push(Vec::new());
             continue;
-        }
-        let below = good[..middle].iter().rev().take_while(|good| **good).count();
-        let above = good[middle + 1..].iter().take_while(|good| **good).count();
+        };
+        let is_good = |run: &&Simulated| question.good(run).is_some();
+        let below = runs[..middle].iter().rev().take_while(is_good).count();
+        let above = runs[middle + 1..].iter().take_while(is_good).count();
         let data = processes[middle].data();
         let point = SpeedPoint {
             spindle_rpm: *speed,
             frequency_ratio: data.frequency_ratio,
             cutting_coefficient: data.cutting_coefficient,
-            continuity: steady[middle].continuity,
-            amplitude_mm: steady[middle].amplitude * feed,
-            peak_force_n: steady[middle].peak_force * stiffness_n_mm * feed,
+            continuity: nominal.continuity,
+            amplitude_mm: nominal.amplitude * feed,
+            peak_force_n: nominal.peak_force * stiffness_n_mm * feed,
             bears_lower: 1.0 - question.factors[middle - below],
             bears_higher: question.factors[middle + above] - 1.0,
         };
@@ -312,7 +325,7 @@ mod tests {
         for factor in [1.0 - best.best.bears_lower, 1.0, 1.0 + best.best.bears_higher] {
             let kc = best.best.cutting_coefficient * factor;
             let process = ProcessInput::gouskov_2015(best.best.frequency_ratio, kc, control);
-            let steady = simulate(&Process::new(process).unwrap());
+            let steady = simulate(&Process::new(process).unwrap()).unwrap();
             assert!(steady.continuity <= SEGMENTED && steady.amplitude <= 3.0, "{factor}: {steady:?}");
         }
         // No window reaches into speeds that are linearly stable: there free vibrations die away.
@@ -321,6 +334,34 @@ mod tests {
                 let p = head.eigenfrequency_hz * 30.0 / window.best.spindle_rpm;
                 let border = border_at(p, 0.01, 0.75).unwrap().cutting_coefficient;
                 assert!(window.best.cutting_coefficient > 0.98 * border);
+            }
+        }
+    }
+
+    #[test]
+    fn no_speed_is_advised_at_which_the_drill_does_not_cut_or_the_run_grows_without_end() {
+        let base = AdviceInput {
+            mass_kg: 7.6,
+            stiffnesses_n_mm: vec![3000.0],
+            speeds_rpm: MapAxis { min: 1550.0, max: 1750.0, count: 5 },
+            scatter_steps: 2,
+            ..question(None)
+        };
+        // Thrown out of the work at 1600 1/min, with ψ = 0 and no amplitude; beyond all bounds with the square law.
+        for (cutting_coefficient, exponent) in [(3374.05, 0.75), (30_000.0, 2.0)] {
+            let asked = AdviceInput { cutting_coefficient, exponent, ..base.clone() };
+            let asked = AdviceQuestion::new(asked).unwrap();
+            let runs: Vec<_> =
+                asked.speeds.iter().map(|speed| simulate(&asked.process(0, *speed, 1.0).unwrap())).collect();
+            assert!(runs.iter().any(|run| run.is_err_and(|_| true) || run.is_ok_and(|steady| !steady.cuts)));
+            let advice = advise(&asked);
+            assert_eq!(advice.best, None);
+            for window in &advice.heads[0].windows {
+                let best = &window.best;
+                for factor in [1.0 - best.bears_lower, 1.0, 1.0 + best.bears_higher] {
+                    let run = simulate(&asked.process(0, best.spindle_rpm, factor).unwrap()).unwrap();
+                    assert!(run.cuts && run.segmented() && run.amplitude <= 3.0, "{run:?}");
+                }
             }
         }
     }
@@ -358,6 +399,11 @@ mod tests {
         );
         let crawling = MapAxis { min: 10.0, max: 100.0, count: 3 };
         assert_eq!(refused(AdviceInput { speeds_rpm: crawling, ..base() }), ("speeds_rpm", "inconsistent"));
+        assert_eq!(refused(AdviceInput { periods: 0, ..base() }), ("periods", "out_of_range"));
+        let hard = AdviceInput { cutting_coefficient: 1e9, ..base() };
+        assert_eq!(refused(hard), ("cutting_coefficient", "inconsistent"));
+        let second = AdviceInput { stiffnesses_n_mm: vec![3000.0, -1.0], ..base() };
+        assert_eq!(AdviceQuestion::new(second).unwrap_err().path_in(""), "stiffnesses_n_mm[1]");
         let many = MapAxis { count: 15_000, ..base().speeds_rpm };
         assert_eq!(refused(AdviceInput { speeds_rpm: many, ..base() }), ("speeds_rpm", "too_many"));
     }

@@ -1,11 +1,14 @@
 //! Border of linear stability, and the least amplitude that segments chips.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use crate::field_error::{FieldError, within};
 
-/// Bisection steps: the lobe's width shrinks below the resolution of a double.
-const BISECTIONS: u32 = 200;
+/// Bisection steps: they narrow [`LN_RANGE`] down to what a double resolves.
+const BISECTIONS: u32 = 64;
+
+/// ln t is looked for within ± this: p moves by less than a double resolves beyond.
+const LN_RANGE: f64 = 50.0;
 
 /// A point of the border.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,12 +21,18 @@ pub struct BorderPoint {
     pub lobe: u32,
 }
 
-/// kc on the border of linear stability at the frequency ratio p.
+/// kc on the border of linear stability at the frequency ratio p, the lowest of all lobes.
 ///
 /// Of the linearised process with kr = r·kc and λ = iW, W = W₀ + 2πn, W₀ in (π, 2π):
-/// 1 − G² + kr·(1 − cos W) = 0, 2ζG + kr·sin W = 0, p = W/(2πG). With c = cot(W/2) the two give
-/// G = (ζ + √(ζ² + c²))/|c|, so p is a function of W, rising from 0 to n + 1 in lobe n; of all lobes the lowest kc
-/// counts.
+/// 1 − G² + kr·(1 − cos W) = 0, 2ζG + kr·sin W = 0, p = W/(2πG). With u = |cot(W/2)| the two give
+/// G = (ζ + √(ζ² + u²))/u, and with t = √(ζ² + u²) − ζ, so that u² = t·(t + 2ζ):
+///
+/// G = √(1 + 2ζ/t), kr = ζ·(t + 1/t + 2ζ), p = (n + ½ + arctan(u)/π)/G.
+///
+/// kr is the same curve of t in every lobe n, falling to its minimum 2ζ(1 + ζ) at t = 1 and rising from there, while p
+/// rises with t, from 0 to n + 1, and with n. At a given p, t therefore falls from lobe to lobe, beginning with the
+/// first whose n + 1 lies above p, and the lowest kr is that of the first lobe with t ≤ 1 or of the one before it.
+/// t ≤ 1 in all lobes with n ≥ p·√(1 + 2ζ) − ½ − arctan(√(1 + 2ζ))/π.
 ///
 /// # Errors
 /// A value that is not finite or out of range.
@@ -31,34 +40,37 @@ pub fn border_at(frequency_ratio: f64, damping: f64, exponent: f64) -> Result<Bo
     within("frequency_ratio", frequency_ratio, 0.01, 100.0)?;
     within("damping", damping, 1e-6, 1.0)?;
     within("exponent", exponent, 0.1, 2.0)?;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 < p ≤ 100")]
-    let first = frequency_ratio.floor() as u32;
-    // Lobes further right are entered far from their minimum: the second one already lies above the first there.
-    let lowest = (first..first + 3)
-        .map(|lobe| in_lobe(frequency_ratio, damping, exponent, lobe))
-        .min_by(|a, b| a.cutting_coefficient.total_cmp(&b.cutting_coefficient));
-    Ok(lowest.unwrap_or_else(|| in_lobe(frequency_ratio, damping, exponent, first)))
+    let at_least = (1.0 + 2.0 * damping).sqrt();
+    let turn = (frequency_ratio * at_least - 0.5 - at_least.atan() / PI).ceil();
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 < p ≤ 100, so below 200")]
+    let (first, turn) = (frequency_ratio.floor() as u32, turn.max(0.0) as u32);
+    let turn = turn.max(first);
+    // One more on the far side: the place of the turn is rounded.
+    let others = (turn.saturating_sub(1).max(first)..=turn + 1).filter(|lobe| *lobe != turn);
+    let point = |lobe| in_lobe(frequency_ratio, damping, exponent, lobe);
+    Ok(others.map(point).fold(point(turn), |lowest, other| {
+        if other.cutting_coefficient < lowest.cutting_coefficient { other } else { lowest }
+    }))
 }
 
 fn in_lobe(frequency_ratio: f64, damping: f64, exponent: f64, lobe: u32) -> BorderPoint {
-    let ratio_at = |w: f64| {
-        let c = 1.0 / (w / 2.0).tan();
-        (damping + damping.hypot(c)) / c.abs()
+    let ratio_at = |t: f64| (1.0 + 2.0 * damping / t).sqrt();
+    let p_at = |t: f64| {
+        let waves = f64::from(lobe) + 0.5 + (t * (t + 2.0 * damping)).sqrt().atan() / PI;
+        waves / ratio_at(t)
     };
-    let p_at = |w: f64| (w + TAU * f64::from(lobe)) / (TAU * ratio_at(w));
-    let (mut low, mut high) = (PI, TAU);
+    let (mut low, mut high) = (-LN_RANGE, LN_RANGE);
     for _ in 0..BISECTIONS {
         let middle = low.midpoint(high);
-        if p_at(middle) < frequency_ratio {
+        if p_at(middle.exp()) < frequency_ratio {
             low = middle;
         } else {
             high = middle;
         }
     }
-    let w = low.midpoint(high);
-    let chatter_ratio = ratio_at(w);
-    let stiffness = (chatter_ratio * chatter_ratio - 1.0) / (1.0 - w.cos());
-    BorderPoint { cutting_coefficient: stiffness / exponent, chatter_ratio, lobe }
+    let t = low.midpoint(high).exp();
+    let stiffness = damping * (t + 1.0 / t + 2.0 * damping);
+    BorderPoint { cutting_coefficient: stiffness / exponent, chatter_ratio: ratio_at(t), lobe }
 }
 
 /// Least kc on the border over all frequency ratios, 2ζ(1 + ζ)/r.

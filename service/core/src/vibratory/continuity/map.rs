@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use crate::field_error::{FieldError, Problem, count, within};
 
-use super::process::{LANES, Process, ProcessInput, Steady, simulate_many};
+use super::process::{LANES, Process, ProcessInput, Simulated, simulate_many};
 
 /// Most points of a map: three minutes on two idle cores with the paper's settings.
 const MAX_POINTS: usize = 250_000;
@@ -101,7 +101,7 @@ impl MapQuestion {
 
     /// Steady values of `range` of the points, counted row by row: p runs fastest.
     #[must_use]
-    pub fn some(&self, range: std::ops::Range<usize>) -> Vec<Steady> {
+    pub fn some(&self, range: std::ops::Range<usize>) -> Vec<Simulated> {
         let columns = self.ratios.len();
         let processes: Vec<Process> = range
             .filter(|point| *point < self.points())
@@ -121,14 +121,14 @@ pub struct Map {
     pub ratios: Vec<f64>,
     /// Cutting coefficients kc, the rows.
     pub coefficients: Vec<f64>,
-    /// Steady values, row by row.
-    pub points: Vec<Steady>,
+    /// Steady values, or that the point diverged, row by row.
+    pub points: Vec<Simulated>,
 }
 
 impl Map {
-    /// Values at a row (kc) and column (p).
+    /// Values at a row (kc) and column (p); none beyond the map's ends.
     #[must_use]
-    pub fn at(&self, row: usize, column: usize) -> Option<&Steady> {
+    pub fn at(&self, row: usize, column: usize) -> Option<&Simulated> {
         if column >= self.ratios.len() {
             return None;
         }
@@ -164,7 +164,7 @@ pub fn run_map(
     let total = question.points();
     let batches = total.div_ceil(LANES);
     let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let finished: Mutex<Vec<(usize, Vec<Steady>)>> = Mutex::new(Vec::with_capacity(batches));
+    let finished: Mutex<Vec<(usize, Vec<Simulated>)>> = Mutex::new(Vec::with_capacity(batches));
     std::thread::scope(|scope| {
         for _ in 0..workers.get().min(batches) {
             scope.spawn(|| {

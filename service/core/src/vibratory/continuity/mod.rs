@@ -15,7 +15,8 @@ pub use advice::{
 pub use border::{BorderPoint, border_at, border_minimum, segmentation_amplitude};
 pub use map::{Cancelled, Map, MapAxis, MapInput, MapQuestion, run_map};
 pub use process::{
-    ContinuityControl, Process, ProcessInput, Steady, TracePoint, simulate, simulate_many, trace,
+    ContinuityControl, Diverged, Process, ProcessInput, Simulated, Steady, TracePoint, Traced, simulate,
+    simulate_many, trace,
 };
 
 #[cfg(test)]

@@ -129,7 +129,32 @@ impl Process {
     }
 }
 
-/// Steady values of a process.
+/// Largest displacement that the model can mean, feeds per edge: with a micrometre per edge it is a metre.
+///
+/// A chip thickness of so many feeds is none that a cutting law was fitted in either. Runs that get there grow without
+/// end, be it that the law feeds in more than damping takes out, or that the steps are too coarse for the stiffness of
+/// the cut: what is computed from there on says nothing.
+const MOST_DISPLACEMENT: f64 = 1e6;
+
+/// A run whose displacement left everything that the model can mean; it has no steady values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Diverged;
+
+impl std::fmt::Display for Diverged {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("the displacement grows beyond everything that the model can mean")
+    }
+}
+
+impl std::error::Error for Diverged {}
+
+/// What a simulation comes to.
+pub type Simulated = Result<Steady, Diverged>;
+
+/// Share of the feed by which the mean chip may be off for roundings and for what dies away.
+const REMOVED_TOLERANCE: f64 = 0.01;
+
+/// Steady values of a process; every one is finite.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Steady {
     /// ψ, share of time in cut, 0..1 (Eq. 11).
@@ -145,6 +170,16 @@ pub struct Steady {
     pub largest_amplitude: f64,
     /// Feedback gain b at the end; zero without control.
     pub gain: f64,
+    /// Mean chip thickness over the steady periods, feeds per edge: 1 where the drill removes what it advances by.
+    pub removed: f64,
+    /// Whether the drill removes what it advances by, so that the steady values are those of a cut.
+    ///
+    /// Λ(τ) = Λ(τ − 1) + 1 − η (Gouskov et al. 2015, Eq. 6–10) summed over N periods: the mean of η is 1 less the rise of
+    /// the mean surface over N. The surface that a vibration leaves lies within its own displacement, so it rises by A
+    /// at the most, and |mean η − 1| ≤ A/N. Where it is off by more, the tool still moves in the air above what an
+    /// earlier, larger motion has dug, or digs itself into what one has left. So no steady cut is refused; where A is
+    /// as large as N, the periods are too few to tell more than whether anything is cut.
+    pub cuts: bool,
 }
 
 /// Standard deviation of ψ_w from which a controlled process bursts rather than settles.
@@ -153,10 +188,10 @@ pub struct Steady {
 pub(crate) const BURST_SD: f64 = 0.14;
 
 impl Steady {
-    /// Whether chips are segmented: the edges leave the work at all.
+    /// Whether chips are segmented: the edges cut, and leave the work in between.
     #[must_use]
     pub fn segmented(&self) -> bool {
-        self.continuity < 1.0
+        self.cuts && self.continuity < 1.0
     }
 
     /// Whether the control alternates between growing and dying vibration, so that mean values mislead.
@@ -182,14 +217,16 @@ pub struct TracePoint {
 }
 
 /// Simulates one process.
-#[must_use]
-pub fn simulate(process: &Process) -> Steady {
+///
+/// # Errors
+/// [`Diverged`] where the displacement grows beyond 10⁶ feeds per edge.
+pub fn simulate(process: &Process) -> Simulated {
     lanes([*process], |_, _| {})[0]
 }
 
-/// Simulates many processes, side by side where they share exponent, steps and periods.
+/// Simulates many processes, side by side where they share exponent, steps and periods; each as [`simulate`] does.
 #[must_use]
-pub fn simulate_many(processes: &[Process]) -> Vec<Steady> {
+pub fn simulate_many(processes: &[Process]) -> Vec<Simulated> {
     let mut done = Vec::with_capacity(processes.len());
     let mut groups = processes.chunks_exact(LANES);
     for group in &mut groups {
@@ -206,11 +243,14 @@ pub fn simulate_many(processes: &[Process]) -> Vec<Steady> {
     done
 }
 
-/// Simulates one process and keeps every `every`-th step.
+/// Steady values of a run, or that it diverged, and its course up to there.
+pub type Traced = (Simulated, Vec<TracePoint>);
+
+/// Simulates one process and keeps every `every`-th step, up to where it diverges.
 ///
 /// # Errors
 /// `every` of zero, or so small that more than a million points would be kept.
-pub fn trace(process: &Process, every: u32) -> Result<(Steady, Vec<TracePoint>), FieldError> {
+pub fn trace(process: &Process, every: u32) -> Result<Traced, FieldError> {
     let steps = u64::from(process.0.steps_per_period) * u64::from(process.0.periods);
     if every == 0 {
         return Err(FieldError::new("every", Problem::OutOfRange { value: 0.0, min: 1.0, max: 1e9 }));
@@ -219,11 +259,17 @@ pub fn trace(process: &Process, every: u32) -> Result<(Steady, Vec<TracePoint>),
     crate::field_error::count("every", count, 1, 1_000_000)?;
     let mut points = Vec::with_capacity(count);
     let mut until = every;
+    let mut is_meant = true;
     let steady = lanes([*process], |_, point| {
         until -= 1;
-        if until == 0 {
-            until = every;
-            points.push(point());
+        if until > 0 {
+            return;
+        }
+        until = every;
+        let point = point();
+        is_meant = is_meant && within_bound(point.displacement);
+        if is_meant {
+            points.push(point);
         }
     })[0];
     Ok((steady, points))
@@ -235,7 +281,7 @@ pub(crate) const LANES: usize = 4;
 fn lanes<const L: usize>(
     processes: [Process; L],
     observe: impl FnMut(usize, &mut dyn FnMut() -> TracePoint),
-) -> [Steady; L] {
+) -> [Simulated; L] {
     // The paper's exponent costs two square roots instead of a general power.
     let exponent = processes[0].0.exponent;
     if (exponent - 0.75).abs() < f64::EPSILON {
@@ -253,7 +299,12 @@ fn each<const L: usize>(value: impl FnMut(usize) -> f64) -> [f64; L] {
     std::array::from_fn(value)
 }
 
-/// max(0, x) as the processor has it: `f64::max` also looks for NaN, which no checked process makes.
+/// Whether a displacement is one that the model can mean; NaN is none.
+fn within_bound(displacement: f64) -> bool {
+    displacement.abs() <= MOST_DISPLACEMENT
+}
+
+/// max(0, x) as the processor has it: `f64::max` also looks for NaN, which only a run that diverged makes.
 #[inline(always)]
 fn positive(x: f64) -> f64 {
     if x > 0.0 { x } else { 0.0 }
@@ -263,7 +314,10 @@ struct Lane<const L: usize> {
     q: [f64; L],
     v: [f64; L],
     b: [f64; L],
+    /// Steps in cut of the running period.
     in_cut: [f64; L],
+    /// Steps in cut of the running window.
+    in_window: [f64; L],
     low: [f64; L],
     high: [f64; L],
 }
@@ -289,7 +343,9 @@ struct Gathered {
     in_cut: f64,
     peak_force: f64,
     windows: u32,
-    steady_windows: u32,
+    /// Sum of the surface where the steady periods begin.
+    surface: f64,
+    has_diverged: bool,
     sum: f64,
     squares: f64,
 }
@@ -298,7 +354,7 @@ fn run<const L: usize>(
     processes: [Process; L],
     power: impl Fn(&[f64; L]) -> [f64; L],
     mut observe: impl FnMut(usize, &mut dyn FnMut() -> TracePoint),
-) -> [Steady; L] {
+) -> [Simulated; L] {
     let course = &processes[0].0;
     let n = course.steps_per_period as usize;
     let dt = 1.0 / f64::from(course.steps_per_period);
@@ -328,6 +384,7 @@ fn run<const L: usize>(
         v: [0.0; L],
         b: [0.0; L],
         in_cut: [0.0; L],
+        in_window: [0.0; L],
         low: [f64::INFINITY; L],
         high: [f64::NEG_INFINITY; L],
     };
@@ -337,7 +394,8 @@ fn run<const L: usize>(
         in_cut: 0.0,
         peak_force: 0.0,
         windows: 0,
-        steady_windows: 0,
+        surface: 0.0,
+        has_diverged: false,
         sum: 0.0,
         squares: 0.0,
     });
@@ -345,6 +403,12 @@ fn run<const L: usize>(
     let mut step = 0_usize;
     for period in 0..course.periods {
         let steady = period >= course.periods - course.steady_periods;
+        if period == course.periods - course.steady_periods {
+            let sums = summed(&surface[2..n + 2]);
+            for (gathered, sum) in gathered.iter_mut().zip(sums) {
+                gathered.surface = sum;
+            }
+        }
         for j in 0..n {
             let ahead: [[f64; L]; 4] = [surface[j], surface[j + 1], surface[j + 2], surface[j + 3]];
             let half: [f64; L] =
@@ -392,44 +456,64 @@ fn run<const L: usize>(
         next[0] = surface[n];
         std::mem::swap(&mut surface, &mut next);
         next[1] = surface[n + 1];
+        let peak_force = power(&peak_eta);
+        for l in 0..L {
+            let g = &mut gathered[l];
+            g.has_diverged |=
+                !(within_bound(lane.low[l]) && within_bound(lane.high[l]) && within_bound(lane.q[l]));
+            g.whole.take(lane.low[l], lane.high[l]);
+            if steady {
+                g.steady.take(lane.low[l], lane.high[l]);
+                g.peak_force = g.peak_force.max(kc[l] * peak_force[l]);
+                g.in_cut += lane.in_cut[l];
+            }
+            lane.in_window[l] += lane.in_cut[l];
+            lane.in_cut[l] = 0.0;
+            (lane.low[l], lane.high[l], peak_eta[l]) = (f64::INFINITY, f64::NEG_INFINITY, 0.0);
+        }
         if (period + 1) % WINDOW_PERIODS == 0 {
             let samples = f64::from(WINDOW_PERIODS * course.steps_per_period);
-            let peak_force = power(&peak_eta);
             for l in 0..L {
-                let share = lane.in_cut[l] / samples;
+                let share = lane.in_window[l] / samples;
                 let g = &mut gathered[l];
-                g.whole.take(lane.low[l], lane.high[l]);
                 if period >= course.periods / SETTLING {
                     g.windows += 1;
                     g.sum += share;
                     g.squares += share * share;
                 }
-                if steady {
-                    g.steady.take(lane.low[l], lane.high[l]);
-                    g.peak_force = g.peak_force.max(kc[l] * peak_force[l]);
-                    g.in_cut += lane.in_cut[l];
-                    g.steady_windows += 1;
-                }
                 if let Some(control) = processes[l].0.control {
                     lane.b[l] += control.adaptation * (share - control.target) * f64::from(WINDOW_PERIODS);
                 }
-                lane.in_cut[l] = 0.0;
-                (lane.low[l], lane.high[l], peak_eta[l]) = (f64::INFINITY, f64::NEG_INFINITY, 0.0);
+                lane.in_window[l] = 0.0;
             }
         }
     }
+    let ends = summed(&surface[2..n + 2]);
     std::array::from_fn(|l| {
         let g = &gathered[l];
+        if g.has_diverged {
+            return Err(Diverged);
+        }
         let windows = f64::from(g.windows.max(1));
         let mean = g.sum / windows;
-        Steady {
-            continuity: g.in_cut
-                / f64::from(g.steady_windows.max(1) * WINDOW_PERIODS * course.steps_per_period),
-            amplitude: g.steady.high - g.steady.low,
+        let periods = f64::from(course.steady_periods);
+        let amplitude = g.steady.high - g.steady.low;
+        let removed = 1.0 - (ends[l] - g.surface) * dt / periods;
+        let tolerance = amplitude / periods + REMOVED_TOLERANCE;
+        Ok(Steady {
+            continuity: g.in_cut / f64::from(course.steady_periods * course.steps_per_period),
+            amplitude,
             peak_force: g.peak_force,
             window_sd: (g.squares / windows - mean * mean).max(0.0).sqrt(),
             largest_amplitude: g.whole.high - g.whole.low,
             gain: lane.b[l],
-        }
+            removed,
+            cuts: removed > REMOVED_TOLERANCE && (removed - 1.0).abs() <= tolerance,
+        })
     })
+}
+
+/// Sum over the steps of a period, per lane.
+fn summed<const L: usize>(steps: &[[f64; L]]) -> [f64; L] {
+    steps.iter().fold([0.0; L], |sum, step| each(|l| sum[l] + step[l]))
 }

@@ -75,4 +75,10 @@ fn bad_runs_are_refused_by_name() {
     let long = LoopRun::new(LoopInput { duration_s: 9000.0, ..base }).unwrap();
     assert_eq!(run_loop(&long, Some(&settings)).unwrap_err().code(), "too_many");
     assert_eq!(poincare_map(&long, &[], &settings).unwrap_err().code(), "empty");
+    // The second speed of the list, be it out of range or too fast for the steps.
+    let short = LoopRun::new(LoopInput { duration_s: 0.01, steady_s: 0.01, ..base }).unwrap();
+    for (rpm, code) in [(-1.0, "out_of_range"), (1e6, "inconsistent")] {
+        let error = poincare_map(&short, &[3000.0, rpm], &settings).unwrap_err();
+        assert_eq!((error.path_in("").as_str(), error.code()), ("speeds_rpm[1]", code));
+    }
 }

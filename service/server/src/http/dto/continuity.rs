@@ -5,7 +5,7 @@ use super::mirror::{To, mirror, shown, violation};
 use feedwright_core::invalid::Violation;
 use feedwright_core::vibratory::continuity::{
     Advice, AdviceInput, AdviceQuestion, BorderPoint, ContinuityControl, HeadAdvice, Map, MapAxis, MapInput,
-    MapQuestion, Process, ProcessInput, SpeedPoint, SpeedWindow, Steady, TracePoint,
+    MapQuestion, Process, ProcessInput, Simulated, SpeedPoint, SpeedWindow, Steady, TracePoint,
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -207,38 +207,49 @@ fn named(error: feedwright_core::field_error::FieldError) -> Violation {
     violation(if of_settings.contains(&error.field()) { "settings" } else { "" }, error)
 }
 
-/// Steady values of a process.
+/// Steady values of a process; the numbers are null where it diverged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
 pub struct SteadyBody {
     /// ψ, share of time in cut.
-    pub continuity: f64,
+    pub continuity: Option<f64>,
     /// A, peak-to-peak displacement, feeds per edge.
-    pub amplitude: f64,
+    pub amplitude: Option<f64>,
     /// Pmax, spring force per feed.
-    pub peak_force: f64,
+    pub peak_force: Option<f64>,
     /// Standard deviation of ψ over windows of two periods.
-    pub window_sd: f64,
+    pub window_sd: Option<f64>,
     /// Largest peak-to-peak displacement of the whole run, feeds per edge.
-    pub largest_amplitude: f64,
+    pub largest_amplitude: Option<f64>,
     /// Feedback gain at the end.
-    pub gain: f64,
-    /// Whether chips are segmented.
+    pub gain: Option<f64>,
+    /// Mean chip thickness over the steady periods, feeds per edge: 1 where the drill removes what it advances by.
+    pub removed: Option<f64>,
+    /// Whether the displacement grew beyond 10⁶ feeds per edge, more than the model can mean.
+    pub diverged: bool,
+    /// Whether the drill removes what it advances by; else the steady values are not those of a cut.
+    pub cuts: bool,
+    /// Whether chips are segmented: the drill cuts, and its edges leave the work in between.
     pub segmented: bool,
     /// Whether the control makes bursts, so that means mislead.
     pub bursting: bool,
 }
 
-impl From<Steady> for SteadyBody {
-    fn from(steady: Steady) -> Self {
+impl From<Simulated> for SteadyBody {
+    fn from(run: Simulated) -> Self {
+        let number = |value: fn(&Steady) -> f64| run.as_ref().ok().map(value);
+        let holds = |value: fn(&Steady) -> bool| run.as_ref().is_ok_and(value);
         Self {
-            continuity: steady.continuity,
-            amplitude: steady.amplitude,
-            peak_force: steady.peak_force,
-            window_sd: steady.window_sd,
-            largest_amplitude: steady.largest_amplitude,
-            gain: steady.gain,
-            segmented: steady.segmented(),
-            bursting: steady.bursting(),
+            continuity: number(|steady| steady.continuity),
+            amplitude: number(|steady| steady.amplitude),
+            peak_force: number(|steady| steady.peak_force),
+            window_sd: number(|steady| steady.window_sd),
+            largest_amplitude: number(|steady| steady.largest_amplitude),
+            gain: number(|steady| steady.gain),
+            removed: number(|steady| steady.removed),
+            diverged: run.is_err(),
+            cuts: holds(|steady| steady.cuts),
+            segmented: holds(Steady::segmented),
+            bursting: holds(Steady::bursting),
         }
     }
 }
@@ -248,7 +259,7 @@ impl From<Steady> for SteadyBody {
 pub struct SimulateAnswer {
     /// Its steady values.
     pub steady: SteadyBody,
-    /// Its course, where asked for.
+    /// Its course, where asked for; up to where it diverged.
     pub trace: Option<Vec<TracePointBody>>,
 }
 
@@ -290,7 +301,7 @@ impl MapQuestionBody {
     }
 }
 
-/// A map: rows by kc, columns by p. Each list of values runs row by row.
+/// A map: rows by kc, columns by p. Each list of values runs row by row; a number is null where the run diverged.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct MapBody {
     /// p, the columns.
@@ -298,23 +309,32 @@ pub struct MapBody {
     /// kc, the rows.
     pub cutting_coefficients: Vec<f64>,
     /// ψ.
-    pub continuity: Vec<f64>,
+    pub continuity: Vec<Option<f64>>,
     /// A, feeds per edge.
-    pub amplitude: Vec<f64>,
+    pub amplitude: Vec<Option<f64>>,
     /// Pmax, spring force per feed.
-    pub peak_force: Vec<f64>,
+    pub peak_force: Vec<Option<f64>>,
+    /// Whether the displacement grew beyond 10⁶ feeds per edge there, more than the model can mean.
+    pub diverged: Vec<bool>,
+    /// Whether the drill removes what it advances by there; else the values are not those of a cut.
+    pub cuts: Vec<bool>,
     /// Whether the control makes bursts there, so that means mislead.
     pub bursting: Vec<bool>,
 }
 
 impl From<Map> for MapBody {
     fn from(map: Map) -> Self {
-        let each = |value: fn(&Steady) -> f64| map.points.iter().map(value).collect();
+        let number =
+            |value: fn(&Steady) -> f64| map.points.iter().map(|run| run.as_ref().ok().map(value)).collect();
+        let holds =
+            |value: fn(&Steady) -> bool| map.points.iter().map(|run| run.as_ref().is_ok_and(value)).collect();
         Self {
-            continuity: each(|point| point.continuity),
-            amplitude: each(|point| point.amplitude),
-            peak_force: each(|point| point.peak_force),
-            bursting: map.points.iter().map(Steady::bursting).collect(),
+            continuity: number(|steady| steady.continuity),
+            amplitude: number(|steady| steady.amplitude),
+            peak_force: number(|steady| steady.peak_force),
+            diverged: map.points.iter().map(Result::is_err).collect(),
+            cuts: holds(|steady| steady.cuts),
+            bursting: holds(Steady::bursting),
             frequency_ratios: map.ratios,
             cutting_coefficients: map.coefficients,
         }

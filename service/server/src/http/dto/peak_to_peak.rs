@@ -1,6 +1,7 @@
 //! Vibratory drilling by peak-to-peak control, in JSON (Ivanov et al. 2024).
 
 use super::mirror::{To, WarningBody, mirror, shown, violation};
+use feedwright_core::field_error::FieldError;
 use feedwright_core::invalid::Violation;
 use feedwright_core::vibratory::loop_model::{
     ChiselEdge, CuttingForce, LoopInput, LoopRun, LoopSteady, PoincareColumn,
@@ -271,11 +272,13 @@ impl LoopProcessBody {
             duration_s: self.duration_s,
             steady_s: self.steady_s,
         })
-        .map_err(|error| match error.field() {
-            "spindle_rpm" => Violation::new("speeds_rpm", error.code(), error.problem().to_string()),
-            _ => violation("process", error),
-        })
+        .map_err(of_process)
     }
+}
+
+/// A refused field of a run: all but the spindle speed stand in `process`.
+pub fn of_process(error: FieldError) -> Violation {
+    violation(if error.field() == "spindle_rpm" { "" } else { "process" }, error)
 }
 
 /// Checked controller settings; left out: the paper's.
