@@ -48,7 +48,9 @@ pub fn bounded(text: String, most: usize) -> String {
 
 impl fmt::Display for Violation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {} ({})", self.path, self.message, self.code)
+        // Of the whole of what was sent there is no path.
+        let colon = if self.path.is_empty() { "" } else { ": " };
+        write!(f, "{}{colon}{} ({})", self.path, self.message, self.code)
     }
 }
 

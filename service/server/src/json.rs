@@ -96,7 +96,19 @@ fn explained(path: &str, error: &serde_json::Error) -> Option<Violation> {
     } else {
         "invalid_value"
     };
-    Some(Violation::new(path, code, sentence))
+    Some(Violation::new(path, code, in_words(sentence)))
+}
+
+/// What Serde expected, without the names of its types.
+fn in_words(sentence: &str) -> String {
+    let Some((head, kind)) = sentence.rsplit_once("expected ") else { return sentence.to_owned() };
+    let words = match kind {
+        "f64" => "a number",
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number from 0 on",
+        "i8" | "i16" | "i32" | "i64" => "a whole number",
+        _ => return sentence.to_owned(),
+    };
+    format!("{head}expected {words}")
 }
 
 #[cfg(test)]

@@ -140,6 +140,44 @@ async fn a_profile_goes_from_draft_to_active_and_back() {
 }
 
 #[tokio::test]
+async fn what_was_made_for_another_hole_is_neither_activated_nor_written_for_a_control() {
+    let app = shop().await;
+    app.bring_into_force(205.0).await;
+    let shallower = async |depth: f64, version: u64| {
+        let mut body = app.get("/v1/operations/O1").await.json();
+        for told in ["id", "version", "updated_at"] {
+            body.as_object_mut().unwrap().remove(told);
+        }
+        body["depth_mm"] = json!(depth);
+        let tag = format!("\"{version}\"");
+        let put =
+            app.call(Role::Engineer, "PUT", "/v1/operations/O1", &[("if-match", &tag)], Some(body)).await;
+        assert_eq!(put.status, StatusCode::OK, "{put:?}");
+    };
+    let file = format!("{HERE}/export?dialect=linuxcnc");
+    assert_eq!(app.get(&file).await.status, StatusCode::OK);
+    shallower(10.0, 1).await;
+    let refused = app.get(&file).await;
+    assert_eq!((refused.status, refused.code().as_str()), (StatusCode::CONFLICT, "profile_other_depth"));
+    assert_eq!(
+        app.get(&format!("{HERE}/export?dialect=json")).await.status,
+        StatusCode::OK,
+        "what it says can be told"
+    );
+    assert_eq!(app.step(Role::Approver, "rollback", 0).await.status, StatusCode::OK);
+    let refused = app.step(Role::Engineer, "activate", 1).await;
+    assert_eq!((refused.status, refused.code().as_str()), (StatusCode::CONFLICT, "profile_other_depth"));
+    shallower(12.0, 2).await;
+    assert_eq!(app.step(Role::Engineer, "activate", 1).await.status, StatusCode::OK);
+    let unknown = app.step(Role::Engineer, "activate", 9).await;
+    assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+    assert!(unknown.json()["detail"].as_str().unwrap().contains("`9`"), "{unknown:?}");
+    let unknown = app.step(Role::Engineer, "shadow", 9).await;
+    assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+    assert!(unknown.json()["detail"].as_str().unwrap().contains("`9`"), "{unknown:?}");
+}
+
+#[tokio::test]
 async fn a_draft_that_is_no_profile_is_refused_with_its_fields() {
     let app = shop().await;
     let mut bad = draft(205.0);

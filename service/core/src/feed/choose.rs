@@ -114,9 +114,26 @@ pub fn choose<'a>(
 /// # Errors
 /// With what differs.
 pub fn matches(one: &ActiveProfile, operation: &Operation, limits: &FeedLimits) -> Result<(), Withheld> {
+    let (profile, version) = (&one.profile, &one.version);
+    fits(version, profile, operation)?;
+    if profile.fastest_mm_min() > limits.max_mm_min() || profile.slowest_mm_min() < limits.min_mm_min() {
+        let why = format!("{} leaves the feeds of this machine", named(version));
+        return Err(("profile_outside_machine", why));
+    }
+    Ok(())
+}
+
+fn named(version: &ProfileVersion) -> String {
+    format!("version {} of feed profile {}", version.version, version.profile)
+}
+
+/// Whether a version was made for this operation as it is now.
+///
+/// # Errors
+/// With what differs.
+pub fn fits(version: &ProfileVersion, profile: &Profile, operation: &Operation) -> Result<(), Withheld> {
     let withheld = |code, why: String| Err((code, why));
-    let name = format!("version {} of feed profile {}", one.version.version, one.version.profile);
-    let profile = &one.profile;
+    let name = named(version);
     let conditions = profile.conditions();
     let differs = |stated: &Option<String>, is: &Option<String>| stated.is_some() && stated != is;
     if differs(&conditions.program, &operation.program) {
@@ -144,9 +161,6 @@ pub fn matches(one: &ActiveProfile, operation: &Operation, limits: &FeedLimits) 
             "profile_other_depth",
             format!("{name} ends at {end} mm, the operation at {depth} mm"),
         );
-    }
-    if profile.fastest_mm_min() > limits.max_mm_min() || profile.slowest_mm_min() < limits.min_mm_min() {
-        return withheld("profile_outside_machine", format!("{name} leaves the feeds of this machine"));
     }
     Ok(())
 }

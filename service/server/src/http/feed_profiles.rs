@@ -15,6 +15,7 @@ use crate::auth::Caller;
 use crate::state::AppState;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
+use feedwright_core::feed::choose;
 use feedwright_core::feed::life_cycle::Step;
 use feedwright_core::feed::profile::{Profile, diff};
 use feedwright_core::ids::ProfileId;
@@ -127,8 +128,18 @@ pub(super) async fn version_of(
     id: &ProfileId,
     version: u32,
 ) -> Result<StoredProfileVersion, Problem> {
-    let found = state.store.profile_version(id, version).await?;
-    found.ok_or_else(|| Problem::not_found("version of the feed profile", &version.to_string()))
+    state.store.profile_version(id, version).await?.ok_or_else(|| no_version(version))
+}
+
+fn no_version(version: u32) -> Problem {
+    Problem::not_found("version of the feed profile", &version.to_string())
+}
+
+/// Refuses a version that was made for another operation than the one that is registered now.
+pub(super) async fn must_fit(state: &AppState, stored: &StoredProfileVersion) -> Result<(), Problem> {
+    let Some(operation) = state.store.operation(stored.content.operation()).await? else { return Ok(()) };
+    choose::fits(&stored.version, &stored.content, &operation.value)
+        .map_err(|(code, why)| Problem::new(StatusCode::CONFLICT, code, why))
 }
 
 /// Lists feed profiles by id.
@@ -219,7 +230,14 @@ async fn advance(
     let moved = state
         .commit(|store| async move { store.move_profile(&line, what, expects, &actor, now).await })
         .await?;
-    let line = moved.ok_or_else(|| Problem::not_found("feed profile or version", id.as_str()))?;
+    let line = match (moved, what) {
+        (Some(line), _) => line,
+        (None, ProfileMove::Step(_, version)) => {
+            line_of(state, &id).await?;
+            return Err(no_version(version));
+        }
+        (None, ProfileMove::Rollback) => return Err(Problem::not_found("feed profile", id.as_str())),
+    };
     Ok(([(header::ETAG, etag(line.revision))], axum::Json(FeedProfileBody::from(line))).into_response())
 }
 
@@ -230,7 +248,8 @@ macro_rules! steps {
             params(("profile" = String, Path), ("If-Match" = String, Header, description = "The feed profile's ETag")),
             request_body = StepBody,
             responses((status = 200, description = "It stands there now", body = FeedProfileBody),
-                (status = 409, description = "Not from where it stands (`wrong_state`), or one's own draft (`own_draft`)",
+                (status = 409, description = "Not from where it stands (`wrong_state`), one's own draft (`own_draft`), or \
+                    made for another operation than it is now (`profile_other_depth` and the like)",
                     body = ProblemDocument<'static>),
                 (status = 412, description = "Somebody changed the feed profile in between", body = ProblemDocument<'static>),
                 (status = 428, description = "No If-Match", body = ProblemDocument<'static>)))]
@@ -241,6 +260,10 @@ macro_rules! steps {
             headers: HeaderMap,
             Json(body): Json<StepBody>,
         ) -> Result<Response, Problem> {
+            if $step == Step::Activate {
+                let stored = version_of(&state, &id, body.version).await?;
+                must_fit(&state, &stored).await?;
+            }
             advance(&state, &caller, id, &headers, ProfileMove::Step($step, body.version)).await
         }
     )*};

@@ -5,7 +5,7 @@ use super::dto::feed_profile::{DraftedBody, KnotBody, ProfileBody};
 use super::dto::profile_file::{ExportQuery, ImportBody, ImportReport, ReadAnswer, ReadBody};
 use super::dto::profile_json;
 use super::extract::{PathId, Query, query_id};
-use super::feed_profiles::{Draft, checked, keep, line_of, version_of};
+use super::feed_profiles::{Draft, checked, keep, line_of, must_fit, version_of};
 use super::problem::{Problem, ProblemDocument};
 use crate::auth::Caller;
 use crate::state::AppState;
@@ -23,7 +23,8 @@ use http::{HeaderValue, StatusCode, header};
     params(("profile" = String, Path), ExportQuery),
     responses((status = 200, description = "The file", content((String = "text/plain"), (Object = "application/json"))),
         (status = 403, description = "A machine's token asks for another machine", body = ProblemDocument<'static>),
-        (status = 409, description = "The version is not approved (`not_released`), or nothing is active (`nothing_active`)",
+        (status = 409, description = "The version is not approved (`not_released`), or nothing is active (`nothing_active`), or \
+            the operation is another one than it was made for (`profile_other_depth` and the like)",
             body = ProblemDocument<'static>),
         (status = 422, description = "An option out of range, a feed outside the machine's limits (`outside_machine`), one \
             that blocks cannot follow (`too_steep`) or F has too few decimals for (`feed_decimals`), or a law that would have \
@@ -46,6 +47,10 @@ pub(super) async fn export(
             stored.state.as_str()
         );
         return Err(Problem::new(StatusCode::CONFLICT, "not_released", why));
+    }
+    // What it says is told as it is; what a control runs has to be for what is drilled now.
+    if dialect.is_some() {
+        must_fit(&state, &stored).await?;
     }
     let mut limits = None;
     if let Some(machine) = query_id::<MachineId>(query.machine.as_deref())? {

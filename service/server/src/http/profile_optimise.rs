@@ -167,7 +167,10 @@ async fn last_tried(
     operation: &Operation,
 ) -> Result<Option<Tried>, Problem> {
     let Some(name) = &body.profile else {
-        return Ok(None);
+        return match body.last_version {
+            None => Ok(None),
+            Some(_) => Err(Violation::new("profile", "missing_field", "is needed with last_version").into()),
+        };
     };
     let id = ProfileId::parse("profile", name)?;
     let line = line_of(state, &id).await?;

@@ -198,11 +198,11 @@ impl Settings {
         between("raise_ratio", p.raise_ratio, 1.0, 4.0)?;
         between("lower_ratio", p.lower_ratio, 0.05, 1.0)?;
         if let Objective::Cost { per_second, per_percent_second } = p.objective {
-            between("objective.per_second", per_second, 0.0, 1e9)?;
-            between("objective.per_percent_second", per_percent_second, 0.0, 1e9)?;
+            between("objective.cost.per_second", per_second, 0.0, 1e9)?;
+            between("objective.cost.per_percent_second", per_percent_second, 0.0, 1e9)?;
             if per_second + per_percent_second <= 0.0 {
                 let text = "at least one of the costs must be above 0";
-                return Err(Invalid::new("objective", InvalidCode::Inconsistent, text));
+                return Err(Invalid::new("objective.cost", InvalidCode::Inconsistent, text));
             }
         }
         if !(4..=MOST_PROFILE_KNOTS).contains(&p.most_knots) {

@@ -169,7 +169,8 @@ pub struct CycleAnswerBody<'a> {
     pub cycle_id: Cow<'a, str>,
     /// When the server received it first.
     pub received_at: String,
-    /// Whether its tool and operation are registered; if not, it is kept and counted once they are.
+    /// Whether its tool and operation are registered; if not, it is kept and counted once they are. Energy that rests on the
+    /// spindle speed cannot be told of a cycle that names none before its operation, which has one, is registered.
     pub registered: bool,
     /// Its summary; left out where `Prefer: return=minimal` was sent.
     #[serde(skip_serializing_if = "Option::is_none")]

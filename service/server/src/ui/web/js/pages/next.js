@@ -12,7 +12,7 @@ const asked = new URLSearchParams(location.search);
 const MOST_OTHERS = 4, MOST_IDS = 5000;
 /** Without a connection advice is asked for this often, ms. */
 const BEAT_MS = 20_000;
-let advice = null, fleet = [], skew = 0, known = { operations: [], tools: [] };
+let advice = null, fleet = [], skew = 0, known = { operations: [], tools: [], complete: true };
 const now = () => Date.now() + skew;
 
 /** The one instruction: a verb, and what it is about. */
@@ -103,7 +103,7 @@ async function ask() {
 }
 function picker() {
   const options = (list, chosen) => { const all_ = list.includes(chosen) || !chosen ? list : [chosen, ...list]; return all_.map((id) => html`<option value="${id}" ${id === chosen ? html`selected` : ""}>${id}</option>`); };
-  fill($("#picker"), html`<label for="p-machine">${t("col.machine")}</label><select id="p-machine">${options(fleet.map((item) => item.machine), asked.get("machine"))}</select><label for="p-operation">${t("col.operation")}</label><select id="p-operation">${options(known.operations, asked.get("operation"))}</select><label for="p-tool">${t("col.tool")}</label><select id="p-tool">${options(known.tools, asked.get("tool"))}</select>`);
+  fill($("#picker"), html`<label for="p-machine">${t("col.machine")}</label><select id="p-machine">${options(fleet.map((item) => item.machine), asked.get("machine"))}</select><label for="p-operation">${t("col.operation")}</label><select id="p-operation">${options(known.operations, asked.get("operation"))}</select><label for="p-tool">${t("col.tool")}</label><select id="p-tool">${options(known.tools, asked.get("tool"))}</select>${known.complete ? "" : html`<p class="muted">${t("next.cut", { count: num(MOST_IDS) })}</p>`}`);
   $("#picker").addEventListener("change", (event) => {
     if (event.target.id === "p-machine") { // what the machine ran last is what it most likely runs next
       const last = fleet.find((item) => item.machine === event.target.value)?.last_cycle;
@@ -119,7 +119,7 @@ fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a
 await opening(async () => {
   const [, machines, operations, tools] = await Promise.all([session(), wholeFleet(2), all("/v1/operations", MOST_IDS), all("/v1/tools", MOST_IDS)]);
   fleet = machines;
-  known = { operations: operations.items.map((one) => one.id), tools: tools.items.map((one) => one.id) };
+  known = { operations: operations.items.map((one) => one.id), tools: tools.items.map((one) => one.id), complete: operations.complete && tools.complete };
   const newest = [...fleet].filter((item) => item.last_cycle).sort((a, b) => Date.parse(b.last_cycle.received_at) - Date.parse(a.last_cycle.received_at))[0];
   const from = fleet.find((item) => item.machine === asked.get("machine")) ?? newest;
   if (!from?.last_cycle && !(asked.get("machine") && asked.get("operation") && asked.get("tool"))) {
