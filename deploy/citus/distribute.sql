@@ -14,6 +14,7 @@ SELECT create_reference_table('machines');
 SELECT create_reference_table('tools');
 SELECT create_reference_table('tool_events');
 SELECT create_reference_table('operations');
+SELECT create_reference_table('operation_asks');
 SELECT create_reference_table('models');
 SELECT create_reference_table('feed_profiles');
 SELECT create_reference_table('feed_profile_versions');

@@ -1,5 +1,9 @@
 //! Operations: what is machined, with which feed and set loads.
 
+mod dated;
+
+pub use dated::{Ask, DatedOperation, asked_at};
+
 use crate::field_error::FieldError;
 use crate::ids::OperationId;
 use crate::invalid::{Range, Violation};

@@ -52,46 +52,6 @@ impl Context<'_> {
     }
 }
 
-/// What an operation asked of a cycle when that was summed up, so that it is judged by that however often the operation is
-/// changed afterwards. Whole numbers, so that what is stored is what is judged by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Asked {
-    /// Depth, µm; `None` where the operation asked for none, or was not registered.
-    pub depth_um: Option<i64>,
-    /// Spindle speed, thousandths of 1/min; `None` where the operation has none, and where the cycle tells of its own.
-    pub speed_milli_rpm: Option<i64>,
-}
-
-impl Asked {
-    fn of(operation: Option<&Operation>, own_speed_rpm: Option<f64>) -> Self {
-        let thousandths = |value: f64| {
-            let scaled = (value * 1e3).round();
-            #[expect(clippy::cast_possible_truncation, reason = "checked to fit")]
-            (scaled.abs() < 9e15).then_some(scaled as i64)
-        };
-        let speed_rpm = operation.and_then(|operation| operation.spindle_speed_rpm);
-        Self {
-            depth_um: operation.and_then(|operation| operation.depth_mm).and_then(thousandths),
-            speed_milli_rpm: speed_rpm.filter(|_| own_speed_rpm.is_none()).and_then(thousandths),
-        }
-    }
-
-    /// Depth, mm.
-    pub fn depth_mm(self) -> Option<f64> {
-        self.depth_um.map(of_thousandths)
-    }
-
-    /// Spindle speed, 1/min.
-    pub fn speed_rpm(self) -> Option<f64> {
-        self.speed_milli_rpm.map(of_thousandths)
-    }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "what is asked for is below 2^53")]
-fn of_thousandths(whole: i64) -> f64 {
-    whole as f64 / 1e3
-}
-
 /// The summary of one cycle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CycleSummary {
@@ -132,8 +92,6 @@ pub struct CycleSummary {
     pub spindle_load_fall_depth_mm: Option<f64>,
     /// Share of the cycle's time that samples cover, 0 to 1.
     pub coverage: f64,
-    /// What its operation asked for.
-    pub asked: Asked,
     /// What a friction cycle did over depth; `None` for other processes and where it was not sampled.
     pub digest: Option<DepthDigest>,
     /// What is unusual about it.
@@ -173,8 +131,6 @@ pub fn summarise(cycle: &Cycle, context: Context<'_>) -> CycleSummary {
     let contradictory = contradicts(cycle, &summary)
         || contradicts_reference(cycle, &summary)
         || contradicts_operation(cycle, context);
-    let own_speed_rpm = cycle.spindle_speed_rpm.or(summary.median_spindle_speed_rpm);
-    summary.asked = Asked::of(context.operation, own_speed_rpm);
     let asked = context.operation.and_then(|operation| operation.depth_mm);
     let short = asked.zip(summary.max_depth_mm).is_some_and(|(asked, reached)| reached < DEPTH_FLOOR * asked);
     let no_energy = summary.energy.is_empty();
@@ -214,7 +170,6 @@ fn of_reported(cycle: &Cycle) -> CycleSummary {
         median_spindle_speed_rpm: None,
         spindle_load_fall_depth_mm: None,
         coverage: 1.0,
-        asked: Asked::default(),
         digest: None,
         flags,
     }
@@ -277,7 +232,6 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
         median_spindle_speed_rpm: column(Channel::SpindleSpeedRpm).map(loads::median),
         spindle_load_fall_depth_mm: loads::fall_depth(samples),
         coverage: clock.coverage,
-        asked: Asked::default(),
         digest,
         flags,
     }

@@ -22,7 +22,7 @@ mod recorded_tests;
 #[cfg(test)]
 mod tests;
 
-pub use facts::{CycleFacts, OrderKey, speed_of};
+pub use facts::{CycleFacts, OrderKey};
 pub use fold::{FOLD_VERSION, FoldSettings, ToolFold};
 pub use verdict::{
     BaselineEvidence, BaselineKey, Exclusion, ExclusionCounts, FeedEvidence, Level, LevelBasis, MOST_LEVEL,

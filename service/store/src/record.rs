@@ -10,7 +10,7 @@ use feedwright_core::summary::CycleSummary;
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
 use feedwright_core::units::{Process, Timestamp};
-use feedwright_core::wear::{CycleFacts, Exclusion, Level, Verdict};
+use feedwright_core::wear::{CycleFacts, Exclusion, FoldSettings, Level, Verdict};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -212,8 +212,8 @@ pub struct FleetRow {
 pub struct FleetCycle {
     /// What wear needs of it.
     pub facts: CycleFacts,
-    /// Whether its operation is friction drilling, as far as that is registered.
-    pub is_friction: bool,
+    /// How its operation has it judged, where that is registered.
+    pub settings: Option<FoldSettings>,
     /// Its tool.
     pub tool: ToolId,
     /// When the server received it.
@@ -238,8 +238,8 @@ pub struct ToolLife {
 pub struct LifeCycle {
     /// What the fold needed of it.
     pub facts: CycleFacts,
-    /// Whether its operation is friction drilling, as far as that is registered.
-    pub is_friction: bool,
+    /// How its operation has it judged, where that is registered.
+    pub settings: Option<FoldSettings>,
     /// Why it was not counted; `None` for a counted cycle and for one that later cycles have yet to settle.
     pub excluded: Option<Exclusion>,
     /// The level that was judged after it: what decided then, and the value.

@@ -4,8 +4,9 @@
 use crate::record::Surroundings;
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
-use feedwright_core::operation::Operation;
+use feedwright_core::operation::DatedOperation;
 use feedwright_core::tool::Tool;
+use feedwright_core::units::Timestamp;
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -26,7 +27,7 @@ pub(crate) struct KnownMachine {
 struct Known {
     generation: i64,
     machines: HashMap<MachineId, KnownMachine>,
-    operations: HashMap<OperationId, Option<Arc<Operation>>>,
+    operations: HashMap<OperationId, Option<Arc<DatedOperation>>>,
     tools: HashMap<ToolId, Option<Arc<Tool>>>,
 }
 
@@ -53,12 +54,13 @@ impl Registry {
         (known.generation == generation).then_some(known)
     }
 
-    /// Everything around a cycle and the generation it belongs to, where all of it is here.
+    /// Everything around a cycle that began at a time, and the generation it belongs to, where all of it is here.
     pub(crate) fn around(
         &self,
         machine: &MachineId,
         operation: &OperationId,
         tool: &ToolId,
+        at: Timestamp,
     ) -> Option<(Surroundings, i64)> {
         let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let found = known.machines.get(machine)?.clone();
@@ -69,7 +71,7 @@ impl Registry {
         let around = Surroundings {
             machine: (*found.machine).clone(),
             calibration: found.calibration.as_deref().cloned(),
-            operation: operation.as_deref().cloned(),
+            operation: operation.map(|operation| operation.at(at).into_owned()),
             tool: tool.as_deref().cloned(),
         };
         Some((around, generation))
@@ -79,7 +81,7 @@ impl Registry {
         self.at(generation)?.machines.get(id).cloned()
     }
 
-    pub(crate) fn operation(&self, generation: i64, id: &OperationId) -> Option<Option<Arc<Operation>>> {
+    pub(crate) fn operation(&self, generation: i64, id: &OperationId) -> Option<Option<Arc<DatedOperation>>> {
         self.at(generation)?.operations.get(id).cloned()
     }
 
@@ -97,7 +99,7 @@ impl Registry {
         &self,
         generation: i64,
         id: &OperationId,
-        operation: Option<Arc<Operation>>,
+        operation: Option<Arc<DatedOperation>>,
     ) {
         if let Some(mut known) = self.at(generation) {
             keep(&mut known.operations, id.clone(), operation);

@@ -227,12 +227,14 @@ pub trait Store: Send + Sync + 'static {
     ) -> StoreResult<Option<Surroundings>>;
 
     /// As [`Store::surroundings`], from memory where it is there: as of a moment ago, with the generation of the
-    /// registry that it belongs to. For a [`NewCycle`], whose commit looks again.
+    /// registry that it belongs to, and with what the operation asked for at a time. For a [`NewCycle`] that began then, whose
+    /// commit looks again.
     async fn recent_surroundings(
         &self,
         machine: &MachineId,
         operation: &OperationId,
         tool: &ToolId,
+        at: Timestamp,
     ) -> StoreResult<Option<(Surroundings, i64)>>;
 
     /// One cycle without its samples.

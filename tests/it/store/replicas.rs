@@ -217,7 +217,12 @@ async fn a_change_at_one_server_is_in_force_at_the_next_commit_of_another() {
     other.add_tool_event(&"T1".try_into().unwrap(), event, &engineer(), at(300)).await.unwrap().unwrap();
 
     let (_, generation) = store
-        .recent_surroundings(&"M1".try_into().unwrap(), &"O1".try_into().unwrap(), &"T1".try_into().unwrap())
+        .recent_surroundings(
+            &"M1".try_into().unwrap(),
+            &"O1".try_into().unwrap(),
+            &"T1".try_into().unwrap(),
+            at(0),
+        )
         .await
         .unwrap()
         .unwrap();

@@ -25,6 +25,7 @@ stories!(
     an_event_after_the_last_cycle_acts_at_once,
     changed_settings_are_judged_again,
     what_was_run_is_judged_by_what_its_operation_asked_for_then,
+    what_is_told_of_an_operation_later_holds_for_what_came_before,
     a_beginning_that_is_told_late_is_the_beginning,
     an_event_that_a_clock_which_was_ahead_told_is_revoked_and_told_again,
     wherever_an_event_stands_it_is_as_if_it_had_not_been_told_once_it_is_revoked,
@@ -352,69 +353,121 @@ async fn changed_settings_are_judged_again(store: Arc<dyn Store>) {
     assert_clean(&*store).await;
 }
 
+/// Changes what O1 asks for: depth and speed.
+async fn ask(store: &dyn Store, (version, seconds): (u64, i64), depth_mm: Option<f64>, speed: Option<f64>) {
+    let asked =
+        feedwright_core::operation::Operation { depth_mm, spindle_speed_rpm: speed, ..operation("O1") };
+    store.put_operation(asked, Precondition::Version(version), &engineer(), at(seconds)).await.unwrap();
+}
+
+/// A reported cycle that names no speed: what its operation asked for is all that is known of it.
+fn reported(tool: &str, number: u32, joules: f64, depth_mm: f64) -> NewCycle {
+    let mut draft = Run::nth(number).draft();
+    draft.tool = tool.try_into().unwrap();
+    draft.id = format!("{tool}-{number}").as_str().try_into().unwrap();
+    (draft.samples, draft.spindle_speed_rpm) = (None, None);
+    draft.reported =
+        Reported { energy_joules: Some(joules), max_depth_mm: Some(depth_mm), ..Reported::default() };
+    // Summed up under what was in force before: it is summed up again.
+    NewCycle { generation: Some(-1), ..new_cycle(Cycle::new(draft).unwrap()) }
+}
+
+async fn store_all(store: &dyn Store, cycles: Vec<NewCycle>) {
+    for outcome in store.commit_cycles(cycles, at(9000), RecommendSettings::default()).await {
+        assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+    }
+}
+
 async fn what_was_run_is_judged_by_what_its_operation_asked_for_then(store: Arc<dyn Store>) {
     shop(&*store).await;
-    let who = engineer();
-    let second = "T2".try_into().unwrap();
-    store.put_tool(tool("T2"), Precondition::Absent, &who, at(0)).await.unwrap();
-    let asks = async |(version, seconds), depth_mm, speed| {
-        let asked = feedwright_core::operation::Operation {
-            depth_mm: Some(depth_mm),
-            spindle_speed_rpm: Some(speed),
-            ..operation("O1")
-        };
-        store.put_operation(asked, Precondition::Version(version), &who, at(seconds)).await.unwrap();
-    };
-    // Reported cycles that name no speed: what the operation asked for is all that is known of it.
-    let run = async |tool: &str, number: u32, joules: f64, depth_mm: f64| {
-        let mut draft = Run::nth(number).draft();
-        draft.tool = tool.try_into().unwrap();
-        draft.id = format!("{tool}-{number}").as_str().try_into().unwrap();
-        (draft.samples, draft.spindle_speed_rpm) = (None, None);
-        draft.reported =
-            Reported { energy_joules: Some(joules), max_depth_mm: Some(depth_mm), ..Reported::default() };
-        // Summed up under what was in force before: it is summed up again.
-        let new = NewCycle { generation: Some(-1), ..new_cycle(Cycle::new(draft).unwrap()) };
-        let answers = store.commit_cycles(vec![new], at(3000), RecommendSettings::default()).await;
-        let Ok(Committed::Stored(answer)) = answers.into_iter().next().unwrap() else { panic!("stored") };
-        answer.verdict
-    };
-    asks((1, 10), 10.0, 2400.0).await;
-    let mut verdict = run("T1", 1, 1000.0, 10.1).await;
-    for number in 2..=40 {
-        verdict = run("T1", number, 1000.0 + 4.0 * f64::from(number), 10.1).await;
-    }
-    assert_eq!(verdict.state, ToolState::Worn, "{verdict:?}");
-    for number in 1..=12 {
-        run("T2", number, 2000.0, 10.1).await;
-    }
+    store.put_tool(tool("T2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    let verdict = async |tool: &str| store.verdict(&tool.try_into().unwrap()).await.unwrap();
+    ask(&*store, (1, 10), Some(10.0), Some(2400.0)).await;
+    let worn = (1..=40).map(|number| reported("T1", number, 1000.0 + 4.0 * f64::from(number), 10.1));
+    let late: Vec<_> = (21..=24).map(|number| reported("T2", number, 2000.0, 10.1)).collect();
+    store_all(&*store, worn.chain((1..=20).map(|number| reported("T2", number, 2000.0, 10.1))).collect())
+        .await;
+    assert_eq!(verdict("T1").await.state, ToolState::Worn);
 
-    asks((2, 2430), 12.0, 2640.0).await;
-    let deeper = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    // Between the fortieth and the next cycle.
+    ask(&*store, (2, 2430), Some(12.0), Some(2640.0)).await;
+    let deeper = verdict("T1").await;
     assert_eq!(
         (deeper.state, deeper.counted),
         (ToolState::Worn, 40),
         "a deeper hole makes no worn tool good"
     );
-    for number in 41..=52 {
-        verdict = run("T1", number, 1450.0, 12.1).await;
-    }
-    assert_eq!(verdict.state, ToolState::Worn, "{verdict:?}");
+    store_all(&*store, (41..=52).map(|number| reported("T1", number, 1450.0, 12.1)).collect()).await;
+    assert_eq!(verdict("T1").await.state, ToolState::Worn);
 
-    let learnt = store.verdict(&second).await.unwrap();
+    let learnt = verdict("T2").await;
     assert_eq!(learnt.baselines[0].key.spindle_speed_rpm, Some(2400.0), "{learnt:?}");
-    for number in 13..=24 {
-        verdict = run("T2", number, 2200.0, 12.1).await;
-    }
-    let speeds: Vec<_> = verdict.baselines.iter().map(|baseline| baseline.key.spindle_speed_rpm).collect();
-    assert_eq!(speeds, [Some(2640.0), Some(2400.0)], "{verdict:?}");
-    assert_ne!(
-        verdict.state,
-        ToolState::Worn,
-        "a tenth more energy at another speed is no wear: {verdict:?}"
+    store_all(&*store, (41..=52).map(|number| reported("T2", number, 2200.0, 12.1)).collect()).await;
+    // What began before the change, whenever it comes.
+    store_all(&*store, late).await;
+    let faster = verdict("T2").await;
+    let speeds: Vec<_> = faster.baselines.iter().map(|baseline| baseline.key.spindle_speed_rpm).collect();
+    assert_eq!(speeds, [Some(2640.0), Some(2400.0)], "{faster:?}");
+    assert_eq!(
+        (faster.state, faster.cycles),
+        (ToolState::Changed, 36),
+        "no wear, but another speed: {faster:?}"
     );
+    let life = store.life(&"T2".try_into().unwrap(), 100).await.unwrap();
+    let ratios =
+        life.cycles.iter().map(|cycle| faster.ratio_of(&cycle.facts, cycle.settings.as_ref().unwrap()));
+    assert!(ratios.flatten().count() == 36, "each is told over its own speed's baseline");
+
+    // A depth that was declared wrong is mended by the one of now.
+    ask(&*store, (3, 3500), Some(9.0), Some(2640.0)).await;
+    assert_eq!(verdict("T1").await.excluded[Exclusion::Incomplete as usize], 0);
     assert_clean(&*store).await;
-    assert_eq!(store.verdict(&second).await.unwrap(), Verdict::clone(&verdict));
+    assert_eq!(store.check_cycles(None, 1000).await.unwrap().faults, vec![]);
+}
+
+async fn what_is_told_of_an_operation_later_holds_for_what_came_before(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let verdict = async || store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    ask(&*store, (1, 10), None, None).await;
+    let worn = (1..=40).map(|number| reported("T1", number, 1000.0 + 4.0 * f64::from(number), 10.1));
+    store_all(&*store, worn.collect()).await;
+    assert_eq!(verdict().await.baselines[0].key.spindle_speed_rpm, None);
+    // A speed that nobody had told was run all along; a depth that nobody had asked for leaves nothing short of it.
+    ask(&*store, (2, 2430), Some(21.0), Some(2400.0)).await;
+    let told = verdict().await;
+    assert_eq!((told.state, told.counted), (ToolState::Worn, 40), "{told:?}");
+    assert_eq!(told.baselines[0].key.spindle_speed_rpm, Some(2400.0));
+    ask(&*store, (3, 2440), Some(21.0), Some(2640.0)).await;
+    let kept = verdict().await;
+    assert_eq!(kept.baselines[0].key.spindle_speed_rpm, Some(2400.0), "{kept:?}");
+    store_all(&*store, (41..=52).map(|number| reported("T1", number, 2100.0, 21.0)).collect()).await;
+    assert_eq!(verdict().await.state, ToolState::Worn);
+
+    // Registered only when its cycles are there: what it asks for first holds for them.
+    let mut early: Vec<_> = (1..=40)
+        .map(|number| Run { operation: "O7", tool: "T1".to_owned(), ..Run::nth(number) })
+        .map(|run| {
+            let mut draft = run.draft();
+            draft.tool = "T7".try_into().unwrap();
+            draft.id = format!("T7-{}", run.id).as_str().try_into().unwrap();
+            draft.samples = None;
+            let energy = 1000.0 + 4.0 * draft.seq.map_or(0.0, |seq| f64::from(u32::try_from(seq).unwrap()));
+            draft.reported =
+                Reported { energy_joules: Some(energy), max_depth_mm: Some(10.1), ..Reported::default() };
+            NewCycle { generation: Some(-1), ..new_cycle(Cycle::new(draft).unwrap()) }
+        })
+        .collect();
+    store.put_tool(tool("T7"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    let rest = early.split_off(30);
+    store_all(&*store, early).await;
+    let registered =
+        |depth| feedwright_core::operation::Operation { depth_mm: Some(depth), ..operation("O7") };
+    store.put_operation(registered(10.0), Precondition::Absent, &engineer(), at(4000)).await.unwrap();
+    store.put_operation(registered(12.0), Precondition::Version(1), &engineer(), at(5000)).await.unwrap();
+    store_all(&*store, rest).await;
+    let seven = store.verdict(&"T7".try_into().unwrap()).await.unwrap();
+    assert_eq!((seven.state, seven.counted), (ToolState::Worn, 40), "{seven:?}");
+    assert_clean(&*store).await;
     assert_eq!(store.check_cycles(None, 1000).await.unwrap().faults, vec![]);
 }
 

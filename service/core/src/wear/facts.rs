@@ -2,7 +2,7 @@
 
 use crate::cycle::{Cycle, Flag, Flags, ProfileVersion};
 use crate::ids::{CycleId, MachineId, OperationId, RecommendationId};
-use crate::summary::{Asked, CycleSummary, DepthDigest, EnergyBasis, IdlePower};
+use crate::summary::{CycleSummary, DepthDigest, EnergyBasis, IdlePower};
 use crate::units::{Strategy, Timestamp};
 
 /// The place of a cycle in its tool's history: device time first, then what tells equal times apart.
@@ -25,10 +25,8 @@ pub struct CycleFacts {
     pub order: OrderKey,
     /// What was machined.
     pub operation: OperationId,
-    /// Spindle speed commanded with the cycle, rpm; what its operation asked for then where the cycle names none.
+    /// Spindle speed commanded with the cycle, rpm; the operation's where the cycle names none.
     pub spindle_speed_rpm: Option<f64>,
-    /// Depth that its operation asked for then, mm; `None` where it asked for none or is not known to have.
-    pub asked_depth_mm: Option<f64>,
     /// How the feed was chosen.
     pub strategy: Option<Strategy>,
     /// Which version of the law ran.
@@ -57,11 +55,6 @@ pub struct CycleFacts {
     pub flags: Flags,
 }
 
-/// The speed that a cycle is compared at, rpm: the one that it names, that it sampled, or that its operation asked for.
-pub fn speed_of(named_rpm: Option<f64>, sampled_rpm: Option<f64>, asked: Asked) -> Option<f64> {
-    named_rpm.or(sampled_rpm).or_else(|| asked.speed_rpm())
-}
-
 impl CycleFacts {
     /// Takes the facts out of a cycle and its summary.
     pub fn of(cycle: &Cycle, summary: &CycleSummary) -> Self {
@@ -77,12 +70,7 @@ impl CycleFacts {
                 cycle: cycle.id.clone(),
             },
             operation: cycle.operation.clone(),
-            spindle_speed_rpm: speed_of(
-                cycle.spindle_speed_rpm,
-                summary.median_spindle_speed_rpm,
-                summary.asked,
-            ),
-            asked_depth_mm: summary.asked.depth_mm(),
+            spindle_speed_rpm: cycle.spindle_speed_rpm.or(summary.median_spindle_speed_rpm),
             strategy: cycle.strategy,
             law_version: cycle.law_version.clone(),
             profile: cycle.profile.clone(),

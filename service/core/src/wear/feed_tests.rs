@@ -53,7 +53,6 @@ fn facts(number: u32, strategy: Option<Strategy>, profile: &DepthProfile) -> Cyc
         fall_depth_mm: None,
         operator_override_percent: None,
         digest: DepthDigest::of(profile),
-        asked_depth_mm: None,
         asked_as_reference: false,
         coverage: 1.0,
         flags: Flags::NONE,

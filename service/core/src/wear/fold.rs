@@ -11,7 +11,7 @@ use super::verdict::{BaselineKey, Exclusion, ExclusionCounts};
 use super::{WARNING_CLEARED_LEVEL, WARNING_LEVEL, WORN_LEVEL};
 use crate::cycle::Flag;
 use crate::ids::{CycleId, MachineId};
-use crate::operation::{Operation, WINDOW_CYCLES, WearSettings};
+use crate::operation::{Ask, Operation, WINDOW_CYCLES, WearSettings};
 use crate::summary::{COVERAGE_FLOOR, DEPTH_FLOOR, median};
 use crate::tool::ToolEventKind;
 use crate::units::{Process, Strategy};
@@ -33,8 +33,6 @@ const LEAST_RATIOS: usize = 5;
 const LASTING: usize = 3;
 /// Two single cycles off the usual within so many of one key: conditions alternate.
 const FLIP_SPAN: u64 = 6;
-/// A hole of this share of its depth has worked the tool.
-const HALF: f64 = 0.5;
 /// Levels are compared with the limits with this much room for rounding.
 const ROUNDING: f64 = 1e-9;
 
@@ -57,6 +55,14 @@ pub struct FoldSettings {
 }
 
 impl FoldSettings {
+    /// By what was asked for when a cycle began: its speed, and of both depths the lesser one. A depth that was declared wrong is mended
+    /// by the one of now; a deeper hole that is drilled from now on makes none of those before incomplete.
+    #[must_use]
+    pub fn asked(self, then: Ask) -> Self {
+        let depth_mm = then.depth_mm.zip(self.depth_mm).map(|(then, now)| then.min(now));
+        Self { depth_mm, spindle_speed_rpm: then.spindle_speed_rpm, ..self }
+    }
+
     /// What `operation` says.
     pub fn of(operation: &Operation) -> Self {
         Self {
@@ -185,12 +191,7 @@ impl ToolFold {
         let (compared, settings) = match self.countable(facts, settings) {
             Ok(found) => found,
             Err(why) => {
-                let worked = match why {
-                    Exclusion::Aborted => false,
-                    Exclusion::Incomplete => is_half_a_hole(facts, settings),
-                    _ => true,
-                };
-                if worked {
+                if !matches!(why, Exclusion::Aborted | Exclusion::Incomplete) {
                     self.unmeasured += 1;
                 }
                 self.exclude(&facts.order.machine, &facts.order.cycle, why);
@@ -258,7 +259,7 @@ impl ToolFold {
         if facts.coverage < COVERAGE_FLOOR {
             return Err(Exclusion::LowCoverage);
         }
-        if let (Some(asked), Some(reached)) = (asked_of(facts, settings), facts.max_depth_mm)
+        if let (Some(asked), Some(reached)) = (settings.depth_mm, facts.max_depth_mm)
             && reached < DEPTH_FLOOR * asked
         {
             return Err(Exclusion::Incomplete);
@@ -268,9 +269,8 @@ impl ToolFold {
 
     /// The place of the cycle's key, which is made where it is met first.
     fn key_of(&mut self, facts: &CycleFacts, in_contact: bool, settings: &FoldSettings) -> usize {
-        let speed_rpm = facts.spindle_speed_rpm.or(settings.spindle_speed_rpm);
-        let key = BaselineKey::of(facts, in_contact, speed_rpm);
-        if let Some(at) = self.keys.iter().position(|known| known.matches(&key)) {
+        let key = BaselineKey::of(facts, in_contact, settings);
+        if let Some(at) = key.among(self.keys.iter().map(KeyState::key)) {
             return at;
         }
         let level = self.level();
@@ -545,22 +545,6 @@ impl ToolFold {
         }
         self.last_excluded.push((machine.clone(), cycle.clone(), why));
     }
-}
-
-/// The depth that a complete cycle reaches, mm: the lesser of what its operation asked for when it was received and asks for now. A
-/// depth that was declared wrong and is mended is judged by the new one; a deeper hole that is drilled from now on makes none of
-/// those before incomplete.
-fn asked_of(facts: &CycleFacts, settings: &FoldSettings) -> Option<f64> {
-    match (facts.asked_depth_mm, settings.depth_mm) {
-        (Some(then), Some(now)) => Some(then.min(now)),
-        (_, now) => now,
-    }
-}
-
-/// Whether a cycle that is short of its depth has worked the tool like others all the same.
-fn is_half_a_hole(facts: &CycleFacts, settings: Option<&FoldSettings>) -> bool {
-    let asked = settings.and_then(|settings| asked_of(facts, settings));
-    asked.zip(facts.max_depth_mm).is_some_and(|(asked, reached)| reached >= HALF * asked)
 }
 
 /// Cycles that make a step lasting: no more than flip the median of the window.

@@ -1,6 +1,7 @@
 //! One baseline key: learning its baseline, and telling usual cycles from unusual ones.
 
 use super::facts::CycleFacts;
+use super::fold::FoldSettings;
 use super::verdict::{BaselineKey, Exclusion, MOST_LEVEL, Verdict};
 use crate::friction::relation::{FeedSource, Per, Relation};
 use crate::ids::{CycleId, MachineId};
@@ -195,7 +196,7 @@ fn speeds_match(one: Option<f64>, other: Option<f64>) -> bool {
 
 impl BaselineKey {
     /// What a cycle is compared under.
-    pub(super) fn of(facts: &CycleFacts, in_contact: bool, spindle_speed_rpm: Option<f64>) -> Self {
+    pub(super) fn of(facts: &CycleFacts, in_contact: bool, settings: &FoldSettings) -> Self {
         let (basis, idle_subtracted) =
             facts.energy.map_or((EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
         // What else a machine names with a reference cycle it was asked for is what runs between them.
@@ -203,7 +204,7 @@ impl BaselineKey {
         Self {
             machine: facts.order.machine.clone(),
             operation: facts.operation.clone(),
-            spindle_speed_rpm,
+            spindle_speed_rpm: facts.spindle_speed_rpm.or(settings.spindle_speed_rpm),
             basis,
             idle_subtracted,
             in_contact,
@@ -212,6 +213,16 @@ impl BaselineKey {
             law_version: facts.law_version.clone().filter(|_| as_told),
             profile: facts.profile.clone().filter(|_| as_told),
         }
+    }
+
+    /// The place of this key among others: of those whose speeds are alike the one whose speed is nearest.
+    pub(super) fn among<'k>(&self, keys: impl Iterator<Item = &'k Self>) -> Option<usize> {
+        let off = |key: &Self| match (key.spindle_speed_rpm, self.spindle_speed_rpm) {
+            (Some(usual), Some(speed)) => (usual - speed).abs(),
+            _ => 0.0,
+        };
+        let alike = keys.enumerate().filter(|(_, key)| key.matches(self));
+        alike.min_by(|(_, one), (_, other)| off(one).total_cmp(&off(other))).map(|(at, _)| at)
     }
 
     /// Whether `other` is this one, speeds being alike within ±2 %.
@@ -232,10 +243,11 @@ impl BaselineKey {
 impl Verdict {
     /// Energy of a cycle of the tool's current life over that of the new tool that it is compared with, at most
     /// [`MOST_LEVEL`] either way; `None` where it has none, or the new tool's is not known.
-    pub fn ratio_of(&self, facts: &CycleFacts, is_friction: bool) -> Option<f64> {
-        let (in_contact, joules, _) = facts.compared(is_friction)?;
-        let key = BaselineKey::of(facts, in_contact, facts.spindle_speed_rpm);
-        let baseline = self.baselines.iter().find(|baseline| baseline.key.matches(&key))?.baseline_joules?;
+    pub fn ratio_of(&self, facts: &CycleFacts, settings: &FoldSettings) -> Option<f64> {
+        let (in_contact, joules, _) = facts.compared(settings.is_friction)?;
+        let key = BaselineKey::of(facts, in_contact, settings);
+        let baseline = BaselineKey::among(&key, self.baselines.iter().map(|baseline| &baseline.key))?;
+        let baseline = self.baselines.get(baseline)?.baseline_joules?;
         (baseline > 0.0).then(|| (joules / baseline).clamp(-MOST_LEVEL, MOST_LEVEL))
     }
 }
@@ -263,6 +275,11 @@ impl KeyState {
             reference_feed_mm_min: None,
             used: 0,
         }
+    }
+
+    /// What it compares.
+    pub(super) const fn key(&self) -> &BaselineKey {
+        &self.key
     }
 
     /// Whether `key` is this one.

@@ -41,7 +41,6 @@ fn facts(number: u32, joules: f64) -> CycleFacts {
         fall_depth_mm: None,
         operator_override_percent: None,
         digest: None,
-        asked_depth_mm: None,
         asked_as_reference: false,
         coverage: 1.0,
         flags: Flags::NONE,
@@ -165,49 +164,6 @@ fn aborted_and_incomplete_cycles_are_neither_baselined_nor_counted() {
     assert_eq!(excluded(&verdict, Exclusion::Incomplete), 2);
     let (_, cycle, reason) = verdict.last_excluded.last().unwrap();
     assert_eq!((cycle.as_str(), *reason), ("c8", Exclusion::Incomplete));
-}
-
-/// A cycle that went so deep, of an operation that asked for so much then and for `now` since.
-fn deep(life: &mut Life, now: f64, (then, reached): (Option<f64>, f64), ratio: f64) -> Verdict {
-    life.number += 1;
-    let mut cycle = facts(life.number, ratio * NEW);
-    (cycle.asked_depth_mm, cycle.max_depth_mm) = (then, Some(reached));
-    life.fold.cycle(&cycle, Some(&FoldSettings { depth_mm: Some(now), ..settings() }));
-    life.fold.verdict()
-}
-
-#[test]
-fn a_cycle_is_complete_that_reached_what_was_asked_for_then_or_is_asked_for_now() {
-    let counted = |then, now, reached| {
-        let mut life = Life::new();
-        for _ in 0..5 {
-            deep(&mut life, now, (then, reached), 1.0);
-        }
-        life.fold.verdict().counted
-    };
-    assert_eq!(counted(Some(10.0), 12.0, 10.1), 5, "the hole was deepened later");
-    assert_eq!(counted(Some(12.0), 10.0, 10.1), 5, "the depth was declared wrong, and mended");
-    assert_eq!(counted(Some(10.0), 12.0, 8.0), 0);
-    assert_eq!(counted(None, 12.0, 10.1), 0, "what was asked for then is not known");
-    assert_eq!(counted(None, 12.0, 12.0), 5);
-}
-
-#[test]
-fn a_tool_that_has_made_half_holes_for_long_is_no_new_one() {
-    let after = |reached| {
-        let mut life = Life::new();
-        for _ in 0..20 {
-            deep(&mut life, 12.0, (None, reached), 1.2);
-        }
-        for _ in 0..10 {
-            deep(&mut life, 12.0, (None, 12.0), 1.2);
-        }
-        life.fold.verdict()
-    };
-    let worked = after(10.0);
-    assert_eq!((worked.state, worked.level), (ToolState::Unknown, None), "{worked:?}");
-    assert!(why(&worked).contains(&"no_new_tool_baseline"), "{worked:?}");
-    assert_eq!(after(3.0).state, ToolState::Good, "what only touched the sheet did not wear it");
 }
 
 #[test]

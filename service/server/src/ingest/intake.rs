@@ -261,7 +261,7 @@ impl CycleIntake {
             }
         };
         // Where it has to be asked for, it is in a task of its own.
-        let around = self.store.recent_surroundings(machine, &cycle.operation, &cycle.tool);
+        let around = self.store.recent_surroundings(machine, &cycle.operation, &cycle.tool, cycle.started_at);
         let around =
             timeout(PATIENCE, around).await.map_err(|late| StoreError::Unavailable(late.into()))??;
         let Some((around, generation)) = around else {

@@ -119,7 +119,7 @@ async fn know_all<'a>(
     for cycle in group.iter().map(|new| &new.cycle) {
         let key = (&cycle.operation, &cycle.tool);
         if let Entry::Vacant(unknown) = known.entry(key) {
-            let operation = registry.operations.get(&cycle.operation).map(AsRef::as_ref);
+            let operation = registry.operation(&cycle.operation);
             let process = if operation.is_some_and(models::are_needed) {
                 models::knowledge(transaction.conn().await?, operation, &cycle.tool).await?
             } else {
@@ -199,10 +199,11 @@ fn summary_of(new: &NewCycle, registry: &GroupRegistry) -> StoreResult<CycleSumm
     let again = new.generation.filter(|generation| *generation != registry.generation);
     let mut summary = match (again, registry.machines.get(&cycle.machine)) {
         (Some(_), Some(known)) => {
+            let operation = registry.operations.get(&cycle.operation).map(|known| known.at(cycle.started_at));
             let context = Context {
                 machine: &known.machine,
                 calibration: known.calibration.as_deref(),
-                operation: registry.operations.get(&cycle.operation).map(AsRef::as_ref),
+                operation: operation.as_deref(),
             };
             summarise(&with_samples(new)?, context)
         }
@@ -374,7 +375,7 @@ fn answer(
         .get(&cycle.machine)
         .map(|known| &*known.machine)
         .ok_or_else(|| StoreError::Damaged { what: "a cycle of no machine".to_owned() })?;
-    let operation = registry.operations.get(&cycle.operation).map(AsRef::as_ref);
+    let operation = registry.operation(&cycle.operation);
     let tool_registered = registry.tools.contains(&cycle.tool);
     let recommendation = recommend(&Question {
         now,

@@ -6,6 +6,7 @@ use crate::record::{Alarm, AlarmFilter, FleetCycle, FleetRow, Page, Versioned};
 use crate::rows::{FleetCycleRow, Place};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::machine::Machine;
+use feedwright_core::operation::Ask;
 use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 
@@ -45,9 +46,10 @@ async fn rows(
     let mut alarms = open_alarms(conn, only).await?;
     let mut known_tools: BTreeMap<ToolId, (Option<String>, (Verdict, Place))> = BTreeMap::new();
     let mut known_operations: BTreeMap<OperationId, Option<String>> = BTreeMap::new();
+    let mut asks = BTreeMap::new();
     let mut rows = Vec::with_capacity(machines.len());
     for machine in machines {
-        let recent = last_cycles(conn, &machine.value.id, recent).await?;
+        let recent = last_cycles(conn, &machine.value.id, recent, &mut asks).await?;
         let alarms = alarms.remove(machine.value.id.as_str()).unwrap_or_default();
         let Some(FleetCycle { tool, facts, .. }) = recent.first() else {
             let (names, energy_ratios) = ((None, None), Vec::new());
@@ -77,7 +79,7 @@ async fn rows(
 fn energy_ratios(recent: &[FleetCycle], tool: &ToolId, (verdict, life): &(Verdict, Place)) -> Vec<f64> {
     let of_life =
         recent.iter().rev().filter(|cycle| cycle.tool == *tool && Place::of(&cycle.facts.order) >= *life);
-    of_life.filter_map(|cycle| verdict.ratio_of(&cycle.facts, cycle.is_friction)).collect()
+    of_life.filter_map(|cycle| verdict.ratio_of(&cycle.facts, cycle.settings.as_ref()?)).collect()
 }
 
 async fn open_alarms(conn: &mut Conn, only: Option<&MachineId>) -> StoreResult<BTreeMap<String, Vec<Alarm>>> {
@@ -92,11 +94,17 @@ async fn open_alarms(conn: &mut Conn, only: Option<&MachineId>) -> StoreResult<B
     Ok(by_machine)
 }
 
-async fn last_cycles(conn: &mut Conn, machine: &MachineId, most: u32) -> StoreResult<Vec<FleetCycle>> {
-    let rows: Vec<FleetCycleRow> = sqlx::query_as::<Db, _>(LAST_CYCLES)
+async fn last_cycles(
+    conn: &mut Conn,
+    machine: &MachineId,
+    most: u32,
+    asks: &mut BTreeMap<String, Vec<Ask>>,
+) -> StoreResult<Vec<FleetCycle>> {
+    let mut rows: Vec<FleetCycleRow> = sqlx::query_as::<Db, _>(LAST_CYCLES)
         .bind(machine.as_str())
         .bind(i64::from(most))
         .fetch_all(&mut *conn)
         .await?;
+    wear::ask_operations(conn, rows.iter_mut().map(|row| &mut row.facts), asks).await?;
     rows.iter().map(FleetCycleRow::cycle).collect()
 }

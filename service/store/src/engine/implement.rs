@@ -458,13 +458,14 @@ impl Store for Engine {
         machine: &MachineId,
         operation: &OperationId,
         tool: &ToolId,
+        at: Timestamp,
     ) -> StoreResult<Option<(Surroundings, i64)>> {
-        if let Some(known) = self.registry().around(machine, operation, tool) {
+        if let Some(known) = self.registry().around(machine, operation, tool, at) {
             return Ok(Some(known));
         }
         let names = (machine.clone(), operation.clone(), tool.clone());
         let registry = Arc::clone(self.registry());
-        snapshot!(self, |conn| registry::around(conn, &registry, (&names.0, &names.1, &names.2)).await)
+        snapshot!(self, |conn| registry::around(conn, &registry, (&names.0, &names.1, &names.2), at).await)
     }
 
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {

@@ -44,9 +44,8 @@ pub(super) async fn of(conn: &mut Conn, tool: &ToolId, most: u32) -> StoreResult
                 excluded.get_mut(&facts.order.machine).and_then(|of| of.remove(&facts.order.cycle));
             }
             let (facts, settings) = row.facts()?;
-            let is_friction = settings.is_some_and(|settings| settings.is_friction);
             let level = walk.fold().judged_level();
-            cycles.push_back(LifeCycle { facts, is_friction, excluded: None, level });
+            cycles.push_back(LifeCycle { facts, settings, excluded: None, level });
         }
     }
     let mut cycles: Vec<LifeCycle> = cycles.into();

@@ -7,8 +7,11 @@ use crate::precondition;
 use crate::record::{Actor, Page, Precondition, PutOutcome, Versioned};
 use crate::rows::{OperationRow, count, operation_json, optional_float, setup_json};
 use feedwright_core::ids::OperationId;
-use feedwright_core::operation::Operation;
+use feedwright_core::operation::{Ask, DatedOperation, Operation};
 use feedwright_core::units::Timestamp;
+
+/// From when on what was asked for first holds: before every cycle. Migration 31 has it too.
+const ALWAYS: Timestamp = Timestamp::from_micros(-9_000_000_000_000_000_000);
 
 macro_rules! select {
     ($tail:literal) => {
@@ -29,6 +32,80 @@ pub(super) async fn get(conn: &mut Conn, id: &OperationId) -> StoreResult<Option
         .fetch_optional(&mut *conn)
         .await?;
     row.map(|row| row.versioned()).transpose()
+}
+
+/// With what it has asked for over time.
+pub(super) async fn dated(
+    conn: &mut Conn,
+    id: &OperationId,
+) -> StoreResult<Option<Versioned<DatedOperation>>> {
+    let Some(found) = get(conn, id).await? else {
+        return Ok(None);
+    };
+    let asks = asks_until_now(conn, id.as_str()).await?;
+    Ok(Some(Versioned {
+        version: found.version,
+        updated_at: found.updated_at,
+        value: DatedOperation::new(found.value, asks),
+    }))
+}
+
+fn is_same(one: &Ask, other: &Ask) -> bool {
+    (one.depth_mm, one.spindle_speed_rpm) == (other.depth_mm, other.spindle_speed_rpm)
+}
+
+/// What an operation has asked for, in the order of time, up to what it asks for now; nothing where it is not registered.
+pub(super) async fn asks_until_now(conn: &mut Conn, id: &str) -> StoreResult<Vec<Ask>> {
+    let mut asks = asks(conn, id).await?;
+    let now: Option<(i64, Option<f64>, Option<f64>)> = sqlx::query_as::<Db, _>(
+        "SELECT updated_at_us, depth_mm, spindle_speed_rpm FROM operations WHERE operation_id = $1",
+    )
+    .bind(id)
+    .fetch_optional(&mut *conn)
+    .await?;
+    // A server of before changes an operation without noting it.
+    if let Some(now) = now.map(ask)
+        && asks.last().is_none_or(|last| !is_same(last, &now))
+    {
+        asks.push(now);
+    }
+    Ok(asks)
+}
+
+fn ask((from, depth_mm, spindle_speed_rpm): (i64, Option<f64>, Option<f64>)) -> Ask {
+    Ask { from: Timestamp::from_micros(from), depth_mm, spindle_speed_rpm }
+}
+
+/// What is noted of what an operation has asked for.
+async fn asks(conn: &mut Conn, id: &str) -> StoreResult<Vec<Ask>> {
+    let rows: Vec<(i64, Option<f64>, Option<f64>)> = sqlx::query_as::<Db, _>(
+        "SELECT from_us, depth_mm, spindle_speed_rpm FROM operation_asks WHERE operation_id = $1 ORDER BY from_us",
+    )
+    .bind(id)
+    .fetch_all(&mut *conn)
+    .await?;
+    Ok(rows.into_iter().map(ask).collect())
+}
+
+/// Notes what an operation asks for from now on; what it asks for first holds for what came before as well.
+async fn note_asks(conn: &mut Conn, operation: &Operation, now: Timestamp) -> StoreResult<()> {
+    let known = asks(conn, operation.id.as_str()).await?;
+    // Clocks of several servers are apart, and are set back: what is noted later holds later.
+    let from = known.last().map_or(ALWAYS, |last| now.max(Timestamp::from_micros(last.from.micros() + 1)));
+    let ask = Ask { from, depth_mm: operation.depth_mm, spindle_speed_rpm: operation.spindle_speed_rpm };
+    if known.last().is_some_and(|last| is_same(last, &ask)) {
+        return Ok(());
+    }
+    sqlx::query::<Db>(
+        "INSERT INTO operation_asks (operation_id, from_us, depth_mm, spindle_speed_rpm) VALUES ($1, $2, $3, $4)",
+    )
+    .bind(operation.id.as_str())
+    .bind(ask.from.micros())
+    .bind(optional_float("depth_mm", ask.depth_mm)?)
+    .bind(optional_float("spindle_speed_rpm", ask.spindle_speed_rpm)?)
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
 }
 
 pub(super) async fn list(
@@ -118,6 +195,7 @@ pub(super) async fn put(
     };
     let detail = audit::change(before.as_ref(), &operation_json(operation, setup.as_ref()), outcome);
     audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
+    note_asks(conn, operation, now).await?;
     if !judged_alike(existing.as_ref().map(|existing| &existing.value), operation) {
         for (tool, verdict) in wear::count_operation(conn, &operation.id, now).await? {
             alarms::follow_verdict(conn, &tool, &verdict, now).await?;

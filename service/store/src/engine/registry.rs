@@ -6,8 +6,9 @@ use crate::error::StoreResult;
 use crate::record::{NewCycle, Surroundings};
 use crate::registry::{KnownMachine, Registry};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
-use feedwright_core::operation::Operation;
+use feedwright_core::operation::{DatedOperation, Operation};
 use feedwright_core::tool::Tool;
+use feedwright_core::units::Timestamp;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -56,11 +57,11 @@ async fn operation(
     registry: &Registry,
     generation: i64,
     id: &OperationId,
-) -> StoreResult<Option<Arc<Operation>>> {
+) -> StoreResult<Option<Arc<DatedOperation>>> {
     if let Some(known) = registry.operation(generation, id) {
         return Ok(known);
     }
-    let found = operations::get(conn, id).await?.map(|found| Arc::new(found.value));
+    let found = operations::dated(conn, id).await?.map(|found| Arc::new(found.value));
     registry.learn_operation(generation, id, found.clone());
     Ok(found)
 }
@@ -79,20 +80,22 @@ async fn tool(
     Ok(found)
 }
 
-/// Reads what is around a cycle in one snapshot, and keeps it.
+/// Reads what is around a cycle that began at a time in one snapshot, and keeps it.
 pub(super) async fn around(
     conn: &mut Conn,
     registry: &Registry,
     (of_machine, of_operation, of_tool): (&MachineId, &OperationId, &ToolId),
+    at: Timestamp,
 ) -> StoreResult<Option<(Surroundings, i64)>> {
     let generation = generation(conn).await?;
     let Some(known) = machine(conn, registry, generation, of_machine).await? else {
         return Ok(None);
     };
+    let operation = operation(conn, registry, generation, of_operation).await?;
     let around = Surroundings {
         machine: (*known.machine).clone(),
         calibration: known.calibration.as_deref().cloned(),
-        operation: operation(conn, registry, generation, of_operation).await?.as_deref().cloned(),
+        operation: operation.map(|operation| operation.at(at).into_owned()),
         tool: tool(conn, registry, generation, of_tool).await?.as_deref().cloned(),
     };
     Ok(Some((around, generation)))
@@ -102,11 +105,16 @@ pub(super) async fn around(
 pub(super) struct GroupRegistry {
     pub(super) generation: i64,
     pub(super) machines: BTreeMap<MachineId, KnownMachine>,
-    pub(super) operations: BTreeMap<OperationId, Arc<Operation>>,
+    pub(super) operations: BTreeMap<OperationId, Arc<DatedOperation>>,
     pub(super) tools: BTreeSet<ToolId>,
 }
 
 impl GroupRegistry {
+    /// An operation as it is.
+    pub(super) fn operation(&self, id: &OperationId) -> Option<&Operation> {
+        self.operations.get(id).map(|known| &***known)
+    }
+
     /// What is around a group, where all of it is in memory.
     pub(super) fn remembered(registry: &Registry, generation: i64, group: &[NewCycle]) -> Option<Self> {
         let mut found = Self {

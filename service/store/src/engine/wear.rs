@@ -1,13 +1,14 @@
 //! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
 
 use super::transaction::GroupTransaction;
-use super::{Conn, Db, alarms, dialect, tools};
+use super::{Conn, Db, alarms, dialect, operations, tools};
 use crate::codec::state;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
 use crate::locks::Locks;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use feedwright_core::operation::{Ask, asked_at};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
 use std::borrow::Cow;
@@ -124,8 +125,7 @@ macro_rules! facts_columns {
          c.profile_version, c.spindle_speed_rpm, c.median_spindle_speed_rpm, c.dynamometer_joules,
          c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts, c.rated_power_joules,
          c.reported_energy_joules, c.duration_ms, c.max_depth_mm, c.energy_scale, c.spindle_load_fall_depth_mm,
-         c.operator_override_percent, c.coverage, c.flags, c.depth_digest, c.recommendation_id, c.asked_depth_um,
-         c.asked_speed_milli_rpm, o.baseline_cycles, o.window_cycles, o.reference_every_cycles,
+         c.operator_override_percent, c.coverage, c.flags, c.depth_digest, c.recommendation_id, o.baseline_cycles, o.window_cycles, o.reference_every_cycles,
          o.reference_feed_mm_min, o.process AS operation_process,
          o.programmed_feed_mm_min AS operation_feed_mm_min, o.depth_mm AS operation_depth_mm,
          o.spindle_speed_rpm AS operation_speed_rpm"
@@ -180,7 +180,27 @@ pub(super) async fn facts_after(
         Some(machine) => query.bind(machine.as_str()),
         None => query,
     };
-    Ok(query.fetch_all(&mut *conn).await?)
+    let mut rows = query.fetch_all(&mut *conn).await?;
+    ask_operations(conn, rows.iter_mut(), &mut BTreeMap::new()).await?;
+    Ok(rows)
+}
+
+/// Fills in what the operations of cycles asked for when these began; `known` are those that were asked before.
+pub(super) async fn ask_operations(
+    conn: &mut Conn,
+    rows: impl Iterator<Item = &mut FactsRow>,
+    known: &mut BTreeMap<String, Vec<Ask>>,
+) -> StoreResult<()> {
+    for row in rows {
+        if !known.contains_key(&row.operation_id) {
+            let dated = operations::asks_until_now(conn, &row.operation_id).await?;
+            known.insert(row.operation_id.clone(), dated);
+        }
+        if let Some(asks) = known.get(&row.operation_id) {
+            row.asked = asked_at(asks, Timestamp::from_micros(row.started_at_us));
+        }
+    }
+    Ok(())
 }
 
 impl ToolWear {

@@ -5,7 +5,7 @@ use crate::codec::digest;
 use crate::error::{StoreError, StoreResult};
 use crate::record::{ContentHash, CycleMeta, NewCycle, StoredCycle};
 use feedwright_core::cycle::{Cycle, CycleDraft, Flag, Flags, Outcome, ProfileVersion, Reported, Samples};
-use feedwright_core::summary::{Asked, CycleSummary, DepthDigest, Energy, EnergyBasis, IdlePower, Peak};
+use feedwright_core::summary::{CycleSummary, DepthDigest, Energy, EnergyBasis, IdlePower, Peak};
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -81,8 +81,6 @@ macro_rules! cycle_columns {
                 reported_operator_override_percent: Option<f64> = "$65" in 0.0..=1000.0,
                 energy_scale: i64 = "$66",
                 depth_digest: Option<Vec<u8>> = "$67",
-                asked_depth_um: Option<i64> = "$68" in 0..=100_000_000,
-                asked_speed_milli_rpm: Option<i64> = "$69" in 0..=1_000_000_000,
         }
     };
 }
@@ -313,8 +311,6 @@ impl CycleRow {
             reported_operator_override_percent: reported.operator_override_percent,
             energy_scale: summary.energy_scale,
             depth_digest: summary.digest.as_ref().map(digest::pack),
-            asked_depth_um: summary.asked.depth_um,
-            asked_speed_milli_rpm: summary.asked.speed_milli_rpm,
         };
         row.settle_quantities()?;
         if row.energy() != summary.energy {
@@ -443,7 +439,6 @@ impl CycleRow {
             spindle_load_fall_depth_mm: self.spindle_load_fall_depth_mm,
             digest,
             coverage: self.coverage,
-            asked: Asked { depth_um: self.asked_depth_um, speed_milli_rpm: self.asked_speed_milli_rpm },
             flags: Flags::from_bits(number("flags", self.flags)?),
         })
     }
@@ -585,11 +580,6 @@ impl CycleRow {
         if same_context {
             if self.energy_scale != again.energy_scale {
                 differ("energy_scale", self.energy_scale.to_string(), again.energy_scale.to_string());
-            }
-            // An earlier version did not note it.
-            let asked = |row: &Self| (row.asked_depth_um, row.asked_speed_milli_rpm);
-            if asked(self) != (None, None) && asked(self) != asked(again) {
-                differ("asked_depth_um", format!("{:?}", asked(self)), format!("{:?}", asked(again)));
             }
             if self.depth_digest != again.depth_digest {
                 differ("depth_digest", "another course".to_owned(), "this".to_owned());

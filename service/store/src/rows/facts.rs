@@ -5,11 +5,11 @@ use crate::error::StoreResult;
 use crate::record::StoredToolEvent;
 use feedwright_core::cycle::{Flags, ProfileVersion};
 use feedwright_core::ids::{CycleId, MachineId, RecommendationId};
-use feedwright_core::operation::{Operation, WearSettings};
-use feedwright_core::summary::{Asked, CycleSummary, DepthDigest, EnergyBasis};
+use feedwright_core::operation::{Ask, DatedOperation, WearSettings};
+use feedwright_core::summary::{CycleSummary, DepthDigest, EnergyBasis};
 use feedwright_core::tool::{ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Strategy, Timestamp};
-use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey, speed_of};
+use feedwright_core::wear::{CycleFacts, FoldSettings, OrderKey};
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
@@ -65,8 +65,6 @@ pub(crate) struct FactsRow {
     pub(crate) recommendation_id: Option<String>,
     pub(crate) coverage: f64,
     pub(crate) flags: i64,
-    pub(crate) asked_depth_um: Option<i64>,
-    pub(crate) asked_speed_milli_rpm: Option<i64>,
     pub(crate) baseline_cycles: Option<i64>,
     pub(crate) window_cycles: Option<i64>,
     pub(crate) reference_every_cycles: Option<i64>,
@@ -78,12 +76,15 @@ pub(crate) struct FactsRow {
     /// What the stored digest was made of, where this process has just made it.
     #[sqlx(skip)]
     pub(crate) digest: Option<DepthDigest>,
+    /// What the operation asked for when the cycle began, where it is registered.
+    #[sqlx(skip)]
+    pub(crate) asked: Option<Ask>,
 }
 
 impl FactsRow {
     /// The facts of a row that is being written: the same columns that a refold reads, but for the digest, which is the
     /// one that the row's was packed from.
-    pub(crate) fn of(row: &CycleRow, summary: &CycleSummary, operation: Option<&Operation>) -> Self {
+    pub(crate) fn of(row: &CycleRow, summary: &CycleSummary, operation: Option<&DatedOperation>) -> Self {
         Self {
             machine_id: row.machine_id.clone(),
             cycle_id: row.cycle_id.clone(),
@@ -111,8 +112,6 @@ impl FactsRow {
             recommendation_id: row.recommendation_id.clone(),
             coverage: row.coverage,
             flags: row.flags,
-            asked_depth_um: row.asked_depth_um,
-            asked_speed_milli_rpm: row.asked_speed_milli_rpm,
             baseline_cycles: operation.map(|operation| i64::from(operation.wear.baseline_cycles)),
             window_cycles: operation.map(|operation| i64::from(operation.wear.window_cycles)),
             reference_every_cycles: operation
@@ -124,6 +123,8 @@ impl FactsRow {
             operation_depth_mm: operation.and_then(|operation| operation.depth_mm),
             operation_speed_rpm: operation.and_then(|operation| operation.spindle_speed_rpm),
             digest: summary.digest.clone(),
+            asked: operation
+                .and_then(|operation| operation.asked_at(Timestamp::from_micros(row.started_at_us))),
         }
     }
 
@@ -174,12 +175,10 @@ impl FactsRow {
             }),
             _ => None,
         };
-        let asked = Asked { depth_um: self.asked_depth_um, speed_milli_rpm: self.asked_speed_milli_rpm };
         let facts = CycleFacts {
             order: self.order()?,
             operation: id("operation_id", &self.operation_id)?,
-            spindle_speed_rpm: speed_of(self.spindle_speed_rpm, self.median_spindle_speed_rpm, asked),
-            asked_depth_mm: asked.depth_mm(),
+            spindle_speed_rpm: self.spindle_speed_rpm.or(self.median_spindle_speed_rpm),
             strategy: self
                 .strategy
                 .as_deref()
@@ -206,7 +205,7 @@ impl FactsRow {
         Ok((facts, self.settings()?))
     }
 
-    /// What the operation says, where it is registered; as [`FoldSettings::of`] takes it.
+    /// What the operation says, where it is registered; as [`FoldSettings::of`] takes it, and asked for when the cycle began.
     fn settings(&self) -> StoreResult<Option<FoldSettings>> {
         let (Some(baseline), Some(window), Some(process)) =
             (self.baseline_cycles, self.window_cycles, &self.operation_process)
@@ -223,13 +222,14 @@ impl FactsRow {
                 .transpose()?,
             reference_feed_mm_min: self.reference_feed_mm_min,
         };
-        Ok(Some(FoldSettings {
+        let now = FoldSettings {
             wear,
             depth_mm: self.operation_depth_mm,
             spindle_speed_rpm: self.operation_speed_rpm,
             is_friction: process == Process::Friction,
             reference_feed_mm_min: wear.reference_feed_of(process, self.operation_feed_mm_min),
-        }))
+        };
+        Ok(Some(self.asked.map_or(now, |then| now.asked(then))))
     }
 }
 

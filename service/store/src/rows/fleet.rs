@@ -10,7 +10,7 @@ use feedwright_core::units::Timestamp;
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct FleetCycleRow {
     #[sqlx(flatten)]
-    facts: FactsRow,
+    pub(crate) facts: FactsRow,
     tool_id: String,
     received_at_us: i64,
     outcome: String,
@@ -21,7 +21,7 @@ impl FleetCycleRow {
         let (facts, settings) = self.facts.facts()?;
         Ok(FleetCycle {
             facts,
-            is_friction: settings.is_some_and(|settings| settings.is_friction),
+            settings,
             tool: id("tool_id", &self.tool_id)?,
             received_at: Timestamp::from_micros(self.received_at_us),
             outcome: word("outcome", &self.outcome, Outcome::parse)?,

@@ -338,7 +338,6 @@ impl LifeStudy {
             fall_depth_mm: None,
             operator_override_percent: None,
             digest: DepthDigest::of(energy),
-            asked_depth_mm: None,
             asked_as_reference: false,
             coverage: 1.0,
             flags: Flags::NONE,

@@ -55,12 +55,14 @@ pub struct LifeBody {
 impl From<&ToolLife> for LifeBody {
     fn from(life: &ToolLife) -> Self {
         let facts = || life.cycles.iter().map(|cycle| &cycle.facts);
-        let joules = |cycle: &LifeCycle| cycle.facts.compared(cycle.is_friction).map(|(_, joules, _)| joules);
-        let duration = |cycle: &LifeCycle| match cycle.facts.compared(cycle.is_friction) {
+        let is_friction = |cycle: &LifeCycle| cycle.settings.is_some_and(|settings| settings.is_friction);
+        let joules =
+            |cycle: &LifeCycle| cycle.facts.compared(is_friction(cycle)).map(|(_, joules, _)| joules);
+        let duration = |cycle: &LifeCycle| match cycle.facts.compared(is_friction(cycle)) {
             Some((_, _, duration_ms)) => duration_ms,
             None => cycle.facts.duration_ms,
         };
-        let ratio = |cycle: &LifeCycle| life.verdict.ratio_of(&cycle.facts, cycle.is_friction);
+        let ratio = |cycle: &LifeCycle| life.verdict.ratio_of(&cycle.facts, cycle.settings.as_ref()?);
         Self {
             wear: WearBody::from(&life.verdict).owned(),
             before: life.before,

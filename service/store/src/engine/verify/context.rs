@@ -7,7 +7,7 @@ use crate::rows::CycleRow;
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::{MachineId, OperationId};
 use feedwright_core::machine::{Calibration, Machine};
-use feedwright_core::operation::Operation;
+use feedwright_core::operation::{DatedOperation, Operation};
 use feedwright_core::units::Timestamp;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ const CLOCKS_APART_US: i64 = 60_000_000;
 #[derive(Default)]
 pub(super) struct Contexts {
     machines: HashMap<MachineId, Arc<Around>>,
-    operations: HashMap<OperationId, Option<Arc<Versioned<Operation>>>>,
+    operations: HashMap<OperationId, Option<Arc<Versioned<DatedOperation>>>>,
 }
 
 struct Around {
@@ -32,7 +32,8 @@ struct Around {
 pub(super) struct Known {
     around: Arc<Around>,
     calibration: Option<usize>,
-    operation: Option<Arc<Versioned<Operation>>>,
+    /// As it was when the cycle began.
+    operation: Option<Operation>,
     /// Whether it is what was in force when the cycle was received.
     pub(super) same: bool,
 }
@@ -63,7 +64,7 @@ impl Known {
     }
 
     pub(super) fn operation(&self) -> Option<&Operation> {
-        self.operation.as_deref().map(|operation| &operation.value)
+        self.operation.as_ref()
     }
 }
 
@@ -92,7 +93,7 @@ impl Contexts {
             Some(_) if unregistered => None,
             Some(operation) => {
                 same &= operation.version == 1 || when(operation.updated_at, received) == When::Before;
-                Some(operation)
+                Some(operation.value.at(cycle.started_at).into_owned())
             }
         };
         Ok(Known { around, calibration, operation, same })
@@ -115,11 +116,11 @@ impl Contexts {
         &mut self,
         conn: &mut Conn,
         id: &OperationId,
-    ) -> StoreResult<Option<Arc<Versioned<Operation>>>> {
+    ) -> StoreResult<Option<Arc<Versioned<DatedOperation>>>> {
         if let Some(known) = self.operations.get(id) {
             return Ok(known.clone());
         }
-        let operation = operations::get(conn, id).await?.map(Arc::new);
+        let operation = operations::dated(conn, id).await?.map(Arc::new);
         self.operations.insert(id.clone(), operation.clone());
         Ok(operation)
     }
