@@ -229,6 +229,13 @@ def environment():
             found = dict(each.split("=", 1) for each in read.split("\0") if each)
             found = {name: value for name, value in found.items() if name not in {"PATH", "PWD", "OLDPWD", "_"}}
             expect(found == means, f"feedwright-ctl reads {text!r} as {found}, not as {means}")
+        file.seek(0)
+        file.truncate()
+        file.write("# kept in C:\\\nA=1\n")
+        file.flush()
+        told = subprocess.run(["sh", "-c", reader + 'assignments "$1"', "sh", file.name],
+                              capture_output=True, text=True)
+        expect(told.returncode == 1 and "ends in a backslash" in told.stderr, "feedwright-ctl guesses which line systemd takes")
 
 
 services, mounts = compose()

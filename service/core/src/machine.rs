@@ -100,12 +100,12 @@ pub struct FeedLimits {
 }
 
 impl FeedLimits {
-    /// The same, held within other limits; feeds only where the two have more than one in common.
+    /// The same, held within other limits; its own feeds where the two have none in common. They may have a single one.
     #[must_use]
     pub fn within(&self, feeds_mm_min: (f64, f64), overrides_percent: (f64, f64)) -> Self {
         let (min_mm_min, max_mm_min) =
             (self.min_mm_min.max(feeds_mm_min.0), self.max_mm_min.min(feeds_mm_min.1));
-        let feeds = if min_mm_min < max_mm_min {
+        let feeds = if min_mm_min <= max_mm_min {
             (min_mm_min, max_mm_min)
         } else {
             (self.min_mm_min, self.max_mm_min)
@@ -116,6 +116,21 @@ impl FeedLimits {
             override_min_percent: self.override_min_percent.max(overrides_percent.0),
             override_max_percent: self.override_max_percent.min(overrides_percent.1),
         }
+    }
+
+    /// Limits that were [held within](Self::within) others, as they are stored; `None` where they can be none.
+    pub fn held(feeds_mm_min: (f64, f64), overrides_percent: (f64, f64)) -> Option<Self> {
+        let ((min, max), (low, high)) = (feeds_mm_min, overrides_percent);
+        let is_feed = |feed| FEED_RANGE.check("feed", feed).is_ok();
+        let feeds = is_feed(min) && is_feed(max) && min <= max;
+        let overrides =
+            OVERRIDE_RANGE.check("override", high).is_ok() && low > 0.0 && low <= 100.0 && high >= 100.0;
+        (feeds && overrides).then_some(Self {
+            min_mm_min: min,
+            max_mm_min: max,
+            override_min_percent: low,
+            override_max_percent: high,
+        })
     }
 
     /// Checks that the feed range is not empty and that the override range holds 100 %.

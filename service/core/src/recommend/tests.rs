@@ -297,6 +297,17 @@ fn a_profile_is_run_within_its_own_limits_too_and_at_the_lower_of_two_set_loads(
     assert!(with.profile.is_some(), "{:?}", with.reasons);
     assert_eq!((with.spindle_load_set_percent, with.feed_drive_load_set_percent), (Some(40.0), Some(25.0)));
     assert_eq!(with.limits, FeedLimits::new(50.0, 1000.0, 30.0, 120.0).unwrap());
+    // A shop that may run one feed only.
+    let one = |limits| {
+        let flat = |knot: &mut crate::feed::profile::KnotInput| knot.feed_mm_min = 110.0;
+        let mut input = ProfileInput { limits, ..given::input() };
+        input.knots.iter_mut().for_each(flat);
+        Profile::new(input).unwrap()
+    };
+    let profile = one(LimitsInput { feed_min_mm_min: 110.0, feed_max_mm_min: 110.0, ..limits });
+    let active = [ActiveProfile { profile, ..active[0].clone() }];
+    let narrow = recommend(&question(&active[..])).limits;
+    assert_eq!(Some(narrow), FeedLimits::held((110.0, 110.0), (30.0, 120.0)));
     let without = recommend(&question(&[]));
     assert_eq!(
         (without.spindle_load_set_percent, without.feed_drive_load_set_percent),

@@ -16,7 +16,7 @@ use crate::state::AppState;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::feed::choose;
-use feedwright_core::feed::life_cycle::Step;
+use feedwright_core::feed::life_cycle::{Step, VersionState};
 use feedwright_core::feed::profile::{Profile, diff};
 use feedwright_core::ids::ProfileId;
 use feedwright_core::invalid::Violation;
@@ -261,8 +261,11 @@ macro_rules! steps {
             Json(body): Json<StepBody>,
         ) -> Result<Response, Problem> {
             if $step == Step::Activate {
+                expected(&headers)?;
                 let stored = version_of(&state, &id, body.version).await?;
-                must_fit(&state, &stored).await?;
+                if stored.state == VersionState::Approved {
+                    must_fit(&state, &stored).await?;
+                }
             }
             advance(&state, &caller, id, &headers, ProfileMove::Step($step, body.version)).await
         }

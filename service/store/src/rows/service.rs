@@ -126,7 +126,8 @@ impl RecommendationRow {
     pub(crate) fn issued(&self, id_asked: &RecommendationId) -> StoreResult<IssuedRecommendation> {
         let body = AdviceBody::read(&self.advice_hash, &self.body)?;
         let [min, max, low, high] = body.limits;
-        let limits = FeedLimits::new(min, max, low, high).map_err(|_| super::damaged("advices.body"))?;
+        let limits =
+            FeedLimits::held((min, max), (low, high)).ok_or_else(|| super::damaged("advices.body"))?;
         let level = self.level()?;
         let remaining = match (self.remaining_cycles, self.remaining_low, self.remaining_high) {
             (Some(cycles), Some(low), Some(high)) => Some(Remaining {

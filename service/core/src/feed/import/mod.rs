@@ -159,6 +159,10 @@ pub fn list(text: &str, kind: ListKind, acceleration_mm_s2: f64) -> Result<Vec<K
         if feed_mm_min <= 0.0 {
             return Err(at_line(at, "out_of_range", "a feed must be above 0"));
         }
+        // Wherever it were rounded to, the feed on one of its sides could be above the one that is listed.
+        if kind == ListKind::Linear && thousandths_below(depth_mm) < thousandths_above(depth_mm) {
+            return Err(at_line(at, "too_many_digits", "a depth has three decimals at the most"));
+        }
         rows.push(KnotInput { depth_mm, feed_mm_min: thousandths_below(feed_mm_min) });
     }
     if rows.len() < 2 {
@@ -260,6 +264,14 @@ mod tests {
         for (is, meant) in pairs(&knots).into_iter().zip(meant) {
             assert!((is.0 - meant.0).abs() < 1e-9 && (is.1 - meant.1).abs() < 1e-9, "{knots:?}");
         }
+    }
+
+    #[test]
+    fn a_depth_of_a_linear_list_has_three_decimals_at_the_most() {
+        let refused = list("0,50\n1.0004,50\n1.2504,500\n5,500", ListKind::Linear, 300.0).unwrap_err();
+        assert_eq!((refused[0].code, refused[0].path.ends_with("line 2")), ("too_many_digits", true));
+        let kept = list("0,50\n1.0040,50\n1.250,500\n5,500", ListKind::Linear, 300.0).unwrap();
+        assert_eq!(pairs(&kept)[1..3], [(1.004, 50.0), (1.25, 500.0)]);
     }
 
     #[test]

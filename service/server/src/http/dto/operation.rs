@@ -34,10 +34,12 @@ pub struct OperationBody {
     /// Thickness of the work at the hole, mm.
     #[serde(default)]
     pub thickness_mm: Option<f64>,
-    /// Depth that a complete cycle reaches, mm.
+    /// Depth that a complete cycle reaches, mm. A cycle is held against the lesser of what is asked for now and what was when it
+    /// began: a deeper hole makes none of those before incomplete, and a depth that was declared too large is mended.
     #[serde(default)]
     pub depth_mm: Option<f64>,
-    /// Commanded spindle speed, rpm.
+    /// Commanded spindle speed of cycles that name none, rpm: of those that begin from now on. One that is told for the first time
+    /// holds for those before as well.
     #[serde(default)]
     pub spindle_speed_rpm: Option<f64>,
     /// Programmed feed rate, mm/min.
