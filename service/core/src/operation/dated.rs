@@ -17,7 +17,8 @@ pub struct Ask {
 }
 
 /// What was asked for at a time, of what was asked for one after the other: the one that was in force, and before all of them the
-/// first. A speed that nobody had told yet is the one that was told next: it says what was run all along.
+/// first. A speed that nobody had told yet is the one that was told next: it says what was run all along. A depth that nobody had
+/// asked for stays none: nothing was short of it.
 pub fn asked_at(asks: &[Ask], at: Timestamp) -> Option<Ask> {
     let place = asks.iter().rposition(|ask| ask.from <= at).unwrap_or(0);
     let mut asked = *asks.get(place)?;

@@ -246,8 +246,8 @@ impl Verdict {
     pub fn ratio_of(&self, facts: &CycleFacts, settings: &FoldSettings) -> Option<f64> {
         let (in_contact, joules, _) = facts.compared(settings.is_friction)?;
         let key = BaselineKey::of(facts, in_contact, settings);
-        let baseline = BaselineKey::among(&key, self.baselines.iter().map(|baseline| &baseline.key))?;
-        let baseline = self.baselines.get(baseline)?.baseline_joules?;
+        let place = key.among(self.baselines.iter().map(|baseline| &baseline.key))?;
+        let baseline = self.baselines.get(place)?.baseline_joules?;
         (baseline > 0.0).then(|| (joules / baseline).clamp(-MOST_LEVEL, MOST_LEVEL))
     }
 }

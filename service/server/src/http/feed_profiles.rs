@@ -16,7 +16,7 @@ use crate::state::AppState;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::feed::choose;
-use feedwright_core::feed::life_cycle::{Step, VersionState};
+use feedwright_core::feed::life_cycle::Step;
 use feedwright_core::feed::profile::{Profile, diff};
 use feedwright_core::ids::ProfileId;
 use feedwright_core::invalid::Violation;
@@ -263,7 +263,7 @@ macro_rules! steps {
             if $step == Step::Activate {
                 expected(&headers)?;
                 let stored = version_of(&state, &id, body.version).await?;
-                if stored.state == VersionState::Approved {
+                if stored.state.is_released() {
                     must_fit(&state, &stored).await?;
                 }
             }

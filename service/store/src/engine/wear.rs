@@ -125,8 +125,8 @@ macro_rules! facts_columns {
          c.profile_version, c.spindle_speed_rpm, c.median_spindle_speed_rpm, c.dynamometer_joules,
          c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts, c.rated_power_joules,
          c.reported_energy_joules, c.duration_ms, c.max_depth_mm, c.energy_scale, c.spindle_load_fall_depth_mm,
-         c.operator_override_percent, c.coverage, c.flags, c.depth_digest, c.recommendation_id, o.baseline_cycles, o.window_cycles, o.reference_every_cycles,
-         o.reference_feed_mm_min, o.process AS operation_process,
+         c.operator_override_percent, c.coverage, c.flags, c.depth_digest, c.recommendation_id,
+         o.baseline_cycles, o.window_cycles, o.reference_every_cycles, o.reference_feed_mm_min, o.process AS operation_process,
          o.programmed_feed_mm_min AS operation_feed_mm_min, o.depth_mm AS operation_depth_mm,
          o.spindle_speed_rpm AS operation_speed_rpm"
     };
