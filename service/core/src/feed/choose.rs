@@ -12,7 +12,7 @@ use crate::wear::{ToolState, Verdict};
 /// Commanded speeds that differ by no more are the same speed, as in the wear's baselines.
 const SAME_SPEED: f64 = 0.02;
 /// Depths that differ by no more are the same depth, mm.
-const SAME_DEPTH_MM: f64 = 0.0005;
+pub const SAME_DEPTH_MM: f64 = 0.0005;
 
 /// An active version.
 #[derive(Debug, Clone, PartialEq)]

@@ -15,7 +15,7 @@ use crate::auth::Caller;
 use crate::state::AppState;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
-use feedwright_core::feed::choose;
+use feedwright_core::feed::choose::{self, SAME_DEPTH_MM};
 use feedwright_core::feed::life_cycle::Step;
 use feedwright_core::feed::profile::{Profile, diff};
 use feedwright_core::ids::ProfileId;
@@ -25,9 +25,6 @@ use feedwright_store::{
     FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, ProfileSource, StoredProfileVersion,
 };
 use http::{HeaderMap, StatusCode, header};
-
-/// Depths that differ by less are the same, mm.
-const SAME_DEPTH_MM: f64 = 0.0005;
 
 /// Drafts a version: the first of a new feed profile, or the next of one for the same operation, tool type and wear
 /// band. Nothing uses a draft. The same content is kept once and answered with 200.

@@ -42,7 +42,9 @@ pub(super) async fn dated(
     let Some(found) = get(conn, id).await? else {
         return Ok(None);
     };
-    let asks = asks_until_now(conn, id.as_str()).await?;
+    let (operation, from) = (&found.value, found.updated_at);
+    let now = Ask { from, depth_mm: operation.depth_mm, spindle_speed_rpm: operation.spindle_speed_rpm };
+    let asks = up_to(asks(conn, id.as_str()).await?, now);
     Ok(Some(Versioned {
         version: found.version,
         updated_at: found.updated_at,
@@ -56,20 +58,25 @@ fn is_same(one: &Ask, other: &Ask) -> bool {
 
 /// What an operation has asked for, in the order of time, up to what it asks for now; nothing where it is not registered.
 pub(super) async fn asks_until_now(conn: &mut Conn, id: &str) -> StoreResult<Vec<Ask>> {
-    let mut asks = asks(conn, id).await?;
+    let asks = asks(conn, id).await?;
     let now: Option<(i64, Option<f64>, Option<f64>)> = sqlx::query_as::<Db, _>(
         "SELECT updated_at_us, depth_mm, spindle_speed_rpm FROM operations WHERE operation_id = $1",
     )
     .bind(id)
     .fetch_optional(&mut *conn)
     .await?;
-    // A server of before changes an operation without noting it.
-    if let Some(now) = now.map(ask)
-        && asks.last().is_none_or(|last| !is_same(last, &now))
-    {
+    Ok(match now {
+        Some(now) => up_to(asks, ask(now)),
+        None => asks,
+    })
+}
+
+/// With what is asked for now: a server of before changes an operation without noting it.
+fn up_to(mut asks: Vec<Ask>, now: Ask) -> Vec<Ask> {
+    if asks.last().is_none_or(|last| !is_same(last, &now)) {
         asks.push(now);
     }
-    Ok(asks)
+    asks
 }
 
 fn ask((from, depth_mm, spindle_speed_rpm): (i64, Option<f64>, Option<f64>)) -> Ask {
