@@ -2,6 +2,7 @@
 
 use clap::Parser;
 use feedwright_server::cli::{Cli, run};
+use feedwright_server::config::ConfigError;
 use std::num::NonZero;
 use std::process::ExitCode;
 use std::thread::available_parallelism;
@@ -14,6 +15,10 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 /// How many threads serve, where somebody wants another number: the runtime reads it itself.
 const THREADS: &str = "TOKIO_WORKER_THREADS";
 
+/// What it ends with where settings are not accepted (sysexits.h, `EX_CONFIG`): who starts it again need not try before
+/// somebody has changed them.
+const NOT_ACCEPTED: u8 = 78;
+
 fn main() -> ExitCode {
     let ended =
         runtime().map_err(anyhow::Error::from).and_then(|runtime| runtime.block_on(run(Cli::parse())));
@@ -21,7 +26,10 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("feedwright: {error:#}");
-            ExitCode::FAILURE
+            match error.downcast_ref() {
+                Some(ConfigError::Invalid(_)) => NOT_ACCEPTED.into(),
+                _ => ExitCode::FAILURE,
+            }
         }
     }
 }

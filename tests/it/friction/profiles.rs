@@ -254,6 +254,7 @@ async fn what_a_shop_has_now_is_imported_as_a_draft() {
     assert_eq!(drafted.status, 201, "{}", drafted.text);
     assert_eq!((&drafted.body["source"], &drafted.body["state"]), (&json!("imported"), &json!("draft")));
     assert_eq!(drafted.body["report"]["passed_over"], json!(["O815", "S2800", "M3", "M30"]));
+    assert_eq!(drafted.body["report"].get("without_point"), None, "every depth has its point");
     let feeds: Vec<_> = drafted.body["content"]["knots"]
         .as_array()
         .unwrap()
@@ -261,10 +262,14 @@ async fn what_a_shop_has_now_is_imported_as_a_draft() {
         .map(|knot| number(&knot["feed_mm_min"]))
         .collect();
     assert_eq!(feeds, [160.0, 160.0, 480.0, 480.0, 150.0, 150.0], "ramps instead of steps");
+    let pointless =
+        shop.post("/v1/feed-profiles/import", &import("gcode", &program.replace("Z-8.", "Z-9"))).await;
+    assert_eq!(pointless.status, 201, "{}", pointless.text);
+    assert_eq!(pointless.body["report"]["without_point"], json!(["Z-9"]));
     let list = shop
         .post("/v1/feed-profiles/import", &import("csv_linear", "depth;feed\n0;105\n3;155\n20.5;345\n"))
         .await;
-    assert_eq!((list.status, &list.body["version"]), (201, &json!(2)), "{}", list.text);
+    assert_eq!((list.status, &list.body["version"]), (201, &json!(3)), "{}", list.text);
     let bad = shop.post("/v1/feed-profiles/import", &import("gcode", "G0 Z5\nG83 Z-20.5 R1 Q2 F100\n")).await;
     assert_eq!((bad.status, &bad.body["errors"][0]["path"]), (422, &json!("text:line 2")), "{}", bad.text);
     let short = shop.post("/v1/feed-profiles/import", &import("csv_linear", "0,100\n19,100\n")).await;

@@ -217,7 +217,10 @@ fn the_settings_in_force_are_printed_without_secrets() {
     assert!(!printed.contains("hunter2"));
     let refused = feedwright(&dir, &["serve", "--listen", "0.0.0.0:0"]).output().unwrap();
     let said = String::from_utf8_lossy(&refused.stderr);
-    assert!(!refused.status.success() && said.contains("allow_plain_http_on_public_address"), "{said}");
+    assert!(said.contains("allow_plain_http_on_public_address"), "{said}");
+    assert_eq!(refused.status.code(), Some(78), "what the unit does not try again");
+    let mistyped = feedwright(&dir, &["serve", "--set", "limits.group_sizes=3"]).output().unwrap();
+    assert_eq!(mistyped.status.code(), Some(78), "{}", String::from_utf8_lossy(&mistyped.stderr));
     assert!(!dir.path().join("data").exists(), "nothing was made");
 }
 

@@ -101,6 +101,37 @@ async fn a_round_of_the_watch_fills_what_no_request_asks_about() {
 }
 
 #[tokio::test]
+async fn machines_without_series_of_their_own_are_told_together() {
+    let app = App::with(&[("watch.machine_silent_after_ms", "60000"), ("limits.metric_machines", "1")]).await;
+    for machine in ["M1", "M2"] {
+        assert_eq!(app.put(&format!("/v1/machines/{machine}"), super::app::machine()).await.status, 201);
+        let token = app.issue(Role::Machine, Some(machine.try_into().unwrap())).await;
+        let overloaded = json!({
+            "cycle_id": "c1", "tool": machine, "operation": "O1", "started_at": "2026-05-04T05:00:00Z",
+            "samples": {"period_ms": 10, "spindle_load_percent": vec![500.0; 50]},
+        });
+        let posted = Request::post(format!("/v1/machines/{machine}/cycles"))
+            .header("authorization", format!("Bearer {token}"))
+            .header("content-type", "application/json")
+            .body(Body::from(overloaded.to_string()))
+            .unwrap();
+        assert_eq!(app.send(posted).await.status, StatusCode::CREATED);
+    }
+    feedwright_server::watch::round(&app.state).await.unwrap();
+    let text = String::from_utf8(app.get("/metrics").await.body).unwrap();
+    for line in [
+        "feedwright_alarms_open{kind=\"overload\"} 2\n",
+        "feedwright_machine_alarms_open{kind=\"overload\",machine=\"M1\"} 1\n",
+        "feedwright_other_machines_alarms_open{kind=\"overload\"} 1\n",
+        "feedwright_other_machines_alarms_open{kind=\"worn\"} 0\n",
+        "feedwright_other_machines_silent 0\n",
+    ] {
+        assert!(text.contains(line), "{line} is not in\n{text}");
+    }
+    assert!(!text.contains("machine=\"M2\""), "{text}");
+}
+
+#[tokio::test]
 async fn a_round_of_the_watch_shows_what_no_cycle_tells_of_a_tool() {
     let app = App::registered().await;
     assert_eq!(app.put("/v1/operations/O1", super::app::operation()).await.status, 201);

@@ -97,12 +97,13 @@ pub(super) async fn import(
     caller: Caller,
     Json(body): Json<ImportBody>,
 ) -> Result<Response, Problem> {
-    let (knots, passed_over) = body.knots()?;
+    let (knots, hole) = body.knots()?;
     let end_mm = knots.last().map_or(0.0, |knot| knot.depth_mm);
     let report = ImportReport {
         format: body.format,
         text_hash: blake3::hash(body.text.as_bytes()).to_hex().to_string(),
-        passed_over,
+        passed_over: hole.passed_over,
+        without_point: hole.without_point,
         knots: knots.len(),
     };
     let report = serde_json::to_string(&report).map_err(|error| Problem::internal(error.to_string()))?;

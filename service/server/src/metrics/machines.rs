@@ -1,4 +1,5 @@
-//! Metrics that carry a machine's label: only registered machines, and at most `limits.metric_machines` of them.
+//! Metrics that carry a machine's label: only registered machines, and at most `limits.metric_machines` of them. What somebody
+//! has to be told of the others is told of all of them together.
 
 use super::registrar::Registrar;
 use super::{CycleOutcome, seconds};
@@ -7,7 +8,7 @@ use feedwright_core::recommend::{NEUTRAL_OVERRIDE_PERCENT, Recommendation};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use feedwright_store::{AlarmKind, FleetRow, Round};
-use prometheus::{Gauge, GaugeVec, IntCounter, IntCounterVec, IntGaugeVec};
+use prometheus::{Gauge, GaugeVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec};
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -50,6 +51,9 @@ pub(super) struct MachineMetrics {
     silent: IntGaugeVec,
     alarms_open: IntGaugeVec,
     neutral_since: GaugeVec,
+    /// Of what has no label of its own.
+    others_silent: IntGauge,
+    others_alarms_open: IntGaugeVec,
 }
 
 impl MachineMetrics {
@@ -97,6 +101,15 @@ impl MachineMetrics {
                 "feedwright_machine_recommendation_neutral_since_timestamp_seconds",
                 "Since when every recommendation that this process made for the machine leaves the feed as it is",
                 &["machine", "reason"],
+            )?,
+            others_silent: new.int_gauge(
+                "feedwright_other_machines_silent",
+                "Machines beyond limits.metric_machines that are silent",
+            )?,
+            others_alarms_open: new.int_gauges(
+                "feedwright_other_machines_alarms_open",
+                "Open alarms that concern none of the machines with series of their own",
+                &["kind"],
             )?,
         })
     }
@@ -183,6 +196,7 @@ impl MachineMetrics {
     }
 
     pub(super) fn round(&self, found: &Round) {
+        let mut others_silent = 0;
         for contact in &found.machines {
             let machine = &contact.machine;
             let labelled = self.labelled(machine, |_| {
@@ -192,6 +206,7 @@ impl MachineMetrics {
                 self.silent.with_label_values(&[machine.as_str()]).set(i64::from(contact.is_silent));
             });
             if labelled.is_none() {
+                others_silent += i64::from(contact.is_silent);
                 continue;
             }
             let of_machine = || found.alarms.iter().filter(|alarms| alarms.machine.as_ref() == Some(machine));
@@ -200,6 +215,16 @@ impl MachineMetrics {
                 let gauge = self.alarms_open.with_label_values(&[machine.as_str(), kind.as_str()]);
                 gauge.set(super::whole(open));
             }
+        }
+        self.others_silent.set(others_silent);
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        for kind in AlarmKind::ALL {
+            let of_others = found.alarms.iter().filter(|alarms| {
+                alarms.kind == kind
+                    && alarms.machine.as_ref().is_none_or(|machine| !known.contains_key(machine))
+            });
+            let open = super::whole(of_others.map(|alarms| alarms.open).sum());
+            self.others_alarms_open.with_label_values(&[kind.as_str()]).set(open);
         }
     }
 }

@@ -7,8 +7,8 @@
 use super::{Held, at_line, bounded, number};
 use crate::invalid::Violation;
 
-/// Words that are listed at most.
-const MOST_PASSED_OVER: usize = 50;
+/// Words of a kind that are listed at most.
+const MOST_LISTED: usize = 50;
 
 /// What was read of a program beside its feeds, for a person to look at.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -17,6 +17,9 @@ pub struct Hole {
     pub held: Vec<Held>,
     /// Words that say nothing about the feed and were passed over, once each.
     pub passed_over: Vec<String>,
+    /// Depths without a decimal point, once each. They were read as mm; FANUC and others may be set to read them in steps of
+    /// 0.001 mm.
+    pub without_point: Vec<String>,
 }
 
 /// A stable code and the reason.
@@ -64,7 +67,13 @@ pub fn gcode(text: &str, contact_z_mm: f64) -> Result<Hole, Vec<Violation>> {
     Ok(reader.hole)
 }
 
-type Word = (char, f64);
+/// A letter with its number, and whether that has a decimal point.
+#[derive(Debug, Clone, Copy)]
+struct Word {
+    letter: char,
+    value: f64,
+    has_point: bool,
+}
 
 fn words(line: &str) -> Result<Vec<Word>, String> {
     let mut words = Vec::new();
@@ -92,7 +101,7 @@ fn words(line: &str) -> Result<Vec<Word>, String> {
                     }
                 }
                 let value = number(&text).ok_or_else(|| format!("`{letter}` is not followed by a number"))?;
-                words.push((letter, value));
+                words.push(Word { letter, value, has_point: text.contains('.') });
             }
             '#' | '[' | ']' | '=' => return Err("variables and expressions are not read".to_owned()),
             other => return Err(format!("`{}` is not understood", other.escape_default())),
@@ -168,11 +177,11 @@ impl Block {
     fn read(words: &[Word]) -> Result<Self, Refusal> {
         let mut block = Self::default();
         // What G64's P and Q bound is how far corners are rounded: a hole has none.
-        let rounds = words.iter().any(|&(letter, value)| letter == 'G' && whole(value) == Some(64));
-        for (at, &(letter, value)) in words.iter().enumerate() {
+        let rounds = words.iter().any(|word| word.letter == 'G' && whole(word.value) == Some(64));
+        for (at, &Word { letter, value, .. }) in words.iter().enumerate() {
             let word = || format!("{letter}{value}");
             // Of two words one would be passed over, and nobody could say which.
-            if !matches!(letter, 'G' | 'M') && words[..at].iter().any(|(before, _)| *before == letter) {
+            if !matches!(letter, 'G' | 'M') && words[..at].iter().any(|before| before.letter == letter) {
                 return unclear(format!("the word {letter} stands twice in the block"));
             }
             match letter {
@@ -341,18 +350,21 @@ impl Reader {
         }
         self.begun = true;
         self.blocks += 1;
-        self.pass_over(words);
+        self.list(words);
         self.run(&block)
     }
 
-    fn pass_over(&mut self, words: &[Word]) {
-        for (letter, value) in words {
+    fn list(&mut self, words: &[Word]) {
+        let Hole { passed_over, without_point, .. } = &mut self.hole;
+        for &Word { letter, value, has_point } in words {
+            let listed = match letter {
+                'M' | 'S' | 'T' | 'O' | 'H' | 'D' | 'P' | 'Q' => &mut *passed_over,
+                'Z' | 'R' if !has_point && value != 0.0 => &mut *without_point,
+                _ => continue,
+            };
             let word = format!("{letter}{value}");
-            if matches!(letter, 'M' | 'S' | 'T' | 'O' | 'H' | 'D' | 'P' | 'Q')
-                && !self.hole.passed_over.contains(&word)
-                && self.hole.passed_over.len() < MOST_PASSED_OVER
-            {
-                self.hole.passed_over.push(word);
+            if !listed.contains(&word) && listed.len() < MOST_LISTED {
+                listed.push(word);
             }
         }
     }
@@ -526,6 +538,19 @@ mod tests {
         assert_eq!(rounded.passed_over[..3], ["O1234", "P0.01", "Q0.02"]);
         // First contact may lie elsewhere than at Z0.
         assert!((gcode("G1 Z-1 F100", 2.0).unwrap().held[0].to_mm - 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn depths_without_a_point_are_named() {
+        let hole = gcode("G0 Z10\nG81 X1 Y2 R1 Z-20 F120\nG80\nG0 Z10\n", 0.0).unwrap();
+        assert_eq!(hole.without_point, ["Z10", "R1", "Z-20"]);
+        let clear = gcode("G0 Z10.\nG1 Z0 F1000\nG1 Z-3.5 F160\nG0 Z10.0\nG0 X0 Y0\n", 0.0).unwrap();
+        assert_eq!(
+            clear.without_point, [""; 0],
+            "nothing is nothing in any unit, and feeds are per minute in mm"
+        );
+        let steps: String = (1..=60).map(|step| format!("G1 Z-{step} F100\n")).collect();
+        assert_eq!(gcode(&steps, 0.0).unwrap().without_point.len(), MOST_LISTED);
     }
 
     #[test]

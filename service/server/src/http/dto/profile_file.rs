@@ -126,17 +126,18 @@ pub struct ImportBody {
 }
 
 impl ImportBody {
-    /// The knots of the text, and the words of a program that were passed over.
-    pub fn knots(&self) -> Result<(Vec<KnotInput>, Vec<String>), Vec<Violation>> {
+    /// The knots of the text, and what of a program somebody should look at.
+    pub fn knots(&self) -> Result<(Vec<KnotInput>, Hole), Vec<Violation>> {
         let acceleration = self.limits.acceleration_mm_s2;
-        match self.format {
-            ImportFormat::CsvLinear => Ok((list(&self.text, ListKind::Linear, acceleration)?, Vec::new())),
-            ImportFormat::CsvStepped => Ok((list(&self.text, ListKind::Stepped, acceleration)?, Vec::new())),
+        let kind = match self.format {
+            ImportFormat::CsvLinear => ListKind::Linear,
+            ImportFormat::CsvStepped => ListKind::Stepped,
             ImportFormat::Gcode => {
-                let Hole { held, passed_over } = gcode(&self.text, self.contact_z_mm.unwrap_or(0.0))?;
-                Ok((ramped(&held, acceleration)?, passed_over))
+                let hole = gcode(&self.text, self.contact_z_mm.unwrap_or(0.0))?;
+                return Ok((ramped(&hole.held, acceleration)?, hole));
             }
-        }
+        };
+        Ok((list(&self.text, kind, acceleration)?, Hole::default()))
     }
 
     /// The sections, over `end_mm` where none are named.
@@ -156,6 +157,11 @@ pub struct ImportReport {
     pub text_hash: String,
     /// Words of a program that say nothing about the feed and were passed over.
     pub passed_over: Vec<String>,
+    /// Depths of a program without a decimal point, as `Z-8`. They were read as mm: a control that reads them in steps of
+    /// 0.001 mm, as FANUC's may be set to, goes a thousandth of the way.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schema(required = false)]
+    pub without_point: Vec<String>,
     /// Knots that came out of it.
     pub knots: usize,
 }
