@@ -27,7 +27,7 @@ export class Shop {
   /** Starts the server; a second time on the address that the pages know. */
   async start() {
     this.log = "";
-    this.server = spawn(BINARY, ["--data-dir", this.dir, "--set", `server.listen=${this.listen}`, "--set", "log.level=warn", "--set", "server.failed_auth_per_minute=1000", "serve"]);
+    this.server = spawn(BINARY, ["--data-dir", this.dir, "--set", `server.listen=${this.listen}`, "--set", "log.level=warn", "--set", "server.failed_auth_per_minute=1000", "--set", "live.heartbeat_ms=1000", "serve"]);
     for (const stream of [this.server.stdout, this.server.stderr]) stream.on("data", (text) => { this.log += text; });
     this.address = `http://${await this.listening()}`;
     this.listen = this.address.slice(7);

@@ -21,8 +21,11 @@ use crate::operation::Operation;
 use crate::units::Timestamp;
 
 /// Version of the summary's rules; stored with every summary, so that a change of rules shows.
-pub const SUMMARY_VERSION: u32 = 5;
-/// The version before: it left out what a control reports of channels that it does not sample, where it samples any.
+pub const SUMMARY_VERSION: u32 = 6;
+/// The version before: a recording that began at the surface had the period before it in its contact, and stamps that are all the
+/// same were no time and no energy.
+const SURFACE_AS_WORK_VERSION: u32 = 5;
+/// The version before that: it left out what a control reports of channels that it does not sample, where it samples any.
 const WITHOUT_REPORTED_VERSION: u32 = 4;
 
 /// Share of a cycle's time that samples must cover for its energy to be compared.
@@ -111,9 +114,16 @@ pub fn is_summarised_alike(version: u32, cycle: &Cycle) -> bool {
         let reported = cycle.reported.fields();
         cycle.samples.is_some() && reported.iter().any(|(_, _, value)| value.is_some())
     };
+    let began_otherwise = || {
+        cycle.samples.as_ref().is_some_and(|samples| {
+            samples.column(Channel::DepthMm).is_some_and(digest::begins_at_the_surface)
+                || SampleClock::of(samples).duration_ms <= 0.0
+        })
+    };
     match version {
         SUMMARY_VERSION => true,
-        WITHOUT_REPORTED_VERSION => !is_mixed(),
+        SURFACE_AS_WORK_VERSION => !began_otherwise(),
+        WITHOUT_REPORTED_VERSION => !is_mixed() && !began_otherwise(),
         _ => false,
     }
 }
@@ -198,7 +208,13 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
             column(Channel::OperatorOverridePercent),
         ]);
     let commanded = context.commanded_rpm(cycle.spindle_speed_rpm);
-    let told = energy::by_basis(samples, &clock, commanded, context);
+    let mut told = energy::by_basis(samples, &clock, commanded, context);
+    // Stamps that are all the same say nothing of time, and no energy is 0 because of it.
+    let is_timed = clock.duration_ms > 0.0;
+    if !is_timed {
+        told.energies.clear();
+        told.best_by_sample = None;
+    }
     let mut flags = loads::flags(samples);
     flags.insert_if(told.is_beyond_calibration, Flag::BeyondCalibration);
     flags.insert_if(clock.has_gaps(), Flag::Gaps);
@@ -214,7 +230,7 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
     CycleSummary {
         version: SUMMARY_VERSION,
         sample_count: u32::try_from(samples.len()).unwrap_or(u32::MAX),
-        duration_ms: Some(clock.duration_ms),
+        duration_ms: is_timed.then_some(clock.duration_ms).or(reported.duration_ms),
         energy: told.energies,
         energy_scale: 0,
         max_depth_mm: depth.map(scan::largest).or(reported.max_depth_mm),

@@ -25,6 +25,7 @@ pub mod wear;
 mod alarms;
 mod audit;
 mod calibrations;
+mod changes;
 mod continuity;
 mod course;
 mod decimal;

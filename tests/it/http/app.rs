@@ -19,6 +19,7 @@ use http::{HeaderMap, Method, Request, StatusCode};
 use secrecy::ExposeSecret;
 use serde_json::{Value, json};
 use std::collections::HashMap;
+use std::io::Read;
 use std::sync::Arc;
 use tempfile::TempDir;
 use tower::ServiceExt;
@@ -140,7 +141,12 @@ impl App {
         }
         let body = axum::body::to_bytes(body, usize::MAX).await.unwrap().to_vec();
         let kind = parts.headers.get("content-type").map_or("", |kind| kind.to_str().unwrap());
-        holds(method.as_str(), &path, None, parts.status.as_u16(), &Content { kind, bytes: &body });
+        let mut bytes = Vec::new();
+        match parts.headers.get("content-encoding") {
+            Some(_) => drop(flate2::read::GzDecoder::new(&*body).read_to_end(&mut bytes).unwrap()),
+            None => bytes.clone_from(&body),
+        }
+        holds(method.as_str(), &path, None, parts.status.as_u16(), &Content { kind, bytes: &bytes });
         Answer { status: parts.status, headers: parts.headers, body }
     }
 

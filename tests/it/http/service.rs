@@ -5,6 +5,7 @@ use axum::body::Body;
 use feedwright_store::Role;
 use http::{Request, StatusCode};
 use serde_json::json;
+use std::io::Read;
 
 async fn open(app: &App, path: &str) -> super::app::Answer {
     app.send(Request::get(path).body(Body::empty()).unwrap()).await
@@ -21,6 +22,34 @@ async fn it_is_ready_while_the_database_takes_writes_and_alive_even_when_not() {
     assert!(!answer.header("retry-after").is_empty());
     assert!(!answer.json().to_string().contains("database"), "the reason is for the log");
     assert_eq!(open(&app, "/healthz").await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn what_is_read_is_squeezed_for_who_asks_for_it_where_that_is_worth_the_work() {
+    let app = App::registered().await;
+    let tool = super::app::tool();
+    for number in 0..60 {
+        assert_eq!(app.put(&format!("/v1/tools/S{number}"), tool.clone()).await.status, StatusCode::CREATED);
+    }
+    let ask = |method, path, encoding| {
+        let body = (method == "PUT").then(|| tool.clone());
+        let headers = [("accept-encoding", encoding), ("if-match", "*")];
+        let app = &app;
+        async move { app.call(Role::Admin, method, path, &headers, body).await }
+    };
+    let plain = app.get("/v1/tools").await;
+    assert!(plain.body.len() > 8000 && plain.header("content-encoding").is_empty());
+    let squeezed = ask("GET", "/v1/tools", "br, gzip;q=0.8").await;
+    assert_eq!(squeezed.header("content-encoding"), "gzip");
+    assert!(squeezed.body.len() * 4 < plain.body.len(), "{}", squeezed.body.len());
+    let mut again = Vec::new();
+    flate2::read::GzDecoder::new(&*squeezed.body).read_to_end(&mut again).unwrap();
+    assert_eq!(again, plain.body);
+    assert!(ask("GET", "/v1/tools", "identity").await.header("content-encoding").is_empty());
+    // A short answer, and what changes something.
+    let one = ask("GET", "/v1/tools/S1", "gzip").await;
+    assert!(one.header("content-encoding").is_empty() && !one.header("etag").is_empty());
+    assert!(ask("PUT", "/v1/tools/S1", "gzip").await.header("content-encoding").is_empty());
 }
 
 #[tokio::test]

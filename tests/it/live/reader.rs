@@ -17,7 +17,7 @@ pub(crate) struct Told {
 pub(crate) struct Reader {
     response: reqwest::Response,
     text: String,
-    pub(crate) comments: usize,
+    pub(crate) beats: usize,
 }
 
 impl Reader {
@@ -30,7 +30,7 @@ impl Reader {
         let response = request.send().await.unwrap();
         assert_eq!(response.status(), 200);
         assert_eq!(response.headers()["content-type"], "text/event-stream");
-        Self { response, text: String::new(), comments: 0 }
+        Self { response, text: String::new(), beats: 0 }
     }
 
     /// As a page's reader comes: with its session's cookie.
@@ -38,14 +38,14 @@ impl Reader {
         let request = served.client.get(served.url("/v1/live")).header("cookie", cookie);
         let response = request.send().await.unwrap();
         assert_eq!(response.status(), 200);
-        Self { response, text: String::new(), comments: 0 }
+        Self { response, text: String::new(), beats: 0 }
     }
 
     /// As a program comes: with that token.
     pub(crate) async fn with_token(served: &Served, token: &str) -> Self {
         let response = served.client.get(served.url("/v1/live")).bearer_auth(token).send().await.unwrap();
         assert_eq!(response.status(), 200);
-        Self { response, text: String::new(), comments: 0 }
+        Self { response, text: String::new(), beats: 0 }
     }
 
     /// The next event; `None` where the server ended the view.
@@ -54,11 +54,12 @@ impl Reader {
             if let Some((block, rest)) = self.text.split_once("\n\n") {
                 let (block, rest) = (block.to_owned(), rest.to_owned());
                 self.text = rest;
-                if block.starts_with(':') {
-                    self.comments += 1;
+                let told = read(&block);
+                if told.name == "heartbeat" {
+                    self.beats += 1;
                     continue;
                 }
-                return Some(read(&block));
+                return Some(told);
             }
             let chunk = tokio::time::timeout(PATIENCE, self.response.chunk()).await.expect("something comes");
             match chunk {

@@ -12,7 +12,7 @@ async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing
     served.with_a_shop().await;
     let mut reader = Reader::open(&served, "", None).await;
     let state = reader.next().await.unwrap();
-    assert_eq!((state.name.as_str(), &state.data), ("state", &json!({"machines": []})));
+    assert_eq!((state.name.as_str(), &state.data), ("state", &json!({"machines": [], "heartbeat_ms": 50})));
 
     let answer = served.post_cycle("c1", 20.0).await;
     let cycle = reader.next_of("cycle").await;
@@ -48,7 +48,11 @@ async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing
     // Another machine's reader is told none of it.
     let mut other = Reader::open(&served, &format!("?machine=M2&after={last}"), None).await;
     assert_eq!(other.next().await.unwrap().name, "state");
+    served.put("/v1/tools/T2", json!({"name": "FD M8", "tool_type": "friction-drill-7.3"})).await;
+    assert_eq!(reader.next_of("changed").await.data, json!({"what": "tools"}));
     served.server.shutdown().await.unwrap();
+    assert_eq!(other.next_of("changed").await.data["what"], "machines");
+    assert_eq!(other.next_of("changed").await.data["what"], "tools");
     assert_eq!(other.next().await, None, "a shutdown ends the view, and nothing of M1 was told");
 }
 
@@ -110,6 +114,9 @@ async fn what_one_server_stores_is_shown_by_another_on_the_same_database() {
     here.send("POST", "/v1/machines/M1/acknowledge", None).await;
     let told = reader.next_of("alarm").await;
     assert_eq!(told.data["alarm"]["kind"], "overload");
+    here.put("/v1/tools/T2", json!({"name": "FD M8", "tool_type": "friction-drill-7.3"})).await;
+    // What was acknowledged is a change as well, and may be told before its alarm or behind it.
+    while reader.next_of("changed").await.data["what"] != "tools" {}
     there.server.shutdown().await.unwrap();
     here.server.shutdown().await.unwrap();
     given.done().await;

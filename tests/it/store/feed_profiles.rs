@@ -27,7 +27,7 @@ fn approver() -> Actor {
     Actor { token: "tok-ada".to_owned(), role: Role::Approver }
 }
 
-fn id(text: &str) -> ProfileId {
+pub(crate) fn id(text: &str) -> ProfileId {
     text.try_into().unwrap()
 }
 

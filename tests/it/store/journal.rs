@@ -1,9 +1,12 @@
 //! SQLite's journal of groups: what was acknowledged by it is seen at once, and survives whatever ends the process.
 
 use super::given::{Given, Run, at, commit, engineer, event, shop, stored};
-use feedwright_core::tool::ToolEventKind;
+use feedwright_core::tool::{Tool, ToolEventKind};
 use feedwright_store::transfer::{back_up_sqlite, restore_to_sqlite};
-use feedwright_store::{Committed, CycleFilter, Page, Repair, SqliteOptions, SqliteStore, Store, StoreError};
+use feedwright_store::{
+    Committed, CycleFilter, Page, Precondition, ProfileMove, Repair, SqliteOptions, SqliteStore, Store,
+    StoreError,
+};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -66,6 +69,40 @@ async fn run(store: &dyn Store, cycles: std::ops::RangeInclusive<u32>) {
     for n in cycles {
         stored(store, &Run { sampled: n % 2 == 0, ..Run::nth(n) }).await;
     }
+}
+
+#[tokio::test]
+async fn a_feed_profile_in_force_is_remembered_and_every_move_of_it_is_heeded_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = file_in(&folder);
+    let store = opened(&file).await;
+    shop(&store).await;
+    let id = super::feed_profiles::id("P1");
+    let handed_out = async |n: u32| {
+        let run = Run { seconds: 90_000 + i64::from(n) * 60, ..Run::nth(n) };
+        let advice = stored(&store, &run).await.recommendation.recommendation;
+        advice.profile.map(|profile| profile.version.version)
+    };
+    let first = super::feed_profiles::activated(&store, 300.0).await;
+    for n in 1..=FIRST + 3 {
+        assert_eq!(handed_out(n).await, Some(first));
+    }
+    assert_eq!(committed(&file).await, FIRST, "nothing that is asked for ends the transaction of the others");
+    let second = super::feed_profiles::activated(&store, 310.0).await;
+    assert_eq!(handed_out(11).await, Some(second));
+    assert_eq!(handed_out(12).await, Some(second));
+    for (n, left) in [(21, Some(first)), (31, None)] {
+        let line = store.feed_profile(&id).await.unwrap().unwrap();
+        let expects = Precondition::Version(line.revision);
+        store.move_profile(&id, ProfileMove::Rollback, expects, &engineer(), at(5)).await.unwrap();
+        assert_eq!((handed_out(n).await, handed_out(n + 1).await), (left, left));
+    }
+    let other = Tool { tool_type: "drill".to_owned(), ..super::given::tool("T1") };
+    let third = super::feed_profiles::activated(&store, 320.0).await;
+    assert_eq!((handed_out(41).await, handed_out(42).await), (Some(third), Some(third)));
+    store.put_tool(other, Precondition::Version(1), &engineer(), at(6)).await.unwrap();
+    assert_eq!(handed_out(43).await, None, "the tool is of another kind");
+    store.close().await;
 }
 
 fn file_in(folder: &tempfile::TempDir) -> PathBuf {

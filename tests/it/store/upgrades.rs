@@ -1,6 +1,8 @@
 //! Databases of before: opened by this version, they hold what they held, to the bit.
 
-use super::given::{Given, Run, at, commit, engineer, event, machine, shop, stored, tool, unpacked};
+use super::given::{
+    Given, Run, at, commit, engineer, event, machine, operation, shop, stored, tool, unpacked,
+};
 use feedwright_core::cycle::Flag;
 use feedwright_core::ids::RecommendationId;
 use feedwright_core::recommend::RecommendSettings;
@@ -19,6 +21,7 @@ super::given::stories!(with tables:
     a_database_of_a_later_version_is_told_as_one,
     what_a_database_of_before_holds_is_all_there_and_goes_on,
     folds_of_other_rules_are_folded_again,
+    what_a_server_of_before_changed_of_an_operation_is_noted_with_the_next_change,
 );
 
 /// The version before recommendations stood by their machine, and SQLite's folds in an ordinary table; advice was kept
@@ -372,6 +375,40 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
         assert!(store.recommendation(&answer.recommendation.id).await.unwrap().is_some());
     }
     store.close().await;
+}
+
+/// Until the last server of before is gone, it changes operations beside this one, and notes nothing of it.
+async fn what_a_server_of_before_changed_of_an_operation_is_noted_with_the_next_change(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let asks = |depth_mm, speed| feedwright_core::operation::Operation {
+        depth_mm: Some(depth_mm),
+        spindle_speed_rpm: Some(speed),
+        ..operation("O1")
+    };
+    let put = async |version, seconds, asked| {
+        store.put_operation(asked, Precondition::Version(version), &engineer(), at(seconds)).await.unwrap();
+    };
+    put(1, 10, asks(20.0, 2400.0)).await;
+    let changed = format!(
+        "UPDATE operations SET depth_mm = 5, spindle_speed_rpm = 1000, version = 3, updated_at_us = {}
+         WHERE operation_id = 'O1'",
+        at(20).micros()
+    );
+    assert_eq!(given.raw(AssertSqlSafe(changed)).await.unwrap(), 1);
+    given.raw("UPDATE registry_generation SET changes = changes + 1").await.unwrap();
+    let worn = (1..=40).map(|n| super::wear::reported("T1", n, 1000.0 + 4.0 * f64::from(n), 5.1)).collect();
+    super::wear::store_all(&*store, worn).await;
+    let verdict = async || store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    let told = verdict().await;
+    assert_eq!((told.state, told.counted), (ToolState::Worn, 40));
+    assert_eq!(told.baselines[0].key.spindle_speed_rpm, Some(1000.0));
+    put(3, 2430, asks(20.0, 2400.0)).await;
+    assert_eq!(verdict().await, told, "what was run is judged by what was asked for then");
+    let noted = given
+        .numbers("SELECT CAST(COALESCE(depth_mm, 0) AS BIGINT) FROM operation_asks ORDER BY from_us")
+        .await;
+    assert_eq!(noted[noted.len() - 3..], [20, 5, 20]);
 }
 
 async fn folds_of_other_rules_are_folded_again(given: &Given) {

@@ -361,7 +361,7 @@ async fn ask(store: &dyn Store, (version, seconds): (u64, i64), depth_mm: Option
 }
 
 /// A reported cycle that names no speed: what its operation asked for is all that is known of it.
-fn reported(tool: &str, number: u32, joules: f64, depth_mm: f64) -> NewCycle {
+pub(super) fn reported(tool: &str, number: u32, joules: f64, depth_mm: f64) -> NewCycle {
     let mut draft = Run::nth(number).draft();
     draft.tool = tool.try_into().unwrap();
     draft.id = format!("{tool}-{number}").as_str().try_into().unwrap();
@@ -372,7 +372,7 @@ fn reported(tool: &str, number: u32, joules: f64, depth_mm: f64) -> NewCycle {
     NewCycle { generation: Some(-1), ..new_cycle(Cycle::new(draft).unwrap()) }
 }
 
-async fn store_all(store: &dyn Store, cycles: Vec<NewCycle>) {
+pub(super) async fn store_all(store: &dyn Store, cycles: Vec<NewCycle>) {
     for outcome in store.commit_cycles(cycles, at(9000), RecommendSettings::default()).await {
         assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
     }

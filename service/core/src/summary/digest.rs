@@ -73,8 +73,9 @@ pub(super) fn of(
     let (contact, end) = way_in_contact(depth).filter(|(_, end)| depth[*end] <= DIGEST_DEPTH_MM)?;
     let config = relation_config()?;
     let mut profile = DepthProfile::new(&config);
-    if contact == 0 && depth[0] >= 0.0 {
-        // The recording begins in the work: its first sample stands for the period before it.
+    if contact == 0 && depth[0] > STANDING_MM {
+        // The recording begins in the work: its first sample stands for the period before it. One at the surface is where the
+        // way begins, whatever was recorded before it.
         profile.add(&config, depth[0], depth[0], clock.width_s(0), joules[0]);
     }
     profile.add_way(&config, &depth[contact..=end], |step| {
@@ -119,6 +120,12 @@ pub fn way_in_contact(depth: &[f64]) -> Option<(usize, usize)> {
     let end = scan::first(depth, |z| z >= deepest - STANDING_MM)?;
     let contact = scan::last(&depth[..end], |z| z <= STANDING_MM).unwrap_or(0);
     Some((contact, end))
+}
+
+/// Whether the first sample is the last one at the surface.
+pub(super) fn begins_at_the_surface(depth: &[f64]) -> bool {
+    depth.first().is_some_and(|first| (0.0..=STANDING_MM).contains(first))
+        && way_in_contact(depth).is_some_and(|(contact, _)| contact == 0)
 }
 
 impl DepthDigest {

@@ -150,9 +150,13 @@ fn the_contact_of_a_cycle_is_what_lies_between_the_surface_and_full_depth() {
     };
     // 7000 W for 10 ms at 10 % are 7 J.
     let (joules, time, whole) = contact(vec![0.0, 0.1, 0.2], vec![10.0, 20.0, 30.0]);
+    close(joules, 35.0);
+    close(time, 20.0);
+    close(whole, 42.0);
+    // Begun in the work, the first sample is of the cut as well.
+    let (joules, time, _) = contact(vec![0.1, 0.2, 0.3], vec![10.0, 20.0, 30.0]);
     close(joules, 42.0);
     close(time, 30.0);
-    close(whole, 42.0);
     let (joules, time, whole) = contact(
         vec![-0.1, -0.1, 0.0, 0.1, 0.2, 0.2, 0.19, 0.0],
         vec![50.0, 5.0, 10.0, 20.0, 30.0, 9.0, 9.0, 9.0],
@@ -218,7 +222,8 @@ fn gaps_carry_no_energy_and_lower_the_coverage() {
         vec![(Channel::SpindlePowerWatts, vec![1000.0; 3])],
     );
     let summary = told(&at_once, &machine(LoadReference::Unknown), None);
-    assert_eq!((summary.duration_ms, summary.best_energy().unwrap().total_joules), (Some(0.0), 0.0));
+    assert_eq!((summary.duration_ms, summary.best_energy()), (None, None), "nothing tells how long it took");
+    assert!(summary.flags.contains(Flag::NoEnergy));
 }
 
 #[test]
@@ -283,6 +288,12 @@ fn of_a_channel_that_is_not_sampled_the_control_s_word_counts() {
     // Summaries of the rules before can be told where nothing of it was reported.
     assert!(is_summarised_alike(4, &sampled) && !is_summarised_alike(4, &cycle));
     assert!(is_summarised_alike(SUMMARY_VERSION, &cycle) && !is_summarised_alike(3, &sampled));
+    let bored = |depth: Vec<f64>| every_10_ms(vec![(Channel::DepthMm, depth)]);
+    for version in [4, 5] {
+        assert!(is_summarised_alike(version, &bored(vec![-0.1, 0.0, 1.0])));
+        assert!(is_summarised_alike(version, &bored(vec![0.5, 1.0])));
+        assert!(!is_summarised_alike(version, &bored(vec![0.01, 1.0])), "its contact began a sample earlier");
+    }
 }
 
 #[test]
@@ -367,6 +378,7 @@ proptest! {
             .iter()
             .map(|energy| bits((energy.spindle_joules.unwrap(), energy.feed_drive_joules.unwrap())))
             .collect();
-        prop_assert_eq!(found, expected.map(bits));
+        let is_timed = clock.duration_ms > 0.0;
+        prop_assert_eq!(found, if is_timed { expected.map(bits).to_vec() } else { Vec::new() });
     }
 }

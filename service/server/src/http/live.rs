@@ -6,7 +6,7 @@ use crate::auth::Caller;
 use crate::live::{Position, Reader};
 use crate::state::AppState;
 use axum::extract::State;
-use axum::response::sse::{KeepAlive, Sse};
+use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::MachineId;
 use futures_util::StreamExt;
@@ -30,8 +30,8 @@ pub(super) struct LiveQuery {
 
 /// What happens now: machines, cycles and alarms, until the reader goes or its session is over.
 ///
-/// Begins with `state`; then come `machine`, `cycle`, `alarm`, `sample` and `gap`, each with JSON as its data, and
-/// comments as heartbeats. Ids are a sequence to resume from with `Last-Event-ID`; what is not kept any more is a `gap`.
+/// Begins with `state`; then come `machine`, `cycle`, `alarm`, `changed`, `sample` and `gap`, each with JSON as its data, and
+/// `heartbeat` where nothing else did for `heartbeat_ms`. Ids are a sequence to resume from with `Last-Event-ID`; what is not kept any more is a `gap`.
 #[utoipa::path(get, path = "/v1/live", tag = "live",
     params(LiveQuery, ("Last-Event-ID" = Option<String>, Header, description = "Id of the last event that was seen")),
     responses(
@@ -54,7 +54,9 @@ pub(super) async fn events(
         let event = reader.next().await?;
         Some((event, reader))
     });
-    let beats = KeepAlive::new().interval(state.live.config().heartbeat()).text("heartbeat");
+    // An event and no comment: scripts see no comments, and tell by it that the connection is not dead.
+    let beat = sse::Event::default().event("heartbeat").data("{}");
+    let beats = KeepAlive::new().interval(state.live.config().heartbeat()).event(beat);
     let every = state.live.config().heartbeat();
     let over = async move { caller.over(&state, every).await };
     let events = events.take_until(over);

@@ -18,6 +18,9 @@ use feedwright_store::Role;
 use http::{HeaderMap, Method, StatusCode, Uri};
 use std::collections::HashMap;
 use std::sync::LazyLock;
+use tower_http::CompressionLevel;
+use tower_http::compression::predicate::{NotForContentType, Predicate, SizeAbove};
+use tower_http::compression::{CompressionLayer, DefaultPredicate};
 use utoipa::Path;
 use utoipa::openapi::path::{HttpMethod, PathItem};
 use utoipa::openapi::{RefOr, Schema};
@@ -302,16 +305,45 @@ pub fn allowed(role: Role) -> &'static [String] {
     BY_ROLE.get(&role).map_or(&[], Vec::as_slice)
 }
 
+/// What a change by a route is told as; `None` for what changes nothing that advice or a verdict rests on: what a machine
+/// posts is told by itself, and what viewers post is computed alone.
+fn changes(route: &Route) -> Option<&'static str> {
+    const TOLD: [&str; 6] = ["alarms", "feed-profiles", "machines", "operations", "quarantine", "tools"];
+    let may_change = [ENGINEER, APPROVER, RELEASE].contains(&route.access) && route.method != Method::GET;
+    let part = route.path.strip_prefix("/v1/")?.split('/').next()?;
+    TOLD.into_iter().find(|told| may_change && *told == part)
+}
+
+/// Answers of fewer bytes are not worth the work.
+const LEAST_SQUEEZED: u16 = 4096;
+
+/// Squeezes what is read, for who asks for it by `Accept-Encoding`: a page with hundreds of machines or thousands of cycles comes
+/// over a workshop's radio. What is an event or squeezed by itself goes as it is.
+fn squeezing() -> CompressionLayer<impl Predicate> {
+    let worth = DefaultPredicate::new()
+        .and(SizeAbove::new(LEAST_SQUEEZED))
+        .and(NotForContentType::const_new("application/vnd.apache."));
+    CompressionLayer::new().quality(CompressionLevel::Fastest).compress_when(worth)
+}
+
 /// The router over the table.
 pub fn router(state: AppState) -> Router {
     let limits = state.config.limits;
     let mut router = Router::new();
-    for Route { path, access, trust, body, handler, .. } in table() {
+    for route in table() {
+        let what = changes(&route);
+        let Route { method, path, access, trust, body, mut handler, .. } = route;
         let limit = match body {
             BodyLimit::Registration => limits.registration_bytes,
             BodyLimit::Cycles => limits.body_bytes,
         };
         let guard = from_fn_with_state((state.clone(), access, trust), authorise);
+        if let Some(what) = what {
+            handler = handler.route_layer(from_fn_with_state((state.clone(), what), super::changes::tell));
+        }
+        if method == Method::GET && path.starts_with("/v1/") {
+            handler = handler.route_layer(squeezing());
+        }
         // Layers run from the last to the first: nobody's body is read before their token.
         let handler = handler.route_layer(DefaultBodyLimit::max(limit)).route_layer(guard);
         router = router.route(&path, handler);
@@ -341,4 +373,28 @@ async fn unknown_path(uri: Uri) -> Response {
 async fn wrong_method(method: Method) -> Response {
     let detail = format!("{method} is not possible here");
     Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", detail).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_changes_advice_is_told_and_what_machines_post_or_viewers_compute_is_not() {
+        let table = table();
+        let told = |method: Method, path: &str| {
+            let route = table.iter().find(|route| route.method == method && route.path == path);
+            changes(route.unwrap_or_else(|| panic!("{method} {path}")))
+        };
+        assert_eq!(told(Method::PUT, "/v1/tools/{tool}"), Some("tools"));
+        assert_eq!(told(Method::POST, "/v1/tools/{tool}/events"), Some("tools"));
+        assert_eq!(told(Method::POST, "/v1/machines/{machine}/acknowledge"), Some("machines"));
+        assert_eq!(told(Method::PUT, "/v1/operations/{operation}"), Some("operations"));
+        assert_eq!(told(Method::POST, "/v1/machines/{machine}/cycles"), None);
+        assert_eq!(told(Method::POST, "/v1/tokens"), None);
+        assert_eq!(told(Method::GET, "/v1/tools"), None);
+        let of_profiles = table.iter().filter(|route| changes(route) == Some("feed-profiles"));
+        let paths: Vec<_> = of_profiles.map(|route| route.path.rsplit('/').next().unwrap()).collect();
+        assert!(paths.contains(&"activate") && paths.contains(&"rollback"), "{paths:?}");
+    }
 }

@@ -18,6 +18,8 @@ pub enum Kind {
     Cycle,
     /// An alarm was raised, acknowledged or cleared.
     Alarm,
+    /// What is registered, told or in force was changed: advice may be another one now.
+    Changed,
     /// A sample of a running cycle with its override; thinned, without a number.
     Sample,
     /// Something is missing here.
@@ -25,7 +27,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    const ALL: [Self; 5] = [Self::Machine, Self::Cycle, Self::Alarm, Self::Sample, Self::Gap];
+    const ALL: [Self; 6] = [Self::Machine, Self::Cycle, Self::Alarm, Self::Changed, Self::Sample, Self::Gap];
 
     /// The event's name.
     pub const fn as_str(self) -> &'static str {
@@ -33,6 +35,7 @@ impl Kind {
             Self::Machine => "machine",
             Self::Cycle => "cycle",
             Self::Alarm => "alarm",
+            Self::Changed => "changed",
             Self::Sample => "sample",
             Self::Gap => "gap",
         }
@@ -193,6 +196,11 @@ impl Event {
     pub fn alarm_cleared(alarm: &Alarm) -> Self {
         let data = json!({"change": "cleared", "alarm": AlarmView::from(alarm.clone())});
         Self::new(Kind::Alarm, alarm.machine.as_ref(), data)
+    }
+
+    /// What stands under `what` in the API was changed, such as `tools`.
+    pub fn changed(what: &str) -> Self {
+        Self::new(Kind::Changed, None, json!({"what": what}))
     }
 
     /// Something is missing; `reason` is a stable code.

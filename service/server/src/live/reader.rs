@@ -68,7 +68,7 @@ impl Reader {
             ready: VecDeque::new(),
             _place: place,
         };
-        let state = json!({"machines": reader.wanted_machines()});
+        let state = json!({"machines": reader.wanted_machines(), "heartbeat_ms": live.config.heartbeat_ms});
         match after {
             Some(Some(position)) if position.boot == live.boot && position.number <= newest => {
                 reader.next = position.number + 1;

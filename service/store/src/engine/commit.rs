@@ -24,7 +24,7 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 /// What became of one cycle before it is answered.
 enum Placed {
@@ -76,7 +76,7 @@ async fn count(
     let (placed, blocks) = place_all(transaction, group, registry).await?;
     let (verdicts, wear, alarms) =
         count_all(transaction, group, &placed, (registry, &heads.versions, memory)).await?;
-    let knowledge = know_all(transaction, group, registry, heads.any_profile).await?;
+    let knowledge = know_all(transaction, group, (registry, memory), heads.any_profile).await?;
     let mut answers = Vec::with_capacity(group.len());
     let mut issued = Vec::with_capacity(group.len());
     for (new, placed) in group.iter().zip(placed) {
@@ -103,16 +103,17 @@ async fn count(
 /// What is known for an operation with a tool: for its process, and its active feed profiles.
 struct Known {
     process: Knowledge,
-    profiles: Vec<ActiveProfile>,
+    profiles: Arc<[ActiveProfile]>,
 }
 
-static UNKNOWN: Known = Known { process: Knowledge::None, profiles: Vec::new() };
+static UNKNOWN: LazyLock<Known> =
+    LazyLock::new(|| Known { process: Knowledge::None, profiles: Arc::default() });
 
 /// What the processes of a group need to know, once per operation and tool: the whole group is placed by now.
 async fn know_all<'a>(
     transaction: &mut GroupTransaction<'_>,
     group: &'a [NewCycle],
-    registry: &GroupRegistry,
+    (registry, memory): (&GroupRegistry, &mut Memory),
     any_profile: bool,
 ) -> StoreResult<BTreeMap<(&'a OperationId, &'a ToolId), Known>> {
     let mut known = BTreeMap::new();
@@ -125,10 +126,20 @@ async fn know_all<'a>(
             } else {
                 Knowledge::None
             };
-            let profiles = if any_profile {
-                feed_profiles::active(transaction.conn().await?, &cycle.operation, &cycle.tool).await?
-            } else {
-                Vec::new()
+            let remembered = || memory.profiles(&cycle.operation, &cycle.tool);
+            let profiles = match any_profile.then(remembered) {
+                None => Arc::default(),
+                Some(Some(profiles)) => profiles,
+                Some(None) => {
+                    let conn = transaction.conn().await?;
+                    let active = feed_profiles::active(conn, &cycle.operation, &cycle.tool).await?;
+                    let active: Arc<[ActiveProfile]> = active.into();
+                    // Where a group may not be taken for granted, a server of before may change what is active.
+                    if dialect::MAY_ASSUME {
+                        memory.keep_profiles(&cycle.operation, &cycle.tool, &active);
+                    }
+                    active
+                }
             };
             unknown.insert(Known { process, profiles });
         }

@@ -65,13 +65,18 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// Paths of the fields in which `sent` is another content.
+    /// Paths of the fields in which `sent`, which is another content, differs.
     pub(super) fn differences(self, sent: &Cycle, max_samples: usize) -> StoreResult<Vec<String>> {
         let Self { row, cut, block } = self;
         let are_gone = block.is_none() && row.sample_count > 0;
         let samples = block.map(|block| codec::decode_samples(&block, max_samples)).transpose()?;
         let known = (!are_gone).then_some(samples.as_ref());
-        Ok(differences(&row.draft(None, cut)?, known, sent))
+        let mut paths = differences(&row.draft(None, cut)?, known, sent);
+        // The contents are not the same, so it is what cannot be looked at any more.
+        if are_gone && paths.is_empty() {
+            paths.push("samples".to_owned());
+        }
+        Ok(paths)
     }
 }
 

@@ -372,7 +372,8 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<FeedProfile>> {
         let (id, actor) = (id.clone(), actor.clone());
-        write!(self, |conn| feed_profiles::advance(conn, &id, what, expects, &actor, now).await)
+        // What is active is remembered with the registry, see `Memory::profiles`.
+        register!(self, |conn| feed_profiles::advance(conn, &id, what, expects, &actor, now).await)
     }
 
     async fn feed_profile(&self, id: &ProfileId) -> StoreResult<Option<FeedProfile>> {

@@ -9,9 +9,11 @@ use crate::error::StoreResult;
 use crate::record::NewCycle;
 use crate::registry::Registry;
 use crate::rows::{ADVICE_HASH_BYTES, Advice, AdviceBody};
-use feedwright_core::ids::ToolId;
+use feedwright_core::feed::choose::ActiveProfile;
+use feedwright_core::ids::{OperationId, ToolId};
 use feedwright_core::recommend::Recommendation;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
+use std::sync::Arc;
 
 /// Tools whose folds are remembered, some kilobytes each; the half not used for longest makes room.
 const MOST_TOOLS: usize = 1024;
@@ -31,6 +33,8 @@ pub(in super::super) struct Memory {
     doubtful: u32,
     groups: u64,
     tools: HashMap<ToolId, (u64, ToolWear)>,
+    /// Active feed profiles for operations with tools, under this generation.
+    profiles: HashMap<(OperationId, ToolId), Arc<[ActiveProfile]>>,
     advices: HashSet<[u8; ADVICE_HASH_BYTES]>,
     /// Recommendations that gave advices of late, the newest first: most are given again, to whatever tool.
     given: VecDeque<(Recommendation, Advice)>,
@@ -42,6 +46,7 @@ impl Memory {
         if self.generation != heads.generation {
             self.generation = heads.generation;
             self.tools.clear();
+            self.profiles.clear();
         }
         self.any_profile = Some(heads.any_profile);
         self.groups += 1;
@@ -100,6 +105,28 @@ impl Memory {
             self.tools.retain(|_, (group, _)| *group > middle);
         }
         self.tools.insert(tool, (self.groups, wear));
+    }
+
+    /// The active feed profiles for an operation with a tool, where they are remembered. Whoever changes which are active, or
+    /// what a tool is, begins another generation, which the group is held against before it is written.
+    pub(super) fn profiles(&self, operation: &OperationId, tool: &ToolId) -> Option<Arc<[ActiveProfile]>> {
+        if self.profiles.is_empty() {
+            return None;
+        }
+        self.profiles.get(&(operation.clone(), tool.clone())).map(Arc::clone)
+    }
+
+    /// Remembers what was asked for under the generation of the group.
+    pub(super) fn keep_profiles(
+        &mut self,
+        operation: &OperationId,
+        tool: &ToolId,
+        profiles: &Arc<[ActiveProfile]>,
+    ) {
+        if self.profiles.len() >= MOST_TOOLS {
+            self.profiles.clear();
+        }
+        self.profiles.insert((operation.clone(), tool.clone()), Arc::clone(profiles));
     }
 
     /// The advice that a recommendation gives: one of late where it is the same, which is not written and hashed again.

@@ -63,7 +63,7 @@ pub struct FittedLineBody {
     pub intercept: f64,
     /// Lowest load seen, %: below it nothing is known.
     pub min_percent: f64,
-    /// Highest load seen, %: beyond it nothing is known.
+    /// Highest load seen, %: more than a tenth of the span beyond it nothing is told.
     pub max_percent: f64,
     /// Share of the variance that the line explains.
     pub r_squared: f64,

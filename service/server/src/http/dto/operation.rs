@@ -39,7 +39,7 @@ pub struct OperationBody {
     #[serde(default)]
     pub depth_mm: Option<f64>,
     /// Commanded spindle speed of cycles that name none, rpm: of those that begin from now on. One that is told for the first time
-    /// holds for those before as well.
+    /// holds for those before as well where wear compares cycles of one speed; an energy that rests on it is told of cycles that come from then on.
     #[serde(default)]
     pub spindle_speed_rpm: Option<f64>,
     /// Programmed feed rate, mm/min.

@@ -13,16 +13,21 @@ let entered = false, again = null;
 /** The session ended while the page was at work: whoever signs in again goes on where they were, with what they entered. */
 const signInAgain = () => again ??= import("./sign-in-again.js").then((dialog) => dialog.signInAgain()).finally(() => { again = null; });
 
+/** An answer has begun after so long, ms, or there is none: sockets stay open where the radio fades. What changes something may wait
+ *  for a commit. And it has come whole after so long again. */
+const READ_MS = 15_000, CHANGE_MS = 60_000;
+const noAnswer = () => new ApiError(0, { code: "offline", detail: "no answer" });
+
 /** Asks; gives `{ body, etag }`. */
 export async function ask(method, path, { body, signal, etag, headers = {}, text = false } = {}) {
-  const init = { method, signal, credentials: "same-origin", headers: { accept: text ? "*/*" : "application/json", "x-feedwright-page": "1", ...headers } };
+  const late = new AbortController(), allowed = method === "GET" ? READ_MS : CHANGE_MS;
+  const init = { method, signal: signal ? AbortSignal.any([signal, late.signal]) : late.signal, credentials: "same-origin", headers: { accept: text ? "*/*" : "application/json", "x-feedwright-page": "1", ...headers } };
   if (body !== undefined) { init.body = JSON.stringify(body); init.headers["content-type"] = "application/json"; }
   if (etag) init.headers["if-match"] = etag;
-  let answer;
-  try { answer = await fetch(path, init); } catch (error) {
-    if (error.name === "AbortError") throw error;
-    throw new ApiError(0, { code: "offline", detail: "no answer" });
-  }
+  let answer, timer = setTimeout(() => late.abort(), allowed);
+  /** Whoever asked may want it no more; otherwise it did not come. */
+  const broken = (error) => { if (error.name === "AbortError" && signal?.aborted) throw error; throw noAnswer(); };
+  try { answer = await fetch(path, init); } catch (error) { return broken(error); } finally { clearTimeout(timer); }
   if (!answer.ok) {
     let problem = {};
     try { problem = await answer.json(); } catch { /* not ours: the status has to do */ }
@@ -35,7 +40,9 @@ export async function ask(method, path, { body, signal, etag, headers = {}, text
     }
     throw new ApiError(answer.status, problem);
   }
-  const content = answer.status === 204 ? null : text ? await answer.text() : await answer.json();
+  timer = setTimeout(() => late.abort(), CHANGE_MS);
+  let content = null;
+  try { if (answer.status !== 204) content = text ? await answer.text() : await answer.json(); } catch (error) { return broken(error); } finally { clearTimeout(timer); }
   return { body: content, etag: answer.headers.get("etag"), status: answer.status };
 }
 export const get = async (path, options) => (await ask("GET", path, options)).body;
@@ -63,6 +70,8 @@ const SHIFT_MS = 12 * 3_600_000;
 export let lasting = document.documentElement.dataset.view === "wall";
 /** Who is signed in, and what they may do; the frame hears of it by the event `session`. */
 export const session = () => known ||= get("/v1/session").then((who) => { entered = true; lasting ||= Date.parse(who.expires_at) - Date.now() > 2 * SHIFT_MS; dispatchEvent(new CustomEvent("session", { detail: who })); return who; }, (error) => { known = null; if (error.status === 401) return signInFrom(); throw error; });
+/** Somebody else may have signed in again: what they may do is theirs. */
+addEventListener("session", ({ detail: who }) => { known = Promise.resolve(who); });
 /** Asks whether the session goes on; where it does not, whoever looks is asked to sign in again. */
 export const stillSignedIn = async () => { try { await get("/v1/session"); } catch (error) { if (error.status !== 401) throw error; await signInAgain(); } };
 /** Whether the session's role may use a route, as in `PUT /v1/tools/{tool}`: the server's table says so. */

@@ -1,5 +1,5 @@
 // Numbers, units, times as the reader's language writes them: thin space groups, a true minus, the unit after a narrow
-// no-break space, times in the reader's zone.
+// no-break space, times in the reader's zone and with its name: a picture of a page does not tell it.
 import { language, t } from "./text.js";
 
 export const NB = "\u202f";
@@ -18,8 +18,8 @@ export const percent = (value, digits = 0) => unit(value, "%", digits);
 /** A count that lies ahead: two digits are all that is known. */
 export const rounded = (value) => { if (value < 20) return num(Math.round(value)); const step = 10 ** (Math.floor(Math.log10(value)) - 1); return num(Math.round(value / step) * step); };
 
-const clock = new Intl.DateTimeFormat(locale, { hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
-const clockSeconds = new Intl.DateTimeFormat(locale, { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" });
+const clock = new Intl.DateTimeFormat(locale, { hour: "2-digit", minute: "2-digit", hourCycle: "h23", timeZoneName: "short" });
+const clockSeconds = new Intl.DateTimeFormat(locale, { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23", timeZoneName: "short" });
 const day = new Intl.DateTimeFormat(locale, { day: "numeric", month: "short", year: "numeric" });
 const shortDay = new Intl.DateTimeFormat(locale, { day: "numeric", month: "short" });
 export const time = (at) => clock.format(new Date(at));

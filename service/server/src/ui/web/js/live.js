@@ -10,6 +10,10 @@ import { time } from "./format.js";
 import { t } from "./text.js";
 
 const RETRY_MS = 5000;
+/** A connection on which nothing came for so many heartbeats is dead, also where the browser has not noticed. */
+const SILENT_BEATS = 2.5;
+/** Everything the server may tell. */
+const TOLD = ["state", "machine", "cycle", "alarm", "changed", "sample", "gap", "heartbeat"];
 let since = null, listening = false;
 function offline(is) {
   const shown = $("#offline");
@@ -72,7 +76,7 @@ export function keep(work, beat, { least = 2000, drawn = false } = {}) {
  *  does not listen, nor do more pages of one browser than have a seat: `unheard` is called when it stops, and when it begins
  *  again `state` comes first. Whoever shows what events bring keeps it fresh by asking meanwhile: `heard()` says whether it has to. */
 export function listen(query, handlers, unheard = () => {}) {
-  let source = null, timer = 0;
+  let source = null, timer = 0, beat = 0, silent = 0;
   const later = () => { clearTimeout(timer); if (source) timer = setTimeout(probe, RETRY_MS); };
   // A connection that broke may come back by itself; until then it is asked whether there is a server, and a session.
   async function probe() {
@@ -84,14 +88,16 @@ export function listen(query, handlers, unheard = () => {}) {
       if (source.readyState === EventSource.CLOSED) open(); else if (source.readyState !== EventSource.OPEN) later();
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
-      offline(true);
-      freshness("offline");
+      if (passing(error)) { offline(true); freshness("offline"); }
       later();
     }
   }
   function open() {
     const mine = source = new EventSource(`/v1/live${query ? `?${query}` : ""}`);
-    source.addEventListener("open", () => { listening = true; clearTimeout(timer); offline(false); freshness("live"); });
+    const dead = () => { mine.close(); if (mine !== source) return; listening = false; freshness("connecting"); clearTimeout(timer); probe(); };
+    const alive = () => { clearTimeout(silent); if (beat && mine === source) silent = setTimeout(dead, SILENT_BEATS * beat); };
+    for (const name of TOLD) source.addEventListener(name, (event) => { if (name === "state") beat = JSON.parse(event.data).heartbeat_ms ?? 0; alive(); });
+    source.addEventListener("open", () => { alive(); listening = true; clearTimeout(timer); offline(false); freshness("live"); });
     source.addEventListener("error", () => {
       if (mine !== source) return;
       if (listening) { listening = false; freshness("connecting"); clearTimeout(timer); timer = setTimeout(probe, 500); } else later();
@@ -100,6 +106,7 @@ export function listen(query, handlers, unheard = () => {}) {
   }
   function close() {
     clearTimeout(timer);
+    clearTimeout(silent);
     source.close();
     source = null;
     listening = false;

@@ -11,6 +11,8 @@ export const levelPercent = (wear) => wear?.level?.decides ? (wear.level.value -
 export const isHidden = (wear) => Boolean(wear?.level && !wear.level.decides);
 /** Percent as it is shown, and as it is judged: the state rules, not the rounding. */
 export const shownLevel = (value) => `${signed(value, 1)}${NB}%`;
+/** The baseline that is being learnt, of what the tool ran last; null where that has one. */
+export const learnt = (wear) => wear?.baselines?.[0] && wear.baselines[0].baseline_joules == null ? wear.baselines[0] : null;
 export const wearClass = (wear) => wear?.state === "worn" ? "act" : wear?.state === "warning" ? "plan" : "";
 
 const WIDEST = 12;
@@ -21,7 +23,7 @@ export function wearBar(wear, { width = 118, height = 10 } = {}) {
   if (value == null) return "";
   const x = (v) => Math.max(0, Math.min(v, WIDEST)) / WIDEST * width;
   const warn = (wear.level.warning_at - 1) * 100, worn = (wear.level.worn_at - 1) * 100;
-  return html`<svg width="${width}" height="${height + 6}" viewBox="0 0 ${width} ${height + 6}" role="img" aria-label="${t("wear.aria", { value: shownLevel(value) })}">
+  return html`<svg width="${width}" height="${height + 6}" viewBox="0 0 ${width} ${height + 6}" preserveAspectRatio="none" role="img" aria-label="${t("wear.aria", { value: shownLevel(value) })}">
     <rect class="track" x="0" y="3" width="${width}" height="${height}" rx="1"/><rect class="fill" x="0" y="3" width="${fixed(x(value))}" height="${height}" rx="1"/>
     <path class="tick" d="M${fixed(x(warn))} 3v${height}" stroke-dasharray="2 2"/><path class="tick worn" d="M${fixed(x(worn))} 0v${height + 6}"/></svg>`;
 }
@@ -29,8 +31,7 @@ export function wearCell(wear) {
   const value = levelPercent(wear);
   if (value == null) {
     if (isHidden(wear)) return html`<span class="wear"><span class="val faint" title="${t("wear.hiddenWhy")}">${t("wear.hidden")}</span></span>`;
-    const learning = wear?.state === "learning" || wear?.baselines?.some((b) => b.baseline_joules == null);
-    return html`<span class="wear"><span class="val faint">${learning ? t("wear.noBaseline") : t("wear.notKnown")}</span></span>`;
+    return html`<span class="wear"><span class="val faint">${wear?.state === "learning" || learnt(wear) ? t("wear.noBaseline") : t("wear.notKnown")}</span></span>`;
   }
   return html`<span class="wear ${wearClass(wear)}">${wearBar(wear)}<span class="val">${shownLevel(value)}</span></span>`;
 }
@@ -65,9 +66,11 @@ export function todo(alarms, wear, { silentFor, tool } = {}) {
   const says = (alarm) => isOfAnother ? `${t(`alarm.${alarm.kind}`)} (${alarm.tool})` : alarm.kind === "worn" && value != null ? t("todo.wornEnergy", { level: shownLevel(value) }) : t(`alarm.${alarm.kind}`);
   if (first && levels[first.kind] !== "plan") return found("act", says(first), open.length - 1);
   if (silentFor) return found("plan", t("todo.silent", { span: silentFor }), open.length);
-  if (first) return found("plan", says(first), open.length - 1);
-  if (wear?.state === "warning") return found("plan", wear.remaining ? t("todo.warning", { cycles: rounded(wear.remaining.cycles) }) : t("todo.warningUnknown"));
-  const learning = wear?.state === "learning" && wear.baselines.find((b) => b.baseline_joules == null);
+  // A tool with a few cycles left does not wait for what was not accepted.
+  const isNearEnd = wear?.state === "warning" && first?.kind !== "conditions_changed";
+  if (first && !isNearEnd) return found("plan", says(first), open.length - 1);
+  if (isNearEnd) return found("plan", wear.remaining ? t("todo.warning", { cycles: rounded(wear.remaining.cycles) }) : t("todo.warningUnknown"), open.length);
+  const learning = wear?.state === "learning" && learnt(wear);
   if (learning) return found("note", t("todo.learning", { have: learning.learnt_from, need: learning.needed }));
   return null;
 }

@@ -3,7 +3,7 @@ import { icon } from "../icons.js";
 import { shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
 import { ApiError, get, may, post, segment, session, wholeFleet } from "../api.js";
-import { NB, moment, num, signed, time, unit } from "../format.js";
+import { NB, dayMonth, moment, num, signed, time, unit } from "../format.js";
 import { FONT, X, Y, chart, clip, dpr, halo, limit, line, nice, phone, ready, splits, token } from "../charts.js";
 import { Track, forward } from "../track.js";
 import { cycleLive } from "../cycle-live.js";
@@ -351,7 +351,7 @@ function frame(who) {
       <section class="panel"><header><h2>${t("cycle.stages")}</h2><span class="end tiny faint">${t("cycle.byLoad")}</span></header><div class="body"><table class="tight"><thead><tr><th scope="col">${t("cycle.stage")}</th><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col" class="num">s</th><th scope="col" class="num">J</th><th scope="col" class="num">${t("cycle.changeJ")}</th></tr></thead><tbody id="stages"></tbody></table><p class="small muted" id="stages-none" hidden>${t("cycle.noStages")}</p></div></section>
       <section class="panel"><header><h2>${t("cycle.overTitle")}</h2><span class="end tiny faint">${t("cycle.overWhat")}</span></header><div class="body"><table class="tight"><thead class="sr"><tr><th scope="col">${t("cycle.over")}</th><th scope="col">${t("cycle.drive")}</th><th scope="col">${t("cycle.depthMm")}</th><th scope="col">${t("cycle.axisTime")}</th><th scope="col">${t("cycle.highest")}</th></tr></thead><tbody id="over"></tbody></table><p class="small muted" id="over-none" hidden></p></div></section>
     </aside></div>`);
-  fill($("#other"), html`<option value="">${t("cycle.other")}</option>${recent.map((one) => html`<option value="${one.cycle_id}">${time(one.started_at)}  ${one.tool}${one.energy_joules == null ? "" : `  ${unit(one.energy_joules, "J")}`}</option>`)}`);
+  fill($("#other"), html`<option value="">${t("cycle.other")}</option>${recent.map((one) => html`<option value="${one.cycle_id}">${dayMonth(one.started_at)}, ${time(one.started_at)}  ${one.tool}${one.energy_joules == null ? "" : `  ${unit(one.energy_joules, "J")}`}</option>`)}`);
   $("#compare").addEventListener("click", (event) => { const button = event.target.closest("button"); if (button && button.getAttribute("aria-disabled") !== "true") compare(button.value); });
   $("#xaxis").addEventListener("click", (event) => { const button = event.target.closest("button"); if (!button) return; axisOf = button.value; pin = null; figures(); build(); });
   $("#other").addEventListener("change", (event) => { if (event.target.value) compare("other", event.target.value); });

@@ -113,16 +113,20 @@ function table() {
   summary();
 }
 const count = (state) => rows.filter((row) => row.state === state).length;
-function summary() {
+/** How many machines need somebody now, or today. */
+function urgent() {
   const acts = rows.filter((row) => row.todo?.level === "act").length, plans = rows.filter((row) => row.todo?.level === "plan").length;
   put($("#sum"), html`${acts ? html`<span class="flag act">${icon("act")}${t("fleet.act", { count: acts })}</span>` : ""}${plans ? html`<span class="flag plan">${icon("plan")}${t("fleet.plan", { count: plans })}</span>` : ""}${acts + plans ? "" : html`<span class="muted">${t("fleet.calm")}</span>`}`);
+}
+function summary() {
+  urgent();
   for (const chip of $$("#chips button")) { chip.setAttribute("aria-pressed", String(chip.value === filter)); put($("b", chip), num(chip.value === "all" ? rows.length : count(chip.value))); }
 }
 function frame() {
   fill($("#main"), html`<div class="head">
     <div class="titles"><h1>${t("fleet.title")}</h1><p class="fleet-sum" id="sum" role="status"></p></div>
     <div class="tools">
-      <label class="sr" for="find">${t("fleet.findLabel")}</label><input type="search" id="find" placeholder="${t("fleet.find")}">
+      <label class="sr" for="find">${t("fleet.findLabel")}</label><input type="search" id="find" autocomplete="off" placeholder="${t("fleet.find")}">
       <label class="sr" for="sort">${t("fleet.sort")}</label><select id="sort"><option value="attention">${t("fleet.attention")}</option><option value="left">${t("col.left")}</option><option value="name">${t("col.machine")}</option><option value="last">${t("col.last")}</option></select>
       <div class="seg" role="group" aria-label="${t("fleet.view")}"><a href="/" aria-current="page">${t("fleet.table")}</a><a href="/?view=wall">${t("fleet.wall")}</a></div>
     </div></div>
@@ -155,7 +159,7 @@ const lowered = (text) => text.charAt(0).toLowerCase() + text.slice(1);
 function wallFrame() {
   document.body.className = "wall";
   document.title = `${t("fleet.title")} \u2013 Feedwright`;
-  fill($("#main"), html`<header class="wall-head"><h1>${t("fleet.wallTitle")}</h1><div class="wall-counts" id="counts"></div><span class="wall-time"><span class="live" id="live" role="status" data-state="polled"><span class="dot"></span><span class="live-text"></span></span><b id="clock"></b><a class="btn quiet" href="/">${t("wall.leave")}</a></span></header>
+  fill($("#main"), html`<header class="wall-head"><h1>${t("fleet.wallTitle")}</h1><p class="fleet-sum" id="sum" role="status"></p><div class="wall-counts" id="counts"></div><span class="wall-time"><span class="live" id="live" role="status" data-state="polled"><span class="dot"></span><span class="live-text"></span></span><b id="clock"></b><a class="btn quiet" href="/">${t("wall.leave")}</a></span></header>
     <section class="wall-grid" id="grid" aria-label="${t("fleet.machines")}"></section><p class="wall-foot">${t("wall.foot")}</p>`);
 }
 const line = (row) => row.todo && row.todo.level !== "note" ? row.todo.text : row.left.count == null ? (row.todo?.text ?? row.left.text) : t("left.cycles", { count: rounded(row.left.count) });
@@ -177,6 +181,7 @@ function wallPaint() {
   const known = new Set(rows.map((row) => row.machine));
   for (const [machine, node] of nodes) if (!known.has(machine)) { node.remove(); nodes.delete(machine); }
   [...nodes.keys()].sort(natural).forEach((machine, i) => { const node = nodes.get(machine); if (grid.children[i] !== node) grid.insertBefore(node, grid.children[i] ?? null); });
+  urgent();
   put($("#counts"), html`${states.map((state) => html`<span class="state ${state}">${icon(signs[state])}<b>${num(count(state))}</b> ${lowered(t(`state.${state}`))}</span>`)}`);
   put($("#clock"), time(Date.now()));
 }
@@ -193,7 +198,7 @@ try {
   }, BEAT_MS);
   await kept.first;
   const moved = (event) => { if (event.state === "running") drilling.add(event.machine); else drilling.delete(event.machine); };
-  listen("", { state: (event) => { drilling.clear(); event.machines.forEach(moved); }, machine: moved, cycle: kept.nudge, alarm: kept.nudge, gap: kept.nudge }, () => drilling.clear());
+  listen("", { state: (event) => { drilling.clear(); event.machines.forEach(moved); }, machine: moved, cycle: kept.nudge, alarm: kept.nudge, changed: kept.nudge, gap: kept.nudge }, () => drilling.clear());
 } catch (error) { fill($("#first") ?? $("#main"), failure(error, t("error.load"))); }
 // Ages move on between two answers.
 setInterval(() => {

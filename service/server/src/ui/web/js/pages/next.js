@@ -10,9 +10,11 @@ import { language, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
 const MOST_OTHERS = 4, MOST_IDS = 5000;
-/** Without a connection advice is asked for this often, ms. */
+/** Without a connection advice is asked for this often, ms, and other machines are looked at. */
 const BEAT_MS = 20_000;
-let advice = null, fleet = [], skew = 0, known = { operations: [], tools: [], complete: true };
+/** What may be another one by now: the advice, and that of the other machines. */
+const due = { advice: false, others: false };
+let advice = null, question = null, kept = null, fleet = [], skew = 0, known = { operations: [], tools: [], complete: true };
 const now = () => Date.now() + skew;
 
 /** The one instruction: a verb, and what it is about. */
@@ -51,17 +53,24 @@ function evidence(one, code) {
   if (code === "data_stale" && one.data.age_ms != null) return t("next.evidenceAge", { age: span(one.data.age_ms) });
   return code;
 }
+/** What stops a machine holds until something newer says otherwise: nothing that ran out sets it going again. */
+const stops = (one) => one.action !== "run";
 function validity(one) {
   const from = Date.parse(one.issued_at), until = Date.parse(one.valid_until), left = until - now(), part = Math.max(0, Math.min(1, left / Math.max(1, until - from)));
-  put($("#valid"), html`<svg viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true"><rect width="100" height="4" fill="var(--sunken)"/><rect width="${trusted((part * 100).toFixed(1))}" height="4" fill="var(--ink-2)"/></svg><p>${left > 0 ? html`<b>${t("next.validUntil", { time: time(until) })}</b>, ${t("next.leftAfter", { left: span(left) })}` : html`<b>${t("next.ranOut", { time: time(until) })}</b>`}</p>`);
+  put($("#valid"), html`<svg viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true"><rect width="100" height="4" fill="var(--sunken)"/><rect width="${trusted((part * 100).toFixed(1))}" height="4" fill="var(--ink-2)"/></svg><p>${left > 0 ? html`<b>${t("next.validUntil", { time: time(until) })}</b>, ${t(stops(one) ? "next.leftStop" : "next.leftAfter", { left: span(left) })}` : html`<b>${t("next.ranOut", { time: time(until) })}</b>`}</p>`);
+  // Long before it runs out, so that a machine that stands still has fresh advice as well.
+  if (part < 0.5) soon();
   const over = left <= 0;
-  if (over !== $("#card").classList.contains("over")) { $("#card").classList.toggle("over", over); paintHead(over); }
+  if (over === ($("#rec-h").dataset.over === "true")) return;
+  $("#card").classList.toggle("over", over && !stops(one));
+  paintHead(over);
 }
-// After its time an advice is struck and replaced by the neutral one.
+// After its time an advice to run is struck and replaced by the neutral one.
 function paintHead(over) {
-  const one = advice, [level, text] = toolLine(one), stop = one.action !== "run";
-  put($("#rec-h"), over ? html`<s>${instruction(one)}</s> ${t("next.noAdvice")}` : html`${stop ? html`<span class="act-ink">${icon("act", t("level.act"))}</span>` : ""}${instruction(one)}`);
-  put($("#then"), html`<span class="${level === "act" ? "act-ink" : level === "plan" ? "plan-ink" : ""}">${icon(level, t(`level.${level}`))}</span><span>${over ? t("next.askAgain") : text}</span>`);
+  const one = advice, [level, text] = toolLine(one), stop = stops(one);
+  $("#rec-h").dataset.over = String(over);
+  put($("#rec-h"), over && !stop ? html`<s>${instruction(one)}</s> ${t("next.noAdvice")}` : html`${stop ? html`<span class="act-ink">${icon("act", t("level.act"))}</span>` : ""}${instruction(one)}`);
+  put($("#then"), html`<span class="${level === "act" ? "act-ink" : level === "plan" ? "plan-ink" : ""}">${icon(level, t(`level.${level}`))}</span><span>${over ? t(stop ? "next.stopHolds" : "next.askAgain") : text}</span>`);
 }
 function card() {
   const one = advice, limits = one.load_limits, feed = one.feed, process = one.process_advice;
@@ -93,29 +102,82 @@ function others() {
   $("#others").hidden = first.length === 0;
 }
 async function refresh() {
-  advice = await get(`/v1/recommendations?machine=${segment(asked.get("machine"))}&operation=${segment(asked.get("operation"))}&tool=${segment(asked.get("tool"))}`);
+  // Of two questions under way the later one is what the picker says.
+  question?.abort();
+  const mine = question = new AbortController();
+  let answer;
+  try { answer = await get(`/v1/recommendations?machine=${segment(asked.get("machine"))}&operation=${segment(asked.get("operation"))}&tool=${segment(asked.get("tool"))}`, { signal: mine.signal }); } catch (error) { if (mine.signal.aborted) return; throw error; }
+  if (mine !== question) return;
+  advice = answer;
   skew = Date.parse(advice.issued_at) - Date.now();
   card();
   others();
 }
-async function ask() {
-  try { await refresh(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#card"), failure(error, t("error.load"))); }
+/** Asks again when it is this page's turn; until the answer is there the button says so. */
+function ask() {
+  if (!kept) { location.reload(); return; }
+  const again = $("#again");
+  if (again) { again.disabled = true; again.setAttribute("aria-busy", "true"); }
+  due.advice = due.others = true;
+  kept.nudge();
+}
+function soon() {
+  if (due.advice) return;
+  due.advice = true;
+  kept?.nudge();
+}
+/** Something else is asked for: nothing of what was shown is of it. */
+function another() {
+  advice = null;
+  question?.abort();
+  $("#card").classList.remove("over");
+  fill($("#card"), skeleton(5));
+  put($("#json"), "");
+  ask();
+}
+/** What was refused, with the way to ask again. */
+function refused(error) {
+  put($("#json"), "");
+  fill($("#card"), html`<h1>${t("nav.next")}</h1>${failure(error, t("error.load"))}<div class="rec-do"><button class="btn" id="again">${t("next.again")}</button></div>`);
+  $("#again").addEventListener("click", ask);
+}
+/** What is due, and everything where nobody tells what happens. */
+async function catchUp(heard) {
+  const asks = due.advice || !heard || !advice, looks = due.others || !heard;
+  Object.assign(due, { advice: false, others: false });
+  try {
+    if (asks) await refresh();
+    if (looks) { fleet = await wholeFleet(2); others(); }
+  } catch (error) {
+    Object.assign(due, { advice: asks, others: looks });
+    if (error instanceof ApiError && !advice) refused(error);
+    const again = $("#again");
+    if (again) { again.disabled = false; again.removeAttribute("aria-busy"); }
+    throw error;
+  }
 }
 function picker() {
   const options = (list, chosen) => { const all_ = list.includes(chosen) || !chosen ? list : [chosen, ...list]; return all_.map((id) => html`<option value="${id}" ${id === chosen ? html`selected` : ""}>${id}</option>`); };
   fill($("#picker"), html`<label for="p-machine">${t("col.machine")}</label><select id="p-machine">${options(fleet.map((item) => item.machine), asked.get("machine"))}</select><label for="p-operation">${t("col.operation")}</label><select id="p-operation">${options(known.operations, asked.get("operation"))}</select><label for="p-tool">${t("col.tool")}</label><select id="p-tool">${options(known.tools, asked.get("tool"))}</select>${known.complete ? "" : html`<p class="muted">${t("next.cut", { count: num(MOST_IDS) })}</p>`}`);
-  $("#picker").addEventListener("change", (event) => {
+  $("#picker").onchange = (event) => {
     if (event.target.id === "p-machine") { // what the machine ran last is what it most likely runs next
       const last = fleet.find((item) => item.machine === event.target.value)?.last_cycle;
       if (last) { $("#p-operation").value = last.operation; $("#p-tool").value = last.tool; }
     }
     for (const name of ["machine", "operation", "tool"]) asked.set(name, $(`#p-${name}`).value);
-    history.replaceState(null, "", `/next?${asked}`);
-    ask();
-  });
+    history.pushState(null, "", `/next?${asked}`);
+    another();
+  };
 }
+addEventListener("popstate", () => {
+  const at = new URLSearchParams(location.search);
+  if (!kept || !at.get("machine")) { location.reload(); return; }
+  for (const name of ["machine", "operation", "tool"]) asked.set(name, at.get(name) ?? "");
+  picker();
+  another();
+});
 shell(t("nav.next"));
-fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a href="/">${t("nav.fleet")}</a> / ${t("nav.next")}</p></div><form class="tools" id="picker"></form></div><div class="rec-grid"><article class="panel rec" id="card" aria-label="${t("nav.next")}">${skeleton(5)}</article><div class="stack"><section id="others" class="others" aria-label="${t("next.others")}"></section><section class="panel"><header><h2>${t("next.asMes")}</h2></header><div class="body"><pre class="nc json" tabindex="0" aria-label="JSON" id="json"></pre></div></section></div></div>`);
+fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a href="/">${t("nav.fleet")}</a> / ${t("nav.next")}</p></div><form class="tools" id="picker"></form></div><div class="rec-grid"><article class="panel rec" id="card" aria-label="${t("nav.next")}">${skeleton(5)}</article><div class="stack"><section id="others" class="others" aria-label="${t("next.others")}"></section><section class="panel"><header><h2>${t("next.asMes")}</h2></header><div class="body"><pre class="nc json" tabindex="0" role="region" aria-label="JSON" id="json"></pre></div></section></div></div>`);
 await opening(async () => {
   const [, machines, operations, tools] = await Promise.all([session(), wholeFleet(2), all("/v1/operations", MOST_IDS), all("/v1/tools", MOST_IDS)]);
   fleet = machines;
@@ -130,15 +192,16 @@ await opening(async () => {
     if (!asked.get("machine")) asked.set("machine", from.machine);
     if (!asked.get("operation")) asked.set("operation", from.last_cycle.operation);
     if (!asked.get("tool")) asked.set("tool", from.last_cycle.tool);
+    history.replaceState(null, "", `/next?${asked}`);
     picker();
-    await ask();
+    try { await refresh(); } catch (error) { if (!(error instanceof ApiError) || error.status === 0 || error.status === 429 || error.status >= 500) throw error; refused(error); }
+    const anew = () => { due.advice = due.others = true; kept.nudge(); };
+    const live = listen("", {
+      // A cycle of another machine waits for the beat: a shop has one every second.
+      cycle: (event) => { due.others = true; if (event.machine === asked.get("machine") || event.tool === asked.get("tool")) { due.advice = true; kept.nudge(); } },
+      alarm: anew, changed: anew, gap: anew,
+    });
+    kept = keep(() => catchUp(live.heard()), BEAT_MS, { least: 500, drawn: true });
     setInterval(() => { if (advice && $("#valid")) validity(advice); }, 1000);
-    let due = false;
-    const live = listen("", { cycle: (event) => { if (event.machine === asked.get("machine") && event.tool === asked.get("tool")) { due = true; kept.nudge(); } } });
-    const kept = keep(async () => {
-      if (!due && live.heard()) return;
-      due = false;
-      try { await refresh(); } catch (error) { due = true; throw error; }
-    }, BEAT_MS, { least: 500, drawn: true });
   }
-}, (error) => fill($("#card"), failure(error, t("error.load"))));
+}, refused);

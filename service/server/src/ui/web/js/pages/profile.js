@@ -1,14 +1,17 @@
 import { $, $$, element, fill, html, put } from "../html.js";
 import { icon } from "../icons.js";
+import { act, busy, closedFor } from "../actions.js";
+import { confirm } from "../dialog.js";
+import { guard, leave, mayLeave } from "../leave.js";
 import { action, closed, shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
 import { ApiError, all, ask, get, may, post, segment, session, wholeFleet } from "../api.js";
 import { NB, moment, num, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, dpr, hatch, limit, line, nice, phone, ready, splits, token } from "../charts.js";
 import { Track, forward } from "../track.js";
-import { fault, right, wrong } from "../fields.js";
+import { fault, number, numeric, right, wrong, written } from "../fields.js";
 import { keep, opening } from "../live.js";
-import { MOST_REASON, language, oneLine, t, told } from "../text.js";
+import { language, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
 const BEAT_MS = 15_000, UNDO = 100, PREDICT_MS = 150, KNOTS = 200, GRID = 361;
@@ -18,6 +21,7 @@ const BINDS = 0.97;
 const MOST_UNSEEN = 0.5;
 const DIALECTS = ["sinumerik", "twincat_nci", "twincat_cnc", "linuxcnc", "fanuc", "heidenhain_afc", "csv", "json"];
 const STEPS = ["draft", "shadow", "approved", "active"];
+const DRAFT = "POST /v1/feed-profiles";
 let names = new Map();
 let who = null, row = null, etag = null, versions = [], shown = null, active = null, knots = [], chosen = 0, undo = [], plots = [], base = null, prediction = null, before = null, wanted = 0;
 /** Whoever took a step: a name where it is known, else the token's id as the audit has it. */
@@ -165,7 +169,7 @@ function move(i, depth, feed) {
 function refusal(i, name, input) {
   const bad = fault(input, true);
   if (bad) return bad;
-  const value = Number(input.value), l = limits();
+  const value = number(input.value), l = limits();
   if (name === "feed_mm_min") return value < l.feed_min_mm_min || value > l.feed_max_mm_min ? t("profile.feedBetween", { low: unit(l.feed_min_mm_min, "mm/min", decimals(l.feed_min_mm_min)), high: unit(l.feed_max_mm_min, "mm/min", decimals(l.feed_max_mm_min)) }) : null;
   const low = knots[i - 1].depth_mm, high = knots[i + 1].depth_mm;
   return value <= low || value >= high ? t("profile.depthBetween", { low: unit(low, "mm", decimals(low)), high: unit(high, "mm", decimals(high)) }) : null;
@@ -179,7 +183,7 @@ function accept(i, name, input) {
   const why = refusal(i, name, input);
   if (why) { mark(input, why); return false; }
   clear(input);
-  knots[i] = { ...knots[i], [name]: Number(input.value) };
+  knots[i] = { ...knots[i], [name]: number(input.value) };
   return true;
 }
 /** Looks again at what was refused: another knot has moved, and it may be right now. */
@@ -195,6 +199,20 @@ function typed(input) {
   again();
   if (JSON.stringify(before) !== JSON.stringify(knots)) { undo.push(before); if (undo.length > UNDO) undo.shift(); predictSoon(); }
   paint();
+  stepper();
+}
+/** The arrow keys step in the table as they do on a knob: up and down, by a step of what the field holds. */
+function stepped(event) {
+  const up = { ArrowUp: 1, ArrowDown: -1 }[event.key], input = event.target, [i, name] = placeOf(input);
+  if (!up || input.readOnly) return;
+  event.preventDefault();
+  if (number(input.value) !== knots[i][name]) typed(input);
+  if (input.hasAttribute("aria-invalid")) return;
+  const by = up * (event.shiftKey ? 10 : 1);
+  chosen = i;
+  remember();
+  if (name === "depth_mm") move(i, snapped(knots[i].depth_mm + by / 10, 10), null); else move(i, null, snapped(knots[i].feed_mm_min + 5 * by, 1 / 5));
+  input.value = written(knots[i][name]);
   stepper();
 }
 function faultsSaid() {
@@ -227,7 +245,7 @@ function paint() {
   if ($$(".knob", plots[0].over).length !== knots.length) { $$(".knob", plots[0].over).forEach((one) => one.remove()); knots.forEach((_, i) => plots[0].over.append(knob(i))); rows(); }
   for (const plot of plots) { plot.fit?.(); plot.redraw(false, true); }
   place();
-  $$("#knots tr").forEach((tr, i) => { const [z, f] = $$("input", tr); for (const [input, value] of [[z, knots[i].depth_mm], [f, knots[i].feed_mm_min]]) if (document.activeElement !== input && !input.hasAttribute("aria-invalid")) input.value = value; const why = holds(knots[i].depth_mm); put($(".why", tr), why ? t(`profile.held.${why}`) : html`<span class="faint">${t("profile.free")}</span>`); });
+  $$("#knots tr").forEach((tr, i) => { const [z, f] = $$("input", tr); for (const [input, value] of [[z, knots[i].depth_mm], [f, knots[i].feed_mm_min]]) if (document.activeElement !== input && !input.hasAttribute("aria-invalid") && number(input.value) !== value) input.value = written(value); const why = holds(knots[i].depth_mm); put($(".why", tr), why ? t(`profile.held.${why}`) : html`<span class="faint">${t("profile.free")}</span>`); });
   marks();
   figures();
   trust();
@@ -239,7 +257,7 @@ function paint() {
   if (bad) $("#remove").disabled = true;
   $("#undo").disabled = undo.length === 0 && !bad;
   $("#save").setAttribute("aria-disabled", String(!changed() || bad || !allowed));
-  if (allowed) $("#save").title = bad ? t("profile.wrong") : "";
+  if (allowed) $("#save").title = bad ? t("profile.wrong") : changed() ? "" : t("profile.nothingChanged");
 }
 function figures() {
   const now = prediction?.answer.predicted, then = before?.answer.predicted, against = active && active.version !== shown.version || changed() ? (active ?? shown) : null;
@@ -265,7 +283,7 @@ function difference() {
   $("#diff-none").hidden = lines.length > 0;
 }
 function rows() {
-  fill($("#knots"), html`${knots.map((one, i) => html`<tr><th scope="row">${i + 1}</th><td class="num"><input type="number" step="0.1" aria-label="${t("profile.depthOf", { n: i + 1 })}" value="${one.depth_mm}" ${i === 0 || i === knots.length - 1 ? html`readonly` : ""}></td><td class="num"><input type="number" step="5" aria-label="${t("profile.feedOf", { n: i + 1 })}" value="${one.feed_mm_min}"></td><td class="why"></td></tr>`)}`);
+  fill($("#knots"), html`${knots.map((one, i) => html`<tr><th scope="row">${i + 1}</th><td class="num">${numeric(null, one.depth_mm, html`aria-label="${t("profile.depthOf", { n: i + 1 })}" ${i === 0 || i === knots.length - 1 ? html`readonly` : ""}`)}</td><td class="num">${numeric(null, one.feed_mm_min, html`aria-label="${t("profile.feedOf", { n: i + 1 })}"`)}</td><td class="why"></td></tr>`)}`);
 }
 function stepper() {
   const order = STEPS.indexOf(shown.state);
@@ -274,8 +292,16 @@ function stepper() {
   const can = { shadow: shown.state === "draft", approve: shown.state === "shadow" && !own, activate: shown.state === "approved" || shown.state === "superseded", rollback: row.active_version != null && row.active_version === shown.version };
   const why = { shadow: shown.state === "draft" ? null : t("profile.onlyDraft"), approve: shown.state !== "shadow" ? t("profile.onlyShadow") : own ? t("profile.ownDraft") : null, activate: can.activate ? null : t("profile.onlyApproved"), rollback: can.rollback ? null : t("profile.onlyActive") };
   const primary = shown.state === "draft" ? "shadow" : shown.state === "shadow" ? "approve" : shown.state === "approved" ? "activate" : null;
-  put($("#moves"), html`${["shadow", "approve", "activate", "rollback"].map((step) => { const route = `POST /v1/feed-profiles/{profile}/${step}`, free = can[step] && may(who, route) && !pending(), reason = !may(who, route) ? t("closed", { role: t(`role.${who.role}`), who: step === "approve" ? t("role.approver") : `${t("role.approver")}, ${t("role.engineer")}, ${t("role.admin")}` }) : pending() ? t("profile.saveFirst") : why[step]; return html`<button class="btn ${free && step === primary ? "primary" : ""}" value="${step}" ${free ? "" : html`aria-disabled="true" title="${reason}" aria-description="${reason}"`}>${t(`profile.do.${step}`)}</button>`; })}`);
-  put($("#gate"), shown.state === "draft" ? t("profile.gateDraft") : shown.state === "shadow" ? t("profile.gateShadow") : shown.state === "approved" ? t("profile.gateApproved") : "");
+  const closedSteps = new Map(), moves = ["shadow", "approve", "activate", "rollback"].map((step) => {
+    const route = `POST /v1/feed-profiles/{profile}/${step}`, mine = may(who, route), free = can[step] && mine && !pending(), reason = !mine ? closedFor(who.role, route) : pending() ? t("profile.saveFirst") : why[step];
+    if (!free) closedSteps.set(reason, [...closedSteps.get(reason) ?? [], t(`profile.do.${step}`)]);
+    return html`<button class="btn ${free && step === primary ? "primary" : ""}" value="${step}" ${free ? "" : html`aria-disabled="true" title="${reason}" aria-description="${reason}"`}>${t(`profile.do.${step}`)}</button>`;
+  });
+  put($("#moves"), html`${moves}`);
+  if (!may(who, DRAFT)) closedSteps.set(closedFor(who.role, DRAFT), [...closedSteps.get(closedFor(who.role, DRAFT)) ?? [], t("profile.optimise"), t("profile.saveDraft")]);
+  else if (!pending()) closedSteps.set(t("profile.nothingChanged"), [t("profile.saveDraft")]);
+  // A title is seen by a mouse only: what is closed says so in words.
+  put($("#gate"), html`${{ draft: t("profile.gateDraft"), shadow: t("profile.gateShadow"), approved: t("profile.gateApproved") }[shown.state] ?? ""}${[...closedSteps].map(([reason, names]) => html`<span class="w">${names.join(", ")}: ${reason}</span>`)}`);
   put($("#title"), t("profile.title", { id: row.id, n: shown.version, state: language === "en" ? t(`profile.state.${shown.state}`).toLowerCase() : t(`profile.state.${shown.state}`) }));
   put($("#about"), [shown.reason, t("profile.by", { who: person(shown.drafted.by), time: moment(shown.drafted.at) }), shown.shadowed ? t("profile.shadowedBy", { who: person(shown.shadowed.by), time: moment(shown.shadowed.at) }) : null, shown.approved ? t("profile.approvedBy", { who: person(shown.approved.by), time: moment(shown.approved.at) }) : null, shown.activated ? t("profile.activatedBy", { who: person(shown.activated.by), time: moment(shown.activated.at) }) : null].filter(Boolean).join(". ") + ".");
   put($("#versions"), html`${[...versions].reverse().map((one) => html`<tr class="${one.state}"><th scope="row">${one.version}</th><td><span class="tag ${one.state === "active" ? "solid" : ""}">${t(`profile.state.${one.state}`)}</span></td><td><span class="t">${one.reason}</span><span class="w">${t(`profile.source.${one.source}`)}, ${unit(one.time_s, "s", 2)}${[["drafted", "by"], ["approved", "approvedBy"], ["activated", "activatedBy"]].filter(([step]) => one[step]).map(([step, key]) => html`<br>${t(`profile.${key}`, { who: person(one[step].by), time: moment(one[step].at) })}`)}</span></td><td class="num">${one.version === shown.version ? html`<span class="faint">${t("profile.shown")}</span>` : html`<a class="btn quiet" href="/profile?id=${segment(row.id)}&amp;version=${one.version}">${t("profile.show")}</a>`}</td></tr>`)}`);
@@ -287,23 +313,40 @@ function stepper() {
 async function file() {
   const dialect = $("#dialect").value, path = `/v1/feed-profiles/${segment(row.id)}/export?dialect=${dialect}&version=${shown.version}`;
   $("#download").href = path;
-  try { put($("#nc"), (await get(path, { text: true }))); } catch (error) { if (!(error instanceof ApiError)) throw error; put($("#nc"), ""); put($("#nc-note"), failure(error)); }
+  let text = "", note = "";
+  try { text = await get(path, { text: true }); } catch (error) { if (!(error instanceof ApiError)) throw error; note = failure(error); }
+  if ($("#download").getAttribute("href") !== path) return; // another one is wanted by now
+  put($("#nc"), text);
+  put($("#nc-note"), note);
 }
-async function take(step) {
-  try {
-    const body = step === "rollback" ? undefined : { version: shown.version };
-    await ask("POST", `/v1/feed-profiles/${segment(row.id)}/${step}`, { body, etag });
-    await load(row.id, shown.version);
-    begin();
-    put($("#said"), notice("", t(`profile.did.${step}`, { n: shown.version })));
-  } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#said"), failure(error, t("profile.notDone", { step: t(`profile.do.${step}`) }))); }
+/** Where rolling back leads to: what was in force last and was not rolled back itself, null where nothing was. */
+const backTo = () => versions.filter((one) => one.state === "superseded" && !one.rolled_back).sort((a, b) => Date.parse(b.activated.at) - Date.parse(a.activated.at))[0] ?? null;
+/** What a step changes for the machines, before it is taken. */
+function changes(step) {
+  const then = { approve: active, activate: shown, rollback: backTo() }[step], of = { n: then?.version, operation: row.operation, type: row.tool_type };
+  const says = (one) => one ? t("profile.versionSays", { n: one.version, why: one.reason }) : t("profile.noVersion");
+  return html`<dl class="facts"><dt>${t("profile.inForce")}</dt><dd>${says(active)}</dd><dt>${t("profile.willBe")}</dt><dd>${says(then)}</dd></dl><p class="muted">${step === "approve" ? t("profile.tellsNothing") : then ? t("profile.tells", of) : t("profile.tellsNone", of)}</p>`;
+}
+async function take(step, button) {
+  // Of what is shown now, and of nothing that comes meanwhile.
+  const failed = t("profile.notDone", { step: t(`profile.do.${step}`) }), { version } = shown, held = etag;
+  let late = false;
+  const go = async () => {
+    try { await ask("POST", `/v1/feed-profiles/${segment(row.id)}/${step}`, { body: step === "rollback" ? undefined : { version }, etag: held }); } catch (error) { late = error.status === 412; throw error; }
+  };
+  // A shadow is computed and told nobody; the rest is asked for again, with what it does.
+  if (step === "shadow") await busy(button, async () => { try { await go(); await moved(t("profile.did.shadow", { n: version })); } catch (error) { if (!(error instanceof ApiError)) throw error; if (!late) fill($("#said"), failure(error, failed)); } });
+  else if (await confirm({ title: t(`profile.sure.${step}`, { n: version, id: row.id }), text: changes(step), label: t(`profile.do.${step}`), work: go, failed })) await moved(t(`profile.did.${step}`, { n: version }));
+  if (late) await moved(t("profile.movedOn"));
+}
+/** Shows where the profile stands after a step. What was done is told also where it cannot be read just now. */
+async function moved(what, version = shown.version) {
+  let late = "";
+  try { await load(row.id, version); undo = []; begin(); } catch (error) { if (!(error instanceof ApiError)) throw error; late = failure(error, t("error.load")); }
+  fill($("#said"), html`${notice("", what)}${late}`);
 }
 async function save(reason) {
-  const answer = await post("/v1/feed-profiles", { profile: row.id, content: { ...shown.content, knots }, based_on: shown.version, reason });
-  await load(row.id, answer.version);
-  undo = [];
-  begin();
-  put($("#said"), notice("", t("profile.saved", { n: shown.version })));
+  return (await post("/v1/feed-profiles", { profile: row.id, content: { ...shown.content, knots }, based_on: shown.version, reason })).version;
 }
 async function optimise() {
   const id = row?.id ?? $("#o-name").value.trim(), operation = row?.operation ?? $("#o-operation").value, tool_type = row?.tool_type ?? $("#o-type").value.trim();
@@ -318,16 +361,17 @@ async function optimise() {
     while (job.state === "waiting" || job.state === "running") { await new Promise((wake) => setTimeout(wake, 400)); job = await get(`/v1/jobs/${job.id}`); }
     if (job.state !== "done" || !job.result?.content) { const why = job.result?.report?.reason ?? job.result?.reason ?? job.result?.why ?? job.state; fill($("#said"), notice("plan", t("profile.noProposal"), typeof why === "string" ? why : JSON.stringify(why).slice(0, 400))); return; }
     const answer = await post("/v1/feed-profiles", { profile: id, job: job.id, reason: t("profile.optimisedFrom"), ...(row ? { based_on: shown.version } : {}) });
-    location.assign(`/profile?id=${segment(id)}&version=${answer.version}`);
+    const address = `/profile?id=${segment(id)}&version=${answer.version}`;
+    // It took a while: what was moved meanwhile stays, if it is to.
+    if (await mayLeave()) leave(address); else fill($("#said"), notice("", t("profile.saved", { n: answer.version }), null, html`<a href="${address}">${t("profile.show")}</a>`));
   } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#said"), failure(error)); }
 }
-function reasonDialog() {
-  const dialog = element(html`<dialog aria-labelledby="d-h"><form method="dialog"><h2 id="d-h">${t("profile.saveTitle")}</h2><p class="muted">${t("profile.saveText")}</p><label for="d-reason">${t("profile.why")}</label><textarea id="d-reason" rows="3" maxlength="${MOST_REASON}" required></textarea><div id="d-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${t("profile.saveDraft")}</button><button class="btn" type="button" id="d-cancel">${t("cancel")}</button></div></form></dialog>`);
-  document.body.append(dialog);
-  dialog.showModal();
-  dialog.addEventListener("close", () => dialog.remove());
-  $("#d-cancel", dialog).addEventListener("click", () => dialog.close());
-  $("form", dialog).addEventListener("submit", async (event) => { event.preventDefault(); try { await save(oneLine($("#d-reason", dialog).value)); dialog.close(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#d-said", dialog), failure(error, t("profile.notSaved"))); } });
+async function reasonDialog() {
+  let version = null;
+  if (await confirm({ title: t("profile.saveTitle"), text: t("profile.saveText"), reason: t("profile.why"), label: t("profile.saveDraft"), failed: t("profile.notSaved"), work: async (reason) => { version = await save(reason); } })) {
+    knots = structuredClone(shown.content.knots);
+    await moved(t("profile.saved", { n: version }), version);
+  }
 }
 function frame(lines) {
   fill($("#main"), html`<div class="head"><div class="titles"><p class="crumbs"><a href="/profile">${t("profile.all")}</a> / ${row.operation} / ${row.tool_type}</p><h1 id="title"></h1><ol class="steps" id="steps" aria-label="${t("profile.stateOf")}"></ol><p class="evidence" id="about"></p></div>
@@ -339,19 +383,20 @@ function frame(lines) {
     <div class="prof-low"><section class="panel"><header><h2>${t("profile.versions")}</h2></header><div class="body"><table class="tight versions"><thead class="sr"><tr><th scope="col">${t("set.version")}</th><th scope="col">${t("col.state")}</th><th scope="col">${t("profile.why")}</th><th scope="col">${t("set.do")}</th></tr></thead><tbody id="versions"></tbody></table></div></section>
       <section class="panel"><header><h2 id="diff-title"></h2><span class="end tiny faint" id="moved"></span></header><div class="body"><table class="tight"><thead><tr><th scope="col" class="num">${t("cycle.depthMm")}</th><th scope="col">${t("profile.change")}</th><th scope="col" class="num" colspan="2">${t("cycle.feed")}, mm/min</th></tr></thead><tbody id="diff"></tbody></table><p class="small muted" id="diff-none" hidden>${t("profile.same")}</p></div></section>
       <section class="panel"><header><h2>${t("profile.program")}</h2><span class="end"><label class="sr" for="dialect">${t("profile.control")}</label><select id="dialect">${DIALECTS.map((one) => html`<option value="${one}">${t(`dialect.${one}`)}</option>`)}</select></span></header><div class="body"><pre class="nc" id="nc" tabindex="0" role="region" aria-label="${t("profile.program")}"></pre><div id="nc-note" class="small muted"></div><p><a class="btn" id="download" hidden download>${icon("download")}${t("profile.download")}</a></p></div></section></div>`);
-  $("#line").addEventListener("change", (event) => location.assign(`/profile?id=${segment(event.target.value)}`));
+  $("#line").addEventListener("change", async ({ target }) => { if (await mayLeave()) leave(`/profile?id=${segment(target.value)}`); else target.value = row.id; });
   $("#undo").addEventListener("click", () => {
     // What was refused is what was done last: the knots themselves are as they were before it.
     const last = faults().length ? knots : undo.pop();
     if (last) { knots = last; chosen = Math.min(chosen, knots.length - 1); rows(); paint(); predictSoon(); stepper(); }
   });
-  $("#optimise").addEventListener("click", () => { if (!closed($("#optimise"))) optimise(); });
+  $("#optimise").addEventListener("click", async ({ currentTarget: button }) => { if (!closed(button) && await mayLeave()) busy(button, optimise); });
   $("#save").addEventListener("click", () => { if (!closed($("#save"))) reasonDialog(); });
-  $("#moves").addEventListener("click", (event) => { const button = event.target.closest("button"); if (button && !closed(button)) take(button.value); });
+  $("#moves").addEventListener("click", (event) => { const button = event.target.closest("button"); if (button && !closed(button)) take(button.value, button); });
   $("#add").addEventListener("click", () => { if (knots.length >= KNOTS) return; const i = Math.min(chosen, knots.length - 2), a = knots[i], b = knots[i + 1], z = Math.round((a.depth_mm + b.depth_mm) * 5) / 10; if (z <= a.depth_mm || z >= b.depth_mm) return; remember(); knots.splice(i + 1, 0, { depth_mm: z, feed_mm_min: Math.round(at(knots, z) / 5) * 5 }); chosen = i + 1; rows(); paint(); predictSoon(); stepper(); });
   $("#remove").addEventListener("click", () => { if (chosen === 0 || chosen === knots.length - 1) return; remember(); knots.splice(chosen, 1); chosen = Math.max(0, chosen - 1); rows(); paint(); predictSoon(); stepper(); });
   $("#knots").addEventListener("change", (event) => typed(event.target));
-  // A text that is no number and an empty one are both an empty value: between them nothing has changed, to the browser.
+  $("#knots").addEventListener("keydown", stepped);
+  // What is marked is told anew while it is typed: one reason may have become another.
   $("#knots").addEventListener("input", ({ target }) => { if (!target.hasAttribute("aria-invalid")) return; const why = refusal(...placeOf(target), target); if (why) { mark(target, why); faultsSaid(); } });
   $("#knots").addEventListener("focusin", (event) => { const tr = event.target.closest("tr"); if (tr) { chosen = [...tr.parentNode.children].indexOf(tr); marks(); place(); } });
   $("#feed").addEventListener("pointerup", stepper); $("#feed").addEventListener("keyup", stepper);
@@ -389,7 +434,7 @@ async function begin() {
 async function none(lines) {
   const operations = await all("/v1/operations", 1000), tools = await all("/v1/tools", 1000), types = [...new Set(tools.items.map((one) => one.tool_type).filter(Boolean))], open = may(who, "POST /v1/feed-profiles/optimize");
   fill($("#main"), html`<div class="head"><div class="titles"><h1>${t("profile.all")}</h1></div></div><div id="said"></div><section class="panel body">${empty(t("profile.none"), t("profile.noneText"))}${operations.items.length ? html`<form class="set-form study-form" id="first"><div class="set-fields"><div class="field"><label for="o-name">${t("profile.name")}</label><input type="text" id="o-name" value="${operations.items[0].id}-profile"></div><div class="field"><label for="o-operation">${t("col.operation")}</label><select id="o-operation">${operations.items.map((one) => html`<option>${one.id}</option>`)}</select></div><div class="field"><label for="o-type">${t("profile.toolType")}</label><select id="o-type">${types.map((one) => html`<option>${one}</option>`)}</select></div></div><div class="knot-tools">${action(who, "POST /v1/feed-profiles/optimize", t("profile.optimise"), { type: "submit", primary: true })}</div></form>` : ""}</section>`);
-  $("#first")?.addEventListener("submit", async (event) => { event.preventDefault(); if (!open) return; base = await newestCycle($("#o-operation").value); optimise(); });
+  $("#first")?.addEventListener("submit", (event) => { event.preventDefault(); if (open) act($("[type=submit]", event.target), async () => { base = await newestCycle($("#o-operation").value); await optimise(); }); });
 }
 shell(t("nav.profile"));
 fill($("#main"), html`<div class="panel body">${skeleton(6)}</div>`);
@@ -401,6 +446,8 @@ await opening(async () => {
     await Promise.all([load(first, asked.get("version")), ready(), may(who, "GET /v1/tokens") ? all("/v1/tokens", 5000).then(({ items: tokens }) => { names = new Map(tokens.map((one) => [one.id, one.name])); }) : null]);
     base = await newestCycle(row.operation);
     frame(items);
+    guard(pending);
+    addEventListener("session", ({ detail }) => { who = detail; paint(); stepper(); });
     await begin();
     keep(async () => {
       const now = await get(`/v1/feed-profiles/${segment(row.id)}`);
@@ -410,7 +457,7 @@ await opening(async () => {
       await load(row.id, shown.version);
       if (mine) knots = mine;
       await begin();
-      put($("#said"), notice("", t("profile.movedOn")));
+      fill($("#said"), notice("", t("profile.movedOn")));
     }, BEAT_MS);
   }
 }, (error) => fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`));

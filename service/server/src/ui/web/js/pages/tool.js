@@ -1,23 +1,27 @@
 import { $, fill, html, put, trusted } from "../html.js";
 import { icon } from "../icons.js";
-import { action, closed, confirm_, shell } from "../shell.js";
+import { action, closed, shell } from "../shell.js";
+import { busy } from "../actions.js";
+import { confirm } from "../dialog.js";
 import { empty, failure, notice, progress, skeleton } from "../states.js";
 import { ApiError, all, get, may, post, segment, session, wholeFleet } from "../api.js";
 import { NB, age, dayMonth, num, rounded, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, clip, dpr, halo, limit, line, phone, ready, splits, token, vline } from "../charts.js";
 import { Track } from "../track.js";
-import { isHidden, levelPercent, shownLevel } from "../wear.js";
+import { isHidden, learnt, levelPercent, shownLevel } from "../wear.js";
 import { keep, listen, opening } from "../live.js";
 import { MOST_REASON, oneLine, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
 const REVOKE = "POST /v1/tools/{tool}/events/{id}/revoke";
 const BEAT_MS = 20_000, MOST_CYCLES = 20_000, MOST_TOOLS = 5000;
+/** Cycles that are read anew where some have come: what these settle of others lies no further back. */
+const TAIL = 500;
 /** Each reason has its own shape; there are more reasons than shapes, so the rest share the circle with a dot. */
 const shapes = { aborted: "cross", incomplete: "square", air_cut: "circle", broken_suspected: "octagon", clock_suspect: "dot", no_energy: "dot", low_coverage: "diamond", operation_unregistered: "dot", operator_override: "triangle", conditions_changed: "bar", baseline_outlier: "down", cut_short: "dot" };
 const glyphs = { square: '<rect x="3" y="3" width="8" height="8"/>', diamond: '<path d="M7 1.5 12.5 7 7 12.5 1.5 7z"/>', triangle: '<path d="M7 2 12 11.5H2z"/>', down: '<path d="M7 12 2 2.5h10z"/>', cross: '<path d="M3 3l8 8M3 11l8-8"/>', circle: '<circle cx="7" cy="7" r="4.5"/>', dot: '<circle cx="7" cy="7" r="4.5"/><circle cx="7" cy="7" r="1" fill="currentColor"/>', octagon: '<path d="M5 2h4l3 3v4l-3 3H5L2 9V5z"/>', bar: '<rect x="2" y="5.5" width="10" height="3"/>' };
 
-let life = null, tool = null, events = [], plots = [], hover = null, who = null;
+let life = null, tool = null, recorded = [], events = [], plots = [], hover = null, who = null;
 const numberOf = (i) => life.before + i + 1;
 
 /** Every counted cycle's energy over its own baseline, and the level that was judged after each: what decided may be another
@@ -150,23 +154,64 @@ function eventNames(u, c, marks) {
   }
 }
 
+/** Why nothing is told of the wear, in one sentence. */
+function unknown(wear) {
+  if (wear.cycles === 0) return t(wear.last_cycle_at ? "tool.saysNewLife" : "tool.saysNoCycle");
+  if (isHidden(wear)) return t("tool.saysHidden");
+  const reason = wear.reasons.find((one) => one.code === "no_new_tool_baseline") ?? wear.reasons.at(-1);
+  const exclusion = told("exclusion", reason?.code, "");
+  return t("tool.saysUnknown", { why: exclusion ? t("tool.noneCompared", { why: exclusion }) : told("reason", reason?.code, reason?.message ?? "") });
+}
+/** The cycles that a level is the median of, as the API counts them for what decides. */
+const cyclesOf = (wear) => ({ feed_compensated: wear.feed.compensated_cycles, reference_cycles: wear.feed.reference_cycles }[wear.level.decides] ?? wear.level.n);
+const withSd = (found, n) => t(found.sd == null ? "tool.withN" : "tool.withSd", { level: shownLevel((found.value - 1) * 100), sd: num(found.sd * 100, 1), n: num(n) });
+/** What is known of the tool and its wear: each figure is the API's field of that name. */
+function facts(wear) {
+  const [base] = wear.baselines, { level, feed } = wear, known = [
+    [t("tool.id"), tool.id], [t("tool.name"), tool.name || t("none")], [t("tool.serial"), tool.serial ?? t("none")], [t("tool.type"), tool.tool_type || t("none")], [t("tool.diameter"), tool.diameter_mm == null ? t("unknown") : unit(tool.diameter_mm, "mm", 1)], [t("tool.life"), num(wear.life)], [t("tool.cyclesLife"), num(wear.cycles)],
+  ];
+  if (base) {
+    known.push([t("tool.machine"), base.machine], [t("tool.operation"), base.operation], [t("tool.baselineEnergy"), base.baseline_joules == null ? t("wear.noBaseline") : unit(base.baseline_joules, "J")], [t("tool.baseline"), t("tool.baselineOf", { learnt: num(base.learnt_from), needed: base.baseline_joules == null ? num(base.needed) : null, basis: t(`basis.${base.basis}`) })]);
+    if (base.level_at_entry !== 1) known.push([t("tool.entry"), shownLevel((base.level_at_entry - 1) * 100)]);
+  }
+  if (level) {
+    known.push([t("tool.decides"), t(`tool.decides.${level.decides ?? "nothing"}`)]);
+    if (level.decides) known.push([t("tool.level"), withSd(level, cyclesOf(wear))]);
+    known.push([t("tool.asRun"), withSd({ value: level.as_run }, level.n)]);
+  }
+  for (const [key, found, n] of [["tool.compensated", feed.compensated, feed.compensated_cycles], ["tool.atReferenceFeed", feed.at_reference_feed, feed.compensated_cycles], ["tool.byReference", feed.by_reference_cycles, feed.reference_cycles]]) if (found) known.push([t(key), withSd(found, n)]);
+  if (feed.references) known.push([t("tool.references"), feed.references.due_in_cycles ? t("tool.referenceIn", { n: num(feed.references.due_in_cycles) }) : t("tool.referenceNow")]);
+  return known;
+}
+function evidence(wear) {
+  const left = wear.remaining, [base] = wear.baselines, reasons = Object.entries(wear.excluded), basis = base ? t(`basis.${base.basis}`) : t("unknown"), last = wear.last_cycle_at;
+  const ago = last ? age(Date.now() - Date.parse(last), last) : null;
+  if (wear.cycles === 0) return ago ? t("tool.evidenceBefore", { age: ago }) : "";
+  return [
+    left && wear.state !== "worn" ? t("tool.evidenceLeft", { low: rounded(left.low), high: rounded(left.high) }) : null,
+    wear.level?.decides ? t(`tool.evidenceOf.${wear.level.decides}`, { n: num(cyclesOf(wear)) }) : null,
+    wear.level ? t("tool.evidenceFrom", { counted: num(wear.counted), cycles: num(wear.cycles), basis }) : t("tool.evidenceSoFar", { cycles: num(wear.cycles), basis }),
+    reasons.length ? t("tool.evidenceNot", { why: reasons.map(([why, count]) => `${told("exclusion", why)} ${num(count)}`).join(", ") }) : null,
+    ago ? t("tool.evidenceLast", { age: ago }) : null,
+  ].filter(Boolean).join(" ");
+}
 function head() {
-  const wear = life.wear, here = levelPercent(wear), left = wear.remaining;
+  const wear = life.wear, here = levelPercent(wear), left = wear.remaining, learning = learnt(wear);
   const sign = { worn: "act", broken_suspected: "act", warning: "plan", changed: "plan" }[wear.state] ?? "note";
   const value = here == null ? null : `${num(Math.abs(here), 1)}${NB}%`;
   const first = wear.state === "worn" ? t("tool.saysWorn", { level: here == null ? "" : shownLevel(here) })
     : wear.state === "broken_suspected" ? t("tool.saysBroken") : wear.state === "changed" ? t("tool.saysChanged")
-    : here == null && isHidden(wear) ? t("tool.saysHidden") : here == null ? (wear.state === "learning" ? t("tool.saysLearning") : t("tool.saysUnknown", { why: told("reason", wear.reasons[0]?.code, wear.reasons[0]?.message ?? "") }))
-    : here >= 0.05 ? t("tool.saysMore", { value }) : here <= -0.05 ? t("tool.saysLess", { value }) : t("tool.saysSame");
-  const then = here == null || ["worn", "broken_suspected", "changed"].includes(wear.state) ? "" : wear.state === "warning" ? (left ? t("tool.changeWithin", { count: rounded(left.cycles) }) : t("tool.planSoon")) : left ? t("tool.leftAbout", { count: rounded(left.cycles) }) : t("tool.tooEarly");
+    : wear.state === "learning" ? t("tool.saysLearning", { have: num(learning?.learnt_from), need: num(learning?.needed), level: here == null ? null : shownLevel(here) })
+    : wear.state === "unknown" ? unknown(wear) : here == null ? t("tool.saysHidden")
+    : t(here >= 0.05 ? "tool.saysMore" : here <= -0.05 ? "tool.saysLess" : "tool.saysSame", { value, by: t(`tool.by.${wear.level.decides}`) });
+  const then = wear.state === "warning" ? (left ? t("tool.changeWithin", { count: rounded(left.cycles) }) : t("tool.planSoon")) : wear.state !== "good" || here == null ? "" : left ? t("tool.leftAbout", { count: rounded(left.cycles) }) : t("tool.tooEarly");
   put($("#say"), html`<span class="${sign === "act" ? "act-ink" : sign === "plan" ? "plan-ink" : ""}">${icon(sign, t(`level.${sign}`))}</span><span>${first} ${then}</span>`);
-  const base = wear.baselines[0], excluded = Object.values(wear.excluded).reduce((sum, count) => sum + count, 0);
-  put($("#evidence"), [left ? t("tool.evidenceLeft", { low: rounded(left.low), high: rounded(left.high) }) : null, wear.cycles ? t("tool.evidenceFrom", { counted: num(wear.counted), cycles: num(wear.cycles), basis: base ? t(`basis.${base.basis}`) : t("unknown") }) : t("tool.evidenceNone"), wear.last_cycle_at ? t("tool.evidenceLast", { age: age(Date.now() - Date.parse(wear.last_cycle_at), wear.last_cycle_at) }) : null].filter(Boolean).join(" "));
+  const excluded = Object.values(wear.excluded).reduce((sum, count) => sum + count, 0);
+  put($("#evidence"), evidence(wear));
   const others = wear.reasons.filter((reason) => ["masked_by_control", "masked_by_feed", "decided_by_compensation", "decided_by_reference_cycles", "level_carried_over", "no_new_tool_baseline", "level_outdated", "cycle_time_risen", "speed_changed"].includes(reason.code));
   put($("#reasons"), html`${others.map((reason) => notice(reason.code.startsWith("masked_by") || reason.code === "cycle_time_risen" ? "plan" : "", told("reason", reason.code, reason.message)))}`);
-  const learning = wear.baselines.find((one) => one.baseline_joules == null);
-  put($("#learning"), learning ? html`<section class="panel body learning"><h2>${t("tool.learning", { have: num(learning.learnt_from), need: num(learning.needed) })}</h2>${progress(learning.learnt_from / learning.needed)}<p class="muted">${t("tool.learningText", { more: num(Math.max(0, learning.needed - learning.learnt_from)) })}</p></section>` : "");
-  put($("#facts"), html`${[[t("tool.id"), tool.id], [t("tool.name"), tool.name || t("none")], [t("tool.serial"), tool.serial ?? t("none")], [t("tool.type"), tool.tool_type || t("none")], [t("tool.diameter"), tool.diameter_mm == null ? t("unknown") : unit(tool.diameter_mm, "mm", 1)], [t("tool.life"), num(wear.life)], [t("tool.cyclesLife"), num(wear.cycles)], ...(base ? [[t("tool.machine"), base.machine], [t("tool.operation"), base.operation], [t("tool.energyNew"), base.baseline_joules == null ? t("wear.noBaseline") : unit(base.baseline_joules, "J")], [t("tool.energyNow"), here == null || base.baseline_joules == null ? t("unknown") : unit(base.baseline_joules * wear.level.as_run, "J")], [t("tool.baseline"), t("tool.baselineOf", { learnt: num(base.learnt_from), basis: t(`basis.${base.basis}`) })]] : []), ...(wear.level ? [[t("tool.decides"), t(`tool.decides.${wear.level.decides ?? "nothing"}`)], [t("tool.asRun"), shownLevel((wear.level.as_run - 1) * 100)]] : []), ...[["tool.compensated", wear.feed.at_reference_feed ?? wear.feed.compensated, wear.feed.compensated_cycles], ["tool.byReference", wear.feed.by_reference_cycles, wear.feed.reference_cycles]].filter(([, found]) => found).map(([key, found, n]) => [t(key), t("tool.withSd", { level: shownLevel((found.value - 1) * 100), sd: num(found.sd * 100, 1), n: num(n) })]), ...(wear.feed.references ? [[t("tool.references"), wear.feed.references.due_in_cycles ? t("tool.referenceIn", { n: num(wear.feed.references.due_in_cycles) }) : t("tool.referenceNow")]] : [])].map(([name, text]) => html`<dt>${name}</dt><dd>${text}</dd>`)}`);
+  put($("#learning"), learning ? html`<section class="panel body learning"><h2>${t("tool.learning", { have: num(learning.learnt_from), need: num(learning.needed) })}</h2>${progress(learning.learnt_from / learning.needed)}<p class="muted">${t("tool.learningText", { of: [learning.strategy ? told("strategy", learning.strategy) : null, learning.operation, learning.machine].filter(Boolean).join(", "), more: num(Math.max(0, learning.needed - learning.learnt_from)) })}</p></section>` : "");
+  put($("#facts"), html`${facts(wear).map(([name, text]) => html`<dt>${name}</dt><dd>${text}</dd>`)}`);
   const counts = Object.entries(wear.excluded);
   $("#out").textContent = excluded ? num(excluded) : "";
   put($("#excluded"), html`${counts.map(([why, count]) => html`<tr tabindex="0" data-why="${why}"><td><svg viewBox="0 0 14 14" width="14" height="14" fill="var(--surface)" stroke="var(--ink-2)" stroke-width="1.4" aria-hidden="true">${trusted(glyphs[shapes[why] ?? "dot"])}</svg></td><th scope="row">${told("exclusion", why)}</th><td class="num">${num(count)}</td></tr>`)}`);
@@ -206,30 +251,58 @@ function frame() {
   $("#pick").addEventListener("change", (event) => location.assign(`/tool?id=${segment(event.target.value)}`));
   $("#events").addEventListener("click", (event) => {
     const number = event.target.closest("[data-revoke]")?.dataset.revoke;
-    if (number) confirm_(t("tool.revokeTitle"), t("tool.revokeText"), t("tool.revoke"), async () => { await post(`/v1/tools/${segment(tool.id)}/events/${number}/revoke`, undefined); await refresh(); head(); build(); });
+    if (number) confirm({ title: t("tool.revokeTitle"), text: t("tool.revokeText"), label: t("tool.revoke"), work: async () => { await post(`${path()}/events/${number}/revoke`, undefined); await show(); } });
   });
-  const dialog = $("#event");
+  const dialog = $("#event"), save = $("button[type=submit]", dialog);
+  // The same again while no cycle has been run since is most likely a slip, of whoever recorded it.
+  const already = (kind) => { const newest = events.findLast((one) => !one.revoked_at); return newest?.kind === kind && !(Date.parse(life.wear.last_cycle_at) > Date.parse(newest.at)) ? newest : null; };
+  const record = async (kind) => {
+    await post(`${path()}/events`, { kind, reason: oneLine($("#event-reason").value) || null });
+    dialog.close();
+    $("#event-reason").value = "";
+    put($("#said"), notice("", t("tool.recorded")));
+    // What is recorded is recorded, also where the page can only read it on its next beat.
+    try { await show(); } catch (error) { if (!(error instanceof ApiError)) throw error; }
+  };
   $("#record").addEventListener("click", () => { if (!closed($("#record"))) dialog.showModal(); });
   $("#event-cancel").addEventListener("click", () => dialog.close());
-  $("#event-form").addEventListener("submit", async (event) => {
+  $("#event-form").addEventListener("submit", (event) => {
     event.preventDefault();
-    try {
-      await post(`/v1/tools/${segment(tool.id)}/events`, { kind: $("#event-kind").value, reason: oneLine($("#event-reason").value) || null });
-      dialog.close();
-      $("#event-reason").value = "";
-      put($("#said"), notice("", t("tool.recorded")));
-      await refresh();
-      build();
-    } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#event-said"), failure(error)); }
+    busy(save, async () => {
+      fill($("#event-said"), "");
+      try {
+        const kind = $("#event-kind").value;
+        await show();
+        const before = already(kind);
+        if (before) await confirm({ title: t("tool.againTitle"), text: t("tool.againText", { event: told("event", kind), age: age(Date.now() - Date.parse(before.recorded_at), before.recorded_at) }), label: t("tool.again"), work: () => record(kind) });
+        else await record(kind);
+      } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#event-said"), failure(error)); }
+    });
   });
 }
-let drawn = "";
-const holding = () => events.filter((event) => !event.revoked_at).map((event) => event.id).join();
+const path = () => `/v1/tools/${segment(tool.id)}`;
+/** The newest cycles put to those that are known; null where they do not go on from them, as after one that came late. */
+function joined(tail) {
+  const at = tail.before - life.before;
+  if (at <= 0) return tail;
+  if (tail.wear.life !== life.wear.life || ["machine", "cycle_id", "energy_ratio", "level", "excluded"].some((key) => life[key][at] !== tail[key][0])) return null;
+  const drop = Math.max(0, at + tail.cycle_id.length - MOST_CYCLES), columns = Object.keys(tail).filter((key) => Array.isArray(tail[key]));
+  return { ...tail, before: life.before + drop, ...Object.fromEntries(columns.map((key) => [key, [...life[key].slice(drop, at), ...tail[key]]])) };
+}
+/** Asks for the verdict and the events, and for cycles only where one of them differs; says whether anything did. */
 async function refresh() {
-  const id = asked.get("id") ?? tool.id;
-  const [newest, told_] = await Promise.all([get(`/v1/tools/${segment(id)}/life?last=${MOST_CYCLES}`), all(`/v1/tools/${segment(id)}/events`, 1000)]);
-  life = newest;
-  events = told_.items.map((event) => ({ ...event, at_time: event.at })).sort((a, b) => Date.parse(a.at) - Date.parse(b.at));
+  const [wear, { items }] = await Promise.all([life ? get(`${path()}/wear`) : null, all(`${path()}/events`, 1000)]);
+  const alike = life && JSON.stringify(items) === JSON.stringify(recorded);
+  if (alike && JSON.stringify(wear) === JSON.stringify(life.wear)) return false;
+  life = (alike && joined(await get(`${path()}/life?last=${TAIL}`))) || await get(`${path()}/life?last=${MOST_CYCLES}`);
+  recorded = items;
+  events = items.map((event) => ({ ...event, at_time: event.at })).sort((a, b) => Date.parse(a.at) - Date.parse(b.at));
+  return true;
+}
+async function show() {
+  const differs = await refresh();
+  head(); // ages move on all the same
+  if (differs) build();
 }
 async function pickList() {
   const { items } = await all("/v1/tools", MOST_TOOLS);
@@ -256,10 +329,7 @@ await opening(async () => {
     pickList();
     head();
     build();
-    drawn = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${holding()}`;
-    const kept = keep(async () => {
-      if (drawn) { const first = drawn; await refresh(); head(); const now = `${life.before} ${life.cycle_id.at(-1)} ${life.cycle_id.length} ${holding()}`; if (now !== first) { drawn = now; build(); } }
-    }, BEAT_MS, { least: 5000 });
-    listen("", { cycle: (event) => { if (event.tool === id) kept.nudge(); }, gap: kept.nudge });
+    const kept = keep(show, BEAT_MS, { least: 5000, drawn: true });
+    listen("", { cycle: (event) => { if (event.tool === id) kept.nudge(); }, changed: (event) => { if (event.what === "tools") kept.nudge(); }, gap: kept.nudge });
   }
 }, (error) => fill($("#main"), html`<section class="panel body">${error.status === 404 ? empty(t("notfound.title"), t("notfound.text"), html`<a class="btn" href="/">${t("nav.fleet")}</a>`, true) : failure(error, t("error.load"))}</section>`));
