@@ -26,9 +26,9 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("feedwright: {error:#}");
-            match error.downcast_ref() {
-                Some(ConfigError::Invalid(_)) => NOT_ACCEPTED.into(),
-                _ => ExitCode::FAILURE,
+            match error.downcast_ref::<ConfigError>() {
+                Some(_) => NOT_ACCEPTED.into(),
+                None => ExitCode::FAILURE,
             }
         }
     }

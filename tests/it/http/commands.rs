@@ -221,6 +221,14 @@ fn the_settings_in_force_are_printed_without_secrets() {
     assert_eq!(refused.status.code(), Some(78), "what the unit does not try again");
     let mistyped = feedwright(&dir, &["serve", "--set", "limits.group_sizes=3"]).output().unwrap();
     assert_eq!(mistyped.status.code(), Some(78), "{}", String::from_utf8_lossy(&mistyped.stderr));
+    let file = dir.path().join("feedwright.toml");
+    for text in [None, Some("limits = [")] {
+        if let Some(text) = text {
+            std::fs::write(&file, text).unwrap();
+        }
+        let unread = feedwright(&dir, &["serve", "--config", file.to_str().unwrap()]).output().unwrap();
+        assert_eq!(unread.status.code(), Some(78), "{}", String::from_utf8_lossy(&unread.stderr));
+    }
     assert!(!dir.path().join("data").exists(), "nothing was made");
 }
 

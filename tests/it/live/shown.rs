@@ -50,9 +50,14 @@ async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing
     assert_eq!(other.next().await.unwrap().name, "state");
     served.put("/v1/tools/T2", json!({"name": "FD M8", "tool_type": "friction-drill-7.3"})).await;
     assert_eq!(reader.next_of("changed").await.data, json!({"what": "tools"}));
+    // Nothing is told of what was so already.
+    served.put("/v1/tools/T2", json!({"name": "FD M8", "tool_type": "friction-drill-7.3"})).await;
+    served.put("/v1/operations/O2", json!({"name": "Bushing M6", "process": "friction"})).await;
+    assert_eq!(reader.next_of("changed").await.data, json!({"what": "operations"}));
     served.server.shutdown().await.unwrap();
     assert_eq!(other.next_of("changed").await.data["what"], "machines");
     assert_eq!(other.next_of("changed").await.data["what"], "tools");
+    assert_eq!(other.next_of("changed").await.data["what"], "operations");
     assert_eq!(other.next().await, None, "a shutdown ends the view, and nothing of M1 was told");
 }
 

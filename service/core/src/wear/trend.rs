@@ -89,7 +89,7 @@ impl TrendPoints {
     }
 
     /// Robust standard deviation of single ratios around the trend line. A point is the mean of several, which scatters less by
-    /// the root of their number.
+    /// the root of their number. What neighbours share, as lots do and a life that bends, is taken for more scatter than there is.
     #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
     fn scatter(&self, slope: f64) -> f64 {
         let points = &self.points[self.points.len().saturating_sub(TREND_POINTS)..];

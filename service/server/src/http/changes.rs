@@ -1,5 +1,6 @@
 //! Whoever watches is told that something was changed, so that no page shows advice that rests on what was before.
 
+use super::precondition::NothingChanged;
 use crate::live::Event;
 use crate::state::AppState;
 use axum::extract::{Request, State};
@@ -12,9 +13,25 @@ pub(super) async fn tell(
     request: Request,
     next: Next,
 ) -> Response {
+    let mut due = Due { state, what, is_due: true };
     let response = next.run(request).await;
-    if response.status().is_success() {
-        state.live.publish(Event::changed(what));
-    }
+    let changed = response.status().is_success() && response.extensions().get::<NothingChanged>().is_none();
+    due.is_due = changed;
     response
+}
+
+/// Tells in any case but where it is known that nothing was changed: whoever asked may be gone before the answer, and what they
+/// asked for goes on.
+struct Due {
+    state: AppState,
+    what: &'static str,
+    is_due: bool,
+}
+
+impl Drop for Due {
+    fn drop(&mut self) {
+        if self.is_due {
+            self.state.live.publish(Event::changed(self.what));
+        }
+    }
 }

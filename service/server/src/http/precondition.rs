@@ -56,6 +56,18 @@ pub fn answer_read<T: Serialize>(headers: &HeaderMap, at: u64, view: &T) -> Resp
 
 /// Answers a change: 201 with its place where it is new, else 200.
 pub fn answer_put<T: Serialize>(outcome: PutOutcome, place: &str, view: &T) -> Response {
+    let mut response = put_response(outcome, place, view);
+    if let PutOutcome::Unchanged(_) = outcome {
+        response.extensions_mut().insert(NothingChanged);
+    }
+    response
+}
+
+/// On an answer to a change that found everything as it should be.
+#[derive(Debug, Clone, Copy)]
+pub struct NothingChanged;
+
+fn put_response<T: Serialize>(outcome: PutOutcome, place: &str, view: &T) -> Response {
     let tag = (header::ETAG, etag(outcome.version()));
     match (outcome, HeaderValue::try_from(place)) {
         (PutOutcome::Created, Ok(place)) => {

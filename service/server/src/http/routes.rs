@@ -308,9 +308,14 @@ pub fn allowed(role: Role) -> &'static [String] {
 /// What a change by a route is told as; `None` for what changes nothing that advice or a verdict rests on: what a machine
 /// posts is told by itself, and what viewers post is computed alone.
 fn changes(route: &Route) -> Option<&'static str> {
-    const TOLD: [&str; 6] = ["alarms", "feed-profiles", "machines", "operations", "quarantine", "tools"];
+    const TOLD: [&str; 7] =
+        ["alarms", "feed-profiles", "machines", "models", "operations", "quarantine", "tools"];
     let may_change = [ENGINEER, APPROVER, RELEASE].contains(&route.access) && route.method != Method::GET;
     let part = route.path.strip_prefix("/v1/")?.split('/').next()?;
+    // Drafts are nobody's advice: only the steps of a profile are, which stand under its name.
+    if part == "feed-profiles" && !route.path.contains("{profile}/") {
+        return None;
+    }
     TOLD.into_iter().find(|told| may_change && *told == part)
 }
 
@@ -391,7 +396,9 @@ mod tests {
         assert_eq!(told(Method::POST, "/v1/machines/{machine}/acknowledge"), Some("machines"));
         assert_eq!(told(Method::PUT, "/v1/operations/{operation}"), Some("operations"));
         assert_eq!(told(Method::POST, "/v1/machines/{machine}/cycles"), None);
+        assert_eq!(told(Method::PUT, "/v1/models/plunge/{model}"), Some("models"));
         assert_eq!(told(Method::POST, "/v1/tokens"), None);
+        assert_eq!(told(Method::POST, "/v1/feed-profiles"), None);
         assert_eq!(told(Method::GET, "/v1/tools"), None);
         let of_profiles = table.iter().filter(|route| changes(route) == Some("feed-profiles"));
         let paths: Vec<_> = of_profiles.map(|route| route.path.rsplit('/').next().unwrap()).collect();

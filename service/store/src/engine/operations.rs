@@ -204,7 +204,7 @@ pub(super) async fn put(
     audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
     // What stands here so far may be from a server of before, which notes nothing.
     if let Some(existing) = &existing {
-        note_asks(conn, &existing.value, existing.updated_at).await?;
+        note_asks(conn, &existing.value, existing.updated_at.min(now)).await?;
     }
     note_asks(conn, operation, now).await?;
     if !judged_alike(existing.as_ref().map(|existing| &existing.value), operation) {

@@ -134,8 +134,9 @@ pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
 /// Makes the partitions of the months ahead. Whoever reads samples, as a backup does for as long as it takes, is in the way of that, and
 /// every post would wait behind it: it gives up soon, as there are partitions for a year, and is tried again.
 pub(super) async fn make_room(conn: &mut Conn, now: Timestamp) -> StoreResult<()> {
-    sqlx::query("SET LOCAL lock_timeout = '300ms'").execute(&mut *conn).await?;
+    // Behind other servers that make room, which holds up nobody; only then for the table, which everybody who stores waits behind.
     lock(conn, &Locks::subject("partitions", "")).await?;
+    sqlx::query("SET LOCAL lock_timeout = '300ms'").execute(&mut *conn).await?;
     sqlx::query("SELECT cycle_samples_make_partitions($1, $2)")
         .bind(now.micros())
         .bind(MONTHS_AHEAD)

@@ -14,8 +14,8 @@ let entered = false, again = null;
 const signInAgain = () => again ??= import("./sign-in-again.js").then((dialog) => dialog.signInAgain()).finally(() => { again = null; });
 
 /** An answer has begun after so long, ms, or there is none: sockets stay open where the radio fades. What changes something may wait
- *  for a commit. And it has come whole after so long again. */
-const READ_MS = 15_000, CHANGE_MS = 60_000;
+ *  for a commit. Once it has begun, nothing came of it for so long: however long it takes, a slow link brings it. */
+const READ_MS = 30_000, CHANGE_MS = 60_000, QUIET_MS = 30_000;
 const noAnswer = () => new ApiError(0, { code: "offline", detail: "no answer" });
 
 /** Asks; gives `{ body, etag }`. */
@@ -24,13 +24,21 @@ export async function ask(method, path, { body, signal, etag, headers = {}, text
   const init = { method, signal: signal ? AbortSignal.any([signal, late.signal]) : late.signal, credentials: "same-origin", headers: { accept: text ? "*/*" : "application/json", "x-feedwright-page": "1", ...headers } };
   if (body !== undefined) { init.body = JSON.stringify(body); init.headers["content-type"] = "application/json"; }
   if (etag) init.headers["if-match"] = etag;
-  let answer, timer = setTimeout(() => late.abort(), allowed);
+  let answer, timer = 0;
+  const wait = (ms) => { clearTimeout(timer); timer = setTimeout(() => late.abort(), ms); };
+  /** The text of what was answered. */
+  const whole = async () => {
+    wait(QUIET_MS);
+    const heard = new TransformStream({ transform: (part, on) => { wait(QUIET_MS); on.enqueue(part); } });
+    try { return answer.body ? await new Response(answer.body.pipeThrough(heard)).text() : ""; } finally { clearTimeout(timer); }
+  };
+  wait(allowed);
   /** Whoever asked may want it no more; otherwise it did not come. */
   const broken = (error) => { if (error.name === "AbortError" && signal?.aborted) throw error; throw noAnswer(); };
   try { answer = await fetch(path, init); } catch (error) { return broken(error); } finally { clearTimeout(timer); }
   if (!answer.ok) {
     let problem = {};
-    try { problem = await answer.json(); } catch { /* not ours: the status has to do */ }
+    try { problem = JSON.parse(await whole()); } catch { /* not ours: the status has to do */ }
     problem.request_id ||= answer.headers.get("x-request-id");
     problem.retryAfter = answer.headers.get("retry-after");
     if (answer.status === 401 && document.body.dataset.page !== "sign-in" && path !== "/v1/session") {
@@ -40,9 +48,9 @@ export async function ask(method, path, { body, signal, etag, headers = {}, text
     }
     throw new ApiError(answer.status, problem);
   }
-  timer = setTimeout(() => late.abort(), CHANGE_MS);
   let content = null;
-  try { if (answer.status !== 204) content = text ? await answer.text() : await answer.json(); } catch (error) { return broken(error); } finally { clearTimeout(timer); }
+  try { content = await whole(); } catch (error) { return broken(error); }
+  if (!text) content = answer.status === 204 ? null : JSON.parse(content);
   return { body: content, etag: answer.headers.get("etag"), status: answer.status };
 }
 export const get = async (path, options) => (await ask("GET", path, options)).body;

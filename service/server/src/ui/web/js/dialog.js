@@ -14,8 +14,8 @@ export function confirm({ title, text, label, work, reason, cancel = t("cancel")
   document.body.append(dialog);
   dialog.showModal();
   $("#c-cancel", dialog).addEventListener("click", () => dialog.close());
-  // What is under way is not called back by leaving.
-  dialog.addEventListener("cancel", (event) => { if (go.disabled) event.preventDefault(); });
+  // What is under way is not called back by leaving; a browser lets a dialog go at the third Escape unless the key itself is held.
+  for (const name of ["cancel", "keydown"]) dialog.addEventListener(name, (event) => { if (go.disabled && (name === "cancel" || event.key === "Escape")) event.preventDefault(); });
   $("form", dialog).addEventListener("submit", (event) => {
     event.preventDefault();
     const why = reason ? oneLine($("#c-reason", dialog).value) : undefined;

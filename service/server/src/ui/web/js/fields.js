@@ -5,7 +5,7 @@ import { $$, html } from "./html.js";
 import { failure, notice } from "./states.js";
 import { language, t } from "./text.js";
 
-const [POINT, GROUPS] = language === "de" ? [",", /^[+-]?[1-9]\d{0,2}\.\d{3}$/] : [".", /^[+-]?[1-9]\d{0,2},\d{3}$/];
+const [POINT, GROUPS] = language === "de" ? [",", /^[+-]?[1-9]\d{0,2}\.\d{3}(e|$)/i] : [".", /^[+-]?[1-9]\d{0,2},\d{3}(e|$)/i];
 /** A number as a field shows it, in the page's language. */
 export const written = (value) => value == null ? "" : String(value).replace(".", POINT);
 /** The number that a text says, with a decimal point or a decimal comma; null where it is empty, NaN where it says none, or
@@ -13,7 +13,9 @@ export const written = (value) => value == null ? "" : String(value).replace("."
 export function number(text) {
   const plain = text.trim().replace("\u2212", "-");
   if (plain === "") return null;
-  return /^[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?$/i.test(plain) && !GROUPS.test(plain) ? Number(plain.replace(",", ".")) : NaN;
+  const value = /^[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?$/i.test(plain) && !GROUPS.test(plain) ? Number(plain.replace(",", ".")) : NaN;
+  // JSON has no infinity: it would be taken for nothing, and nothing for an emptied field.
+  return Number.isFinite(value) ? value : NaN;
 }
 /** A field for a number. */
 export const numeric = (id, value, more = "") => html`<input type="text" inputmode="decimal" autocomplete="off" spellcheck="false" ${id ? html`id="${id}"` : ""} value="${written(value)}" ${more}>`;
@@ -30,7 +32,7 @@ export function right(input, said) {
   if (said) said.textContent = "";
 }
 const place = (input) => document.getElementById(`${input.id}-said`);
-const valueOf = (input) => input.validity.badInput ? NaN : input.type === "number" ? (input.value === "" ? null : Number(input.value)) : number(input.value);
+const valueOf = (input) => number(input.value);
 /** What is wrong with the text of a field for a number, null where nothing is. */
 export const fault = (input, needed = input.required) => { const value = valueOf(input); return Number.isNaN(value) ? t("number.bad") : needed && value == null ? t("number.needed") : null; };
 

@@ -76,7 +76,7 @@ export function keep(work, beat, { least = 2000, drawn = false } = {}) {
  *  does not listen, nor do more pages of one browser than have a seat: `unheard` is called when it stops, and when it begins
  *  again `state` comes first. Whoever shows what events bring keeps it fresh by asking meanwhile: `heard()` says whether it has to. */
 export function listen(query, handlers, unheard = () => {}) {
-  let source = null, timer = 0, beat = 0, silent = 0;
+  let source = null, timer = 0, beat = 0, silent = 0, last = "";
   const later = () => { clearTimeout(timer); if (source) timer = setTimeout(probe, RETRY_MS); };
   // A connection that broke may come back by itself; until then it is asked whether there is a server, and a session.
   async function probe() {
@@ -93,10 +93,13 @@ export function listen(query, handlers, unheard = () => {}) {
     }
   }
   function open() {
-    const mine = source = new EventSource(`/v1/live${query ? `?${query}` : ""}`);
+    // A connection that is made anew goes on where the one before it ended: what was told meanwhile comes, or a gap.
+    const asked = new URLSearchParams(query);
+    if (last) asked.set("after", last);
+    const mine = source = new EventSource(`/v1/live${asked.size ? `?${asked}` : ""}`);
     const dead = () => { mine.close(); if (mine !== source) return; listening = false; freshness("connecting"); clearTimeout(timer); probe(); };
     const alive = () => { clearTimeout(silent); if (beat && mine === source) silent = setTimeout(dead, SILENT_BEATS * beat); };
-    for (const name of TOLD) source.addEventListener(name, (event) => { if (name === "state") beat = JSON.parse(event.data).heartbeat_ms ?? 0; alive(); });
+    for (const name of TOLD) source.addEventListener(name, (event) => { if (event.lastEventId) last = event.lastEventId; if (name === "state") beat = JSON.parse(event.data).heartbeat_ms ?? 0; alive(); });
     source.addEventListener("open", () => { alive(); listening = true; clearTimeout(timer); offline(false); freshness("live"); });
     source.addEventListener("error", () => {
       if (mine !== source) return;

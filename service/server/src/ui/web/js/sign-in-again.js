@@ -19,7 +19,7 @@ export async function signInAgain() {
   const dialog = element(html`<dialog id="again" aria-labelledby="again-h" aria-describedby="again-what"><form method="dialog" novalidate><h2 id="again-h">${t("again.title")}</h2><p class="muted" id="again-what">${t("again.text")}</p><label for="again-token">${t("sign.token")}</label><input type="password" id="again-token" autocomplete="current-password" spellcheck="false" autocapitalize="off"><div id="again-said" role="alert"></div><label class="check"><input type="checkbox" id="again-lasting" ${lasting ? html`checked` : ""}><span>${t("sign.lasting")}</span></label><div class="knot-tools"><button class="btn primary" type="submit">${t("sign.in")}</button></div></form></dialog>`);
   document.body.append(dialog);
   // Without a session nothing behind it answers: it is not closed by Escape.
-  dialog.addEventListener("cancel", (event) => event.preventDefault());
+  for (const name of ["cancel", "keydown"]) dialog.addEventListener(name, (event) => { if (name === "cancel" || event.key === "Escape") event.preventDefault(); });
   dialog.showModal();
   $("#again-token", dialog).focus();
   const who = await new Promise((done) => $("form", dialog).addEventListener("submit", (event) => {

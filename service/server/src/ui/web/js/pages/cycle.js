@@ -8,7 +8,7 @@ import { FONT, X, Y, chart, clip, dpr, halo, limit, line, nice, phone, ready, sp
 import { Track, forward } from "../track.js";
 import { cycleLive } from "../cycle-live.js";
 import { opening } from "../live.js";
-import { entered } from "../fields.js";
+import { entered, numeric, written } from "../fields.js";
 import { t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
@@ -313,7 +313,7 @@ async function runWhatIf() {
   const paper = { feed_drive: 30, spindle: 40 };
   const now = { feed_drive: A.course?.feed_drive_load_set_percent ?? paper.feed_drive, spindle: A.course?.spindle_load_set_percent ?? paper.spindle };
   question ??= { feed_drive: now.feed_drive + 10, spindle: now.spindle + 10 };
-  $("#wi-feed").value = question.feed_drive; $("#wi-spindle").value = question.spindle;
+  $("#wi-feed").value = written(question.feed_drive); $("#wi-spindle").value = written(question.spindle);
   const answer = await post(`${cyclePath(A.cycle.machine, A.cycle.cycle_id)}/what-if`, { control: { law: { set_feed_drive_percent: question.feed_drive, set_spindle_percent: question.spindle } }, limits: { feed_drive_percent: now.feed_drive, spindle_percent: now.spindle }, samples: true });
   B = predicted(answer);
   put($("#wi-trust"), html`<dl class="facts"><dt>${t("whatif.rmsFeed")}</dt><dd>${unit(answer.model_error.feed_drive_rms_points, "%", 1)}</dd><dt>${t("whatif.rmsSpindle")}</dt><dd>${unit(answer.model_error.spindle_rms_points, "%", 1)}</dd><dt>${t("whatif.duration")}</dt><dd>${signed(answer.model_error.duration_relative * 100, 1)}${NB}%</dd><dt>${t("whatif.extrapolated")}</dt><dd>${unit(answer.extrapolated_ratio * 100, "%", 0)}</dd><dt>${t("whatif.learned")}</dt><dd>${num(answer.relation.learned_from.length)}</dd></dl>`);
@@ -339,7 +339,7 @@ function frame(who) {
       <label class="sr" for="other">${t("cycle.other")}</label><select id="other"><option value="">${t("cycle.other")}</option></select>
     </div></div>
   <p class="verdict sub" id="verdict"></p><div id="live-cycle"></div><div id="said"></div>
-  <section class="panel whatif" id="whatif" hidden aria-label="${t("cycle.compareWhatIf")}"><form id="wi-form" novalidate><p>${t("whatif.what")}</p><label for="wi-feed">${t("whatif.feed")}</label><input type="number" id="wi-feed" min="1" max="400" step="1"><span class="unit">%</span><label for="wi-spindle">${t("whatif.spindle")}</label><input type="number" id="wi-spindle" min="1" max="400" step="1"><span class="unit">%</span><button class="btn" type="submit">${t("whatif.ask")}</button><p class="said" id="wi-said" role="alert"></p></form><div id="wi-trust"></div></section>
+  <section class="panel whatif" id="whatif" hidden aria-label="${t("cycle.compareWhatIf")}"><form id="wi-form" novalidate><p>${t("whatif.what")}</p><label for="wi-feed">${t("whatif.feed")}</label>${numeric("wi-feed", null)}<span class="unit">%</span><label for="wi-spindle">${t("whatif.spindle")}</label>${numeric("wi-spindle", null)}<span class="unit">%</span><button class="btn" type="submit">${t("whatif.ask")}</button><p class="said" id="wi-said" role="alert"></p></form><div id="wi-trust"></div></section>
   <dl class="figures six" id="figures"></dl>
   <div class="cycle-grid"><section class="panel charts-panel" aria-label="${t("cycle.curves")}">
       <div class="key"><span><svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke="var(--ink)" stroke-width="2.2"/></svg>${t("cycle.this")}</span><span id="refkey"></span>

@@ -12,9 +12,11 @@ const asked = new URLSearchParams(location.search);
 const MOST_OTHERS = 4, MOST_IDS = 5000;
 /** Without a connection advice is asked for this often, ms, and other machines are looked at. */
 const BEAT_MS = 20_000;
+/** The other machines are all of them: read no more often than this, ms, whatever is told. */
+const LEAST_LOOK_MS = 5000;
 /** What may be another one by now: the advice, and that of the other machines. */
 const due = { advice: false, others: false };
-let advice = null, question = null, kept = null, fleet = [], skew = 0, known = { operations: [], tools: [], complete: true };
+let advice = null, question = null, looked = 0, kept = null, fleet = [], skew = 0, known = { operations: [], tools: [], complete: true };
 const now = () => Date.now() + skew;
 
 /** The one instruction: a verb, and what it is about. */
@@ -82,17 +84,20 @@ function card() {
     [t("next.machineRange"), html`${num(one.limits.override_min_percent)} ${t("to")} ${num(one.limits.override_max_percent)} <span class="unit">%</span>`],
   ];
   const last = fleet.find((item) => item.machine === one.machine)?.last_cycle;
+  // Whoever stands on the button, by keys or with a screen reader, stands there afterwards too.
+  const focused = document.activeElement?.closest("#card") ? document.activeElement.id : "";
   fill($("#card"), html`<p class="where"><b>${one.machine}</b><span>${one.operation}</span><span>${t("nav.tool")} <a href="/tool?id=${segment(one.tool)}">${one.tool}</a></span></p>
     <h1 id="rec-h"></h1><p class="then" id="then"></p><div class="valid" id="valid"></div>
     <dl class="settings">${settings.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>
     ${process?.turning?.next ? notice("", t("next.turning"), t("next.turningText", { speed: unit(process.turning.next.speed_m_min, "m/min", 0), feed: unit(process.turning.next.feed_mm_rev, "mm/rev", 3), minutes: unit(process.turning.next.interval_min, "min", 1) })) : ""}
     ${process?.plunge ? notice("", t("next.plunge"), process.plunge.feed_mm_min == null ? t("next.plungeNone") : t("next.plungeText", { feed: unit(process.plunge.feed_mm_min, "mm/min"), limit: told("bound", process.plunge.limit) })) : ""}
     <h2>${t("next.why")}</h2><ol class="reasons">${one.reasons.map((reason) => html`<li><span><span class="t">${reasonText(reason)}</span><span class="e">${evidence(one, reason.code)}</span></span>${reasonLink(one, reason.code)}</li>`)}</ol>
-    <div class="rec-do"><button class="btn" id="again">${t("next.again")}</button><a class="btn" href="/tool?id=${segment(one.tool)}">${t("tool.recordChange")}</a>${last ? html`<a class="btn" href="/cycle?machine=${segment(one.machine)}&amp;id=${segment(last.cycle_id)}">${t("tool.lastCycle")}</a>` : ""}<span class="given">${t("next.given", { time: timeSeconds(one.issued_at), quality: told("quality", one.data.quality) })}</span></div>`);
+    <div class="rec-do"><button class="btn" id="anew">${t("next.again")}</button><a class="btn" href="/tool?id=${segment(one.tool)}">${t("tool.recordChange")}</a>${last ? html`<a class="btn" href="/cycle?machine=${segment(one.machine)}&amp;id=${segment(last.cycle_id)}">${t("tool.lastCycle")}</a>` : ""}<span class="given">${t("next.given", { time: timeSeconds(one.issued_at), quality: told("quality", one.data.quality) })}</span></div>`);
   paintHead(false);
   $("#card").classList.remove("over");
   validity(one);
-  $("#again").addEventListener("click", ask);
+  $("#anew").addEventListener("click", ask);
+  if (focused) document.getElementById(focused)?.focus();
   put($("#json"), JSON.stringify(one, null, 1));
 }
 function others() {
@@ -116,7 +121,7 @@ async function refresh() {
 /** Asks again when it is this page's turn; until the answer is there the button says so. */
 function ask() {
   if (!kept) { location.reload(); return; }
-  const again = $("#again");
+  const again = $("#anew");
   if (again) { again.disabled = true; again.setAttribute("aria-busy", "true"); }
   due.advice = due.others = true;
   kept.nudge();
@@ -138,20 +143,20 @@ function another() {
 /** What was refused, with the way to ask again. */
 function refused(error) {
   put($("#json"), "");
-  fill($("#card"), html`<h1>${t("nav.next")}</h1>${failure(error, t("error.load"))}<div class="rec-do"><button class="btn" id="again">${t("next.again")}</button></div>`);
-  $("#again").addEventListener("click", ask);
+  fill($("#card"), html`<h1>${t("nav.next")}</h1>${failure(error, t("error.load"))}<div class="rec-do"><button class="btn" id="anew">${t("next.again")}</button></div>`);
+  $("#anew").addEventListener("click", ask);
 }
 /** What is due, and everything where nobody tells what happens. */
 async function catchUp(heard) {
-  const asks = due.advice || !heard || !advice, looks = due.others || !heard;
-  Object.assign(due, { advice: false, others: false });
+  const asks = due.advice || !heard || !advice, looks = !heard || (due.others && Date.now() - looked >= LEAST_LOOK_MS), later = due.others && !looks;
+  Object.assign(due, { advice: false, others: later });
   try {
     if (asks) await refresh();
-    if (looks) { fleet = await wholeFleet(2); others(); }
+    if (looks) { looked = Date.now(); fleet = await wholeFleet(2); others(); }
   } catch (error) {
-    Object.assign(due, { advice: asks, others: looks });
+    Object.assign(due, { advice: asks, others: looks || later });
     if (error instanceof ApiError && !advice) refused(error);
-    const again = $("#again");
+    const again = $("#anew");
     if (again) { again.disabled = false; again.removeAttribute("aria-busy"); }
     throw error;
   }
@@ -201,7 +206,7 @@ await opening(async () => {
       cycle: (event) => { due.others = true; if (event.machine === asked.get("machine") || event.tool === asked.get("tool")) { due.advice = true; kept.nudge(); } },
       alarm: anew, changed: anew, gap: anew,
     });
-    kept = keep(() => catchUp(live.heard()), BEAT_MS, { least: 500, drawn: true });
+    kept = keep(() => catchUp(live.heard()), BEAT_MS, { least: 1000, drawn: true });
     setInterval(() => { if (advice && $("#valid")) validity(advice); }, 1000);
   }
 }, refused);
