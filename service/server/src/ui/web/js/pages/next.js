@@ -16,7 +16,7 @@ const BEAT_MS = 20_000;
 const LEAST_LOOK_MS = 5000;
 /** What may be another one by now: the advice, and that of the other machines. */
 const due = { advice: false, others: false };
-let advice = null, question = null, looked = 0, kept = null, fleet = [], skew = 0, known = { operations: [], tools: [], complete: true };
+let advice = null, question = null, looked = 0, answered = 0, kept = null, fleet = [], skew = 0, known = { operations: [], tools: [], complete: true };
 const now = () => Date.now() + skew;
 
 /** The one instruction: a verb, and what it is about. */
@@ -114,6 +114,7 @@ async function refresh() {
   try { answer = await get(`/v1/recommendations?machine=${segment(asked.get("machine"))}&operation=${segment(asked.get("operation"))}&tool=${segment(asked.get("tool"))}`, { signal: mine.signal }); } catch (error) { if (mine.signal.aborted) return; throw error; }
   if (mine !== question) return;
   advice = answer;
+  answered = Date.now();
   skew = Date.parse(advice.issued_at) - Date.now();
   card();
   others();
@@ -127,7 +128,7 @@ function ask() {
   kept.nudge();
 }
 function soon() {
-  if (due.advice) return;
+  if (due.advice || Date.now() - answered < BEAT_MS) return;
   due.advice = true;
   kept?.nudge();
 }
