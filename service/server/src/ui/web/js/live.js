@@ -23,7 +23,7 @@ function offline(is) {
   $("#main").prepend(element(html`<div class="notice plan" id="offline" role="status">${icon("silent")}<div><b>${t("offline.title", { time: time(since) })}</b><p>${t("offline.text")}</p></div></div>`));
 }
 /** What the server cannot do now, and can do later. */
-const passing = (error) => error.code === "offline" || error.status >= 500 || error.status === 429;
+export const passing = (error) => error.code === "offline" || error.status >= 500 || error.status === 429;
 
 /** Opens a page: what the server cannot do now is said, and tried again from the beginning; what it refuses is told by `refused`. */
 export async function opening(work, refused) {

@@ -1,9 +1,10 @@
 // The frame around every page: navigation on top (charts need the width), whether it is live, who is signed in.
 import { icon } from "./icons.js";
-import { $, element, fill, html, put } from "./html.js";
+import { $, element, html, put } from "./html.js";
 import { ApiError, ask, may, session } from "./api.js";
 import { failure } from "./states.js";
-import { MOST_REASON, language, oneLine, setLanguage, t } from "./text.js";
+import { closedFor } from "./actions.js";
+import { language, setLanguage, t } from "./text.js";
 
 const pages = [
   ["fleet", "/", "fleet"], ["cycle", "/cycle", "cycle"], ["tool", "/tool", "tool"], ["profile", "/profile", "profile"],
@@ -67,18 +68,7 @@ export function freshness(state) {
 /** Attributes and words of an action that the role may be closed for: visible, dashed, with the reason. */
 export function action(who, route, label, { id, primary = false, sign, type = "button", kind = "" } = {}) {
   const open = may(who, route);
-  const reason = open ? null : t("closed", { role: t(`role.${who.role}`), who: openTo(route) });
+  const reason = open ? null : closedFor(who.role, route);
   return html`<button type="${type}" class="btn ${primary && open ? "primary" : ""} ${kind}" ${id ? html`id="${id}"` : ""} ${open ? "" : html`aria-disabled="true" title="${reason}" aria-description="${reason}"`}>${sign ? icon(sign) : ""}${label}</button>`;
-}
-/** Who can do it: the roles as the server's own description of its routes names them. */
-const openTo = (route) => route.includes("/v1/tokens") ? t("role.admin") : route.includes("/approve") ? t("role.approver") : `${t("role.engineer")}, ${t("role.admin")}`;
-/** Asks before something that cannot be undone; `work` is given the reason where one is asked for, and may be refused. */
-export function confirm_(title, text, label, work, withReason = false) {
-  const dialog = element(html`<dialog aria-labelledby="c-h"><form method="dialog"><h2 id="c-h">${title}</h2><p class="muted">${text}</p>${withReason ? html`<label for="c-reason">${t("tool.reason")}</label><textarea id="c-reason" rows="2" maxlength="${MOST_REASON}" required></textarea>` : ""}<div id="c-said" role="alert"></div><div class="knot-tools"><button class="btn primary" type="submit">${label}</button><button class="btn" type="button" id="c-cancel">${t("cancel")}</button></div></form></dialog>`);
-  document.body.append(dialog);
-  dialog.showModal();
-  dialog.addEventListener("close", () => dialog.remove());
-  $("#c-cancel", dialog).addEventListener("click", () => dialog.close());
-  $("form", dialog).addEventListener("submit", async (event) => { event.preventDefault(); try { await work(withReason ? oneLine($("#c-reason", dialog).value) : undefined); dialog.close(); } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#c-said", dialog), failure(error)); } });
 }
 export const closed = (button) => button.getAttribute("aria-disabled") === "true";

@@ -5,7 +5,7 @@ import { empty, failure, notice, skeleton } from "../states.js";
 import { ApiError, all, get, segment, session, wholeFleet } from "../api.js";
 import { num, percent, rounded, span, time, timeSeconds, unit } from "../format.js";
 import { levelPercent, shownLevel } from "../wear.js";
-import { keep, listen, opening } from "../live.js";
+import { keep, listen, opening, passing } from "../live.js";
 import { language, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);
@@ -200,7 +200,7 @@ await opening(async () => {
     if (!asked.get("tool")) asked.set("tool", from.last_cycle.tool);
     history.replaceState(null, "", `/next?${asked}`);
     picker();
-    try { await refresh(); } catch (error) { if (!(error instanceof ApiError) || error.status === 0 || error.status === 429 || error.status >= 500) throw error; refused(error); }
+    try { await refresh(); } catch (error) { if (!(error instanceof ApiError) || passing(error)) throw error; refused(error); }
     const anew = () => { due.advice = due.others = true; kept.nudge(); };
     const live = listen("", {
       // A cycle of another machine waits for the beat: a shop has one every second.
