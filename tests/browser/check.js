@@ -277,6 +277,19 @@ await check("sign-in: goes on within this site only, however the address is writ
   });
 });
 
+await check("unknown: an address without a page says so, needs no session and leads on", async () => {
+  for (const [role, language, title] of [[null, "de-DE", "Hier ist keine Seite"], ["viewer", "en-GB", "There is no page here"]]) await withPage({ role, language, width: 320, height: 640, expects: ["404", "401"] }, async (page) => {
+    const answer = await page.goto(`${shop.address}/${"no-such-page-".repeat(20)}`);
+    assert.equal(answer.status(), 404);
+    await page.getByRole("heading", { name: title }).waitFor();
+    assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), "it is wider than the window");
+    assert.deepEqual(await violations(page), []);
+    await page.locator("#main a").click();
+    await page.waitForURL(role ? `${shop.address}/` : /\/sign-in/);
+    await page.settled();
+  });
+});
+
 await check("sign-out that fails is no sign-out", async () => {
   await withPage({ role: "viewer", expects: ["503"] }, async (page) => {
     await page.go("/");
@@ -984,10 +997,14 @@ await check("leaving: what is not saved does not go without a question", async (
 
 await check("studies: map, border and their values by keyboard; turning against the fixed pair; every drill named with its limit; what fails keeps the input", async () => {
   // 409: the map that is given up may have been finished in the same moment.
-  await withPage({ role: "viewer", expects: ["422", "409"] }, async (page) => {
-    // The first map comes unasked.
+  await withPage({ role: "viewer", expects: ["422", "409", "503"] }, async (page) => {
+    // The first map comes unasked; that its job cannot be asked for once does not end it.
+    let asked = 0;
+    await page.route("**/v1/jobs/*", (route) => (asked += 1) === 1 ? route.fulfill({ status: 503, contentType: "application/problem+json", body: '{"code":"unavailable","detail":"the database does not answer"}' }) : route.continue());
     await page.go("/studies#vibratory");
     await page.locator("#map canvas").waitFor();
+    assert.ok(asked > 1, `the job was asked for ${asked} times`);
+    await page.unroute("**/v1/jobs/*");
     await page.goto("about:blank");
     // Another one is asked for before the first is there.
     await page.go("/studies#vibratory");

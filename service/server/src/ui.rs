@@ -49,6 +49,18 @@ pub(crate) async fn page(name: &'static str, headers: HeaderMap) -> Response {
     answer(&document, &headers, "no-cache")
 }
 
+/// The page of an address where there is none.
+pub(crate) async fn unknown(headers: &HeaderMap) -> Response {
+    // It is no version of anything, so nobody's copy is as good.
+    let mut asked = headers.clone();
+    asked.remove(header::IF_NONE_MATCH);
+    let mut response = page("unknown", asked).await;
+    if response.status() == StatusCode::OK {
+        *response.status_mut() = StatusCode::NOT_FOUND;
+    }
+    response
+}
+
 /// A file of the pages, at an address that names the version of them all.
 pub(crate) async fn file(Path((version, name)): Path<(String, String)>, headers: HeaderMap) -> Response {
     let current = version == files::version();

@@ -218,6 +218,17 @@ async fn every_page_and_every_file_of_it_comes_with_its_policy() {
         let again = ask(path, &[("if-none-match", page.header("etag"))]).await;
         assert_eq!(again.status, StatusCode::NOT_MODIFIED);
     }
+    let browser = [("accept", "text/html,application/xml;q=0.9,*/*;q=0.8"), ("if-none-match", "*")];
+    let unknown = ask("/no-such-page", &browser).await;
+    assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+    let text = String::from_utf8(unknown.body.clone()).unwrap();
+    assert!(text.contains("data-page=\"unknown\"") && !text.contains("{{"), "{text}");
+    // Whoever asks for data is told in data, also where a browser is what asks.
+    for (path, headers) in [("/no-such-page", &[][..]), ("/v1/no-such-route", &browser)] {
+        let unknown = ask(path, headers).await;
+        assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+        assert_eq!(unknown.json()["code"], "unknown_path", "{path}");
+    }
     for missing in ["/ui/dev/js/no.js", "/ui/other/icon.svg", "/ui/dev/page.html", "/ui/dev/../../lib.rs"] {
         assert_eq!(ask(missing, &[]).await.status, StatusCode::NOT_FOUND, "{missing}");
     }

@@ -101,7 +101,12 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
 /// The problem for an error answer that no code of this crate made, such as a library's rejection.
 fn stray(response: &Response) -> Option<Problem> {
     let status = response.status();
-    let is_error = status.is_client_error() || status.is_server_error();
+    // Nothing but our own pages answers in HTML.
+    let is_page = response
+        .headers()
+        .get(header::CONTENT_TYPE)
+        .is_some_and(|kind| kind.as_bytes().starts_with(b"text/html"));
+    let is_error = !is_page && (status.is_client_error() || status.is_server_error());
     let code = match status {
         StatusCode::METHOD_NOT_ALLOWED => "method_not_allowed",
         StatusCode::NOT_FOUND => "not_found",

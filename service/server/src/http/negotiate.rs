@@ -61,6 +61,14 @@ pub fn accepts_gzip(headers: &HeaderMap) -> bool {
     gzip > 0 && gzip >= of(&["identity"]).unwrap_or(0)
 }
 
+/// Whether a page is asked for by name, as browsers do of what somebody opens, and nothing else is liked better.
+pub fn prefers_pages(headers: &HeaderMap) -> bool {
+    let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    let ranges: Vec<_> = values.flat_map(|value| value.split(',')).filter_map(range).collect();
+    let most = ranges.iter().map(|(_, weight)| *weight).max().unwrap_or(0);
+    most > 0 && ranges.iter().any(|(range, weight)| range == "text/html" && *weight == most)
+}
+
 /// A media range in lower case, with its weight in thousandths; none where it cannot be read.
 fn range(text: &str) -> Option<(String, u16)> {
     let (range, weight) = weighted(text)?;
@@ -119,6 +127,26 @@ mod tests {
             headers.append(header::ACCEPT, line.parse().unwrap());
         }
         best(&headers)
+    }
+
+    #[test]
+    fn a_page_is_for_who_asks_for_pages() {
+        for (accepted, page) in [
+            (&["text/html,application/xhtml+xml,application/xml;q=0.9,image/avif,*/*;q=0.8"][..], true),
+            (&["application/json", "TEXT/HTML"], true),
+            (&["application/json, text/html;q=0.5"], false),
+            (&["text/html;q=0"], false),
+            (&["*/*"], false),
+            (&["text/*"], false),
+            (&[""], false),
+            (&[], false),
+        ] {
+            let mut headers = HeaderMap::new();
+            for line in accepted {
+                headers.append(header::ACCEPT, line.parse().unwrap());
+            }
+            assert_eq!(prefers_pages(&headers), page, "{accepted:?}");
+        }
     }
 
     #[test]

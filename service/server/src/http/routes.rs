@@ -7,6 +7,7 @@ use super::{
     stream, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::{Trust, authorise};
+use crate::http::negotiate::prefers_pages;
 use crate::http::problem::Problem;
 use crate::state::AppState;
 use crate::ui;
@@ -354,7 +355,7 @@ pub fn router(state: AppState) -> Router {
         router = router.route(&path, handler);
     }
     router
-        .fallback(unknown_path)
+        .fallback(unknown_address)
         .method_not_allowed_fallback(wrong_method)
         .layer(from_fn_with_state(state.clone(), edge::answer))
         .with_state(state)
@@ -368,6 +369,15 @@ pub fn metrics_router(state: AppState) -> Router {
         .method_not_allowed_fallback(wrong_method)
         .layer(from_fn_with_state(state.clone(), edge::answer))
         .with_state(state)
+}
+
+/// Somebody who opened it in a browser is shown a page that leads on; whoever asks for data is told in data.
+async fn unknown_address(method: Method, uri: Uri, headers: HeaderMap) -> Response {
+    let is_page = matches!(method, Method::GET | Method::HEAD) && prefers_pages(&headers);
+    if is_page && !uri.path().starts_with("/v1/") {
+        return ui::unknown(&headers).await;
+    }
+    unknown_path(uri).await
 }
 
 async fn unknown_path(uri: Uri) -> Response {

@@ -7,6 +7,9 @@ export class ApiError extends Error {
   }
 }
 
+/** What the server cannot do now, and can do later. */
+export const passing = (error) => error.code === "offline" || error.status >= 500 || error.status === 429;
+
 /** Nobody is signed in: on to the sign-in, and back again from there. The page is left, so nothing of it goes on. */
 const signInFrom = () => { location.replace(`/sign-in?next=${encodeURIComponent(location.pathname + location.search + location.hash)}`); return new Promise(() => {}); };
 let entered = false, again = null;
@@ -85,6 +88,9 @@ export const stillSignedIn = async () => { try { await get("/v1/session"); } cat
 /** Whether the session's role may use a route, as in `PUT /v1/tools/{tool}`: the server's table says so. */
 export const may = (who, route) => who.may.includes(route);
 
+/** A computation that has not been heard of for so long, ms, is given up; until then it is asked for again after so long. */
+const UNHEARD_MS = 120_000, ASK_AGAIN_MS = 2000;
+
 /** A long computation answers 202 with a job: waits for it, and gives what it found. */
 export async function computed(path, body, { signal, progress } = {}) {
   const answer = await ask("POST", path, { body, signal });
@@ -92,9 +98,17 @@ export async function computed(path, body, { signal, progress } = {}) {
   // Whoever does not want it any more does not keep the server at it; what has ended is left alone.
   const cancel = () => { fetch(`/v1/jobs/${answer.body.id}`, { method: "DELETE", keepalive: true, headers: { "x-feedwright-page": "1" } }).catch(() => {}); };
   signal?.addEventListener("abort", cancel, { once: true });
+  let heard = Date.now();
   for (;;) {
     signal?.throwIfAborted();
-    const job = await get(`/v1/jobs/${answer.body.id}`, { signal });
+    let job;
+    try { job = await get(`/v1/jobs/${answer.body.id}`, { signal }); } catch (error) {
+      // The server goes on computing, whether or not it is heard for a while.
+      if (!(error instanceof ApiError) || !passing(error) || Date.now() - heard > UNHEARD_MS) throw error;
+      await new Promise((wake) => setTimeout(wake, ASK_AGAIN_MS));
+      continue;
+    }
+    heard = Date.now();
     if (["done", "failed", "cancelled"].includes(job.state)) {
       signal?.removeEventListener("abort", cancel);
       if (job.state === "done") return job.result;

@@ -3,7 +3,7 @@
 import { freshness } from "./shell.js";
 import { icon } from "./icons.js";
 import { $, element, fill, html } from "./html.js";
-import { ApiError, stillSignedIn } from "./api.js";
+import { ApiError, passing, stillSignedIn } from "./api.js";
 import { seat } from "./seats.js";
 import { failure } from "./states.js";
 import { time } from "./format.js";
@@ -22,9 +22,6 @@ function offline(is) {
   since ??= Date.now();
   $("#main").prepend(element(html`<div class="notice plan" id="offline" role="status">${icon("silent")}<div><b>${t("offline.title", { time: time(since) })}</b><p>${t("offline.text")}</p></div></div>`));
 }
-/** What the server cannot do now, and can do later. */
-export const passing = (error) => error.code === "offline" || error.status >= 500 || error.status === 429;
-
 /** Opens a page: what the server cannot do now is said, and tried again from the beginning; what it refuses is told by `refused`. */
 export async function opening(work, refused) {
   for (;;) {

@@ -2,10 +2,10 @@ import { $, fill, html, put, trusted } from "../html.js";
 import { icon } from "../icons.js";
 import { shell } from "../shell.js";
 import { empty, failure, notice, skeleton } from "../states.js";
-import { ApiError, all, get, segment, session, wholeFleet } from "../api.js";
+import { ApiError, all, get, passing, segment, session, wholeFleet } from "../api.js";
 import { num, percent, rounded, span, time, timeSeconds, unit } from "../format.js";
 import { levelPercent, shownLevel } from "../wear.js";
-import { keep, listen, opening, passing } from "../live.js";
+import { keep, listen, opening } from "../live.js";
 import { language, t, told } from "../text.js";
 
 const asked = new URLSearchParams(location.search);

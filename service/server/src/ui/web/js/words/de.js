@@ -2,7 +2,7 @@
 const n = (count, one, many) => `${count}\u00a0${count === 1 || count === "1" ? one : many}`;
 export const de = {
   // Rahmen
-  "app.table": "Tabelle", "app.skip": "Zum Inhalt springen", "app.main": "Hauptnavigation", "app.theme": "Zwischen hell und dunkel wechseln", "app.language": "English", "app.languageLabel": "Language: English",
+  "app.table": "Tabelle", "unknown.title": "Hier ist keine Seite", "unknown.text": "Die Adresse ist vielleicht vertippt, oder die Seite hat jetzt eine andere.", "unknown.go": "Zum Maschinenpark", "app.skip": "Zum Inhalt springen", "app.main": "Hauptnavigation", "app.theme": "Zwischen hell und dunkel wechseln", "app.language": "English", "app.languageLabel": "Language: English",
   "nav.fleet": "Maschinenpark", "nav.cycle": "Zyklus", "nav.tool": "Werkzeug", "nav.profile": "Vorschubprofil", "nav.next": "Empfehlung", "nav.studies": "Vergleiche", "nav.settings": "Einstellungen", "nav.more": "Mehr",
   "live.live": "Live", "live.polled": "Aktuell", "live.offline": "Keine Verbindung", "live.connecting": "Verbindet",
   "role.machine": "Maschine", "role.viewer": "Betrachter", "role.engineer": "Prozessingenieur", "role.approver": "Freigeber", "role.admin": "Administrator",

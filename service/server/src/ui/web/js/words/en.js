@@ -2,7 +2,7 @@
 const n = (count, one, many) => `${count}\u00a0${count === 1 || count === "1" ? one : many}`;
 export const en = {
   // Shell
-  "app.table": "Table", "app.skip": "Skip to content", "app.main": "Main", "app.theme": "Switch between light and dark", "app.language": "Deutsch", "app.languageLabel": "Sprache: Deutsch",
+  "app.table": "Table", "unknown.title": "There is no page here", "unknown.text": "The address may be mistyped, or the page has another one now.", "unknown.go": "To the fleet", "app.skip": "Skip to content", "app.main": "Main", "app.theme": "Switch between light and dark", "app.language": "Deutsch", "app.languageLabel": "Sprache: Deutsch",
   "nav.fleet": "Fleet", "nav.cycle": "Cycle", "nav.tool": "Tool", "nav.profile": "Feed profile", "nav.next": "Next run", "nav.studies": "Studies", "nav.settings": "Settings", "nav.more": "More",
   "live.live": "Live", "live.polled": "Up to date", "live.offline": "No connection", "live.connecting": "Connecting",
   "role.machine": "machine", "role.viewer": "viewer", "role.engineer": "process engineer", "role.approver": "approver", "role.admin": "administrator",
