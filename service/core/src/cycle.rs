@@ -155,6 +155,26 @@ impl Reported {
             ("operator_override_percent", operator, self.operator_override_percent),
         ]
     }
+
+    /// The values of [`Reported::fields`], and behind them those of [`ReportedCut::fields`].
+    const fn values_mut(&mut self) -> [&mut Option<f64>; 13] {
+        let cut = &mut self.cut;
+        [
+            &mut self.energy_joules,
+            &mut self.duration_ms,
+            &mut self.max_depth_mm,
+            &mut self.max_spindle_load_percent,
+            &mut self.max_feed_drive_load_percent,
+            &mut self.mean_spindle_load_percent,
+            &mut self.mean_feed_drive_load_percent,
+            &mut self.operator_override_percent,
+            &mut cut.cutting_speed_m_min,
+            &mut cut.feed_mm_rev,
+            &mut cut.spindle_power_watts,
+            &mut cut.thrust_newtons,
+            &mut cut.edge_wear_mm,
+        ]
+    }
 }
 
 /// A cycle before it was checked: the same fields, nothing promised.
@@ -232,9 +252,12 @@ impl Cycle {
         {
             wrong.push(Violation::new("reference_cycle", "contradictory", why));
         }
-        for (name, range, value) in draft.reported.fields().into_iter().chain(draft.reported.cut.fields()) {
-            if let Some(value) = value {
-                range.collect(&format!("reported.{name}"), value, &mut wrong);
+        let fields = draft.reported.fields().into_iter().chain(draft.reported.cut.fields());
+        for ((name, range, value), kept) in fields.zip(draft.reported.values_mut()) {
+            if let Some(value) = value
+                && let Some(checked) = range.collect(&format!("reported.{name}"), value, &mut wrong)
+            {
+                *kept = Some(checked);
             }
         }
         let anything_reported = draft.reported.fields().iter().any(|(_, _, value)| value.is_some())

@@ -171,6 +171,8 @@ pub struct Limits {
     pub body_bytes: usize,
     /// Largest body after decompression, bytes.
     pub decoded_bytes: usize,
+    /// Large bodies of cycles that are held at once, of single ones and of batches each, bytes.
+    pub large_bodies_bytes: usize,
     /// Largest body of a registration, bytes.
     pub registration_bytes: usize,
     /// Samples in one cycle.
@@ -187,6 +189,13 @@ pub struct Limits {
     pub max_page_size: u32,
     /// Machines that have a metric of their own.
     pub metric_machines: usize,
+}
+
+impl Limits {
+    /// Room for large bodies, bytes: for one of them at the least.
+    pub fn room_bytes(&self) -> usize {
+        self.large_bodies_bytes.max(self.body_bytes).max(self.decoded_bytes)
+    }
 }
 
 /// Bounds of the quarantine.
@@ -623,6 +632,7 @@ impl Config {
         for (path, value, most) in [
             ("limits.body_bytes", self.limits.body_bytes, 1 << 30),
             ("limits.decoded_bytes", self.limits.decoded_bytes, 1 << 31),
+            ("limits.large_bodies_bytes", self.limits.large_bodies_bytes, 1 << 34),
             ("limits.registration_bytes", self.limits.registration_bytes, 1 << 24),
             ("limits.samples_per_cycle", self.limits.samples_per_cycle, 10_000_000),
             ("limits.batch_lines", self.limits.batch_lines, 1_000_000),

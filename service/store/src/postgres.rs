@@ -9,9 +9,9 @@ mod dialect;
 #[path = "engine/mod.rs"]
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
 mod engine;
+mod lent;
 mod notice;
 mod open;
-mod reader;
 
 pub(crate) use open::MIGRATIONS;
 pub use open::PostgresOptions;
@@ -27,11 +27,12 @@ use crate::slot::Slot;
 use crate::work::{Work, Written};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
-use reader::Reader;
+use lent::Lent;
 use sqlx::postgres::PgConnectOptions;
 use sqlx::{ConnectOptions, Connection, PgPool};
+use std::pin::pin;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -39,6 +40,9 @@ type Db = sqlx::Postgres;
 type Conn = sqlx::PgConnection;
 /// Time for a new connection and an answer to a question that waits for nothing.
 const WORD: Duration = Duration::from_secs(2);
+/// Whether the server still is at what a connection asked it for is looked up this often within the time after which one is
+/// taken to be lost.
+const LOOKS: u32 = 6;
 
 /// What writes a group.
 type Writer = Conn;
@@ -151,9 +155,9 @@ impl PostgresStore {
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {
-        let bytes: i64 = sqlx::query_scalar("SELECT pg_database_size(current_database())")
-            .fetch_one(&mut *self.reader().await?)
-            .await?;
+        let mut lent = self.reader().await?;
+        let asked = sqlx::query_scalar("SELECT pg_database_size(current_database())");
+        let bytes: i64 = self.in_time(async { Ok(asked.fetch_one(&mut *lent).await?) }).await?;
         let pool = &self.inner.pool;
         let idle = u32::try_from(pool.num_idle()).unwrap_or(u32::MAX);
         Ok(DatabaseUsage {
@@ -166,7 +170,8 @@ impl PostgresStore {
     }
 
     fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {
-        Some(Arc::new(notice::Direct(self.inner.direct.clone())))
+        let beat = self.inner.lost_after / LOOKS;
+        Some(Arc::new(notice::Direct { connect: self.inner.direct.clone(), beat }))
     }
 
     fn max_samples(&self) -> usize {
@@ -174,16 +179,25 @@ impl PostgresStore {
     }
 
     /// As any other.
-    async fn reader_of_others(&self) -> StoreResult<Reader> {
+    async fn reader_of_others(&self) -> StoreResult<Lent> {
         self.reader().await
     }
 
-    async fn reader(&self) -> StoreResult<Reader> {
-        Ok(if self.inner.pooled {
-            Reader::Pooled(self.inner.begin_snapshot().await?)
-        } else {
-            Reader::Own(self.inner.pool.acquire().await?)
-        })
+    /// A connection to read by, outside of a transaction; behind a pooler inside one, which ends when it is given back.
+    async fn reader(&self) -> StoreResult<Lent> {
+        let mut lent = self.inner.lent().await?;
+        if self.inner.pooled {
+            self.in_time(async { Ok(lent.begin_reading(BEGIN_SNAPSHOT_POOLED).await?) }).await?;
+        }
+        Ok(lent)
+    }
+
+    /// Waits for a read as long as its server is at it.
+    async fn in_time<T>(&self, asked: impl Future<Output = StoreResult<T>>) -> StoreResult<T> {
+        match self.inner.answered(None, asked).await {
+            Some(outcome) => outcome,
+            None => Err(StoreError::Unavailable(LOST.into())),
+        }
     }
 
     /// The server's own vacuum gives space back.
@@ -207,10 +221,10 @@ impl PostgresStore {
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        self.begun(work).await?.await.map_err(panicked)?
+        self.begun(None, work).await?.await.map_err(panicked)?
     }
 
-    async fn begun<T, F>(&self, work: F) -> StoreResult<JoinHandle<StoreResult<T>>>
+    async fn begun<T, F>(&self, longest: Option<Duration>, work: F) -> StoreResult<JoinHandle<StoreResult<T>>>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
@@ -218,29 +232,28 @@ impl PostgresStore {
         let pass = self.inner.gate.enter().await?;
         let inner = Arc::clone(&self.inner);
         Ok(tokio::spawn(async move {
-            let outcome = inner.transaction(work).await;
+            let outcome = inner.transaction(longest, work).await;
             drop(pass);
             outcome
         }))
     }
 
     /// Runs a group of cycles in one transaction, in a task that nobody can cancel. All groups wait for one another, so that
-    /// one whose connection leads nowhere is no longer waited for; if it is committed after all, it is as if another server
-    /// had.
+    /// none is waited for longer than a connection that is lost, whatever its server is at: if it is committed after all, it is as
+    /// if another server had.
     async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
     {
-        let task = self.begun(work).await?;
-        match timeout(self.inner.lost_after, task).await {
-            Ok(ended) => ended.map_err(panicked)?.map(|(value, _)| value),
-            Err(_) => {
-                let why = format!("a transaction got no answer for {} s", self.inner.lost_after.as_secs());
-                tracing::warn!("{why}: its connection is taken to be lost");
-                Err(StoreError::OutcomeUnknown(why.into()))
-            }
-        }
+        let task = self.begun(Some(self.inner.lost_after), work).await?;
+        task.await.map_err(panicked)?.map(|(value, _)| value)
+    }
+
+    /// Whether the server is still at what it was asked for so long ago, and longer than a group is waited for: the same again
+    /// would wait for the same, such as a lock, or a standby that does not confirm.
+    async fn is_at_it(&self, since: Duration) -> bool {
+        since >= self.inner.lost_after && self.inner.knows(since).await == Some(true)
     }
 
     /// Runs reads; the server holds every row to its table's constraints.
@@ -260,10 +273,18 @@ impl PostgresStore {
     {
         let inner = Arc::clone(&self.inner);
         let task = tokio::spawn(async move {
-            let mut transaction = inner.begin_snapshot().await?;
-            let outcome = work(&mut transaction).await;
-            transaction.rollback().await?;
-            outcome
+            let mut lent = inner.lent().await?;
+            let asked = async {
+                let mut transaction = lent.begin_with(inner.begin_snapshot()).await?;
+                let outcome = work(&mut transaction).await;
+                transaction.rollback().await?;
+                outcome
+            };
+            let answer = inner.answered(None, asked).await;
+            answer.unwrap_or_else(|| {
+                lent.lose();
+                Err(StoreError::Unavailable(LOST.into()))
+            })
         });
         task.await.map_err(panicked)?
     }
@@ -274,33 +295,100 @@ impl PostgresStore {
     }
 }
 
+/// Said of a connection whose server is not at what it was asked for, or did not answer in time.
+const LOST: &str = "a connection to the database is lost: its server is not at what it was asked for";
+
 impl Inner {
-    async fn begin(&self) -> StoreResult<sqlx::Transaction<'static, Db>> {
-        Ok(self.pool.begin_with(if self.pooled { BEGIN_POOLED } else { BEGIN }).await?)
+    async fn lent(&self) -> StoreResult<Lent> {
+        Ok(Lent::of(&self.pool, self.lost_after / LOOKS).await?)
     }
 
-    async fn begin_snapshot(&self) -> StoreResult<sqlx::Transaction<'static, Db>> {
-        Ok(self.pool.begin_with(if self.pooled { BEGIN_SNAPSHOT_POOLED } else { BEGIN_SNAPSHOT }).await?)
+    const fn begin(&self) -> &'static str {
+        if self.pooled { BEGIN_POOLED } else { BEGIN }
     }
 
-    async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
+    const fn begin_snapshot(&self) -> &'static str {
+        if self.pooled { BEGIN_SNAPSHOT_POOLED } else { BEGIN_SNAPSHOT }
+    }
+
+    /// Waits for what a server was asked for as long as that is at it, however long that takes, but no longer than `longest`.
+    /// `None` where it is not, as behind an address that another server has taken over, or says nothing at all for as long as
+    /// takes a connection to be lost: that leads nowhere then, as nobody closes it.
+    async fn answered<T>(&self, longest: Option<Duration>, asked: impl Future<Output = T>) -> Option<T> {
+        let mut asked = pin!(asked);
+        let begun = Instant::now();
+        loop {
+            if let Ok(answer) = timeout(self.lost_after / LOOKS, &mut asked).await {
+                return Some(answer);
+            }
+            let since = begun.elapsed();
+            let known = tokio::select! {
+                biased;
+                answer = &mut asked => return Some(answer),
+                known = self.knows(since) => known,
+            };
+            let is_over = match known {
+                Some(known) => !known || longest.is_some_and(|longest| since >= longest),
+                None => since >= self.lost_after,
+            };
+            if is_over {
+                tracing::warn!(seconds = since.as_secs(), is_known = known == Some(true), "{LOST}");
+                return None;
+            }
+        }
+    }
+
+    /// Whether the server has a transaction at work that began about so long ago: one by one they are not known from here.
+    /// `None` where it does not say.
+    async fn knows(&self, since: Duration) -> Option<bool> {
+        // Of connections of another role neither is shown, and where activities are not tracked.
+        const ASK: &str = "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
+            WHERE datname = current_database() AND pid <> pg_backend_pid()
+                AND (application_name = 'feedwright' AND (state IS NULL OR state = 'disabled')
+                    OR (application_name = 'feedwright' OR $1)
+                        AND clock_timestamp() - xact_start >= make_interval(secs => $2)))";
+        let asked = async {
+            let mut conn = self.direct.connect().await?;
+            // Half of it: the transaction began later than whoever waits for it.
+            let known = sqlx::query_scalar(ASK).bind(self.pooled).bind(since.as_secs_f64() / 2.0);
+            let known: bool = known.fetch_one(&mut conn).await?;
+            conn.close().await?;
+            Ok::<_, sqlx::Error>(known)
+        };
+        timeout(WORD, asked).await.ok()?.ok()
+    }
+
+    async fn transaction<T, F>(&self, longest: Option<Duration>, work: F) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        let mut transaction = self.begin().await?;
-        match work(&mut transaction).await {
-            Ok(value) => match transaction.commit().await.map_err(StoreError::from) {
-                Ok(()) => Ok(value),
-                // The commit was sent: it may have been kept although no answer came.
-                Err(StoreError::Unavailable(error)) => Err(StoreError::OutcomeUnknown(error)),
-                Err(error) => Err(error),
-            },
-            Err(error) => {
-                if let Err(rollback) = transaction.rollback().await {
-                    tracing::debug!(error = %rollback, "rollback failed, the connection goes");
-                }
-                Err(error)
+        let mut lent = self.lent().await?;
+        let answer = self.answered(longest, changed(&mut lent, self.begin(), work)).await;
+        answer.unwrap_or_else(|| {
+            lent.lose();
+            Err(StoreError::OutcomeUnknown(LOST.into()))
+        })
+    }
+}
+
+/// One change in one transaction.
+async fn changed<T, F>(conn: &mut Conn, begin: &'static str, work: F) -> StoreResult<T>
+where
+    F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
+{
+    let mut transaction = conn.begin_with(begin).await?;
+    match work(&mut transaction).await {
+        Ok(value) => match transaction.commit().await.map_err(StoreError::from) {
+            Ok(()) => Ok(value),
+            // The commit was sent: it may have been kept although no answer came.
+            Err(StoreError::Unavailable(error)) => Err(StoreError::OutcomeUnknown(error)),
+            Err(error) => Err(error),
+        },
+        Err(error) => {
+            if let Err(rollback) = transaction.rollback().await {
+                tracing::debug!(error = %rollback, "rollback failed, the connection goes");
             }
+            Err(error)
         }
     }
 }

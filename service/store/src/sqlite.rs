@@ -44,6 +44,7 @@ use readers::{Lent, Readers};
 use sqlx::Connection;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 use writing::{Writer, Writing};
 
 type Db = sqlx::Sqlite;
@@ -107,6 +108,18 @@ impl SqliteStore {
     #[expect(clippy::unused_async, reason = "the other engine asks its server")]
     async fn is_away(&self, _error: &StoreError) -> bool {
         false
+    }
+
+    /// As [`Self::is_away`].
+    #[expect(clippy::unused_self, clippy::unused_async, reason = "the other engine asks its server")]
+    async fn is_at_it(&self, _since: Duration) -> bool {
+        false
+    }
+
+    /// A file is at everything that it is asked for.
+    #[expect(clippy::unused_self, reason = "the other engine asks its server")]
+    async fn in_time<T>(&self, asked: impl Future<Output = StoreResult<T>>) -> StoreResult<T> {
+        asked.await
     }
 
     /// As [`Self::is_away`].

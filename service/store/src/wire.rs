@@ -135,7 +135,7 @@ fn put_payload(out: &mut Vec<u8>, cycle: &Cycle) {
     }
 }
 
-/// A length in one byte and the text. Ids have at most 128 bytes, a law version at most 64.
+/// A length in one byte and the text. Ids have at most 128 bytes; a law version that is longer than 255 is not taken in.
 fn put_text(out: &mut Vec<u8>, text: &str) {
     out.push(u8::try_from(text.len()).unwrap_or(u8::MAX));
     out.extend_from_slice(text.as_bytes());

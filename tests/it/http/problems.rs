@@ -5,10 +5,12 @@ use axum::body::Body;
 use feedwright_store::Role;
 use http::{Request, StatusCode};
 use serde_json::json;
+use std::convert::Infallible;
 
 crate::engines::on_both!(
     unknown_paths_and_methods_are_told_as_problems,
     a_body_is_refused_for_its_type_its_size_or_its_form,
+    a_body_that_does_not_tell_its_length_has_the_same_bounds,
     each_bad_field_is_named_by_its_path,
     every_violation_is_listed_not_only_the_first,
     a_sane_request_id_is_taken_over_and_another_is_not,
@@ -66,6 +68,30 @@ async fn a_body_is_refused_for_its_type_its_size_or_its_form() {
         let answer = put_raw(&app, Some("application/json; charset=utf-8"), text).await;
         assert!(matches!(answer.status.as_u16(), 400 | 422), "{text}: {answer:?}");
         assert!(matches!(answer.code().as_str(), "malformed_json" | "missing_field"), "{text}");
+    }
+}
+
+async fn a_body_that_does_not_tell_its_length_has_the_same_bounds() {
+    let limits = ["limits.body_bytes", "limits.decoded_bytes", "limits.large_bodies_bytes"];
+    let app = App::with(&limits.map(|limit| (limit, "1000000"))).await;
+    let registered = put_raw(&app, Some("application/json"), &machine().to_string()).await;
+    assert_eq!(registered.status, StatusCode::CREATED, "{registered:?}");
+    let cycle = r#"{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"2026-05-04T06:00:00Z","reported":{"energy_joules":1}}"#;
+    for (length, status) in
+        [(10_000, 201), (262_144, 200), (262_145, 200), (1_000_000, 200), (1_000_001, 413)]
+    {
+        let text = cycle.to_owned() + &" ".repeat(length - cycle.len());
+        let pieces: Vec<Result<Vec<u8>, Infallible>> =
+            text.as_bytes().chunks(10_007).map(|piece| Ok(piece.to_vec())).collect();
+        let request = Request::post("/v1/machines/M1/cycles")
+            .header("authorization", format!("Bearer {}", app.token(Role::Machine)))
+            .header("content-type", "application/json");
+        let body = Body::from_stream(futures_util::stream::iter(pieces));
+        let answer = app.send(request.body(body).unwrap()).await;
+        assert_eq!(answer.status.as_u16(), status, "{length}: {answer:?}");
+        if status == 413 {
+            assert_eq!(answer.code(), "body_too_large");
+        }
     }
 }
 

@@ -138,8 +138,25 @@ async fn frames_that_are_too_large_torn_or_foreign_are_refused_and_not_kept() {
     for bytes in [torn, longer, changed, b"FWD\x01".to_vec(), b"FWC\x02".to_vec(), Vec::new()] {
         assert_eq!(refused(&post(&shop, bytes).await), (400, "malformed_cycle".to_owned()));
     }
-    let as_json = shop.post_raw(CYCLES, "application/json", good).await;
+    let as_json = shop.post_raw(CYCLES, "application/json", good.clone()).await;
     assert_eq!(refused(&as_json), (400, "malformed_json".to_owned()));
+    assert_eq!(kept(&shop).await, 0);
+    // As a line it would be read by luck: where none of its bytes ends a line.
+    let line = cycle(2, 20.0).to_string();
+    let lines = [line.as_bytes(), b"\nFWC\x01\n", &good].concat();
+    let answer = shop.post_raw(&format!("{CYCLES}/batch"), "application/x-ndjson", lines).await;
+    let outcomes: Vec<Value> =
+        answer.text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let told = |index: usize| (outcomes[index]["line"].clone(), outcomes[index]["outcome"].clone());
+    assert_eq!(
+        (told(0), told(1)),
+        ((json!(1), json!("stored")), (json!(2), json!("refused"))),
+        "{}",
+        answer.text
+    );
+    for refused in outcomes.iter().filter(|outcome| outcome["outcome"] != "stored") {
+        assert_eq!(refused["problem"]["code"], "malformed_json", "{refused}");
+    }
     assert_eq!(kept(&shop).await, 0);
 }
 

@@ -117,6 +117,11 @@ impl Cluster {
 
     /// Returns once a single session waits for a lock.
     pub(crate) async fn one_waits_for_a_lock(&self) {
+        self.wait_for_a_lock(1).await;
+    }
+
+    /// Waits until so many sessions wait for a lock.
+    pub(crate) async fn wait_for_a_lock(&self, sessions: i64) {
         let mut conn = PgConnection::connect(&self.url()).await.unwrap();
         for _ in 0..200 {
             let waits: i64 =
@@ -124,12 +129,12 @@ impl Cluster {
                     .fetch_one(&mut conn)
                     .await
                     .unwrap();
-            if waits == 1 {
+            if waits == sessions {
                 return;
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
-        panic!("no single session waits for a lock");
+        panic!("it is not {sessions} that wait for a lock");
     }
 
     pub(crate) async fn run(&self, sql: &'static str) {

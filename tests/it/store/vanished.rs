@@ -3,7 +3,9 @@
 
 use super::given::{Run, commit, shop, stored};
 use super::operations::Cluster;
-use feedwright_store::{Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Repair, Store};
+use feedwright_store::{
+    Committed, CycleFilter, Notice, Page, PostgresOptions, PostgresStore, Repair, Store, StoreError,
+};
 use sqlx::{Connection, Executor, PgConnection};
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
@@ -50,13 +52,10 @@ async fn carry(mut client: TcpStream, server: u16, mut vanished: watch::Receiver
     }
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn groups_go_on_with_the_one_that_took_over() {
-    let Some(cluster) = Cluster::new() else {
-        return;
-    };
-    let line = Line::to(cluster.port()).await;
+/// A store with a shop, behind a line to its server.
+async fn behind(line: &Line, cluster: &Cluster, connections: u32) -> PostgresStore {
     let options = PostgresOptions {
+        connections,
         patience: Duration::from_secs(2),
         lost_after: Duration::from_secs(2),
         ..PostgresOptions::default()
@@ -64,6 +63,16 @@ async fn groups_go_on_with_the_one_that_took_over() {
     let url = cluster.url().replace(&cluster.port().to_string(), &line.port.to_string());
     let store = PostgresStore::open(&url, options).await.unwrap();
     shop(&store).await;
+    store
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn groups_go_on_with_the_one_that_took_over() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let line = Line::to(cluster.port()).await;
+    let store = behind(&line, &cluster, 8).await;
     stored(&store, &Run::nth(1)).await;
 
     let mut holder = PgConnection::connect(&cluster.url()).await.unwrap();
@@ -91,4 +100,132 @@ async fn groups_go_on_with_the_one_that_took_over() {
     assert_eq!(store.cycles(&CycleFilter::default(), page).await.unwrap().len(), 3, "each once");
     let wear = store.check_wear(Repair::No).await.unwrap();
     assert_eq!((wear.rows, wear.different), (1, vec![]));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_place_of_the_pool_is_lost_with_it() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let line = Line::to(cluster.port()).await;
+    let store = behind(&line, &cluster, 5).await;
+    stored(&store, &Run::nth(1)).await;
+    let all = CycleFilter::default;
+    let page = Page { after: None, limit: 10 };
+
+    let mut holder = PgConnection::connect(&cluster.url()).await.unwrap();
+    holder.execute("BEGIN; LOCK TABLE cycles IN ACCESS EXCLUSIVE MODE").await.unwrap();
+    // One of each kind: a group, a read, reads in a snapshot, and two that are cut off, one of them before and one after.
+    let group = tokio::spawn({
+        let store = store.clone();
+        async move { commit(&store, &[Run::nth(2)]).await.pop().unwrap() }
+    });
+    let [read, cut_off, cut_later] = std::array::from_fn(|_| {
+        let (store, page) = (store.clone(), page.clone());
+        tokio::spawn(async move { store.cycles(&all(), page).await.map(|_| ()) })
+    });
+    let snapshot = tokio::spawn({
+        let store = store.clone();
+        async move { store.differences(Run::nth(1).new_cycle().cycle.as_ref().clone()).await.map(|_| ()) }
+    });
+    cluster.wait_for_a_lock(5).await;
+    cut_off.abort();
+    line.vanish();
+    cut_later.abort();
+    holder.execute("ROLLBACK").await.unwrap();
+
+    let soon = Duration::from_secs(30);
+    let read = tokio::time::timeout(soon, read).await.expect("a read is given up").unwrap();
+    assert!(matches!(read, Err(StoreError::Unavailable(_))), "{read:?}");
+    let snapshot = tokio::time::timeout(soon, snapshot).await.expect("a snapshot is given up").unwrap();
+    assert!(matches!(snapshot, Err(StoreError::Unavailable(_))), "{snapshot:?}");
+    let group = tokio::time::timeout(soon, group).await.expect("a group is given up").unwrap();
+    assert!(
+        matches!(group, Ok(_) | Err(StoreError::OutcomeUnknown(_) | StoreError::Unavailable(_))),
+        "{group:?}"
+    );
+
+    // As many at once as there are places.
+    holder.execute("BEGIN; LOCK TABLE cycles IN ACCESS EXCLUSIVE MODE").await.unwrap();
+    let reads: Vec<_> = (0..5)
+        .map(|_| {
+            let (store, page) = (store.clone(), page.clone());
+            tokio::spawn(async move {
+                for _ in 0..LOOKS {
+                    match store.cycles(&all(), page.clone()).await {
+                        Err(StoreError::Unavailable(_)) => {}
+                        read => return read.map(|cycles| cycles.len()),
+                    }
+                }
+                panic!("no connection is to be had");
+            })
+        })
+        .collect();
+    cluster.wait_for_a_lock(5).await;
+    holder.execute("ROLLBACK").await.unwrap();
+    for read in reads {
+        assert!(matches!(read.await.unwrap(), Ok(1 | 2)));
+    }
+    for _ in 0..LOOKS {
+        if commit(&store, &[Run::nth(2)]).await.pop().unwrap().is_ok() {
+            break;
+        }
+    }
+    assert_eq!(store.cycles(&all(), page).await.unwrap().len(), 2, "each once");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_listens_finds_out() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let line = Line::to(cluster.port()).await;
+    let store = behind(&line, &cluster, 2).await;
+    let notices = store.notices().unwrap();
+    let mut listener = notices.listen().await.unwrap();
+    // Longer than a beat: that a connection is asked whether it is there does not end it, and loses nothing.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    store.notify("before").await.unwrap();
+    assert!(matches!(listener.next().await.unwrap(), Notice::Text(text) if text == "before"));
+    line.vanish();
+    let soon = Duration::from_secs(30);
+    let heard = tokio::time::timeout(soon, listener.next()).await.expect("the silence is found out");
+    assert!(matches!(heard, Err(StoreError::Unavailable(_))), "{heard:?}");
+    let mut listener = notices.listen().await.unwrap();
+    for _ in 0..LOOKS {
+        if store.notify("after").await.is_ok() {
+            break;
+        }
+    }
+    assert!(matches!(listener.next().await.unwrap(), Notice::Text(text) if text == "after"));
+}
+
+/// A standby that confirms nothing keeps a commit for ever: it is not waited for by turns, and is known when it is sent again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_commit_that_no_standby_confirms_is_waited_for_once() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let line = Line::to(cluster.port()).await;
+    let store = behind(&line, &cluster, 8).await;
+    cluster.run("ALTER SYSTEM SET synchronous_standby_names = 'nobody'").await;
+    cluster.run("SELECT pg_reload_conf()").await;
+    let begun = std::time::Instant::now();
+    let answer = commit(&store, &[Run::nth(1)]).await.pop().unwrap();
+    let took = begun.elapsed();
+    assert!(matches!(answer, Err(StoreError::OutcomeUnknown(_))), "{answer:?}");
+    // Three times as long, and the lock's own patience, where it was tried again.
+    assert!(took < Duration::from_secs(6), "{took:?}");
+    cluster.run("ALTER SYSTEM RESET synchronous_standby_names").await;
+    cluster.run("SELECT pg_reload_conf()").await;
+    let mut answer = commit(&store, &[Run::nth(1)]).await.pop().unwrap();
+    for _ in 0..LOOKS {
+        if answer.is_ok() {
+            break;
+        }
+        answer = commit(&store, &[Run::nth(1)]).await.pop().unwrap();
+    }
+    assert!(matches!(answer, Ok(Committed::Known(_) | Committed::Stored(_))), "{answer:?}");
+    let page = Page { after: None, limit: 10 };
+    assert_eq!(store.cycles(&CycleFilter::default(), page).await.unwrap().len(), 1, "once");
 }

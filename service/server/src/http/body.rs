@@ -1,14 +1,18 @@
 //! Reading bodies within their bounds, and JSON out of them with the path of what is wrong.
 
 use super::problem::Problem;
+use crate::ingest::content::{Room, SMALL_BYTES, Unpacked};
 use crate::json::{self, Wrong};
 use crate::server::BodyTooSlow;
 use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
 use axum::extract::{FromRequest, Request};
-use bytes::Bytes;
+use bytes::{Bytes, BytesMut};
+use futures_util::StreamExt;
 use http::{HeaderMap, StatusCode, header};
+use hyper::body::Body as _;
 use serde::de::DeserializeOwned;
 use std::error::Error;
+use std::fmt::Display;
 
 /// A JSON body that was read completely and names nothing unknown. The type denies unknown fields.
 #[derive(Debug)]
@@ -44,22 +48,72 @@ pub fn unsupported(detail: &'static str) -> Problem {
 /// Reads a body as it came, within the route's limit: 413 over it, 408 too slow, 400 where it breaks off.
 pub async fn read<S: Send + Sync>(request: Request, state: &S) -> Result<Bytes, Problem> {
     Bytes::from_request(request, state).await.map_err(|rejection| match rejection {
-        BytesRejection::FailedToBufferBody(FailedToBufferBody::LengthLimitError(_)) => Problem::new(
-            StatusCode::PAYLOAD_TOO_LARGE,
-            "body_too_large",
-            "the body is larger than this takes",
-        ),
-        other if is_too_slow(&other) => {
-            Problem::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", "the body did not arrive in time")
-        }
-        other => Problem::bad_request("body_incomplete", "the body broke off").private(other.to_string()),
+        BytesRejection::FailedToBufferBody(FailedToBufferBody::LengthLimitError(_)) => too_large(),
+        other if found::<BodyTooSlow>(&other) => too_slow(),
+        other => broken_off(&other),
     })
 }
 
-fn is_too_slow(error: &(dyn Error + 'static)) -> bool {
+/// As [`read`], of a body that is read within a room where it is large, and is at most `most` bytes by its route.
+pub async fn read_within<S: Send + Sync>(
+    request: Request,
+    state: &S,
+    room: &Room,
+    most: usize,
+) -> Result<Unpacked, Problem> {
+    let told = request.body().size_hint();
+    // Known before anything of it is there, as mostly.
+    if let Some(length) = told.exact().map(|length| usize::try_from(length).unwrap_or(usize::MAX)) {
+        let place = match length > SMALL_BYTES && length <= most {
+            true => Some(room.place(length).await.map_err(|_| no_room())?),
+            false => None,
+        };
+        return Ok(Unpacked { bytes: read(request, state).await?, place });
+    }
+    let mut body = request.into_body().into_data_stream();
+    let (mut bytes, mut place) = (BytesMut::new(), None);
+    while let Some(data) = body.next().await {
+        let data = data.map_err(|error| match found::<BodyTooSlow>(&error) {
+            true => too_slow(),
+            false => broken_off(&error),
+        })?;
+        if bytes.len() + data.len() > most {
+            return Err(too_large());
+        }
+        if place.is_none() && bytes.len() + data.len() > SMALL_BYTES {
+            place = Some(room.place(most).await.map_err(|_| no_room())?);
+        }
+        bytes.extend_from_slice(&data);
+    }
+    if let Some(place) = &mut place {
+        place.shrink_to(bytes.len());
+    }
+    Ok(Unpacked { bytes: bytes.freeze(), place })
+}
+
+/// 503: the room for large bodies is taken.
+pub fn no_room() -> Problem {
+    Problem::unavailable("too_many_large_bodies", "other large bodies are being taken in", 2)
+}
+
+fn too_large() -> Problem {
+    let detail = "the body is larger than this takes";
+    Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", detail)
+}
+
+fn too_slow() -> Problem {
+    Problem::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", "the body did not arrive in time")
+}
+
+fn broken_off(why: &dyn Display) -> Problem {
+    Problem::bad_request("body_incomplete", "the body broke off").private(why.to_string())
+}
+
+/// Whether an error or one beneath it is of a kind.
+fn found<E: Error + 'static>(error: &(dyn Error + 'static)) -> bool {
     let mut at = Some(error);
     while let Some(error) = at {
-        if error.is::<BodyTooSlow>() {
+        if error.is::<E>() {
             return true;
         }
         at = error.source();

@@ -1,6 +1,6 @@
 //! Cycles: posted one by one or in batches, read, listed.
 
-use super::body::{media_type, read, unsupported};
+use super::body::{media_type, no_room, read_within, unsupported};
 use super::cursor::{List, Paging};
 use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost};
 use super::extract::{PathId, Query};
@@ -8,7 +8,7 @@ use super::prefer::Return;
 use super::problem::{Problem, ProblemDocument};
 use crate::http::dto::time;
 use crate::ingest::body::{cycle_id_of, is_frame};
-use crate::ingest::content::{ContentError, Encoding, Unpacked};
+use crate::ingest::content::{ContentError, Encoding, Room, Unpacked};
 use crate::ingest::intake::{Accepted, Refused};
 use crate::state::AppState;
 use axum::Json;
@@ -131,7 +131,9 @@ pub async fn post_batch(
             }
             continue;
         }
-        let bodies = window.iter().map(|(_, line)| line.clone()).collect();
+        // Read as the frame that it looks like it would be torn by the first of its bytes that ends a line.
+        let is_no_line = |line: &Bytes| form == Form::Json && is_frame(line);
+        let bodies = window.iter().map(|(_, line)| line).filter(|line| !is_no_line(line)).cloned().collect();
         let (intake, machine, place) = (state.intake.clone(), machine.clone(), Arc::clone(&place));
         // The client may hang up; the window that was taken in goes on to its commits all the same.
         let accepting = async move {
@@ -142,7 +144,13 @@ pub async fn post_batch(
         let results =
             state.lifecycle.spawn(accepting).await.map_err(|error| Problem::internal(error.to_string()))?;
         away = none_of(&results);
-        for (line, result) in window.iter().zip(results) {
+        let mut results = results.into_iter();
+        for line in window {
+            let result = if is_no_line(&line.1) {
+                counted(&state, Err(no_json()))
+            } else {
+                results.next().unwrap_or_else(|| Err(Problem::internal("nothing came of a line")))
+            };
             put_outcome(&mut answer, line, result)?;
         }
     }
@@ -281,18 +289,16 @@ async fn decoded_body(
     kind: &'static str,
 ) -> Result<(Form, Unpacked), Problem> {
     let (form, encoding) = encoding_of(request.headers(), kind)?;
-    let bytes = read(request, state).await?;
+    let room = state.intake.room(kind == LINES);
+    let read = read_within(request, state, room, state.config.limits.body_bytes).await?;
     let body = match encoding {
-        Encoding::Identity => Unpacked { bytes, place: None },
-        _ => unpacked(state, encoding, bytes, kind == LINES).await?,
+        Encoding::Identity => read,
+        _ => unpacked(state, encoding, read, room).await?,
     };
     // The body itself says which form it has; a header that says otherwise is a mistake to be told.
     match (form, is_frame(&body.bytes)) {
         (Form::Binary, false) if !body.bytes.is_empty() => Err(no_frame()),
-        (Form::Json, true) => Err(Problem::bad_request(
-            "malformed_json",
-            format!("the body is no JSON but binary: send it as {}", wire::MEDIA_TYPE),
-        )),
+        (Form::Json, true) => Err(no_json()),
         _ => Ok((form, body)),
     }
 }
@@ -306,14 +312,21 @@ fn no_frame() -> Problem {
     Problem::bad_request("malformed_cycle", "the body is no cycle: it does not begin with FWC")
 }
 
+fn no_json() -> Problem {
+    let detail = format!("the body is no JSON but binary: send it as {}", wire::MEDIA_TYPE);
+    Problem::bad_request("malformed_json", detail)
+}
+
+/// Decompresses a body, which keeps its place until that is done.
 async fn unpacked(
     state: &AppState,
     encoding: Encoding,
-    bytes: Bytes,
-    of_batch: bool,
+    packed: Unpacked,
+    room: &Room,
 ) -> Result<Unpacked, Problem> {
     let bound = state.config.limits.decoded_bytes;
-    let unpacked = state.intake.unpacker(of_batch).unpack(encoding, bytes, bound).await;
+    let unpacked = room.unpack(encoding, packed.bytes, bound).await;
+    drop(packed.place);
     unpacked.map_err(|error| match error {
         ContentError::TooLarge => Problem::new(
             StatusCode::PAYLOAD_TOO_LARGE,
@@ -323,9 +336,7 @@ async fn unpacked(
         ContentError::Malformed(why) => {
             Problem::bad_request("malformed_encoding", format!("the body cannot be decompressed: {why}"))
         }
-        ContentError::Busy => {
-            Problem::unavailable("too_many_large_bodies", "other large bodies are being taken in", 2)
-        }
+        ContentError::Busy => no_room(),
     })
 }
 

@@ -86,7 +86,12 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
         return response;
     };
     if let Some(private) = &problem.private {
-        span.in_scope(|| tracing::error!(code = problem.code, private, "request failed"));
+        let code = problem.code;
+        span.in_scope(|| match problem.status.is_server_error() {
+            true => tracing::error!(code, private, "request failed"),
+            // Nobody has to look at a connection that a machine lost.
+            false => tracing::info!(code, private, "request refused"),
+        });
     }
     let mut rendered = problem.render(Some(id));
     // Such as `Allow`, which the router adds to a 405.

@@ -31,7 +31,7 @@ fn best(headers: &HeaderMap) -> Option<Format> {
         .flat_map(|value| value.split(','))
         .filter_map(range)
         .collect();
-    // A client that says nothing, or nothing that can be read, takes anything.
+    // A client that says nothing takes anything.
     if accepted.is_empty() {
         return headers.get_all(header::ACCEPT).iter().all(|value| value.is_empty()).then_some(Format::Json);
     }
@@ -69,9 +69,13 @@ pub fn prefers_pages(headers: &HeaderMap) -> bool {
     most > 0 && ranges.iter().any(|(range, weight)| range == "text/html" && *weight == most)
 }
 
-/// A media range in lower case, with its weight in thousandths; none where it cannot be read.
+/// A media range in lower case, with its weight in thousandths; none where it cannot be read. Anything is `*` too, as Java's
+/// own client has always said.
 fn range(text: &str) -> Option<(String, u16)> {
-    let (range, weight) = weighted(text)?;
+    let (mut range, weight) = weighted(text)?;
+    if range == "*" {
+        "*/*".clone_into(&mut range);
+    }
     range.split_once('/').filter(|(kind, of)| !kind.is_empty() && !of.is_empty())?;
     Some((range, weight))
 }
@@ -99,6 +103,8 @@ fn thousandths(text: &str) -> Option<u16> {
     let part: u16 = format!("{digits:0<3}").parse().ok()?;
     match whole {
         "0" => Some(part),
+        // No weight by the rules, and plain all the same.
+        "" if !digits.is_empty() => Some(part),
         "1" if part == 0 => Some(1000),
         _ => None,
     }
@@ -196,6 +202,10 @@ mod tests {
             ("application/json;q=0.0000", None),
             ("application/json;q=2", None),
             ("nonsense", None),
+            ("*", Some(Json)),
+            ("text/html, image/gif, image/jpeg, *; q=.2, */*; q=.2", Some(Json)),
+            ("application/json;q=.25, text/csv;q=.3", Some(Csv)),
+            ("application/json;q=.", None),
             ("application/json;q=abc, text/csv;q=0.3", Some(Csv)),
         ] {
             assert_eq!(asked(&[accept]), format, "{accept}");

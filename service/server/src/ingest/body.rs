@@ -19,7 +19,7 @@ use feedwright_core::invalid::Violation;
 use feedwright_core::units::{Process, Strategy, Timestamp};
 use feedwright_store::codec::Places;
 use feedwright_store::wire;
-use serde::de::{Error as _, IgnoredAny, MapAccess, Visitor};
+use serde::de::{Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
 
@@ -279,10 +279,62 @@ fn refuse_too_many_values(json: &[u8], max_samples: usize) -> Result<(), BodyErr
     if json.len() / 2 <= most || json.iter().filter(|byte| **byte == b',').count() <= most {
         return Ok(());
     }
-    json::read::<IgnoredAny>(json).map_err(|wrong| refusal(json, wrong))?;
+    // Commas part other things too: reported values, fields, words of a text.
+    let Values(values) = json::read(json).map_err(|wrong| refusal(json, wrong))?;
+    if values <= most {
+        return Ok(());
+    }
     let message =
         format!("may hold at most {max_samples} samples, has more values than so many of all channels");
     Err(BodyError::Invalid(vec![Violation::new("samples", "too_many_samples", message)]))
+}
+
+/// How many values a document's columns hold, whatever they are called.
+struct Values(usize);
+
+impl<'de> Deserialize<'de> for Values {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Counted;
+        impl<'de> Visitor<'de> for Counted {
+            type Value = Values;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a JSON value")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Values, A::Error> {
+                let mut all = 0_usize;
+                while let Some((IgnoredAny, Values(of_it))) = map.next_entry()? {
+                    all = all.saturating_add(of_it);
+                }
+                Ok(Values(all))
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut values: A) -> Result<Values, A::Error> {
+                let mut all = 0_usize;
+                while let Some(Values(of_it)) = values.next_element()? {
+                    all = all.saturating_add(of_it.max(1));
+                }
+                Ok(Values(all))
+            }
+            fn visit_bool<E>(self, _: bool) -> Result<Values, E> {
+                Ok(Values(0))
+            }
+            fn visit_i64<E>(self, _: i64) -> Result<Values, E> {
+                Ok(Values(0))
+            }
+            fn visit_u64<E>(self, _: u64) -> Result<Values, E> {
+                Ok(Values(0))
+            }
+            fn visit_f64<E>(self, _: f64) -> Result<Values, E> {
+                Ok(Values(0))
+            }
+            fn visit_str<E>(self, _: &str) -> Result<Values, E> {
+                Ok(Values(0))
+            }
+            fn visit_unit<E>(self) -> Result<Values, E> {
+                Ok(Values(0))
+            }
+        }
+        deserializer.deserialize_any(Counted)
+    }
 }
 
 /// What a cycle's body tells in words of its own: null, and a number beyond every other, which is told like NaN.
@@ -329,8 +381,7 @@ fn draft(
         Some(ProfileVersion { profile: id, version: profile.version })
     });
     // Here and not where a cycle is made: those that are stored with other text have to be read.
-    let law_version =
-        text::optional("law_version", body.law_version.as_deref(), Cycle::MAX_LAW_VERSION, wrong);
+    let law_version = text::law_version(body.law_version.as_deref(), wrong);
     let samples = body.samples.and_then(|samples| columns(samples, max_samples, wrong));
     let reported = body.reported.unwrap_or_default();
     let value = |number: Option<Number>| number.map(|number| number.0);

@@ -1,4 +1,4 @@
-//! Content encodings: gzip and zstd, with a bound on what comes out.
+//! What a body may take: bounds on what is decompressed, and on all large bodies together.
 
 use bytes::Bytes;
 use std::io::Read;
@@ -44,37 +44,62 @@ pub enum ContentError {
     Busy,
 }
 
-/// Decompressed bodies up to this need no place, bytes.
-const SMALL_BYTES: usize = 256 * 1024;
-/// Larger ones that one unpacker keeps at once: each may be a thousand times what was sent.
-const LARGE_AT_ONCE: usize = 4;
-/// How long a large one waits for its place.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// Bodies up to this need no room of their own, bytes.
+pub const SMALL_BYTES: usize = 256 * 1024;
+/// Most of those that are larger are smaller than this once they are decompressed, bytes.
+const MEDIUM_BYTES: usize = 4 * 1024 * 1024;
+/// How long a large one waits for its room.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Room is counted by so many bytes.
+const UNIT: usize = 1024;
 
-/// Decompresses bodies, few large ones at a time.
+/// Room for large bodies, which all of them together do not exceed: each may be a thousand times what was sent, and a shop's
+/// machines may all come back at once.
 #[derive(Debug)]
-pub struct Unpacker {
-    places: Arc<Semaphore>,
+pub struct Room {
+    free: Arc<Semaphore>,
+    units: u32,
     patience: Duration,
 }
 
-/// A decompressed body.
+/// What of the room a body takes, given back where this is dropped: with the body itself.
+#[derive(Debug)]
+pub struct Place(OwnedSemaphorePermit);
+
+impl Place {
+    /// Gives back what a body that has come in does not need of it.
+    pub fn shrink_to(&mut self, bytes: usize) {
+        let spare = self.0.num_permits().saturating_sub(bytes.div_ceil(UNIT));
+        drop(self.0.split(spare));
+    }
+}
+
+/// A body as it is read, with what it takes of the room where it is large.
 #[derive(Debug)]
 pub struct Unpacked {
     /// The body.
     pub bytes: Bytes,
-    /// The place of a large one among the few there are, given back where this is dropped: with the body itself.
-    pub place: Option<OwnedSemaphorePermit>,
+    /// Its place.
+    pub place: Option<Place>,
 }
 
-impl Default for Unpacker {
-    fn default() -> Self {
-        Self { places: Arc::new(Semaphore::new(LARGE_AT_ONCE)), patience: PATIENCE }
+impl Room {
+    /// For so many bytes.
+    pub fn new(bytes: usize) -> Self {
+        let units = u32::try_from(bytes / UNIT).unwrap_or(u32::MAX).clamp(1, MOST_UNITS);
+        Self { free: Arc::new(Semaphore::new(units as usize)), units, patience: PATIENCE }
     }
-}
 
-impl Unpacker {
-    /// As [`decompress`], off the threads that serve connections. What proves to be large waits for a place.
+    /// A place for a body of at most so many bytes; whoever is larger than all of it has all of it.
+    pub async fn place(&self, bytes: usize) -> Result<Place, ContentError> {
+        let units = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX).min(self.units);
+        match timeout(self.patience, Arc::clone(&self.free).acquire_many_owned(units)).await {
+            Ok(Ok(place)) => Ok(Place(place)),
+            Ok(Err(_)) | Err(_) => Err(ContentError::Busy),
+        }
+    }
+
+    /// As [`decompress`], off the threads that serve connections. What proves to be large waits for its place.
     pub async fn unpack(
         &self,
         encoding: Encoding,
@@ -86,21 +111,33 @@ impl Unpacker {
             Err(ContentError::TooLarge) if bound > small => {}
             done => return done,
         }
-        let place = timeout(self.patience, self.places.clone().acquire_owned()).await;
-        let Ok(Ok(place)) = place else { return Err(ContentError::Busy) };
+        let medium = bound.min(MEDIUM_BYTES);
+        let place = self.place(medium).await?;
+        match run(encoding, bytes.clone(), medium, Some(place)).await {
+            Err(ContentError::TooLarge) if bound > medium => {}
+            done => return done,
+        }
+        let place = self.place(bound).await?;
         run(encoding, bytes, bound, Some(place)).await
     }
 }
+
+/// No semaphore counts more.
+const MOST_UNITS: u32 = u32::MAX >> 3;
 
 /// The place is held by what decompresses: that goes on where nobody waits for it any more.
 async fn run(
     encoding: Encoding,
     bytes: Bytes,
     bound: usize,
-    place: Option<OwnedSemaphorePermit>,
+    place: Option<Place>,
 ) -> Result<Unpacked, ContentError> {
     let unpack = move || {
-        let bytes = decompress(encoding, bytes.to_vec(), bound)?.into();
+        let bytes = Bytes::from(decompress(encoding, bytes.to_vec(), bound)?);
+        let mut place = place;
+        if let Some(place) = &mut place {
+            place.shrink_to(bytes.len());
+        }
         Ok(Unpacked { bytes, place })
     };
     // It is cancelled only where the process ends.
@@ -163,23 +200,36 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn few_large_bodies_are_kept_at_once() {
-        let unpacker = Unpacker { patience: Duration::from_millis(5), ..Unpacker::default() };
+    async fn large_bodies_share_their_room() {
+        let room = Room { patience: Duration::from_millis(5), ..Room::new(1 << 20) };
         let unpack = async |bytes: usize| {
             let packed = Bytes::from(gzip(&vec![b' '; bytes]));
-            unpacker.unpack(Encoding::Gzip, packed, 1 << 20).await
+            room.unpack(Encoding::Gzip, packed, 1 << 20).await
         };
-        let mut kept = Vec::new();
-        for _ in 0..LARGE_AT_ONCE {
-            kept.push(unpack(SMALL_BYTES + 1).await.unwrap());
-        }
+        let large = unpack(SMALL_BYTES + 1).await.unwrap();
+        let left = (1 << 10) - SMALL_BYTES / UNIT - 1;
+        assert_eq!(room.free.available_permits(), left, "only what it takes is kept");
+        // Not known before: it may be as large as any.
         assert_eq!(unpack(SMALL_BYTES + 1).await.unwrap_err(), ContentError::Busy);
         let small = unpack(SMALL_BYTES).await.unwrap();
         assert!(small.place.is_none() && small.bytes.len() == SMALL_BYTES, "small ones pass by");
-        kept.pop();
+        let known = room.place(700 * UNIT).await.unwrap();
+        assert_eq!(room.place(100 * UNIT).await.unwrap_err(), ContentError::Busy);
+        drop((large, known));
         assert_eq!(unpack(2 << 20).await.unwrap_err(), ContentError::TooLarge);
-        assert_eq!(unpacker.places.available_permits(), 1, "refused ones keep none");
+        assert_eq!(room.free.available_permits(), 1 << 10, "refused ones keep none");
         assert_eq!(unpack(1 << 20).await.unwrap().bytes.len(), 1 << 20);
+        let all = room.place(usize::MAX).await.unwrap();
+        assert_eq!((all.0.num_permits(), room.free.available_permits()), (1 << 10, 0), "more than there is");
+    }
+
+    #[tokio::test]
+    async fn one_that_proves_larger_than_most_has_what_it_needs() {
+        let room = Room::new(16 << 20);
+        let packed = Bytes::from(gzip(&vec![b' '; MEDIUM_BYTES + 1]));
+        let unpacked = room.unpack(Encoding::Gzip, packed, 16 << 20).await.unwrap();
+        assert_eq!(unpacked.bytes.len(), MEDIUM_BYTES + 1);
+        assert_eq!(unpacked.place.unwrap().0.num_permits(), MEDIUM_BYTES / UNIT + 1);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The intake: one way for every cycle, whether posted, in a batch or out of quarantine.
 
 use super::body::{self, BodyError};
-use super::content::Unpacker;
+use super::content::Room;
 use super::pulse::{Pulse, Waited};
 use super::writer::{self, Answered, Bounds, WriteError, WriterHandle, WriterObserver};
 use crate::clock::Clock;
@@ -103,8 +103,8 @@ pub struct CycleIntake {
     preparing: Semaphore,
     settling: Mutex<()>,
     comparing: Arc<Semaphore>,
-    singles: Unpacker,
-    batches: Unpacker,
+    singles: Room,
+    batches: Room,
     habits: Habits,
     pulse: Pulse,
 }
@@ -206,15 +206,15 @@ impl CycleIntake {
             preparing: Semaphore::new(BATCHES_PREPARED),
             settling: Mutex::new(()),
             comparing: Arc::new(Semaphore::new(COMPARED)),
-            singles: Unpacker::default(),
-            batches: Unpacker::default(),
+            singles: Room::new(config.limits.room_bytes()),
+            batches: Room::new(config.limits.room_bytes()),
             habits: Habits::default(),
             pulse: Pulse::of(store.clone()),
         }
     }
 
-    /// Where bodies of single cycles are decompressed, or of batches: those take long, and nobody else waits for them.
-    pub(crate) const fn unpacker(&self, of_batches: bool) -> &Unpacker {
+    /// Where large bodies of single cycles have their room, or of batches: those take long, and nobody else waits for them.
+    pub(crate) const fn room(&self, of_batches: bool) -> &Room {
         if of_batches { &self.batches } else { &self.singles }
     }
 
@@ -311,7 +311,7 @@ impl CycleIntake {
                         told.observe(&machine, refused, &Ok(Accepted { cycle, new: true, answer }));
                     }
                 });
-                let why = "the database does not answer, and a commit is under way";
+                let why = "the database does not answer, or does not commit, and a commit is under way";
                 return Err(StoreError::OutcomeUnknown(why.into()).into());
             }
         };

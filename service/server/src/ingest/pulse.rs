@@ -1,4 +1,4 @@
-//! Whether the database still answers, asked where a commit is late: a slow one is waited for, one that is away is not.
+//! Whether the database still answers, asked where a commit is late: a slow one is waited for for a minute, one that is away is not.
 //!
 //! What is given up is the wait, never the commit: that goes on, and whoever sends the cycle again is told what came of it.
 
@@ -15,6 +15,10 @@ const LATE: Duration = Duration::from_secs(3);
 /// A database that says nothing for this long, asked for nothing but a word, is away.
 const PATIENCE: Duration = Duration::from_secs(2);
 
+/// Nothing is waited for longer, whatever the database answers: a lock that somebody holds, or a standby that does not confirm,
+/// may keep a commit for ever.
+const LONGEST: Duration = Duration::from_secs(60);
+
 /// A database that has answered a question of so long ago is there: many posts wait, and each question is a connection.
 const FRESH: Duration = Duration::from_secs(1);
 
@@ -26,7 +30,7 @@ type Ask = Box<dyn Fn() -> BoxFuture<'static, bool> + Send + Sync>;
 pub(super) enum Waited {
     /// The commit's answer.
     Answered(StoreResult<Committed>),
-    /// The database no longer answers; the commit may come yet.
+    /// The database no longer answers, or has not committed for too long; the commit may come yet.
     GivenUp,
     /// The writer has ended.
     Closed,
@@ -36,6 +40,7 @@ pub(super) enum Waited {
 pub(super) struct Pulse {
     ask: Ask,
     late: Duration,
+    longest: Duration,
     patience: Duration,
     fresh: Duration,
     /// The question that is being asked, or was last: since when, and `None` until it is answered.
@@ -50,7 +55,8 @@ impl Pulse {
             // A question that is never answered would stand for all that come later.
             Box::pin(async move { matches!(timeout(PATIENCE, store.answers()).await, Ok(Ok(()))) })
         };
-        Self { ask: Box::new(ask), late: LATE, patience: PATIENCE, fresh: FRESH, asked: Mutex::default() }
+        let ask: Ask = Box::new(ask);
+        Self { ask, late: LATE, longest: LONGEST, patience: PATIENCE, fresh: FRESH, asked: Mutex::default() }
     }
 
     /// Waits for the answer to a queued cycle as long as the database is there.
@@ -61,8 +67,9 @@ impl Pulse {
         }
     }
 
-    /// Waits for what comes of the database as long as that is there; `None` once it no longer answers.
+    /// Waits for what comes of the database as long as that is there, and no longer than anything is; `None` where it did not come.
     pub(super) async fn while_it_beats<T>(&self, mut coming: impl Future<Output = T> + Unpin) -> Option<T> {
+        let begun = Instant::now();
         loop {
             if let Ok(came) = timeout(self.late, &mut coming).await {
                 return Some(came);
@@ -70,7 +77,7 @@ impl Pulse {
             tokio::select! {
                 biased;
                 came = &mut coming => return Some(came),
-                beats = self.beats() => if !beats {
+                beats = self.beats() => if !beats || begun.elapsed() >= self.longest {
                     return None;
                 },
             }
@@ -118,6 +125,7 @@ mod tests {
         Pulse {
             ask: Box::new(ask),
             late: moment,
+            longest: LONGEST,
             patience: moment,
             fresh: Duration::ZERO,
             asked: Mutex::default(),
@@ -160,6 +168,16 @@ mod tests {
             assert!(matches!(waited, Waited::GivenUp), "{waited:?}");
         }
         assert_eq!(asked.load(Ordering::Relaxed), 1);
+    }
+
+    #[tokio::test]
+    async fn a_database_that_answers_and_never_commits_is_not_waited_for_for_ever() {
+        let (_held, mut answered) = oneshot::channel();
+        let pulse = Pulse { longest: Duration::from_millis(20), ..pulse(|| Box::pin(async { true })) };
+        let begun = Instant::now();
+        let waited = pulse.wait(&mut answered).await;
+        assert!(matches!(waited, Waited::GivenUp), "{waited:?}");
+        assert!(begun.elapsed() >= pulse.longest);
     }
 
     #[tokio::test]

@@ -14,7 +14,7 @@ use feedwright_core::closed_loop::profile;
 use feedwright_core::closed_loop::record::Timing;
 use feedwright_core::closed_loop::{Begun, LoopReason, Mode, RunningCycle, SampleAdvice};
 use feedwright_core::contact::{ContactInput, ContactSettings};
-use feedwright_core::cycle::{Channel, Cycle, ProfileVersion, check_seq};
+use feedwright_core::cycle::{Channel, ProfileVersion, check_seq};
 use feedwright_core::friction::error::Invalid;
 use feedwright_core::friction::law::OverloadHold;
 use feedwright_core::friction::program::{Between, FeedProgram, Knot, MOST_KNOTS};
@@ -120,7 +120,7 @@ pub fn check(
     word("strategy", &meta.strategy, &|text| Strategy::parse(text).is_some());
     word("mode", &meta.mode, &|text| Mode::parse(text).is_some());
     check_seq(meta.seq, &mut wrong);
-    text::optional("law_version", meta.law_version.as_deref(), Cycle::MAX_LAW_VERSION, &mut wrong);
+    text::law_version(meta.law_version.as_deref(), &mut wrong);
     if let Some(text) = &meta.recommendation_id {
         keep(RecommendationId::parse("recommendation_id", text), &mut wrong);
     }

@@ -29,7 +29,7 @@ impl Engine {
                 return Ok(points);
             }
             let mut lent = self.reader().await?;
-            let cycles = series::cycles_of_tool(&mut lent, tool).await?;
+            let cycles = self.in_time(series::cycles_of_tool(&mut lent, tool)).await?;
             lent.settle();
             let new = cycles.map_or(i64::MAX, |cycles| cycles.saturating_sub(kept.cycles));
             if let Some(points) = (new == 0).then(|| kept.answer(limit as usize)).flatten() {

@@ -35,7 +35,7 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How often it is tried to take a decision back by which more and more goes meanwhile; the next run tries again.
 const TAKE_BACK_ATTEMPTS: u32 = 3;
@@ -75,7 +75,7 @@ macro_rules! read {
     ($engine:ident.$reader:ident(), |$conn:ident| $body:expr) => {{
         let mut lent = $engine.$reader().await?;
         let $conn = &mut *lent;
-        let outcome = $body;
+        let outcome = $engine.in_time(async { $body }).await;
         if outcome.is_ok() {
             lent.settle();
         }
@@ -120,7 +120,7 @@ impl Engine {
 
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
     /// all is found by its key and answered as known. Not again where the server could not be reached in all of a
-    /// connection's patience: machines wait, and send again what is not acknowledged.
+    /// connection's patience, or is at it still: machines wait, and send again what is not acknowledged.
     async fn commit_group(
         &self,
         group: &Arc<[NewCycle]>,
@@ -129,6 +129,7 @@ impl Engine {
     ) -> StoreResult<Vec<Committed>> {
         let (mut attempt, mut unknown) = (1, false);
         loop {
+            let begun = Instant::now();
             let cycles = Arc::clone(group);
             let registry = Arc::clone(self.registry());
             let mut memory = self.memory().take();
@@ -148,7 +149,9 @@ impl Engine {
                     return Ok(answers);
                 }
                 Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_)))
-                    if attempt < dialect::COMMIT_ATTEMPTS && !self.is_away(&error).await =>
+                    if attempt < dialect::COMMIT_ATTEMPTS
+                        && !self.is_away(&error).await
+                        && !self.is_at_it(begun.elapsed()).await =>
                 {
                     attempt += 1;
                     unknown |= matches!(error, StoreError::OutcomeUnknown(_));

@@ -1,52 +1,83 @@
 //! LISTEN and NOTIFY.
 
 use super::PostgresStore;
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::notice::{Listener, Notice, Notices};
 use async_trait::async_trait;
 use sqlx::postgres::{PgConnectOptions, PgListener, PgPoolOptions};
+use sqlx::{Connection, Executor};
+use std::time::Duration;
+use tokio::time::error::Elapsed;
+use tokio::time::timeout;
 
 const CHANNEL: &str = "feedwright_live";
 
 impl PostgresStore {
     /// Tells every listener; outside of any transaction that changes something.
     pub(super) async fn tell(&self, text: &str) -> StoreResult<()> {
-        let notify = sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(text);
-        if !self.inner.pooled {
-            notify.execute(&self.inner.pool).await?;
-            return Ok(());
-        }
-        // Behind a pooler only a transaction keeps the messages of a statement together.
-        let mut transaction = self.inner.begin().await?;
-        notify.execute(&mut *transaction).await?;
-        transaction.commit().await?;
-        Ok(())
+        let mut lent = self.inner.lent().await?;
+        let asked = async {
+            let notify = sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(text);
+            if !self.inner.pooled {
+                notify.execute(&mut *lent).await?;
+                return Ok(());
+            }
+            // Behind a pooler only a transaction keeps the messages of a statement together.
+            let mut transaction = lent.begin_with(self.inner.begin()).await?;
+            notify.execute(&mut *transaction).await?;
+            transaction.commit().await?;
+            Ok(())
+        };
+        self.in_time(asked).await
     }
 }
 
 /// Where to listen.
-pub(super) struct Direct(pub(super) PgConnectOptions);
+pub(super) struct Direct {
+    pub(super) connect: PgConnectOptions,
+    /// Where nothing was heard for this long, the server is asked whether it is there, and has as long for its answer.
+    pub(super) beat: Duration,
+}
 
-struct Listening(PgListener);
+struct Listening {
+    listener: PgListener,
+    beat: Duration,
+}
+
+fn silent(_: Elapsed) -> StoreError {
+    StoreError::Unavailable("the database says nothing to who listens".into())
+}
 
 #[async_trait]
 impl Notices for Direct {
     async fn listen(&self) -> StoreResult<Box<dyn Listener>> {
-        let connect = self.0.clone().application_name("feedwright live");
-        let pool = PgPoolOptions::new().max_connections(1).connect_with(connect).await?;
-        let mut listener = PgListener::connect_with(&pool).await?;
-        listener.listen(CHANNEL).await?;
-        Ok(Box::new(Listening(listener)))
+        let connect = self.connect.clone().application_name("feedwright live");
+        let listening = async {
+            let pool = PgPoolOptions::new().max_connections(1).connect_with(connect).await?;
+            let mut listener = PgListener::connect_with(&pool).await?;
+            listener.listen(CHANNEL).await?;
+            Ok::<_, StoreError>(listener)
+        };
+        let listener = timeout(self.beat, listening).await.map_err(silent)??;
+        Ok(Box::new(Listening { listener, beat: self.beat }))
     }
 }
 
 #[async_trait]
 impl Listener for Listening {
     async fn next(&mut self) -> StoreResult<Notice> {
-        // `None` tells that the connection was lost; the next call makes it anew.
-        Ok(match self.0.try_recv().await? {
-            Some(notification) => Notice::Text(notification.payload().to_owned()),
-            None => Notice::Missed,
-        })
+        loop {
+            match timeout(self.beat, self.listener.try_recv()).await {
+                // `None` tells that the connection was lost; the next call makes it anew.
+                Ok(heard) => {
+                    return Ok(heard?.map_or(Notice::Missed, |text| Notice::Text(text.payload().to_owned())));
+                }
+                // A host that vanished never says so. What is told meanwhile waits for the next turn.
+                Err(_) => {
+                    let asked = timeout(self.beat, self.listener.execute("SELECT 1")).await;
+                    asked.map_err(silent)??;
+                }
+            }
+        }
     }
 }

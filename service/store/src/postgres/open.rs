@@ -104,10 +104,12 @@ impl PostgresStore {
             registry: Arc::default(),
             memory: Slot::default(),
         };
-        let mut transaction = inner.begin().await?;
+        let mut lent = inner.lent().await?;
+        let mut transaction = lent.begin_with(inner.begin()).await?;
         assert_durable(&mut transaction).await?;
         assert_owner(&mut transaction).await?;
         transaction.rollback().await?;
+        lent.settle();
         Ok(Self { inner: Arc::new(inner) })
     }
 }

@@ -228,10 +228,6 @@ impl<'a> Input<'a> {
         if length > max_samples {
             return Err(WireError::TooManySamples(length));
         }
-        // Of every column each value takes a byte at the least.
-        if length > self.0.len() {
-            return malformed("it has more samples than bytes of columns");
-        }
         if stamped {
             let (times, places) = self.column(length)?;
             samples.time_ms = Some(times);
@@ -256,6 +252,10 @@ impl<'a> Input<'a> {
 
     /// A column, with the places of its decimals where it is of such.
     fn column(&mut self, length: usize) -> Read<(Vec<f64>, Option<u8>)> {
+        // Each value takes a byte at the least.
+        if length > self.0.len() {
+            return malformed("it has more samples than bytes of columns");
+        }
         match self.byte()? {
             places @ 0..=9 => Ok((self.decimals(length, places)?, Some(places))),
             FLOATS => Ok(((0..length).map(|_| self.float()).collect::<Read<_>>()?, None)),

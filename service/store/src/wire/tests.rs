@@ -98,6 +98,16 @@ fn a_few_bytes_do_not_ask_for_much_memory() {
 }
 
 #[test]
+fn samples_without_channels_are_read_for_who_refuses_them() {
+    let texts = b"\x02c1\x02T1\x02O1";
+    let samples = [[0].as_slice(), &10.0_f64.to_le_bytes(), &5_u32.to_le_bytes(), &[0]].concat();
+    let payload = [(1_u32 << 8).to_le_bytes().as_slice(), texts, &0_i64.to_le_bytes(), &samples].concat();
+    let frame = sealed([[0; HEAD].as_slice(), &payload, &[0; CHECKSUM]].concat());
+    let samples = read(&frame, 5).unwrap().samples.unwrap();
+    assert_eq!((samples.period_ms, samples.columns.len()), (Some(10.0), 0));
+}
+
+#[test]
 fn a_batch_is_frame_after_frame() {
     let body = [GOLDEN, GOLDEN, &GOLDEN[..20]].concat();
     let split = frames(&body, 3).unwrap();

@@ -1,5 +1,6 @@
 //! Free text in JSON, within bounds.
 
+use feedwright_core::cycle::Cycle;
 use feedwright_core::invalid::Violation;
 
 /// Longest name, program, material.
@@ -34,6 +35,20 @@ pub fn optional(path: &str, text: Option<&str>, most: usize, wrong: &mut Vec<Vio
     text.map(|text| required(path, text, most, wrong))
 }
 
+/// Most bytes of a law's version: the binary form of a cycle tells the length of a text in one.
+const MAX_LAW_VERSION_BYTES: usize = 255;
+
+/// The version of a control law, where one is told.
+pub fn law_version(text: Option<&str>, wrong: &mut Vec<Violation>) -> Option<String> {
+    let path = "law_version";
+    let told = optional(path, text, Cycle::MAX_LAW_VERSION, wrong)?;
+    if told.chars().count() <= Cycle::MAX_LAW_VERSION && told.len() > MAX_LAW_VERSION_BYTES {
+        let message = format!("must have {MAX_LAW_VERSION_BYTES} bytes at the most, has {}", told.len());
+        wrong.push(Violation::new(path, "invalid_length", message));
+    }
+    Some(told)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -51,5 +66,18 @@ mod tests {
         for text in ["a", "\u{200b}a", "ä", "刃", "🔧\u{fe0f}"] {
             assert!(!refused(text), "{text:?}");
         }
+    }
+
+    #[test]
+    fn a_laws_version_fits_the_binary_form() {
+        let refused = |text: &str| {
+            let mut wrong = Vec::new();
+            law_version(Some(text), &mut wrong);
+            wrong.len()
+        };
+        assert_eq!(refused(&"🔧".repeat(63)), 0);
+        assert_eq!(refused(&"刃".repeat(64)), 0);
+        assert_eq!(refused(&"🔧".repeat(64)), 1, "256 bytes");
+        assert_eq!(refused(&"🔧".repeat(65)), 1, "too long in either way is told once");
     }
 }

@@ -186,8 +186,27 @@ fn more_values_than_any_cycle_has_are_refused_before_they_are_kept() {
     }
     // As many as there may be, in as long a body.
     let all = Channel::ALL.iter().map(|channel| format!(r#""{}":[{}]"#, channel.as_str(), values(1000)));
-    let all = samples(&all.collect::<Vec<_>>().join(", ")) + &" ".repeat(4 * most);
+    let columns = all.collect::<Vec<_>>().join(", ");
+    let all = samples(&columns) + &" ".repeat(4 * most);
     assert!(of(&all).is_ok(), "{:?}", of(&all));
+    // With every field there is, and commas in texts: they part no values.
+    let fields = ",".repeat(60);
+    let json = format!(
+        r#"{{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"2026-05-04T06:00:00Z","law_version":"{fields}",
+            "samples":{{"time_ms":[{}],{columns}}},"reported":{{"energy_joules":1,"max_depth_mm":2}}}}"#,
+        (0..1000).map(|stamp| stamp.to_string()).collect::<Vec<_>>().join(",")
+    ) + &" ".repeat(4 * most);
+    assert!(of(&json).is_ok(), "{:?}", of(&json));
+}
+
+#[test]
+fn a_zero_that_is_reported_has_no_sign() {
+    let json = r#"{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"2026-05-04T06:00:00Z",
+        "reported":{"energy_joules":-0.0,"max_depth_mm":-0.0,"edge_wear_mm":-0.0}}"#;
+    let reported = of(json).unwrap().reported;
+    for value in [reported.energy_joules, reported.max_depth_mm, reported.cut.edge_wear_mm] {
+        assert_eq!(value.map(f64::to_bits), Some(0.0_f64.to_bits()));
+    }
 }
 
 #[test]
