@@ -111,13 +111,12 @@ impl SqliteStore {
     }
 
     /// As [`Self::is_away`].
-    #[expect(clippy::unused_self, clippy::unused_async, reason = "the other engine asks its server")]
+    #[expect(clippy::unused_async, reason = "the other engine asks its server")]
     async fn is_at_it(&self, _since: Duration) -> bool {
         false
     }
 
     /// A file is at everything that it is asked for.
-    #[expect(clippy::unused_self, reason = "the other engine asks its server")]
     async fn in_time<T>(&self, asked: impl Future<Output = StoreResult<T>>) -> StoreResult<T> {
         asked.await
     }
