@@ -30,7 +30,7 @@ mod work;
 
 pub use error::{StoreError, StoreResult};
 pub use feed_profile::*;
-pub use notice::{Listener, Notice, Notices};
+pub use notice::{Listener, Notices};
 pub use past::PAST;
 pub use point::*;
 pub use postgres::{PostgresOptions, PostgresStore};

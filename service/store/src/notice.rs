@@ -3,15 +3,6 @@
 use crate::error::StoreResult;
 use async_trait::async_trait;
 
-/// What a listener hears.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Notice {
-    /// A message, as it was sent.
-    Text(String),
-    /// The connection broke and stands again: messages in between are lost.
-    Missed,
-}
-
 /// Listens on a connection of its own, straight to the server: a pooler in transaction mode would lose it.
 #[async_trait]
 pub trait Notices: Send + Sync + 'static {
@@ -22,6 +13,6 @@ pub trait Notices: Send + Sync + 'static {
 /// A connection that listens. Dropping it, at any time, closes it.
 #[async_trait]
 pub trait Listener: Send + 'static {
-    /// The next message. An error ends it.
-    async fn next(&mut self) -> StoreResult<Notice>;
+    /// The next message, as it was sent. An error ends it: what is told until somebody listens again is missed.
+    async fn next(&mut self) -> StoreResult<String>;
 }

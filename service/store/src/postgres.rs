@@ -32,7 +32,9 @@ use sqlx::postgres::PgConnectOptions;
 use sqlx::{ConnectOptions, Connection, PgPool};
 use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
+use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -43,6 +45,11 @@ const WORD: Duration = Duration::from_secs(2);
 /// Whether the server still is at what a connection asked it for is looked up this often within the time after which one is
 /// taken to be lost.
 const LOOKS: u32 = 6;
+/// As many times as long as takes a connection to be lost is waited for one of which is not seen what the server is at.
+const UNSEEN: u32 = 10;
+/// As many groups may be under way that are no longer waited for; those that come then are refused, so that reads keep the
+/// rest of the pool.
+const GIVEN_UP: usize = 2;
 
 /// What writes a group.
 type Writer = Conn;
@@ -82,6 +89,10 @@ struct Inner {
     direct: PgConnectOptions,
     gate: Gate,
     lost_after: Duration,
+    /// One at a time asks what the server is at.
+    asking: Mutex<()>,
+    /// Groups that are under way and no longer waited for.
+    given_up: AtomicUsize,
     max_samples: usize,
     pooled: bool,
     registry: Arc<Registry>,
@@ -143,12 +154,8 @@ impl PostgresStore {
         match timeout(WORD, asked).await {
             Ok(Ok(true)) => Ok(()),
             Ok(Ok(false)) => Err(StoreError::Unavailable(open::NOT_USABLE.into())),
-            // It has no connection left, and says so (SQLSTATE class 53).
-            Ok(Err(sqlx::Error::Database(error)))
-                if error.code().is_some_and(|code| code.starts_with("53")) =>
-            {
-                Ok(())
-            }
+            // Which is a word.
+            Ok(Err(error)) if has_no_place(&error) => Ok(()),
             Ok(Err(error)) => Err(error.into()),
             Err(_) => Err(StoreError::Unavailable("the database says nothing".into())),
         }
@@ -194,7 +201,7 @@ impl PostgresStore {
 
     /// Waits for a read as long as its server is at it.
     async fn in_time<T>(&self, asked: impl Future<Output = StoreResult<T>>) -> StoreResult<T> {
-        match self.inner.answered(None, asked).await {
+        match self.inner.answered(asked).await {
             Some(outcome) => outcome,
             None => Err(StoreError::Unavailable(LOST.into())),
         }
@@ -221,10 +228,10 @@ impl PostgresStore {
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        self.begun(None, work).await?.await.map_err(panicked)?
+        self.begun(work).await?.await.map_err(panicked)?
     }
 
-    async fn begun<T, F>(&self, longest: Option<Duration>, work: F) -> StoreResult<JoinHandle<StoreResult<T>>>
+    async fn begun<T, F>(&self, work: F) -> StoreResult<JoinHandle<StoreResult<T>>>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
@@ -232,28 +239,42 @@ impl PostgresStore {
         let pass = self.inner.gate.enter().await?;
         let inner = Arc::clone(&self.inner);
         Ok(tokio::spawn(async move {
-            let outcome = inner.transaction(longest, work).await;
+            let outcome = inner.transaction(work).await;
             drop(pass);
             outcome
         }))
     }
 
     /// Runs a group of cycles in one transaction, in a task that nobody can cancel. All groups wait for one another, so that
-    /// none is waited for longer than a connection that is lost, whatever its server is at: if it is committed after all, it is as
-    /// if another server had.
+    /// none is waited for longer than for a connection that is lost. What goes on is committed as if another server had.
     async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
     {
-        let task = self.begun(Some(self.inner.lost_after), work).await?;
-        task.await.map_err(panicked)?.map(|(value, _)| value)
+        if self.inner.given_up.load(Ordering::Relaxed) >= GIVEN_UP {
+            return Err(StoreError::Unavailable("groups before this one are not committed".into()));
+        }
+        let mut task = self.begun(work).await?;
+        if let Ok(ended) = timeout(self.inner.lost_after, &mut task).await {
+            return ended.map_err(panicked)?.map(|(value, _)| value);
+        }
+        let why = format!("a transaction is not committed after {} s", self.inner.lost_after.as_secs());
+        tracing::warn!("{why}, and is no longer waited for");
+        let inner = Arc::clone(&self.inner);
+        inner.given_up.fetch_add(1, Ordering::Relaxed);
+        tokio::spawn(async move {
+            // Whatever came of it: whoever waited was told that it is not known.
+            let _ = task.await;
+            inner.given_up.fetch_sub(1, Ordering::Relaxed);
+        });
+        Err(StoreError::OutcomeUnknown(why.into()))
     }
 
-    /// Whether the server is still at what it was asked for so long ago, and longer than a group is waited for: the same again
-    /// would wait for the same, such as a lock, or a standby that does not confirm.
-    async fn is_at_it(&self, since: Duration) -> bool {
-        since >= self.inner.lost_after && self.inner.knows(since).await == Some(true)
+    /// Whether a group took as long as one is waited for: the same again would wait for the same, such as a lock, or a standby that
+    /// does not confirm.
+    fn is_too_slow(&self, took: Duration) -> bool {
+        took >= self.inner.lost_after
     }
 
     /// Runs reads; the server holds every row to its table's constraints.
@@ -280,7 +301,7 @@ impl PostgresStore {
                 transaction.rollback().await?;
                 outcome
             };
-            let answer = inner.answered(None, asked).await;
+            let answer = inner.answered(asked).await;
             answer.unwrap_or_else(|| {
                 lent.lose();
                 Err(StoreError::Unavailable(LOST.into()))
@@ -298,6 +319,25 @@ impl PostgresStore {
 /// Said of a connection whose server is not at what it was asked for, or did not answer in time.
 const LOST: &str = "a connection to the database is lost: its server is not at what it was asked for";
 
+/// What is seen of work that an answer is late of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Seen {
+    /// The server is at something as old.
+    AtWork,
+    /// It does not show what it is at.
+    Hidden,
+    /// It is at nothing as old.
+    Idle,
+    /// It does not answer.
+    Nothing,
+}
+
+/// Whether a server has no connection left, and says so (SQLSTATE class 53).
+fn has_no_place(error: &sqlx::Error) -> bool {
+    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code);
+    code.is_some_and(|code| code.starts_with("53"))
+}
+
 impl Inner {
     async fn lent(&self) -> StoreResult<Lent> {
         Ok(Lent::of(&self.pool, self.lost_after / LOOKS).await?)
@@ -311,59 +351,77 @@ impl Inner {
         if self.pooled { BEGIN_SNAPSHOT_POOLED } else { BEGIN_SNAPSHOT }
     }
 
-    /// Waits for what a server was asked for as long as that is at it, however long that takes, but no longer than `longest`.
-    /// `None` where it is not, as behind an address that another server has taken over, or says nothing at all for as long as
-    /// takes a connection to be lost: that leads nowhere then, as nobody closes it.
-    async fn answered<T>(&self, longest: Option<Duration>, asked: impl Future<Output = T>) -> Option<T> {
+    /// Waits for what a server was asked for as long as that is at it, however long that takes. `None` where it is not, as behind an
+    /// address that another server has taken over, or where nothing was heard of it for as long as takes a connection to be
+    /// lost: that leads nowhere then, as nobody closes it.
+    async fn answered<T>(&self, asked: impl Future<Output = T>) -> Option<T> {
         let mut asked = pin!(asked);
         let begun = Instant::now();
+        let (mut heard, mut denied) = (begun, false);
         loop {
             if let Ok(answer) = timeout(self.lost_after / LOOKS, &mut asked).await {
                 return Some(answer);
             }
             let since = begun.elapsed();
-            let known = tokio::select! {
+            let seen = tokio::select! {
                 biased;
                 answer = &mut asked => return Some(answer),
-                known = self.knows(since) => known,
+                seen = self.sees(since) => seen,
             };
-            let is_over = match known {
-                Some(known) => !known || longest.is_some_and(|longest| since >= longest),
-                None => since >= self.lost_after,
+            let is_lost = match seen {
+                Seen::AtWork => {
+                    (heard, denied) = (Instant::now(), false);
+                    self.pooled && since >= self.lost_after * UNSEEN
+                }
+                Seen::Hidden => {
+                    heard = Instant::now();
+                    since >= self.lost_after * UNSEEN
+                }
+                // What has just ended, or begun, is not seen either, and its answer may be under way: twice it is not.
+                Seen::Idle => std::mem::replace(&mut denied, true),
+                Seen::Nothing => heard.elapsed() >= self.lost_after,
             };
-            if is_over {
-                tracing::warn!(seconds = since.as_secs(), is_known = known == Some(true), "{LOST}");
+            if is_lost {
+                tracing::warn!(seconds = since.as_secs(), ?seen, "{LOST}");
                 return None;
             }
         }
     }
 
-    /// Whether the server has a transaction at work that began about so long ago: one by one they are not known from here.
-    /// `None` where it does not say.
-    async fn knows(&self, since: Duration) -> Option<bool> {
-        // Of connections of another role neither is shown, and where activities are not tracked.
-        const ASK: &str = "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
+    /// What the server is at of what began about so long ago: one by one they are not known from here.
+    async fn sees(&self, since: Duration) -> Seen {
+        // Of other roles' connections neither is shown, nor where activities are not tracked. A pooler may name them otherwise.
+        const ASK: &str = "SELECT
+                COALESCE(bool_or(backend_type = 'client backend'
+                    AND clock_timestamp() - xact_start >= make_interval(secs => $2)), false) AS at_work,
+                COALESCE(bool_or(state IS NULL OR state = 'disabled'), false) AS hidden
+            FROM pg_stat_activity
             WHERE datname = current_database() AND pid <> pg_backend_pid()
-                AND (application_name = 'feedwright' AND (state IS NULL OR state = 'disabled')
-                    OR (application_name = 'feedwright' OR $1)
-                        AND clock_timestamp() - xact_start >= make_interval(secs => $2)))";
+                AND ($1 OR application_name LIKE 'feedwright%')";
+        let _one = self.asking.lock().await;
         let asked = async {
             let mut conn = self.direct.connect().await?;
             // Half of it: the transaction began later than whoever waits for it.
-            let known = sqlx::query_scalar(ASK).bind(self.pooled).bind(since.as_secs_f64() / 2.0);
-            let known: bool = known.fetch_one(&mut conn).await?;
+            let seen = sqlx::query_as(ASK).bind(self.pooled).bind(since.as_secs_f64() / 2.0);
+            let seen: (bool, bool) = seen.fetch_one(&mut conn).await?;
             conn.close().await?;
-            Ok::<_, sqlx::Error>(known)
+            Ok::<_, sqlx::Error>(seen)
         };
-        timeout(WORD, asked).await.ok()?.ok()
+        match timeout(WORD, asked).await {
+            Ok(Ok((true, _))) => Seen::AtWork,
+            Ok(Ok((false, true))) => Seen::Hidden,
+            Ok(Ok((false, false))) => Seen::Idle,
+            Ok(Err(error)) if has_no_place(&error) => Seen::Hidden,
+            Ok(Err(_)) | Err(_) => Seen::Nothing,
+        }
     }
 
-    async fn transaction<T, F>(&self, longest: Option<Duration>, work: F) -> StoreResult<T>
+    async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
         let mut lent = self.lent().await?;
-        let answer = self.answered(longest, changed(&mut lent, self.begin(), work)).await;
+        let answer = self.answered(changed(&mut lent, self.begin(), work)).await;
         answer.unwrap_or_else(|| {
             lent.lose();
             Err(StoreError::OutcomeUnknown(LOST.into()))

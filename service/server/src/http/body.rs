@@ -1,9 +1,10 @@
 //! Reading bodies within their bounds, and JSON out of them with the path of what is wrong.
 
 use super::problem::Problem;
-use crate::ingest::content::{Room, SMALL_BYTES, Unpacked};
+use crate::ingest::content::{Room, Unpacked};
 use crate::json::{self, Wrong};
 use crate::server::BodyTooSlow;
+use axum::body::BodyDataStream;
 use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
 use axum::extract::{FromRequest, Request};
 use bytes::{Bytes, BytesMut};
@@ -64,31 +65,37 @@ pub async fn read_within<S: Send + Sync>(
     let told = request.body().size_hint();
     // Known before anything of it is there, as mostly.
     if let Some(length) = told.exact().map(|length| usize::try_from(length).unwrap_or(usize::MAX)) {
-        let place = match length > SMALL_BYTES && length <= most {
-            true => Some(room.place(length).await.map_err(|_| no_room())?),
-            false => None,
+        // What is too large for the route is refused without a place.
+        let Ok(place) = room.place(if length <= most { length } else { 0 }).await else {
+            return Err(passed_by(request.into_body().into_data_stream()).await);
         };
         return Ok(Unpacked { bytes: read(request, state).await?, place });
     }
     let mut body = request.into_body().into_data_stream();
-    let (mut bytes, mut place) = (BytesMut::new(), None);
+    let (mut bytes, mut place) = (BytesMut::new(), room.growing(most));
     while let Some(data) = body.next().await {
         let data = data.map_err(|error| match found::<BodyTooSlow>(&error) {
             true => too_slow(),
             false => broken_off(&error),
         })?;
-        if bytes.len() + data.len() > most {
+        let length = bytes.len() + data.len();
+        if length > most {
             return Err(too_large());
         }
-        if place.is_none() && bytes.len() + data.len() > SMALL_BYTES {
-            place = Some(room.place(most).await.map_err(|_| no_room())?);
+        if place.grow_to(length).await.is_err() {
+            drop((bytes, place));
+            return Err(passed_by(body).await);
         }
         bytes.extend_from_slice(&data);
     }
-    if let Some(place) = &mut place {
-        place.shrink_to(bytes.len());
-    }
+    let place = place.ended(bytes.len());
     Ok(Unpacked { bytes: bytes.freeze(), place })
+}
+
+/// Lets the rest of a body go by unread, so that whoever sends it gets to know why: 503.
+async fn passed_by(mut body: BodyDataStream) -> Problem {
+    while let Some(Ok(_)) = body.next().await {}
+    no_room()
 }
 
 /// 503: the room for large bodies is taken.

@@ -6,7 +6,7 @@
 use super::Live;
 use super::event::{Event, Kind};
 use crate::state::AppState;
-use feedwright_store::{Notice, Notices};
+use feedwright_store::Notices;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::sync::PoisonError;
@@ -114,8 +114,7 @@ async fn listen(live: &Live, notices: &dyn Notices) {
                 was_listening = true;
                 loop {
                     match listener.next().await {
-                        Ok(Notice::Text(text)) => hear(live, &text),
-                        Ok(Notice::Missed) => live.show(Event::gap("replicas_unheard", None)),
+                        Ok(text) => hear(live, &text),
                         Err(error) => {
                             tracing::warn!(%error, "other servers cannot be heard");
                             break;

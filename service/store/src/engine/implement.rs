@@ -120,7 +120,7 @@ impl Engine {
 
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
     /// all is found by its key and answered as known. Not again where the server could not be reached in all of a
-    /// connection's patience, or is at it still: machines wait, and send again what is not acknowledged.
+    /// connection's patience, or took as long as a group may: machines wait, and send again what is not acknowledged.
     async fn commit_group(
         &self,
         group: &Arc<[NewCycle]>,
@@ -151,7 +151,7 @@ impl Engine {
                 Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_)))
                     if attempt < dialect::COMMIT_ATTEMPTS
                         && !self.is_away(&error).await
-                        && !self.is_at_it(begun.elapsed()).await =>
+                        && !self.is_too_slow(begun.elapsed()) =>
                 {
                     attempt += 1;
                     unknown |= matches!(error, StoreError::OutcomeUnknown(_));

@@ -2,7 +2,7 @@
 
 use super::PostgresStore;
 use crate::error::{StoreError, StoreResult};
-use crate::notice::{Listener, Notice, Notices};
+use crate::notice::{Listener, Notices};
 use async_trait::async_trait;
 use sqlx::postgres::{PgConnectOptions, PgListener, PgPoolOptions};
 use sqlx::{Connection, Executor};
@@ -44,6 +44,8 @@ struct Listening {
     beat: Duration,
 }
 
+const CLOSED: &str = "the database has closed the connection of who listens";
+
 fn silent(_: Elapsed) -> StoreError {
     StoreError::Unavailable("the database says nothing to who listens".into())
 }
@@ -55,6 +57,8 @@ impl Notices for Direct {
         let listening = async {
             let pool = PgPoolOptions::new().max_connections(1).connect_with(connect).await?;
             let mut listener = PgListener::connect_with(&pool).await?;
+            // Who listens again is told that something was missed: not by chance, within a call that may be dropped.
+            listener.eager_reconnect(false);
             listener.listen(CHANNEL).await?;
             Ok::<_, StoreError>(listener)
         };
@@ -65,12 +69,12 @@ impl Notices for Direct {
 
 #[async_trait]
 impl Listener for Listening {
-    async fn next(&mut self) -> StoreResult<Notice> {
+    async fn next(&mut self) -> StoreResult<String> {
         loop {
             match timeout(self.beat, self.listener.try_recv()).await {
-                // `None` tells that the connection was lost; the next call makes it anew.
                 Ok(heard) => {
-                    return Ok(heard?.map_or(Notice::Missed, |text| Notice::Text(text.payload().to_owned())));
+                    let heard = heard?.map(|text| text.payload().to_owned());
+                    return heard.ok_or_else(|| StoreError::Unavailable(CLOSED.into()));
                 }
                 // A host that vanished never says so. What is told meanwhile waits for the next turn.
                 Err(_) => {

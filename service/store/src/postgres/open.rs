@@ -8,7 +8,9 @@ use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
 use sqlx::{ConnectOptions, Connection, Row};
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
+use tokio::sync::Mutex;
 
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/postgres");
 
@@ -99,6 +101,8 @@ impl PostgresStore {
             direct,
             gate: Gate::default(),
             lost_after: options.lost_after,
+            asking: Mutex::default(),
+            given_up: AtomicUsize::new(0),
             max_samples: options.max_samples,
             pooled,
             registry: Arc::default(),
