@@ -122,19 +122,30 @@ impl Cluster {
 
     /// Waits until so many sessions wait for a lock.
     pub(crate) async fn wait_for_a_lock(&self, sessions: i64) {
-        let mut conn = PgConnection::connect(&self.url()).await.unwrap();
+        self.wait_for("wait_event_type = 'Lock'", |found| found == sessions).await;
+    }
+
+    /// Waits until a session is shown of which that is true.
+    pub(crate) async fn shows(&self, condition: &'static str) {
+        self.wait_for(condition, |found| found > 0).await;
+    }
+
+    async fn wait_for(&self, condition: &'static str, is_so: impl Fn(i64) -> bool) {
         for _ in 0..200 {
-            let waits: i64 =
-                sqlx::query_scalar("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'")
-                    .fetch_one(&mut conn)
-                    .await
-                    .unwrap();
-            if waits == sessions {
+            if is_so(self.sessions(condition).await) {
                 return;
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
-        panic!("it is not {sessions} that wait for a lock");
+        panic!("not as many sessions as are to be: {condition}");
+    }
+
+    /// Of how many sessions that is true.
+    pub(crate) async fn sessions(&self, condition: &'static str) -> i64 {
+        let mut conn = PgConnection::connect(&self.url()).await.unwrap();
+        let sql =
+            format!("SELECT count(*) FROM pg_stat_activity WHERE pid <> pg_backend_pid() AND {condition}");
+        sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_one(&mut conn).await.unwrap()
     }
 
     pub(crate) async fn run(&self, sql: &'static str) {

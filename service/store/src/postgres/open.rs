@@ -21,8 +21,8 @@ pub struct PostgresOptions {
     pub connections: u32,
     /// How long one waits for a connection.
     pub patience: Duration,
-    /// How long a group of cycles waits for its transaction; then its connection is taken to lead nowhere, as where a host
-    /// vanished without closing it. Longer than the server lets a statement take.
+    /// How long a group of cycles waits for its transaction, which goes on then. A connection whose server says nothing for so
+    /// long leads nowhere, as where a host vanished without closing it. Longer than the server lets a statement take.
     pub lost_after: Duration,
     /// Samples that one cycle may hold when it is read.
     pub max_samples: usize,
