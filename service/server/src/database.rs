@@ -68,8 +68,8 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
             };
             let store = Arc::new(PostgresStore::open(url.expose_secret(), options).await?);
             match store.make_room(Clock::system().now()).await {
-                // Somebody reads; retention makes them.
-                Err(StoreError::Unavailable(why)) => {
+                // Somebody reads, or no standby confirms; retention makes them.
+                Err(StoreError::Unavailable(why) | StoreError::OutcomeUnknown(why)) => {
                     tracing::warn!(%why, "partitions for the months ahead are made later");
                 }
                 outcome => outcome?,

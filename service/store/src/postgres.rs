@@ -34,7 +34,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -47,7 +47,7 @@ const WORD: Duration = Duration::from_secs(2);
 const LOOKS: u32 = 6;
 /// As many times as long as takes a connection to be lost is waited for one of which is not seen what the server is at.
 const UNSEEN: u32 = 10;
-/// As many groups may be under way that are no longer waited for; those that come then are refused, so that reads keep the
+/// As many changes may be under way that are no longer waited for; those that come then are refused, so that reads keep the
 /// rest of the pool.
 const GIVEN_UP: usize = 2;
 
@@ -91,7 +91,7 @@ struct Inner {
     lost_after: Duration,
     /// One at a time asks what the server is at.
     asking: Mutex<()>,
-    /// Groups that are under way and no longer waited for.
+    /// Changes that are under way and no longer waited for.
     given_up: AtomicUsize,
     max_samples: usize,
     pooled: bool,
@@ -222,27 +222,44 @@ impl PostgresStore {
         None
     }
 
-    /// Runs one change in one transaction, in a task that nobody can cancel.
+    /// Runs one change in one transaction, in a task that nobody can cancel. Its statements have limits of their own; its commit,
+    /// which has none where a standby does not confirm it, is waited for as long as a connection may be silent.
     async fn write<T, F>(&self, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        self.begun(work).await?.await.map_err(panicked)?
+        let UnderWay { mut task, committing } = self.begun(work).await?;
+        let late = async {
+            match committing.await {
+                Ok(()) => tokio::time::sleep(self.inner.lost_after).await,
+                Err(_never_committed) => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            biased;
+            ended = &mut task => ended.map_err(panicked)?,
+            () = late => Err(self.give_up(task)),
+        }
     }
 
-    async fn begun<T, F>(&self, work: F) -> StoreResult<JoinHandle<StoreResult<T>>>
+    async fn begun<T, F>(&self, work: F) -> StoreResult<UnderWay<T>>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
+        if self.inner.given_up.load(Ordering::Relaxed) >= GIVEN_UP {
+            return Err(StoreError::Unavailable("changes before this one are not committed".into()));
+        }
         let pass = self.inner.gate.enter().await?;
         let inner = Arc::clone(&self.inner);
-        Ok(tokio::spawn(async move {
-            let outcome = inner.transaction(work).await;
+        let (commits, committing) = oneshot::channel();
+        let task = tokio::spawn(async move {
+            let outcome = inner.transaction(work, commits).await;
             drop(pass);
             outcome
-        }))
+        });
+        Ok(UnderWay { task, committing })
     }
 
     /// Runs a group of cycles in one transaction, in a task that nobody can cancel. All groups wait for one another, so that
@@ -252,13 +269,15 @@ impl PostgresStore {
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
     {
-        if self.inner.given_up.load(Ordering::Relaxed) >= GIVEN_UP {
-            return Err(StoreError::Unavailable("groups before this one are not committed".into()));
+        let mut task = self.begun(work).await?.task;
+        match timeout(self.inner.lost_after, &mut task).await {
+            Ok(ended) => ended.map_err(panicked)?.map(|(value, _)| value),
+            Err(_) => Err(self.give_up(task)),
         }
-        let mut task = self.begun(work).await?;
-        if let Ok(ended) = timeout(self.inner.lost_after, &mut task).await {
-            return ended.map_err(panicked)?.map(|(value, _)| value);
-        }
+    }
+
+    /// Waits no longer for a transaction, which goes on and keeps its connection.
+    fn give_up<T: Send + 'static>(&self, task: JoinHandle<StoreResult<T>>) -> StoreError {
         let why = format!("a transaction is not committed after {} s", self.inner.lost_after.as_secs());
         tracing::warn!("{why}, and is no longer waited for");
         let inner = Arc::clone(&self.inner);
@@ -268,7 +287,7 @@ impl PostgresStore {
             let _ = task.await;
             inner.given_up.fetch_sub(1, Ordering::Relaxed);
         });
-        Err(StoreError::OutcomeUnknown(why.into()))
+        StoreError::OutcomeUnknown(why.into())
     }
 
     /// Whether a group took as long as one is waited for: the same again would wait for the same, such as a lock, or a standby that
@@ -416,12 +435,12 @@ impl Inner {
         }
     }
 
-    async fn transaction<T, F>(&self, work: F) -> StoreResult<T>
+    async fn transaction<T, F>(&self, work: F, commits: oneshot::Sender<()>) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
         let mut lent = self.lent().await?;
-        let answer = self.answered(changed(&mut lent, self.begin(), work)).await;
+        let answer = self.answered(changed(&mut lent, self.begin(), work, commits)).await;
         answer.unwrap_or_else(|| {
             lent.lose();
             Err(StoreError::OutcomeUnknown(LOST.into()))
@@ -429,19 +448,35 @@ impl Inner {
     }
 }
 
-/// One change in one transaction.
-async fn changed<T, F>(conn: &mut Conn, begin: &'static str, work: F) -> StoreResult<T>
+/// A change in a task of its own.
+struct UnderWay<T> {
+    task: JoinHandle<StoreResult<T>>,
+    /// Told when its commit begins; never, where it does not come to that.
+    committing: oneshot::Receiver<()>,
+}
+
+/// One change in one transaction; `commits` is told when all but its commit is done.
+async fn changed<T, F>(
+    conn: &mut Conn,
+    begin: &'static str,
+    work: F,
+    commits: oneshot::Sender<()>,
+) -> StoreResult<T>
 where
     F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
 {
     let mut transaction = conn.begin_with(begin).await?;
     match work(&mut transaction).await {
-        Ok(value) => match transaction.commit().await.map_err(StoreError::from) {
-            Ok(()) => Ok(value),
-            // The commit was sent: it may have been kept although no answer came.
-            Err(StoreError::Unavailable(error)) => Err(StoreError::OutcomeUnknown(error)),
-            Err(error) => Err(error),
-        },
+        Ok(value) => {
+            // Nobody waits for it where it was begun for a group.
+            let _ = commits.send(());
+            match transaction.commit().await.map_err(StoreError::from) {
+                Ok(()) => Ok(value),
+                // The commit was sent: it may have been kept although no answer came.
+                Err(StoreError::Unavailable(error)) => Err(StoreError::OutcomeUnknown(error)),
+                Err(error) => Err(error),
+            }
+        }
         Err(error) => {
             if let Err(rollback) = transaction.rollback().await {
                 tracing::debug!(error = %rollback, "rollback failed, the connection goes");

@@ -115,6 +115,26 @@ impl Cluster {
         frozen
     }
 
+    /// Has every commit from here on wait for a standby that there is not, until [`Cluster::confirms_again`].
+    pub(crate) async fn confirms_nothing(&self) {
+        self.run("ALTER SYSTEM SET synchronous_standby_names = 'nobody'").await;
+        self.run("SELECT pg_reload_conf()").await;
+        // The server's processes hear of it one after the other: it holds when a commit waits.
+        let mut conn = PgConnection::connect(&self.url()).await.unwrap();
+        let commits = tokio::spawn(async move {
+            loop {
+                conn.execute("COMMENT ON DATABASE postgres IS 'commits'").await.unwrap();
+            }
+        });
+        self.shows("wait_event = 'SyncRep'").await;
+        commits.abort();
+    }
+
+    pub(crate) async fn confirms_again(&self) {
+        self.run("ALTER SYSTEM RESET synchronous_standby_names").await;
+        self.run("SELECT pg_reload_conf()").await;
+    }
+
     /// Returns once a single session waits for a lock.
     pub(crate) async fn one_waits_for_a_lock(&self) {
         self.wait_for_a_lock(1).await;

@@ -1,10 +1,10 @@
 //! A PostgreSQL whose host vanishes: connections to it are never closed and lead nowhere, and another one takes over its
 //! address.
 
-use super::given::{Run, commit, shop, stored};
+use super::given::{Run, at, commit, engineer, shop, stored, tool};
 use super::operations::Cluster;
 use feedwright_store::{
-    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Repair, Store, StoreError,
+    Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Repair, Store, StoreError,
 };
 use sqlx::{Connection, Executor, PgConnection};
 use std::time::Duration;
@@ -204,14 +204,12 @@ async fn a_commit_that_no_standby_confirms_is_waited_for_once() {
     let Some((cluster, _line, store)) = behind_a_line(8).await else {
         return;
     };
-    cluster.run("ALTER SYSTEM SET synchronous_standby_names = 'nobody'").await;
-    cluster.run("SELECT pg_reload_conf()").await;
+    cluster.confirms_nothing().await;
     let answer = commit(&store, &[Run::nth(1)]).await.pop().unwrap();
     assert!(matches!(answer, Err(StoreError::OutcomeUnknown(_))), "{answer:?}");
     let at_it = cluster.sessions("application_name = 'feedwright' AND state <> 'idle'").await;
     assert_eq!(at_it, 1, "it was not tried again");
-    cluster.run("ALTER SYSTEM RESET synchronous_standby_names").await;
-    cluster.run("SELECT pg_reload_conf()").await;
+    cluster.confirms_again().await;
     let mut answer = commit(&store, &[Run::nth(1)]).await.pop().unwrap();
     for _ in 0..LOOKS {
         if answer.is_ok() {
@@ -222,4 +220,46 @@ async fn a_commit_that_no_standby_confirms_is_waited_for_once() {
     assert!(matches!(answer, Ok(Committed::Known(_) | Committed::Stored(_))), "{answer:?}");
     let page = Page { after: None, limit: 10 };
     assert_eq!(store.cycles(&CycleFilter::default(), page).await.unwrap().len(), 1, "once");
+}
+
+/// What people change is bounded as posts are, where no standby confirms it: the answer says that it is not known, and what comes
+/// then does not take the connections of who reads.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_registration_that_no_standby_confirms_does_not_wait_for_ever() {
+    let Some((cluster, _line, store)) = behind_a_line(5).await else {
+        return;
+    };
+    cluster.confirms_nothing().await;
+    let (soon, who) = (Duration::from_secs(30), engineer());
+    for name in ["one", "two"] {
+        let registered = store.put_tool(tool(name), Precondition::Unstated, &who, at(0));
+        let registered = tokio::time::timeout(soon, registered).await.expect("it is answered");
+        assert!(matches!(registered, Err(StoreError::OutcomeUnknown(_))), "{registered:?}");
+    }
+    // Nothing more is begun, and who reads is answered.
+    let refused = store.put_tool(tool("three"), Precondition::Unstated, &who, at(0)).await;
+    assert!(matches!(refused, Err(StoreError::Unavailable(_))), "{refused:?}");
+    let refused = commit(&store, &[Run::nth(1)]).await.pop().unwrap();
+    assert!(matches!(refused, Err(StoreError::Unavailable(_))), "{refused:?}");
+    assert_eq!(cluster.sessions("application_name = 'feedwright' AND state <> 'idle'").await, 2);
+    assert!(store.tool(&"three".try_into().unwrap()).await.unwrap().is_none());
+
+    cluster.confirms_again().await;
+    let taken = async { while commit(&store, &[Run::nth(1)]).await.pop().unwrap().is_err() {} };
+    tokio::time::timeout(soon, taken).await.expect("changes are taken again");
+    for name in ["one", "two"] {
+        assert!(store.tool(&name.try_into().unwrap()).await.unwrap().is_some(), "{name} was committed");
+    }
+}
+
+/// Behind an address that takes connections and says nothing.
+#[tokio::test]
+async fn a_start_finds_out_that_nobody_is_there() {
+    let silent = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let port = silent.local_addr().unwrap().port();
+    let options = PostgresOptions { lost_after: Duration::from_millis(300), ..PostgresOptions::default() };
+    let url = format!("postgres://nobody@127.0.0.1:{port}/none");
+    let opened = PostgresStore::open(&url, options);
+    let opened = tokio::time::timeout(Duration::from_secs(30), opened).await.expect("it is found out");
+    assert!(matches!(opened, Err(StoreError::Unavailable(_))), "{opened:?}");
 }

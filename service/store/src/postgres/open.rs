@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
 use tokio::sync::Mutex;
+use tokio::time::timeout;
 
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/postgres");
 
@@ -51,9 +52,17 @@ impl PostgresStore {
     /// Connects to the database at `url`, refuses one that cannot be written durably, and migrates it under a lock.
     pub async fn open(url: &str, options: PostgresOptions) -> StoreResult<Self> {
         let direct: PgConnectOptions = options.direct.as_deref().unwrap_or(url).parse()?;
-        let mut migrating = direct.clone().application_name("feedwright migrations").connect().await?;
-        assert_durable(&mut migrating).await?;
-        assert_encoding(&mut migrating).await?;
+        let first = async {
+            let mut first = direct.clone().application_name("feedwright migrations").connect().await?;
+            assert_durable(&mut first).await?;
+            assert_encoding(&mut first).await?;
+            Ok::<_, StoreError>(first)
+        };
+        // Whoever starts servers finds out that an address leads nowhere, as behind a firewall.
+        let mut migrating = match timeout(options.lost_after, first).await {
+            Ok(first) => first?,
+            Err(_) => return Err(StoreError::Unavailable("the database says nothing".into())),
+        };
         // A limit that a role has for questions is none for writing tables anew.
         sqlx::query("SET statement_timeout = 0").execute(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
@@ -80,9 +89,7 @@ impl PostgresStore {
             // The check below is a ping as well.
             .test_before_acquire(false)
             .before_acquire(move |conn, _| {
-                Box::pin(
-                    async move { tokio::time::timeout(asked_for, usable(conn)).await.unwrap_or(Ok(false)) },
-                )
+                Box::pin(async move { timeout(asked_for, usable(conn)).await.unwrap_or(Ok(false)) })
             })
             // A server that was demoted, is not promoted yet, or does not keep what is committed, is asked again until patience ends.
             .after_connect(|conn, _| {
