@@ -1107,6 +1107,42 @@ await check("settings: a bad value is marked at its field and kept; a token is s
   });
 });
 
+await check("settings: what the server finds at a field is said in the language of the page", async () => {
+  // Sentences as this server makes them: none that a form meets stays in English, and each keeps its numbers.
+  const { inGerman } = await import(`${WEB}js/words/said-de.js`);
+  const limits = { feed_min_mm_min: 1, feed_max_mm_min: 5000, override_min_percent: 5, override_max_percent: 200 };
+  const machine = { name: "M", control: "c", ipo_period_ms: 10, spindle: { reference: "unknown" }, limits };
+  const asked = [
+    ["PUT", "/v1/machines/said", { ...machine, name: "", ipo_period_ms: 0.001 }], ["PUT", "/v1/machines/said", { ...machine, name: "a\u0007" }],
+    ["PUT", "/v1/machines/said", { ...machine, limits: { ...limits, feed_max_mm_min: 0.5 } }], ["PUT", "/v1/machines/said", { ...machine, limits: { ...limits, override_min_percent: 0 } }],
+    ["PUT", "/v1/machines/said", { ...machine, spindle: { reference: "rated_power", rated_power_watts: 5000, base_speed_rpm: 0 } }],
+    ["PUT", `/v1/tools/${"x".repeat(200)}`, { name: "T", tool_type: "d" }], ["PUT", "/v1/tools/%C3%A4", { name: "T", tool_type: "d", diameter_mm: -3 }], ["PUT", "/v1/tools/said", { name: "T", tool_type: "d", diameter_mm: -3 }],
+    ["PUT", "/v1/machines/sim-1/retention", { samples_days: 0 }], ["POST", "/v1/tools/sim-tool-1/events", { kind: "reset", at: "yesterday", reason: "r" }],
+  ];
+  const refused = async ([method, path, body]) => {
+    const answer = await fetch(shop.address + path, { method, headers: { authorization: `Bearer ${shop.admin}`, "content-type": "application/json" }, body: JSON.stringify(body) });
+    assert.ok([400, 422].includes(answer.status), `${path}: ${answer.status}`);
+    return (await answer.json()).errors.map((one) => one.message);
+  };
+  const said = (await Promise.all(asked.map(refused))).flat();
+  for (const message of said) {
+    const german = inGerman(message);
+    assert.notEqual(german, message, "is said in English");
+    const numbers = (text) => text.replaceAll(",", ".").match(/\d+(\.\d+)?/g) ?? [];
+    assert.deepEqual(numbers(german), numbers(message.replace(/RFC 3339| \(a leap.*/g, "")), `${message} → ${german}`);
+  }
+  await withPage({ role: "admin", language: "de-DE", expects: ["400", "422"] }, async (page) => {
+    await page.go("/settings#tools");
+    await page.locator("#add").click();
+    await page.locator("#f-id").fill("T-said");
+    await page.locator("#f-name").fill("Bohrer");
+    await page.locator("#f-tool_type").fill("d8");
+    await page.locator("#f-diameter_mm").fill("-3,5");
+    await page.locator("#edit button[type=submit]").click();
+    await page.locator("#f-diameter_mm-said").getByText(/^muss von \S+ bis \S+\smm sein, ist -3,5$/).waitFor();
+  });
+});
+
 await check("names of every kind are text, in their place, and never code", async () => {
   await withPage({ role: "admin" }, async (page) => {
     for (const path of ["/", "/settings#machines", "/settings#operations", "/tool?id=odd-tool", "/cycle?machine=odd-1", "/next?machine=odd-1"]) {

@@ -3,7 +3,7 @@
 // and stays as it was typed.
 import { $$, html } from "./html.js";
 import { failure, notice } from "./states.js";
-import { language, t } from "./text.js";
+import { language, saidAt, t } from "./text.js";
 
 const [POINT, GROUPS] = language === "de" ? [",", /^[+-]?[1-9]\d{0,2}\.\d{3}(e|$)/i] : [".", /^[+-]?[1-9]\d{0,2},\d{3}(e|$)/i];
 /** A number as a field shows it, in the page's language. */
@@ -48,8 +48,8 @@ export function entered(inputs, { needed, say = place } = {}) {
 /** What the server found at a field, in words: of a type it speaks as a program does. */
 function found({ code, message, path }, input) {
   const line = /\[(\d+)\]/.exec(path)?.[1];
-  if (line != null) return t("number.line", { line: Number(line) + 1, why: message });
-  if (code !== "wrong_type" && code !== "missing_field") return message;
+  if (line != null) return t("number.line", { line: Number(line) + 1, why: saidAt(message) });
+  if (code !== "wrong_type" && code !== "missing_field") return saidAt(message);
   const value = valueOf(input);
   return value == null ? t("number.needed") : Number.isInteger(value) || Number.isNaN(value) ? t("number.bad") : t("number.whole");
 }
@@ -66,7 +66,7 @@ export function refused(error, of, title) {
   first?.focus();
   if (!first) return failure(error, title);
   if (left.length === 0) return notice("act", title ?? t("error.title"), t("set.lookAtFields"));
-  return failure({ ...error, code: "fields", message: `${left[0].path}: ${left[0].message}`, errors: left }, title);
+  return failure({ ...error, code: "fields", message: `${left[0].path}: ${saidAt(left[0].message)}`, errors: left }, title);
 }
 
 const state = (form) => $$("input, select, textarea", form).map((one) => one.type === "checkbox" ? one.checked : one.value).join("\n");

@@ -1,16 +1,17 @@
 // When there is nothing, not yet, or not any more to show.
 import { icon } from "./icons.js";
 import { html, trusted } from "./html.js";
-import { told, t } from "./text.js";
+import { saidAt, told, t } from "./text.js";
 
 export const notice = (level, title, text, more = "") => html`<div class="notice ${level}" role="${level === "act" ? "alert" : "status"}">${icon(level === "offline" ? "silent" : level || "note")}<div><b>${title}</b>${text ? html`<p>${text}</p>` : ""}${more}</div></div>`;
 /** What an error says: what happened, where, and that nothing is lost. */
 export function failure(error, title = t("error.title")) {
   const offline = error.code === "offline";
-  const words = told("problem", error.code, error.message);
   const fields = (error.errors ?? []).slice(0, 8);
+  const [only] = fields;
+  const words = told("problem", error.code, fields.length === 1 && only.path ? `${only.path}: ${saidAt(only.message)}` : error.message);
   return notice(offline ? "plan" : "act", title, fields.length > 1 ? null : words, html`
-    ${fields.length > 1 ? html`<ul class="field-errors">${fields.map((field) => html`<li><code>${field.path}</code> ${field.message}</li>`)}</ul>` : ""}
+    ${fields.length > 1 ? html`<ul class="field-errors">${fields.map((field) => html`<li><code>${field.path}</code> ${saidAt(field.message)}</li>`)}</ul>` : ""}
     <p class="faint">${t("error.kept")}${error.requestId ? html` ${t("error.request")} <code>${error.requestId}</code>` : ""}</p>`);
 }
 /** `whole` where there is nothing else on the page: its title is the page's then. */
