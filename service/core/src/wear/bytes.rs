@@ -4,7 +4,7 @@ use super::basis::{CompensatedRatio, FeedMemory, KEPT_RATIOS};
 use super::facts::OrderKey;
 use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold};
 use super::key::{Baseline, Change, KeyState, Measured, Usual};
-use super::trend::TrendPoints;
+use super::trend::{Told, TrendPoints};
 use super::verdict::{BaselineKey, Exclusion};
 use crate::cycle::ProfileVersion;
 use crate::friction::relation::Relation;
@@ -277,7 +277,14 @@ fields!(Baseline {
 });
 fields!(Usual { joules, duration_ms, depth_mm, breakthrough_mm });
 fields!(Change { before, back });
-fields!(TrendPoints { per_point, points, filling, count });
+/// Found anew of what was read.
+impl Field for Told {
+    fn put(&self, _: &mut Vec<u8>) {}
+    fn take(_: &mut &[u8]) -> Option<Self> {
+        Some(Self::default())
+    }
+}
+fields!(TrendPoints { per_point, points, filling, count, told });
 fields!(KeyState {
     key,
     needed,

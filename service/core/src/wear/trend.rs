@@ -3,6 +3,7 @@
 use super::WORN_LEVEL;
 use super::verdict::{Remaining, Trend};
 use crate::summary::median;
+use std::sync::OnceLock;
 
 /// Points kept; when there are more, neighbours are merged and each stands for twice as many cycles.
 const MAX_POINTS: usize = 48;
@@ -26,11 +27,23 @@ pub(super) struct TrendPoints {
     pub(super) filling: (f64, f64, u64),
     /// Ratios so far.
     pub(super) count: u64,
+    pub(super) told: Told,
+}
+
+/// The trend of these points, once it was asked for. Each cycle asks, and in a long life one in hundreds completes a point.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Told(OnceLock<Option<Trend>>);
+
+impl PartialEq for Told {
+    /// It follows from the points.
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
 }
 
 impl Default for TrendPoints {
     fn default() -> Self {
-        Self { per_point: 1, points: Vec::new(), filling: (0.0, 0.0, 0), count: 0 }
+        Self { per_point: 1, points: Vec::new(), filling: (0.0, 0.0, 0), count: 0, told: Told::default() }
     }
 }
 
@@ -50,6 +63,7 @@ impl TrendPoints {
         if *n < self.per_point {
             return;
         }
+        self.told = Told::default();
         self.points.push((*counts / *n as f64, *ratios / *n as f64));
         self.filling = (0.0, 0.0, 0);
         if self.points.len() == MAX_POINTS {
@@ -64,6 +78,10 @@ impl TrendPoints {
 
     /// Theil–Sen slope with the distribution-free interval of Sen (1968); `None` before there is evidence.
     pub(super) fn trend(&self) -> Option<Trend> {
+        *self.told.0.get_or_init(|| self.of_points())
+    }
+
+    fn of_points(&self) -> Option<Trend> {
         let points = &self.points[self.points.len().saturating_sub(TREND_POINTS)..];
         if points.len() < MIN_POINTS {
             return None;
@@ -161,6 +179,17 @@ mod tests {
             assert!(points.points.len() < MAX_POINTS);
             let trend = points.trend().unwrap();
             assert!((trend.slope_per_cycle / slope - 1.0).abs() < 1e-6, "{cycles}: {trend:?}");
+        }
+    }
+
+    #[test]
+    fn what_was_told_is_told_until_a_point_is_complete() {
+        let mut points = TrendPoints::default();
+        for cycle in 0..1000 {
+            points.push(1.0 + 0.0001 * f64::from(cycle) + 0.01 * f64::from(cycle % 7));
+            let anew = TrendPoints { told: Told::default(), ..points.clone() };
+            assert_eq!(points.trend(), anew.trend(), "after {cycle}");
+            assert_eq!(points, anew);
         }
     }
 
