@@ -11,9 +11,10 @@ use crate::state::AppState;
 use feedwright_core::units::Timestamp;
 use feedwright_store::{SessionRecord, TokenRecord};
 use http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
+use std::borrow::Cow;
 use subtle::ConstantTimeEq;
 
-/// Name of the cookie.
+/// Name of the cookie, where the page's address names no port.
 const COOKIE: &str = "feedwright_session";
 /// What every change by cookie has to carry, with any value.
 pub static PAGE_HEADER: HeaderName = HeaderName::from_static("x-feedwright-page");
@@ -46,14 +47,19 @@ pub struct BegunSession {
 
 impl BegunSession {
     /// Begins a session with a token; `lasting` for a screen that nobody signs in at. `secure` where the page was
-    /// reached over TLS.
-    pub fn new(token: &TokenRecord, lasting: bool, secure: bool, clock: &Clock) -> Result<Self, Problem> {
+    /// reached over TLS. `headers` are those of the request.
+    pub fn new(
+        token: &TokenRecord,
+        lasting: bool,
+        (secure, headers): (bool, &HeaderMap),
+        clock: &Clock,
+    ) -> Result<Self, Problem> {
         let mut random = [0_u8; SECRET_BYTES];
         getrandom::fill(&mut random).map_err(|error| Problem::internal(error.to_string()))?;
         let secret = blake3::Hash::from_bytes(random).to_hex();
         let now = clock.now();
         let lifetime_ms = if lasting { SCREEN_MS } else { SHIFT_MS };
-        let cookie = cookie(&secret, lifetime_ms / 1000, secure)?;
+        let cookie = cookie(&secret, lifetime_ms / 1000, (secure, headers))?;
         let record = SessionRecord {
             hash: *blake3::hash(secret.as_bytes()).as_bytes(),
             token: token.id.clone(),
@@ -65,13 +71,17 @@ impl BegunSession {
 }
 
 /// The `Set-Cookie` that makes a browser forget its session.
-pub fn forgotten(secure: bool) -> Result<HeaderValue, Problem> {
-    cookie("", 0, secure)
+pub fn forgotten(secure: bool, headers: &HeaderMap) -> Result<HeaderValue, Problem> {
+    cookie("", 0, (secure, headers))
 }
 
-fn cookie(value: &str, max_age_s: i64, secure: bool) -> Result<HeaderValue, Problem> {
-    let secure = if secure { "; Secure" } else { "" };
-    let text = format!("{COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={max_age_s}{secure}");
+fn cookie(
+    value: &str,
+    max_age_s: i64,
+    (secure, headers): (bool, &HeaderMap),
+) -> Result<HeaderValue, Problem> {
+    let (name, secure) = (name(headers), if secure { "; Secure" } else { "" });
+    let text = format!("{name}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={max_age_s}{secure}");
     HeaderValue::try_from(text).map_err(|error| Problem::internal(error.to_string()))
 }
 
@@ -81,13 +91,22 @@ pub fn over_tls(headers: &HeaderMap) -> bool {
     text(&header::ORIGIN).is_some_and(|origin| origin.starts_with("https://"))
 }
 
-/// The secret in the request's cookie.
+/// The cookie's name for the address that the page was asked for. A browser sends cookies to each port of a host: of two services
+/// on one computer each has its own, or signing in at the one would sign out of the other.
+fn name(headers: &HeaderMap) -> Cow<'static, str> {
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    let port = host.and_then(|host| host.rsplit_once(':')).and_then(|(_, port)| port.parse::<u16>().ok());
+    port.map_or(COOKIE.into(), |port| format!("{COOKIE}_{port}").into())
+}
+
+/// The secret in the request's cookie. One without a port may be of before they were named by it.
 fn secret(headers: &HeaderMap) -> Option<&str> {
-    let cookies = headers.get_all(header::COOKIE).into_iter().filter_map(|value| value.to_str().ok());
-    cookies
-        .flat_map(|line| line.split(';'))
-        .find_map(|pair| pair.trim().strip_prefix(COOKIE)?.strip_prefix('='))
-        .filter(|secret| !secret.is_empty())
+    let named = |wanted: &str| {
+        let lines = headers.get_all(header::COOKIE).into_iter().filter_map(|value| value.to_str().ok());
+        let mut pairs = lines.flat_map(|line| line.split(';')).filter_map(|pair| pair.trim().split_once('='));
+        pairs.find(|(name, secret)| *name == wanted && !secret.is_empty()).map(|(_, secret)| secret)
+    };
+    named(&name(headers)).or_else(|| named(COOKIE))
 }
 
 /// Refuses what another site may have caused.
@@ -180,5 +199,28 @@ mod tests {
         assert_eq!(found("feedwright_session=abc").as_deref(), Some("abc"));
         assert_eq!(found("feedwright_sessions=abc; xfeedwright_session=d"), None);
         assert_eq!(found("feedwright_session="), None);
+        assert_eq!(found("feedwright_session_7878=abc"), None);
+    }
+
+    #[test]
+    fn two_services_on_one_computer_do_not_share_a_cookie() {
+        let at =
+            |host: &str, line: &str| secret(&headers(&[("host", host), ("cookie", line)])).map(str::to_owned);
+        let both = "feedwright_session_7878=one; feedwright_session_7879=two; feedwright_session=proxied";
+        for (host, own) in [
+            ("cell:7878", "one"),
+            ("192.168.0.7:7879", "two"),
+            ("[::1]:7879", "two"),
+            ("[::1]", "proxied"),
+            ("feedwright.example", "proxied"),
+            // Begun before cookies were named by the port.
+            ("cell:7880", "proxied"),
+        ] {
+            assert_eq!(at(host, both).as_deref(), Some(own), "{host}");
+        }
+        assert_eq!(at("cell:7880", "feedwright_session_7878=one"), None);
+        let set = |host: &str| cookie("abc", 60, (false, &headers(&[("host", host)]))).unwrap();
+        assert!(set("cell:7878").to_str().unwrap().starts_with("feedwright_session_7878=abc; "));
+        assert!(set("cell").to_str().unwrap().starts_with("feedwright_session=abc; "));
     }
 }

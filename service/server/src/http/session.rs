@@ -43,7 +43,7 @@ pub(super) async fn begin(
         return Err(Problem::new(StatusCode::FORBIDDEN, "role_not_allowed", detail));
     }
     let BegunSession { record, cookie } =
-        BegunSession::new(&token, body.lasting, is_secure(&state, &headers), &state.clock)?;
+        BegunSession::new(&token, body.lasting, (is_secure(&state, &headers), &headers), &state.clock)?;
     let actor = Actor { token: token.id.clone(), role: token.role };
     let expires_at = record.expires_at;
     state.commit(|store| async move { store.begin_session(record, MOST_SESSIONS, &actor).await }).await?;
@@ -86,7 +86,7 @@ pub(super) async fn end(
     // Whatever the outcome: where it is not known, the session may be over.
     state.live.look_at_sessions();
     ended?;
-    let cookie = forgotten(is_secure(&state, &headers))?;
+    let cookie = forgotten(is_secure(&state, &headers), &headers)?;
     Ok((StatusCode::NO_CONTENT, AppendHeaders([(header::SET_COOKIE, cookie)])).into_response())
 }
 
