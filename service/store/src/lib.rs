@@ -35,5 +35,5 @@ pub use past::PAST;
 pub use point::*;
 pub use postgres::{PostgresOptions, PostgresStore};
 pub use record::*;
-pub use sqlite::{SqliteOptions, SqliteStore};
+pub use sqlite::{SqliteOptions, SqliteStore, faults_of_file};
 pub use store::Store;

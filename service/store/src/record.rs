@@ -659,24 +659,60 @@ pub struct Surroundings {
     pub tool: Option<Tool>,
 }
 
+/// What wear is not folded over again, as it would be wrong as if it were right.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Doubt {
+    /// Tools of cycles that say something else than was taken in.
+    pub tools: BTreeSet<ToolId>,
+    /// Whose cycles' samples were dropped, some of them: nothing says any more whether these are what was taken in.
+    pub unproven: BTreeSet<(MachineId, ToolId)>,
+}
+
 /// Which caches of wear are folded again where they differ from their fold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Repair<'a> {
     /// None.
     No,
-    /// Those of all tools but these, whose cycles are doubtful: their wear would be wrong as if it were right.
-    AllBut(&'a BTreeSet<ToolId>),
+    /// Those of tools without a doubt, whose cycles are all there.
+    AllBut(&'a Doubt),
 }
 
-impl Repair<'_> {
-    /// Whether it folds the tool's.
-    #[must_use]
-    pub fn folds(self, tool: &ToolId) -> bool {
+impl<'a> Repair<'a> {
+    /// What is in doubt, where anything is to be folded again.
+    pub(crate) const fn doubt(self) -> Option<&'a Doubt> {
         match self {
-            Self::No => false,
-            Self::AllBut(doubtful) => !doubtful.contains(tool),
+            Self::No => None,
+            Self::AllBut(doubt) => Some(doubt),
         }
     }
+}
+
+/// Why a cache that differs from its fold is left as it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Left {
+    /// Nobody asked for it to be folded again.
+    Unasked,
+    /// Cycles of its tool say something else than was taken in.
+    Doubtful,
+    /// Cycles that it has counted are not there.
+    Missing,
+    /// Of some of its cycles nothing says whether they are what was taken in.
+    Unproven,
+    /// That of another machine of the tool is left.
+    Another,
+}
+
+/// A cache that differs from its fold.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DifferingWear {
+    /// Whose.
+    pub machine: MachineId,
+    /// Of which tool.
+    pub tool: ToolId,
+    /// Cycles that it has counted, more than there are.
+    pub missing: u64,
+    /// Why it is left; `None` where it was folded again.
+    pub left: Option<Left>,
 }
 
 /// What the check of tools' caches against their folds found.
@@ -684,8 +720,8 @@ impl Repair<'_> {
 pub struct WearCheck {
     /// Rows of the cache that were compared.
     pub rows: u64,
-    /// Those that differed from the fold, `(machine, tool)`.
-    pub different: Vec<(MachineId, ToolId)>,
+    /// Those that differed from the fold.
+    pub different: Vec<DifferingWear>,
     /// Tools whose cycles could not be folded, with what could not be read.
     pub unreadable: Vec<(ToolId, String)>,
 }
@@ -783,7 +819,7 @@ impl StoreFault {
     /// is read, or show them elsewhere, as an index does that is wrong, or it is in what a fold rests on besides, or what is left of
     /// a cycle says that there was one.
     pub fn may_mislead_wear(&self) -> bool {
-        matches!(self.kind, "file" | "samples" | "cut")
+        matches!(self.kind, "file" | "schema" | "samples" | "cut")
             || (self.kind == "table" && FOLDED.contains(&self.key.as_str()))
     }
 }
@@ -800,8 +836,8 @@ pub struct CheckPage {
     pub unverified: u64,
     /// What is wrong.
     pub faults: Vec<StoreFault>,
-    /// The tools of cycles that say something else than was taken in: wear is not folded over them.
-    pub doubtful: BTreeSet<ToolId>,
+    /// What wear is not folded over.
+    pub doubt: Doubt,
     /// Where to go on; `None` at the end.
     pub next: Option<(MachineId, CycleId)>,
 }

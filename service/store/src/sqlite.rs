@@ -32,7 +32,7 @@ pub(crate) use open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
 use crate::recent::Recent;
-use crate::record::DatabaseUsage;
+use crate::record::{DatabaseUsage, StoreFault};
 use crate::registry::Registry;
 use crate::rows::number;
 use crate::slot::Slot;
@@ -56,6 +56,11 @@ pub(crate) async fn take_up(path: &Path) -> StoreResult<()> {
     let path = path.to_owned();
     let task = tokio::task::spawn_blocking(move || journal::take_up_closed(&path));
     task.await.map_err(panicked)?
+}
+
+/// What SQLite finds wrong with a file that does not open as a store.
+pub async fn faults_of_file(path: &Path) -> StoreResult<Vec<StoreFault>> {
+    dialect::of_file(path).await
 }
 
 /// Free pages (8 MiB, of older files' pages 16) that are left to be used again.

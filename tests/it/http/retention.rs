@@ -46,6 +46,13 @@ async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
         assert_eq!((gone.status, gone.code().as_str()), (StatusCode::GONE, "samples_dropped"));
         let course = app.get(&format!("{M1}/cycles/s{number}/course")).await;
         assert_eq!((course.status, course.code().as_str()), (StatusCode::GONE, "samples_dropped"));
+        let asked = json!({"control": {}});
+        let what_if = app.post(&format!("{M1}/cycles/s{number}/what-if"), asked).await;
+        assert_eq!(
+            (what_if.status, what_if.code().as_str()),
+            (StatusCode::GONE, "samples_dropped"),
+            "{what_if:?}"
+        );
         let problem = gone.json();
         assert_eq!(
             (&problem["reason"], &problem["dropped_at"]),

@@ -68,7 +68,7 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
 
     // A fold that is not the cycles' is named, mended, and gone.
     let mut conn = tables(&other).await;
-    sqlx::query("UPDATE tool_wear SET folded = folded + 1").execute(&mut conn).await.unwrap();
+    sqlx::query("UPDATE tool_wear SET folded = folded - 1").execute(&mut conn).await.unwrap();
     conn.close().await.unwrap();
     let (found, said) = fail(feedwright(&other, &["check"]).output().unwrap());
     assert!(found.contains("fault: wear M1/T1: ") && said.contains("1 faults are left"), "{found} {said}");
@@ -83,7 +83,7 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
     };
     change("UPDATE cycles SET mean_spindle_load_percent = mean_spindle_load_percent + 1 WHERE cycle_id = 'c00005'")
         .await;
-    change("UPDATE tool_wear SET folded = folded + 1").await;
+    change("UPDATE tool_wear SET folded = folded - 1").await;
     let (found, said) = fail(feedwright(&other, &["check", "--repair"]).output().unwrap());
     for part in [
         "fault: summary M1/c00005: it is not what the cycle amounts to: mean_spindle_load_percent is ",
@@ -96,7 +96,7 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
         .await;
     succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());
     // Nor over cycles that an index does not find.
-    change("UPDATE tool_wear SET folded = folded + 1").await;
+    change("UPDATE tool_wear SET folded = folded - 1").await;
     change(WRONG_INDEX).await;
     let (found, said) = fail(feedwright(&other, &["check", "--repair"]).output().unwrap());
     assert!(found.contains("fault: file sqlite: row 1 missing from index cycles_by_tool\n"), "{found}");
@@ -133,6 +133,28 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
         refused.contains("cycle_samples") && refused.contains("is there with other content"),
         "{refused}"
     );
+}
+
+/// What keeps a file from being opened is named all the same.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_page_that_cannot_be_read_is_named_by_the_check() {
+    let cell = TempDir::new().unwrap();
+    std::fs::create_dir(cell.path().join("data")).unwrap();
+    let store = SqliteStore::open(file(&cell), SqliteOptions::default()).await.unwrap();
+    shop(&store).await;
+    store.close().await;
+    let mut conn = tables(&cell).await;
+    let root: i64 = sqlx::query_scalar("SELECT rootpage FROM sqlite_schema WHERE name = 'alarms'")
+        .fetch_one(&mut conn)
+        .await
+        .unwrap();
+    let page: i64 = sqlx::query_scalar("PRAGMA page_size").fetch_one(&mut conn).await.unwrap();
+    conn.close().await.unwrap();
+    let mut bytes = std::fs::read(file(&cell)).unwrap();
+    bytes[usize::try_from((root - 1) * page).unwrap()] ^= 0x40;
+    std::fs::write(file(&cell), bytes).unwrap();
+    let (found, said) = fail(feedwright(&cell, &["check"]).output().unwrap());
+    assert!(found.contains(&format!("fault: file sqlite: Tree {root} page {root}")), "{found} {said}");
 }
 
 /// Less than any database of ours needs, bytes.

@@ -1,12 +1,14 @@
 //! What a check finds of summaries, and that wear is never folded over what it doubts.
 
-use super::given::{Given, Run, at, commit, engineer, machine, operation, shop, stories};
+use super::given::{Given, Run, at, commit, differing, engineer, machine, operation, shop, stories};
 use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::units::Process;
 use feedwright_core::wear::Exclusion;
-use feedwright_store::{CheckPage, Committed, CycleFilter, NewCycle, Page, Precondition, Repair, Store};
+use feedwright_store::{
+    CheckPage, Committed, CycleFilter, Doubt, Left, NewCycle, Page, Precondition, Repair, Store,
+};
 use sqlx::AssertSqlSafe;
 use std::collections::BTreeSet;
 
@@ -16,6 +18,8 @@ stories!(with tables:
     what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same,
     whatever_clock_registered_an_operation_its_cycles_are_sound,
     wear_is_not_folded_over_doubtful_cycles,
+    a_cache_is_kept_that_alone_knows_of_a_cycle,
+    wear_is_not_folded_over_cycles_that_nothing_vouches_for,
     a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered,
     a_course_that_cannot_be_read_is_named_and_the_rest_is_checked,
     a_course_that_cannot_be_read_costs_its_cycle_alone,
@@ -151,7 +155,7 @@ async fn a_summary_that_is_not_its_cycles_is_named_with_its_columns(given: &Give
         for column in *columns {
             assert!(detail.contains(column), "{change}: {detail}");
         }
-        assert_eq!(found.doubtful, BTreeSet::from(["T1".try_into().unwrap()]), "{change}");
+        assert_eq!(found.doubt.tools, BTreeSet::from(["T1".try_into().unwrap()]), "{change}");
         let columns = [
             "rated_power_joules",
             "operator_override_percent",
@@ -216,7 +220,7 @@ async fn a_number_that_is_not_finite_is_named_like_any_other(given: &Given) {
                 panic!("{column} {number}: {:?}", found.faults)
             };
             assert!(detail.contains(column), "{number}: {detail}");
-            assert_eq!(found.doubtful, BTreeSet::from(["T1".try_into().unwrap()]), "{column} {number}");
+            assert_eq!(found.doubt.tools, BTreeSet::from(["T1".try_into().unwrap()]), "{column} {number}");
         }
         let back = format!("UPDATE cycles SET {kept_in} = (SELECT was FROM kept) WHERE cycle_id = 'c00003'");
         given.raw(AssertSqlSafe(back)).await.unwrap();
@@ -385,16 +389,88 @@ async fn wear_is_not_folded_over_doubtful_cycles(given: &Given) {
     let good = given.wear_states().await;
     given.raw("UPDATE cycles SET energy_scale = energy_scale + 1 WHERE cycle_id = 'c00003'").await.unwrap();
     given.raw("UPDATE tool_wear SET folded = folded - 1 WHERE tool_id = 'T2'").await.unwrap();
-    let doubtful = checked(&*store).await.doubtful;
-    assert_eq!(doubtful, BTreeSet::from(["T1".try_into().unwrap()]));
-    let of = |tool: &str| ("M1".try_into().unwrap(), tool.try_into().unwrap());
-    let found = store.check_wear(Repair::AllBut(&doubtful)).await.unwrap();
-    assert_eq!(found.different, [of("T1"), of("T2")]);
-    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, [of("T1")], "T2 was folded again");
+    let doubt = checked(&*store).await.doubt;
+    assert_eq!(doubt.tools, BTreeSet::from(["T1".try_into().unwrap()]));
+    let found = store.check_wear(Repair::AllBut(&doubt)).await.unwrap();
+    assert_eq!(differing(&found), [("M1", "T1"), ("M1", "T2")]);
+    assert_eq!(
+        found.different.iter().map(|wear| wear.left).collect::<Vec<_>>(),
+        [Some(Left::Doubtful), None]
+    );
+    let found = store.check_wear(Repair::No).await.unwrap();
+    assert_eq!(differing(&found), [("M1", "T1")], "T2 was folded again");
     assert_eq!(given.wear_states().await, good, "T1 was left as it was");
     given.raw("UPDATE cycles SET energy_scale = energy_scale - 1 WHERE cycle_id = 'c00003'").await.unwrap();
     assert_eq!(told(&checked(&*store).await), []);
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+}
+
+async fn a_cache_is_kept_that_alone_knows_of_a_cycle(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let runs: Vec<Run> = (1..=8).map(|n| Run { sampled: false, ..Run::nth(n) }).collect();
+    commit(&*store, &runs).await;
+    let good = given.wear_states().await;
+    given.raw("CREATE TABLE kept AS SELECT cycle_id, tool_id FROM cycles").await.unwrap();
+    let losses: [(&'static str, u64); 2] = [
+        ("UPDATE cycles SET tool_id = 'T9' WHERE cycle_id = 'c00003'", 1),
+        ("DELETE FROM cycles WHERE cycle_id IN ('c00005', 'c00006')", 3),
+    ];
+    for (loss, missing) in losses {
+        given.raw(loss).await.unwrap();
+        let doubt = checked(&*store).await.doubt;
+        for repair in [Repair::No, Repair::AllBut(&doubt), Repair::AllBut(&Doubt::default())] {
+            let found = store.check_wear(repair).await.unwrap();
+            assert_eq!(differing(&found), [("M1", "T1")], "{loss}");
+            assert_eq!(found.different[0].missing, missing, "{loss}");
+            let left = if repair == Repair::No { Left::Unasked } else { Left::Missing };
+            assert_eq!(found.different[0].left, Some(left), "{loss}");
+            assert_eq!(given.wear_states().await, good, "{loss}");
+        }
+    }
+}
+
+async fn wear_is_not_folded_over_cycles_that_nothing_vouches_for(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    let states = given.wear_states().await;
+    // As retention leaves it.
+    given
+        .raw(
+            "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
+             SELECT machine_id, MAX(received_at_us) + 1, MAX(received_at_us) + 1, 'size', COUNT(*), 1 FROM cycles
+             GROUP BY machine_id",
+        )
+        .await
+        .unwrap();
+    given.raw("DELETE FROM cycle_samples").await.unwrap();
+    if !given.is_postgres() {
+        given.raw("DELETE FROM sample_packs").await.unwrap();
+    }
+    let found = checked(&*store).await;
+    assert_eq!((told(&found), found.dropped), (vec![], 7));
+    let pair = |tool: &str| ("M1".try_into().unwrap(), tool.try_into().unwrap());
+    assert_eq!(found.doubt.unproven, BTreeSet::from([pair("T1"), pair("T2")]));
+    assert_eq!(store.check_wear(Repair::AllBut(&found.doubt)).await.unwrap().different, []);
+
+    let change = "UPDATE cycles SET energy_scale = energy_scale + 1 WHERE cycle_id = 'c00003'";
+    assert_eq!(given.raw(change).await.unwrap(), 1);
+    let doubt = checked(&*store).await.doubt;
+    let left = store.check_wear(Repair::AllBut(&doubt)).await.unwrap();
+    assert_eq!((differing(&left), left.different[0].left), (vec![("M1", "T1")], Some(Left::Unproven)));
+    assert_eq!(given.wear_states().await, states, "nothing says which of them is right");
+    let asked_for = Doubt { unproven: BTreeSet::new(), ..doubt };
+    let folded = store.check_wear(Repair::AllBut(&asked_for)).await.unwrap();
+    assert_eq!((differing(&folded), folded.different[0].left), (vec![("M1", "T1")], None));
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    // What retention left cannot be read: the rest is checked all the same.
+    if !given.is_postgres() {
+        let damage = "PRAGMA ignore_check_constraints = ON; UPDATE sample_drops SET reason = 'siz'";
+        given.raw(damage).await.unwrap();
+        let found = checked(&*store).await;
+        assert_eq!((found.faults.len(), found.checked), (7, 8), "{found:?}");
+        assert!(found.faults.iter().all(|fault| fault.detail.contains("cannot be read: column reason")));
+    }
 }
 
 /// Of one tool, in the order of their machines.
@@ -407,7 +483,7 @@ async fn generation(given: &Given) -> i64 {
 }
 
 async fn a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered(given: &Given) {
-    let (store, none) = (given.store(), BTreeSet::new());
+    let (store, none) = (given.store(), Doubt::default());
     shop(&*store).await;
     store.put_tool(super::given::tool("T2"), Precondition::Unstated, &engineer(), at(1)).await.unwrap();
     let first = Run::nth(1);
@@ -426,7 +502,7 @@ async fn a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered(given: &Gi
     assert!(matches!(again, Ok(Committed::Known(_))), "{again:?}");
 
     let repaired = store.check_wear(Repair::AllBut(&none)).await.unwrap();
-    assert_eq!(repaired.different, [("M1".try_into().unwrap(), "T1".try_into().unwrap())]);
+    assert_eq!(differing(&repaired), [("M1", "T1")]);
     assert_eq!(versions(given).await, [2], "it counts on");
     super::given::stored(&*store, &Run::nth(3)).await;
     assert_eq!(
@@ -450,8 +526,13 @@ async fn a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered(given: &Gi
         )
         .await
         .unwrap();
+    // But not one that says it has counted cycles of it: nothing else would know of them.
+    let left = store.check_wear(Repair::AllBut(&none)).await.unwrap();
+    assert_eq!(differing(&left), [("M2", "T1")]);
+    assert_eq!((left.different[0].missing, left.different[0].left), (2, Some(Left::Missing)));
+    assert_eq!(given.raw("UPDATE tool_wear SET folded = 0 WHERE machine_id = 'M2'").await.unwrap(), 1);
     let repaired = store.check_wear(Repair::AllBut(&none)).await.unwrap();
-    assert_eq!(repaired.different, [("M2".try_into().unwrap(), "T1".try_into().unwrap())]);
+    assert_eq!(differing(&repaired), [("M2", "T1")]);
     assert_eq!(versions(given).await, [4]);
     assert_eq!(generation(given).await, before.0 + 2, "what servers remember is asked for again");
     super::given::stored(&*store, &Run::nth(4)).await;
@@ -473,7 +554,7 @@ async fn a_course_that_cannot_be_read_is_named_and_the_rest_is_checked(given: &G
     let keys: Vec<_> = told(&found).into_iter().map(|(kind, key, _)| (kind, key)).collect();
     assert_eq!(keys, [("summary", "M1/c00003"), ("summary", "M1/c00006"), ("summary", "M1/c00008")]);
     assert!(found.faults[0].detail.contains("depth_digest"), "{:?}", found.faults[0]);
-    for repair in [Repair::No, Repair::AllBut(&found.doubtful), Repair::AllBut(&BTreeSet::new())] {
+    for repair in [Repair::No, Repair::AllBut(&found.doubt), Repair::AllBut(&Doubt::default())] {
         let wear = store.check_wear(repair).await.unwrap();
         let named: Vec<_> =
             wear.unreadable.iter().map(|(tool, what)| (tool.as_str(), what.as_str())).collect();
@@ -542,7 +623,7 @@ async fn a_course_that_cannot_be_read_costs_its_cycle_alone(given: &Given) {
     // The check still names it, and repairs nothing that it cannot judge.
     let found = checked(&*store).await;
     assert_eq!(told_keys(&found), [("summary", "M1/c00003")]);
-    let wear = store.check_wear(Repair::AllBut(&BTreeSet::new())).await.unwrap();
+    let wear = store.check_wear(Repair::AllBut(&Doubt::default())).await.unwrap();
     assert_eq!(wear.unreadable.len(), 1, "{wear:?}");
     assert_eq!(wear.unreadable[0].0, tool);
 
@@ -556,7 +637,7 @@ async fn a_course_that_cannot_be_read_costs_its_cycle_alone(given: &Given) {
         .unwrap();
     given.raw("DROP TABLE kept").await.unwrap();
     assert_eq!(told_keys(&checked(&*store).await), []);
-    assert_eq!(store.check_wear(Repair::AllBut(&BTreeSet::new())).await.unwrap().different.len(), 1);
+    assert_eq!(store.check_wear(Repair::AllBut(&Doubt::default())).await.unwrap().different.len(), 1);
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     let life = store.life(&tool, 100).await.unwrap();
     assert!(life.cycles.iter().all(|cycle| cycle.excluded.is_none()), "{life:?}");
@@ -564,4 +645,51 @@ async fn a_course_that_cannot_be_read_costs_its_cycle_alone(given: &Given) {
 
 fn told_keys(page: &CheckPage) -> Vec<(&str, &str)> {
     told(page).into_iter().map(|(kind, key, _)| (kind, key)).collect()
+}
+
+/// Of its schema SQLite has no sum: it goes by whatever text stands there.
+#[tokio::test]
+async fn a_definition_that_is_another_is_named() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    eight(&*store).await;
+    given.raw("CREATE TABLE of_somebody_else (id INTEGER)").await.unwrap();
+    given.raw("CREATE INDEX of_somebody ON cycles (outcome)").await.unwrap();
+    assert_eq!(store.check_tables().await.unwrap(), [], "what is made besides is no fault");
+    for (name, from, to) in
+        [("operations", "'turning'", "'tusning'"), ("cycles_by_machine", "CREATE INDEX", "CREATE  INDEX")]
+    {
+        let change = |from: &str, to: &str| {
+            let (from, to) = (from.replace('\'', "''"), to.replace('\'', "''"));
+            let sql = format!(
+                "PRAGMA writable_schema = ON;
+                 UPDATE sqlite_schema SET sql = replace(sql, '{from}', '{to}') WHERE name = '{name}';
+                 PRAGMA writable_schema = RESET"
+            );
+            given.raw(AssertSqlSafe(sql))
+        };
+        change(from, to).await.unwrap();
+        let found = store.check_tables().await.unwrap();
+        let told: Vec<_> = found.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+        assert_eq!(told, [("schema", name)], "{found:?}");
+        assert!(found[0].may_mislead_wear());
+        change(to, from).await.unwrap();
+        assert_eq!(store.check_tables().await.unwrap(), [], "{name}");
+    }
+    given.done().await;
+}
+
+/// Retention adds up what is told, and would make room for bytes that are not there.
+#[tokio::test]
+async fn samples_that_are_told_to_take_other_bytes_are_named() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    eight(&*store).await;
+    let more = "UPDATE cycle_samples SET bytes = bytes + 134217728 WHERE cycle_id = 'c00003'";
+    assert_eq!(given.raw(more).await.unwrap(), 1);
+    let found = checked(&*store).await;
+    assert_eq!(told_keys(&found), [("samples", "M1/c00003")]);
+    assert!(found.faults[0].detail.starts_with("they are told to take 1342"), "{:?}", found.faults);
+    assert_eq!(found.doubt.tools, BTreeSet::new(), "they are whole");
+    given.done().await;
 }

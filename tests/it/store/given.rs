@@ -9,7 +9,7 @@ use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_store::{
     Actor, Committed, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition, Role,
-    SqliteOptions, SqliteStore, Store, StoreResult, codec,
+    SqliteOptions, SqliteStore, Store, StoreResult, WearCheck, codec,
 };
 use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
 use std::sync::Arc;
@@ -300,6 +300,11 @@ pub(crate) async fn shop(store: &dyn Store) {
     store.put_operation(operation("O1"), Precondition::Unstated, &who, at(0)).await.unwrap();
     store.put_tool(tool("T1"), Precondition::Unstated, &who, at(0)).await.unwrap();
     mounted(store, "T1", -10).await;
+}
+
+/// Whose caches of wear differ from their folds: machine and tool.
+pub(crate) fn differing(check: &WearCheck) -> Vec<(&str, &str)> {
+    check.different.iter().map(|wear| (wear.machine.as_str(), wear.tool.as_str())).collect()
 }
 
 /// Tells that a new tool was mounted.

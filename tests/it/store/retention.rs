@@ -474,6 +474,38 @@ async fn damage_is_named_by_its_key(given: &Given) {
     assert!(matches!(read, Err(StoreError::Damaged { .. })), "{read:?}");
 }
 
+/// Several servers are apart by minutes; a single one is not apart from itself.
+#[tokio::test]
+async fn what_a_single_server_decided_minutes_ahead_drops_nothing_that_comes() {
+    let given = Given::sqlite().await;
+    let store = &*given.store();
+    shop(store).await;
+    stored(store, &Run { seconds: 0, ..Run::nth(99) }).await;
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    let two = bytes_of(2, run(store, none, 60).await.1);
+    // Nine minutes ahead: the oldest three of five go.
+    for n in 0..5 {
+        stored(store, &Run { seconds: DAY + 540 + i64::from(n), ..Run::nth(n) }).await;
+    }
+    assert_eq!(run(store, two, DAY + 560).await.1.cycles, 3);
+    // It is set right, and others come: they are newer than all that is there.
+    for n in 5..9 {
+        stored(store, &Run { seconds: DAY + 30 + i64::from(n), ..Run::nth(n) }).await;
+    }
+    assert_eq!(run(store, two, DAY + 60).await, (0, Dropped::default()));
+    let gone: Vec<_> = gone(store).await.into_iter().map(|(cycle, told)| (cycle, told.is_some())).collect();
+    let told = ["c00000", "c00001", "c00002", "c00099"].map(|id| (id.to_owned(), true));
+    assert_eq!(gone.into_iter().collect::<std::collections::BTreeSet<_>>(), told.into());
+    // When that time has come, room is made as ever.
+    for n in 20..22 {
+        stored(store, &Run { seconds: DAY + 1200 + i64::from(n), ..Run::nth(n) }).await;
+    }
+    assert_eq!(run(store, two, DAY + 1300).await.1.cycles, 6);
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    assert_eq!((checked.dropped, checked.faults.as_slice()), (10, [].as_slice()));
+    given.done().await;
+}
+
 mod damage {
     use super::damage_is_named_by_its_key;
     crate::store::given::stories!(with tables:

@@ -10,7 +10,7 @@ use feedwright_core::tool::ToolEventKind;
 use feedwright_core::wear::{Exclusion, FOLD_VERSION, ToolState};
 use feedwright_store::transfer::{TableSum, back_up_postgres, back_up_sqlite, restore_to_sqlite};
 use feedwright_store::{
-    Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Repair,
+    Committed, CycleFilter, Doubt, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Repair,
     SqliteOptions, SqliteStore, Store,
 };
 use sqlx::migrate::Migrator;
@@ -451,7 +451,7 @@ async fn folds_of_other_rules_are_folded_again(given: &Given) {
     let store = open(given).await;
     assert_eq!(store.verdict(&id).await.unwrap(), verdict, "asked for before any cycle comes");
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, [], "and no fault");
-    let repaired = store.check_wear(Repair::AllBut(&std::collections::BTreeSet::new())).await.unwrap();
+    let repaired = store.check_wear(Repair::AllBut(&Doubt::default())).await.unwrap();
     assert_eq!(repaired.different.len(), 2, "a repair makes them at once");
     assert_eq!(given.wear_states().await, good);
 

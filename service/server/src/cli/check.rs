@@ -2,12 +2,14 @@
 
 use super::{Settings, log, print, scratch};
 use crate::config::Engine;
-use crate::database::{self, Database};
+use crate::database::{self, Database, OpenError};
 use anyhow::{Context, bail};
 use clap::Args;
 use feedwright_store::transfer::restore_to_sqlite;
-use feedwright_store::{Repair, SqliteOptions, SqliteStore, Store};
-use std::collections::BTreeSet;
+use feedwright_store::{
+    DifferingWear, Doubt, Left, Repair, SqliteOptions, SqliteStore, Store, StoreError, StoreFault,
+    faults_of_file,
+};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -17,11 +19,16 @@ const PAGE: u32 = 200;
 /// Arguments of the command.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Folds wear again where the cache differs from it, but not over cycles that say something else than was taken in, nor in a
-    /// file in whose pages, indexes, cycles, operations, tools or events SQLite finds faults.
+    /// Folds wear again where the cache differs from it, but not over cycles that say something else than was taken in, nor where
+    /// cycles that were counted are missing or nothing says whether they are what was taken in, nor in a file in whose pages,
+    /// indexes, cycles, operations, tools or events SQLite finds faults.
     /// Nothing else can be repaired: what is damaged is named.
     #[arg(long)]
     repair: bool,
+    /// With `--repair`: folds wear also over cycles whose samples retention dropped, by what is stored of them. Their content hash
+    /// cannot be computed any more, so that nothing says whether that is what was taken in.
+    #[arg(long, requires = "repair")]
+    unproven: bool,
     /// Checks this backup instead of the configured database, in a copy of it.
     #[arg(long, value_name = "FILE", conflicts_with = "repair")]
     backup: Option<PathBuf>,
@@ -40,43 +47,74 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     {
         bail!("there is no database {}", path.display());
     }
-    let Database { store, lock } = database::open(&config).await.with_context(|| match config.engine() {
+    let opened = database::open(&config).await;
+    if matches!(opened, Err(OpenError::File { .. })) {
+        tell_of_file(&config.engine()).await?;
+    }
+    let Database { store, lock } = opened.with_context(|| match config.engine() {
         Engine::Sqlite(_) => "a server's own SQLite file is checked while it is stopped, or as a backup",
         Engine::Postgres(_) => "the database cannot be checked",
     })?;
-    let outcome = check(&store, arguments.repair).await;
+    let asked = Asked { repair: arguments.repair, unproven: arguments.unproven };
+    let outcome = check(&store, asked).await;
     store.close().await;
+    if outcome.as_ref().is_err_and(|error| error.is::<StoreError>()) {
+        tell_of_file(&config.engine()).await?;
+    }
     drop(lock);
     outcome
+}
+
+/// What keeps a file from being gone through, such as a page that cannot be read, SQLite may name.
+async fn tell_of_file(engine: &Engine) -> anyhow::Result<()> {
+    let Engine::Sqlite(path) = engine else { return Ok(()) };
+    for fault in faults_of_file(path).await.unwrap_or_default() {
+        tell(&fault)?;
+    }
+    Ok(())
 }
 
 async fn of_backup(backup: &std::path::Path, at: &std::path::Path) -> anyhow::Result<()> {
     restore_to_sqlite(backup, at).await?;
     let store: Arc<dyn Store> = Arc::new(SqliteStore::open(at, SqliteOptions::default()).await?);
-    let outcome = check(&store, false).await;
+    let outcome = check(&store, Asked { repair: false, unproven: false }).await;
     store.close().await;
     outcome
 }
 
-async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
+fn tell(fault: &StoreFault) -> anyhow::Result<()> {
+    print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))
+}
+
+/// What of wear is to be folded again.
+#[derive(Clone, Copy)]
+struct Asked {
+    repair: bool,
+    unproven: bool,
+}
+
+async fn check(store: &Arc<dyn Store>, asked: Asked) -> anyhow::Result<()> {
     let mut faults = 0_u64;
     let mut foldable = true;
     for fault in store.check_tables().await? {
         faults += 1;
         foldable &= !fault.may_mislead_wear();
-        print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))?;
+        tell(&fault)?;
     }
     let (mut checked, mut dropped, mut unverified, mut after) = (0, 0, 0, None);
-    let mut doubtful = BTreeSet::new();
+    let mut doubt = Doubt::default();
     loop {
         let page = store.check_cycles(after.as_ref(), PAGE).await?;
         checked += page.checked;
         dropped += page.dropped;
         unverified += page.unverified;
-        doubtful.extend(page.doubtful);
+        doubt.tools.extend(page.doubt.tools);
+        if !asked.unproven {
+            doubt.unproven.extend(page.doubt.unproven);
+        }
         for fault in page.faults {
             faults += 1;
-            print(&format!("fault: {} {}: {}\n", fault.kind, fault.key, fault.detail))?;
+            tell(&fault)?;
         }
         match page.next {
             Some(next) => after = Some(next),
@@ -90,20 +128,39 @@ async fn check(store: &Arc<dyn Store>, repair: bool) -> anyhow::Result<()> {
              were not computed again\n"
         ))?;
     }
-    let repair = if repair && foldable { Repair::AllBut(&doubtful) } else { Repair::No };
+    let repair = if asked.repair && foldable { Repair::AllBut(&doubt) } else { Repair::No };
     let wear = store.check_wear(repair).await?;
-    for (machine, tool) in &wear.different {
-        let done = if repair.folds(tool) {
-            "folded again"
-        } else if !foldable {
-            "the cache is not the fold over what is found, and is not folded again, since the tables are at fault"
-        } else if doubtful.contains(tool) {
-            "the cache is not the fold over the cycles, and is not folded again, since some of them are at fault"
-        } else {
-            "the cache is not the fold over the cycles; --repair folds it again"
+    for DifferingWear { machine, tool, missing, left } in &wear.different {
+        if *missing > 0 {
+            faults += 1;
+            print(&format!("fault: cycles {machine}/{tool}: {missing} that were counted are not there\n"))?;
+        }
+        faults += u64::from(left.is_some());
+        let why = match left {
+            None => "folded again",
+            Some(Left::Unasked) if asked.repair => {
+                "the cache is not the fold over what is found, and is not folded again, since the tables are at fault"
+            }
+            Some(Left::Unasked) if *missing > 0 => "the cache is not the fold over the cycles that are left",
+            Some(Left::Unasked) => "the cache is not the fold over the cycles; --repair folds it again",
+            Some(Left::Doubtful) => {
+                "the cache is not the fold over the cycles, and is not folded again, since some of them are at fault"
+            }
+            Some(Left::Missing) => {
+                "the cache is not the fold over the cycles that are left, and is not folded again, since it alone \
+                 knows of the others"
+            }
+            Some(Left::Unproven) => {
+                "the cache is not the fold over the cycles, and is not folded again, since samples of some were \
+                 dropped and nothing says whether these are what was taken in; --repair --unproven folds it by what \
+                 is stored of them"
+            }
+            Some(Left::Another) => {
+                "the cache is not the fold over the cycles, and is not folded again, since that of another machine \
+                 is not"
+            }
         };
-        faults += u64::from(!repair.folds(tool));
-        print(&format!("fault: wear {machine}/{tool}: {done}\n"))?;
+        print(&format!("fault: wear {machine}/{tool}: {why}\n"))?;
     }
     for (tool, what) in &wear.unreadable {
         faults += 1;

@@ -8,6 +8,7 @@ use super::dto::what_if::{
 };
 use super::extract::PathId;
 use super::problem::{Problem, ProblemDocument};
+use super::samples::no_samples;
 use crate::state::AppState;
 use crate::what_if::{Asked, AskedProfile, IdleLoads, Library, Prediction, Unusable, predict};
 use axum::extract::State;
@@ -31,6 +32,7 @@ const CHUNK: usize = 16;
     responses(
         (status = 200, body = WhatIfAnswer),
         (status = 404, description = "There is no such cycle", body = ProblemDocument<'static>),
+        (status = 410, description = "Its samples were dropped by retention", body = ProblemDocument<'static>),
         (status = 422, description = "A control that is none, or a cycle that says too little (`cycle_not_usable`)",
             body = ProblemDocument<'static>),
         (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),
@@ -45,6 +47,9 @@ pub(super) async fn of_cycle(
     let asked = with_profile(&state, &question.control, asked, "control").await?;
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
+    if stored.samples_are_gone() {
+        return Err(no_samples(&state, &machine, &id).await?);
+    }
     let mut library = Library::new(state.store.clone(), idle);
     let ready = prepare(&mut library, stored).await?;
     let ready = ready.map_err(|why| not_usable(why, "the cycle's samples do not say enough"))?;

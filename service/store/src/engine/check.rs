@@ -5,6 +5,7 @@ use super::{Conn, Db, alarms, dialect, registry};
 use crate::error::StoreResult;
 use crate::history::Walk;
 use crate::locks::Locks;
+use crate::record::{DifferingWear, Doubt, Left};
 use crate::rows::{count, id};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
@@ -88,9 +89,14 @@ fn last_of(order: &OrderKey) -> StoreResult<Last> {
     Ok((order.started_at.micros(), seq, order.cycle.as_str().to_owned()))
 }
 
-/// Compares one tool's caches with its fold, checkpoints included. Returns the rows compared and those that differ; with
-/// `repair` also those of another version.
-pub(super) async fn tool(conn: &mut Conn, tool: &ToolId, repair: bool) -> StoreResult<(u64, Vec<MachineId>)> {
+/// Compares one tool's caches with its fold, checkpoints included. Returns the rows compared and those that differ. Where they
+/// are to be folded again, which is told by what is in doubt, also those of another version; all of the tool's or none.
+pub(super) async fn tool(
+    conn: &mut Conn,
+    tool: &ToolId,
+    doubt: Option<&Doubt>,
+) -> StoreResult<(u64, Vec<DifferingWear>)> {
+    let repair = doubt.is_some();
     if repair {
         dialect::lock(conn, &Locks::tool(tool)).await?;
     }
@@ -140,13 +146,33 @@ pub(super) async fn tool(conn: &mut Conn, tool: &ToolId, repair: bool) -> StoreR
         // Checkpoints beyond the history are left over from nothing.
         same &= !checkpoints.keys().any(|(of, _)| of == machine);
         if !same {
-            different.push(machine.clone());
+            let counted = state.map_or(0, |(of, _)| *of);
+            let missing = u64::try_from(counted.saturating_sub(folded)).unwrap_or(0);
+            let left = left(doubt, (machine, tool), missing);
+            different.push(DifferingWear { machine: machine.clone(), tool: tool.clone(), missing, left });
         }
     }
     if repair && !different.is_empty() {
-        mend(conn, tool, &different).await?;
+        if different.iter().all(|wear| wear.left.is_none()) {
+            let machines: Vec<_> = different.iter().map(|wear| wear.machine.clone()).collect();
+            mend(conn, tool, &machines).await?;
+        } else {
+            different.iter_mut().for_each(|wear| wear.left = wear.left.or(Some(Left::Another)));
+        }
     }
     Ok((machines.len() as u64, different))
+}
+
+/// Why a cache that differs is not folded again. One that has counted more cycles than there are is the last that knows of
+/// them: a cycle is never taken away, and never becomes another tool's.
+fn left(doubt: Option<&Doubt>, (machine, tool): (&MachineId, &ToolId), missing: u64) -> Option<Left> {
+    let Some(doubt) = doubt else { return Some(Left::Unasked) };
+    match () {
+        () if missing > 0 => Some(Left::Missing),
+        () if doubt.tools.contains(tool) => Some(Left::Doubtful),
+        () if doubt.unproven.contains(&(machine.clone(), tool.clone())) => Some(Left::Unproven),
+        () => None,
+    }
 }
 
 /// Folds the named caches anew. The check is given no clock: the newest receipt of a cycle stands for now.

@@ -1,9 +1,9 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::{
-    Db, Engine, alarms, audit, check, commit, cycles, dialect, feed_profiles, fleet, life, machines, models,
-    operations, quarantine, recommendations, registry, retention, series, sessions, streams, tokens, tools,
-    verify, watch, wear,
+    CLOCK_AHEAD_US, Db, Engine, ONE_CLOCK_US, alarms, audit, check, commit, cycles, dialect, feed_profiles,
+    fleet, life, machines, models, operations, quarantine, recommendations, registry, retention, series,
+    sessions, streams, tokens, tools, verify, watch, wear,
 };
 use crate::codec::{self, Columns};
 use crate::error::{StoreError, StoreResult};
@@ -97,9 +97,10 @@ impl Engine {
         if !past::may_be_right(now) {
             return Ok(());
         }
+        let clock = (now, if self.is_alone() { ONE_CLOCK_US } else { CLOCK_AHEAD_US });
         for _ in 0..TAKE_BACK_ATTEMPTS {
             let id = machine.clone();
-            let Some(ahead) = snapshot!(self, |conn| retention::gone::ahead(conn, &id, now).await)? else {
+            let Some(ahead) = snapshot!(self, |conn| retention::gone::ahead(conn, &id, clock).await)? else {
                 return Ok(());
             };
             let mut after = ahead.has_dropped().then(String::new);
@@ -110,7 +111,7 @@ impl Engine {
                 tokio::time::sleep(NAMES_PAUSE).await;
             }
             let id = machine.clone();
-            if write!(self, |conn| retention::gone::take_back(conn, &id, &ahead, now).await)? {
+            if write!(self, |conn| retention::gone::take_back(conn, &id, &ahead, clock).await)? {
                 return Ok(());
             }
         }
@@ -658,15 +659,14 @@ impl Store for Engine {
                 return Ok(checked);
             };
             let tool = next.clone();
-            let found: StoreResult<_> = if repair.folds(&tool) {
-                write!(self, |conn| check::tool(conn, &tool, true).await)
-            } else {
-                snapshot!(self, |conn| check::tool(conn, &tool, false).await)
+            let found: StoreResult<_> = match repair.doubt().cloned() {
+                Some(doubt) => write!(self, |conn| check::tool(conn, &tool, Some(&doubt)).await),
+                None => snapshot!(self, |conn| check::tool(conn, &tool, None).await),
             };
             match found {
                 Ok((rows, different)) => {
                     checked.rows += rows;
-                    checked.different.extend(different.into_iter().map(|machine| (machine, next.clone())));
+                    checked.different.extend(different);
                 }
                 Err(StoreError::Damaged { what }) => checked.unreadable.push((next.clone(), what)),
                 Err(error) => return Err(error),

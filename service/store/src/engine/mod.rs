@@ -40,3 +40,5 @@ use super::{Conn, Db, Engine, Writer, dialect};
 /// What stands for later than this from now was noted by a clock that was ahead, µs: those of several servers are apart by
 /// less.
 const CLOCK_AHEAD_US: i64 = 600_000_000;
+/// The same of a single server, whose clock is only ever set by so little while it runs.
+const ONE_CLOCK_US: i64 = 1_000_000;

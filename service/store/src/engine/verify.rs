@@ -49,7 +49,7 @@ pub(super) async fn page(
         let mut fault = |kind, detail: String| {
             // Lost samples leave what was made of them.
             if kind != "samples" {
-                page.doubtful.extend(id::<ToolId>("tool_id", &tool));
+                page.doubt.tools.extend(id::<ToolId>("tool_id", &tool));
             }
             page.faults.push(StoreFault { kind, key: key.clone(), detail });
         };
@@ -66,14 +66,28 @@ pub(super) async fn page(
             }
             block => block?,
         };
+        if let Some(block) = &block
+            && let Some(told) = dialect::told_bytes(conn, &machine, &cycle).await?
+            && usize::try_from(told).ok() != Some(block.len())
+        {
+            fault("samples", format!("they are told to take {told} bytes, and take {}", block.len()));
+        }
         let dropped = block.is_none() && row.sample_count > 0;
         if dropped {
             let received = Timestamp::from_micros(row.received_at_us);
-            let gone = retention::gone::of(conn, &machine, &[(cycle.clone(), received)]).await?;
-            if gone.contains_key(&cycle) {
-                page.dropped += 1;
-            } else {
-                fault("samples", "they are missing, and no retention dropped them".to_owned());
+            match retention::gone::of(conn, &machine, &[(cycle.clone(), received)]).await {
+                Ok(gone) if gone.contains_key(&cycle) => {
+                    page.dropped += 1;
+                    page.doubt.unproven.extend(id("tool_id", &tool).map(|tool| (machine, tool)));
+                }
+                Ok(_) => fault("samples", "they are missing, and no retention dropped them".to_owned()),
+                Err(StoreError::Damaged { what }) => {
+                    fault(
+                        "samples",
+                        format!("they are missing, and what retention dropped cannot be read: {what}"),
+                    );
+                }
+                Err(error) => return Err(error),
             }
             continue;
         }

@@ -48,6 +48,16 @@ pub(super) async fn block(
     Ok(block.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
 }
 
+/// Told by the block itself.
+#[expect(clippy::unused_async, reason = "the other engine keeps it in a column")]
+pub(super) async fn told_bytes(
+    _conn: &mut Conn,
+    _machine: &MachineId,
+    _id: &CycleId,
+) -> StoreResult<Option<i64>> {
+    Ok(None)
+}
+
 /// How long the block of a row of `cycle_samples` is.
 macro_rules! block_bytes {
     () => {

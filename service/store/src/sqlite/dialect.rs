@@ -1,22 +1,23 @@
 //! What SQLite says differently.
 
 mod assumed;
+mod integrity;
 mod many;
 mod samples;
 
 pub(super) use super::group_writer::Assumption;
 pub(super) use assumed::{MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
+pub(super) use integrity::{integrity, of_file};
 pub(crate) use many::insert_blocks;
 pub(super) use many::{
     CYCLES, PLACES, RECOMMENDATIONS, insert_cycles, insert_recommendations, kept_cell, save_wear, write_rest,
 };
-pub(super) use samples::{BLOCK, PACK, block, block_of, packs, stray_packs, tidy};
+pub(super) use samples::{BLOCK, PACK, block, block_of, packs, stray_packs, tidy, told_bytes};
 
 use super::{Conn, Writer};
 use crate::codec::state;
 use crate::error::StoreResult;
 use crate::locks::Locks;
-use crate::record::StoreFault;
 use crate::sqlite::recommendation_id;
 use feedwright_core::units::Timestamp;
 
@@ -50,38 +51,6 @@ pub(super) async fn may_write(_conn: &mut Conn) -> StoreResult<()> {
 #[expect(clippy::unused_async, reason = "the other engine has partitions")]
 pub(super) async fn make_room(_conn: &mut Conn, _now: Timestamp) -> StoreResult<()> {
     Ok(())
-}
-
-/// What SQLite finds wrong with its own pages and indexes, and which tables hold rows that they would refuse: the latter only on
-/// a connection that may write, as others leave constraints out of their schema.
-pub(super) async fn integrity(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
-    let found: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *conn).await?;
-    let is_cut_short = found.len() >= MOST_TOLD;
-    let mut faults: Vec<_> = found.into_iter().filter(|line| line != "ok").map(fault_of).collect();
-    if is_cut_short {
-        let detail = "SQLite ends its list here: there may be more".to_owned();
-        faults.push(StoreFault { kind: "file", key: "sqlite".to_owned(), detail });
-    }
-    Ok(faults)
-}
-
-/// What SQLite is asked for.
-const MOST_TOLD: usize = 100;
-
-fn fault_of(line: String) -> StoreFault {
-    // As in `NULL value in cycles.flags`, `non-INTEGER value in tools.version`.
-    let of_value = || line.split_once(" value in ").filter(|(what, _)| !what.contains(' ')).map(|(_, of)| of);
-    match line.strip_prefix("CHECK constraint failed in ").or_else(of_value) {
-        Some(of) => {
-            let table = of.split('.').next().unwrap_or(of).to_owned();
-            StoreFault {
-                kind: "table",
-                key: table,
-                detail: format!("a row of it is none that it takes: {line}"),
-            }
-        }
-        None => StoreFault { kind: "file", key: "sqlite".to_owned(), detail: line },
-    }
 }
 
 /// The one writer holds the database: there is nobody to be locked out.

@@ -70,13 +70,13 @@ impl Ahead {
     }
 }
 
-/// The decisions on a machine's samples that a clock which was ahead has made, as one.
+/// The decisions on a machine's samples that a clock which was ahead has made, as one; `apart_us` is how far clocks may be apart.
 pub(in super::super) async fn ahead(
     conn: &mut Conn,
     machine: &MachineId,
-    now: Timestamp,
+    (now, apart_us): (Timestamp, i64),
 ) -> StoreResult<Option<Ahead>> {
-    let latest = now.micros().saturating_add(CLOCK_AHEAD_US);
+    let latest = now.micros().saturating_add(apart_us);
     let made: Vec<(i64, String, i64, i64)> = sqlx::query_as::<Db, _>(
         "SELECT before_us, reason, cycles, bytes FROM sample_drops WHERE machine_id = $1 AND dropped_at_us > $2
          ORDER BY before_us DESC",
@@ -156,19 +156,19 @@ pub(in super::super) async fn take_back(
     conn: &mut Conn,
     machine: &MachineId,
     expected: &Ahead,
-    now: Timestamp,
+    (now, apart_us): (Timestamp, i64),
 ) -> StoreResult<bool> {
     // Not in ascending order: see `locks`.
     dialect::lock(conn, &Locks::subject("partitions", "")).await?;
     dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
-    match ahead(conn, machine, now).await? {
+    match ahead(conn, machine, (now, apart_us)).await? {
         None => return Ok(true),
         Some(found) if found != *expected => return Ok(false),
         Some(_) => {}
     }
     sqlx::query::<Db>("DELETE FROM sample_drops WHERE machine_id = $1 AND dropped_at_us > $2")
         .bind(machine.as_str())
-        .bind(now.micros().saturating_add(CLOCK_AHEAD_US))
+        .bind(now.micros().saturating_add(apart_us))
         .execute(&mut *conn)
         .await?;
     // Counts are kept with what they count: of none, nothing went.

@@ -43,6 +43,19 @@ pub(in crate::sqlite) async fn block(
     found.map(|(blocks, at)| block_of(blocks.as_deref(), at)).transpose()
 }
 
+/// How long the block of a cycle's samples is told to be, which retention counts by.
+pub(in crate::sqlite) async fn told_bytes(
+    conn: &mut Conn,
+    machine: &MachineId,
+    id: &CycleId,
+) -> StoreResult<Option<i64>> {
+    let told = sqlx::query_scalar(
+        "SELECT bytes FROM cycle_samples WHERE machine_id = $1 AND cycle_id = $2
+         AND received_at_us = (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)",
+    );
+    Ok(told.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
+}
+
 /// The block of what [`BLOCK`] has found.
 pub(in crate::sqlite) fn block_of(blocks: Option<&[u8]>, at: i64) -> StoreResult<Vec<u8>> {
     let damaged = || StoreError::Damaged { what: "a pack of samples: it is not there".to_owned() };

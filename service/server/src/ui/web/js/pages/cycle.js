@@ -305,7 +305,7 @@ async function compare(to, id) {
     build();
   } catch (error) {
     if (!(error instanceof ApiError)) throw error;
-    put(said, error.code === "cycle_not_usable" ? notice("", t("cycle.noWhatIf"), told("whatif", error.reason ?? "", error.message)) : failure(error));
+    put(said, error.code === "cycle_not_usable" || error.code === "samples_dropped" ? notice("", t("cycle.noWhatIf"), told("whatif", error.code === "samples_dropped" ? "no_samples" : error.reason ?? "", error.message)) : failure(error));
   }
 }
 /** The same depths under another control, as the identified load–feed relation predicts them. */
