@@ -566,18 +566,20 @@ impl Config {
             }
         };
         let allowed = self.server.allow_plain_http_on_public_address;
-        for (path, address, is_tls) in [
-            ("server.listen", Some(self.server.listen), self.tls.is_on()),
-            ("metrics.listen", self.metrics.listen, false),
-        ] {
-            must(
-                address.is_none_or(|address| allowed || is_tls || address.ip().is_loopback()),
-                path,
-                "other machines reach this address and plain HTTP would show tokens and data to the network; \
-                 set tls.certificate and tls.key, or listen on 127.0.0.1 or ::1, or set \
-                 server.allow_plain_http_on_public_address where TLS is ended by something in front",
-            );
-        }
+        let is_own = |address: SocketAddr| allowed || address.ip().is_loopback();
+        must(
+            self.tls.is_on() || is_own(self.server.listen),
+            "server.listen",
+            "other machines reach this address and plain HTTP would show tokens and data to the network; \
+             set tls.certificate and tls.key, or listen on 127.0.0.1 or ::1, or set \
+             server.allow_plain_http_on_public_address where TLS is ended by something in front",
+        );
+        must(
+            self.metrics.listen.is_none_or(is_own),
+            "metrics.listen",
+            "other machines reach this address, which speaks plain HTTP and asks for no token, with TLS or without; \
+             listen on 127.0.0.1 or ::1, or set server.allow_plain_http_on_public_address where the network is trusted",
+        );
         must(
             self.tls.is_on() != self.tls.key.as_os_str().is_empty(),
             "tls.key",

@@ -196,7 +196,7 @@ impl Metrics {
             connections: new.int_gauge("feedwright_http_connections", "Open connections")?,
             ready: new.int_gauge(
                 "feedwright_ready",
-                "1 while the database takes writes, proven by one at the watch's last round",
+                "1 while the database takes writes, proven by one when this was asked for",
             )?,
             last_round: new.gauge(
                 "feedwright_watch_last_round_timestamp_seconds",

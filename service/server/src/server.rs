@@ -24,6 +24,7 @@ use secrecy::SecretString;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::net::{TcpListener, TcpSocket};
+use tokio_rustls::TlsAcceptor;
 
 /// Why a server does not start.
 #[derive(Debug, thiserror::Error)]
@@ -72,6 +73,16 @@ impl Server {
         store: Arc<dyn Store>,
         clock: Clock,
     ) -> Result<RunningServer, StartError> {
+        Ok(Self::listen(config, store, clock).await?.serve())
+    }
+
+    /// Listens: whoever connects waits until it [serves](ListeningServer::serve), so that nobody finds it ready before its first token
+    /// is where it is to be found.
+    pub async fn listen(
+        config: Config,
+        store: Arc<dyn Store>,
+        clock: Clock,
+    ) -> Result<ListeningServer, StartError> {
         tls::use_ring();
         let listener = listen(config.server.listen)?;
         let metrics_listener = match config.metrics.listen {
@@ -91,6 +102,37 @@ impl Server {
         };
         // After all that may fail: it is shown once.
         let first_admin_token = first_admin_token(&store, &clock).await?;
+        Ok(ListeningServer {
+            local_addr,
+            metrics_addr,
+            first_admin_token,
+            listeners: (listener, metrics_listener),
+            certificates,
+            acceptor_of_tls,
+            parts: (config, store, clock, metrics),
+        })
+    }
+}
+
+/// A server that listens and does not serve yet.
+pub struct ListeningServer {
+    /// Where the API will be reached.
+    pub local_addr: SocketAddr,
+    /// Where metrics will be reached without a token, where that is configured.
+    pub metrics_addr: Option<SocketAddr>,
+    /// The admin's token that was made at the first start. It is nowhere else.
+    pub first_admin_token: Option<SecretString>,
+    listeners: (TcpListener, Option<TcpListener>),
+    certificates: Option<Arc<Certificates>>,
+    acceptor_of_tls: Option<TlsAcceptor>,
+    parts: (Config, Arc<dyn Store>, Clock, Arc<Metrics>),
+}
+
+impl ListeningServer {
+    /// Serves.
+    pub fn serve(self) -> RunningServer {
+        let Self { local_addr, metrics_addr, first_admin_token, certificates, acceptor_of_tls, .. } = self;
+        let ((listener, metrics_listener), (config, store, clock, metrics)) = (self.listeners, self.parts);
         let lifecycle = Lifecycle::default();
         let intake = Arc::new(CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics));
         let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
@@ -107,7 +149,7 @@ impl Server {
         if let Some(listener) = metrics_listener {
             acceptor.accept(listener, http::metrics_router(state.clone()), None);
         }
-        Ok(RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor, certificates })
+        RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor, certificates }
     }
 }
 

@@ -313,3 +313,22 @@ async fn only_the_first_start_makes_a_token() {
     }
     assert_eq!(tokens, [true, false]);
 }
+
+/// Whoever asks whether it is ready finds the first token where it is to be: nobody is answered before.
+#[tokio::test]
+async fn who_comes_before_it_serves_waits() {
+    let dir = TempDir::new().unwrap();
+    let config = config(&dir, &[]);
+    let database = database::open(&config).await.unwrap();
+    let listening = Server::listen(config, database.store.clone(), Clock::fixed(NOW)).await.unwrap();
+    assert!(listening.first_admin_token.is_some());
+    let url = format!("http://{}/readyz", listening.local_addr);
+    let (answered, mut answer) = tokio::sync::oneshot::channel();
+    tokio::spawn(async move { answered.send(reqwest::get(url).await.unwrap().status().as_u16()) });
+    // As long as nobody accepts it there is nobody who could answer.
+    tokio::task::yield_now().await;
+    assert!(answer.try_recv().is_err());
+    let server = listening.serve();
+    assert_eq!(answer.await.unwrap(), 200);
+    server.shutdown().await.unwrap();
+}

@@ -30,11 +30,13 @@ async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing
     );
     let (status, _) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
     assert_eq!(status, 200);
+    let acknowledged = reader.next_of("alarm").await;
     let cleared = reader.next_of("alarm").await;
-    assert_eq!(
-        (&cleared.data["change"], &cleared.data["alarm"]["id"]),
-        (&json!("cleared"), &raised.data["alarm"]["id"])
-    );
+    let (_, listed) = served.send("GET", "/v1/alarms", None).await;
+    assert_eq!(acknowledged.data, json!({"change": "acknowledged", "alarm": listed["items"][0]}));
+    assert_eq!(cleared.data, json!({"change": "cleared", "alarm": listed["items"][0]}));
+    assert!(listed["items"][0]["cleared_at"].is_string(), "{listed}");
+    assert_eq!(&listed["items"][0]["id"], &raised.data["alarm"]["id"]);
 
     // From the first cycle on, everything again in the same order, by either way to ask.
     let last = cycle.id.unwrap();
@@ -43,6 +45,7 @@ async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing
         assert_eq!(again.next().await.unwrap().name, "state");
         assert_eq!(again.next_of("cycle").await.data["cycle_id"], "c2");
         assert_eq!(again.next_of("alarm").await, raised);
+        assert_eq!(again.next_of("alarm").await, acknowledged);
         assert_eq!(again.next_of("alarm").await, cleared);
     }
     // Another machine's reader is told none of it.

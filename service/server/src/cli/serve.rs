@@ -4,7 +4,7 @@ use super::Settings;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::database::{self, Database};
-use crate::server::{RunningServer, Server};
+use crate::server::{ListeningServer, Server};
 use crate::telemetry::Telemetry;
 use anyhow::{Context, bail};
 use clap::Args;
@@ -55,11 +55,12 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
         Some(file) => FirstTokenFile::made(&*store, file).await?,
         None => None,
     };
-    let server = Server::start(config, store, Clock::system()).await?;
+    let server = Server::listen(config, store, Clock::system()).await?;
     greet(&server, first);
     if let Some(lock) = &mut lock {
         lock.publish(&server.local_addr.to_string()).context("cannot write the lock file")?;
     }
+    let server = server.serve();
     let failed = loop {
         tokio::select! {
             _ = terminate.recv() => break None,
@@ -76,7 +77,7 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
 }
 
 /// Says where it listens; and the first token, to a person or into a file, past the log.
-fn greet(server: &RunningServer, first: Option<FirstTokenFile>) {
+fn greet(server: &ListeningServer, first: Option<FirstTokenFile>) {
     tracing::info!(address = %server.local_addr, "listening");
     if let Some(address) = server.metrics_addr {
         tracing::info!(%address, "metrics");

@@ -29,7 +29,7 @@ use utoipa::ToSchema;
         (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
         (status = 409, description = "Another stream of the machine is open, and is not taken over",
             body = ProblemDocument<'static>),
-        (status = 426, description = "Not asked for as a WebSocket", body = ProblemDocument<'static>),
+        (status = 426, description = "Not asked for by HTTP/1.1, which a WebSocket needs", body = ProblemDocument<'static>),
         (status = 503, description = "Too many streams, or the database does not answer", body = ProblemDocument<'static>),
     )
 )]

@@ -105,13 +105,28 @@ async fn tell(state: &AppState, before: &Open, now: &Open, fresh: &[Alarm]) {
     }
     for (id, known) in before {
         match now.get(id) {
-            None => cleared(state, known).await,
+            None => {
+                // As it is listed now, with when it was cleared and by whom it was acknowledged.
+                let listed = listed(state, *id).await.unwrap_or_default();
+                let alarm = listed.unwrap_or_else(|| known.clone());
+                if known.acknowledged.is_none() && alarm.acknowledged.is_some() {
+                    state.live.show(Event::alarm("acknowledged", alarm.clone()));
+                }
+                cleared(state, &alarm).await;
+            }
             Some(alarm) if known.acknowledged.is_none() && alarm.acknowledged.is_some() => {
                 state.live.show(Event::alarm("acknowledged", alarm.clone()));
             }
             Some(_) => {}
         }
     }
+}
+
+/// The alarm of that number.
+async fn listed(state: &AppState, id: i64) -> StoreResult<Option<Alarm>> {
+    let page = Page { after: Some(id - 1), limit: 1 };
+    let found = state.store.alarms(&AlarmFilter::default(), page).await?;
+    Ok(found.into_iter().find(|alarm| alarm.id == id))
 }
 
 async fn cleared(state: &AppState, alarm: &Alarm) {

@@ -251,7 +251,7 @@ pub struct SummaryBody {
     /// Of friction drilling, and of a cycle whose process is not known yet: what lies between contact and full depth.
     /// Null where depth or energy was not sampled.
     pub contact: Option<ContactBody>,
-    /// Quality flags. With `cut_short` the server kept only a part of the cycle, which does not count for wear; `incomplete` is
+    /// Quality flags, which docs/reading.md lists. With `cut_short` the server kept only a part of the cycle, which does not count for wear; `incomplete` is
     /// also a depth short of what the operation asked for when it began.
     #[schema(example = json!(["negative_power"]))]
     pub flags: Vec<&'static str>,

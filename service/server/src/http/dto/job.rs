@@ -20,8 +20,8 @@ pub struct JobBody {
     pub total: usize,
     /// When it was asked for first.
     pub created_at: String,
-    /// The result, once it is done.
-    #[serde(skip)]
+    /// The result, once it is done. Its text is put in as it was computed.
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Object>)]
     pub result: Option<()>,
 }

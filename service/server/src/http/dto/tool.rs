@@ -59,7 +59,9 @@ impl From<Versioned<Tool>> for Registered<ToolBody> {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ToolEventBody {
-    /// What happened.
+    /// What happened. A life of a new tool begins with `mounted_new`, `changed` (another one of its kind under the same id), `reground`
+    /// and `reset`; with `mounted_used` one of which no level is told; with `conditions_confirmed` none, what jumped and stayed is how
+    /// it is run from now on. A tool of which nothing was told counts as new from its first cycle on.
     pub kind: ToolEventKindWord,
     /// When, RFC 3339, at most 10 minutes ahead of the server's clock; now where it is left out.
     #[serde(default)]
