@@ -37,28 +37,9 @@ fn at(address: &Option<String>) -> String {
 #[derive(Debug)]
 pub struct DataDirLock {
     file: File,
-    /// Of the directory that the database lies in, where a link leads there.
-    linked: Option<Box<Self>>,
 }
 
 impl DataDirLock {
-    /// As [`DataDirLock::acquire`], and where the database is a link into another directory, that one is locked too: two
-    /// directories may lead to one database.
-    pub fn acquire_with(path: &Path, database: &Path) -> Result<Self, DataDirError> {
-        let mut lock = Self::acquire(path)?;
-        let failed = |source| DataDirError::Io { path: path.to_owned(), source };
-        if let Ok(target) = std::fs::read_link(database) {
-            // It leads on from where it lies, and what it leads to may be a link again, or not be there yet.
-            let target = path.join(target);
-            let found = target.canonicalize().unwrap_or(target);
-            let there = found.parent().unwrap_or(path).canonicalize().map_err(failed)?;
-            if there != path.canonicalize().map_err(failed)? {
-                lock.linked = Some(Box::new(Self::acquire(&there)?));
-            }
-        }
-        Ok(lock)
-    }
-
     /// Makes the directory where it is not there, and locks it.
     pub fn acquire(path: &Path) -> Result<Self, DataDirError> {
         let failed = |source| DataDirError::Io { path: path.to_owned(), source };
@@ -76,7 +57,7 @@ impl DataDirLock {
         match file.try_lock() {
             Ok(()) => {
                 file.set_len(0).map_err(failed)?;
-                Ok(Self { file, linked: None })
+                Ok(Self { file })
             }
             Err(TryLockError::WouldBlock) => {
                 let mut address = String::new();
@@ -92,8 +73,7 @@ impl DataDirLock {
     pub fn publish(&mut self, address: &str) -> io::Result<()> {
         self.file.rewind()?;
         self.file.set_len(0)?;
-        writeln!(self.file, "{address}")?;
-        self.linked.as_mut().map_or(Ok(()), |linked| linked.publish(address))
+        writeln!(self.file, "{address}")
     }
 }
 
@@ -116,39 +96,5 @@ mod tests {
         drop(lock);
         assert!(DataDirLock::acquire(&path).is_ok());
         std::fs::remove_dir_all(&path).unwrap();
-    }
-
-    #[test]
-    fn two_directories_that_lead_to_one_database_are_not_used_at_once() {
-        let base = std::env::temp_dir().join(format!("feedwright-lock-{}", uuid::Uuid::now_v7()));
-        let [real, one, other] = ["real", "one", "other"].map(|name| base.join(name));
-        for folder in [&real, &one, &other] {
-            std::fs::create_dir_all(folder).unwrap();
-        }
-        let file = |folder: &Path| folder.join("cell.sqlite3");
-        std::os::unix::fs::symlink("../real/cell.sqlite3", file(&one)).unwrap();
-        std::os::unix::fs::symlink(file(&real), file(&other)).unwrap();
-        // Also before it is there.
-        for is_there in [false, true] {
-            if is_there {
-                std::fs::write(file(&real), "").unwrap();
-            }
-            let mut lock = DataDirLock::acquire_with(&one, &file(&one)).unwrap();
-            lock.publish("127.0.0.1:7878").unwrap();
-            for (folder, at) in [(&real, &real), (&other, &real), (&one, &one)] {
-                match DataDirLock::acquire_with(folder, &file(folder)) {
-                    Err(DataDirError::InUse { path, address }) => {
-                        assert_eq!(path, at.canonicalize().unwrap());
-                        assert_eq!(address.as_deref(), Some("127.0.0.1:7878"));
-                    }
-                    other => panic!("{}: {other:?}", folder.display()),
-                }
-            }
-        }
-        // A link within the directory is locked once.
-        std::fs::remove_file(file(&one)).unwrap();
-        std::os::unix::fs::symlink("elsewhere.sqlite3", file(&one)).unwrap();
-        assert!(DataDirLock::acquire_with(&one, &file(&one)).is_ok());
-        std::fs::remove_dir_all(&base).unwrap();
     }
 }

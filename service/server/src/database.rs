@@ -46,7 +46,7 @@ pub fn server_url(config: &Config) -> String {
 pub async fn open(config: &Config) -> Result<Database, OpenError> {
     match config.engine() {
         Engine::Sqlite(path) => {
-            let lock = DataDirLock::acquire_with(&config.data_dir, &path)?;
+            let lock = DataDirLock::acquire(&config.data_dir)?;
             let options = SqliteOptions {
                 max_samples: config.limits.samples_per_cycle,
                 // The file lies in the directory that is locked.

@@ -23,6 +23,7 @@ use feedwright_store::{Actor, Page, Role, Store, StoreError};
 use secrecy::SecretString;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::net::{TcpListener, TcpSocket};
 use tokio_rustls::TlsAcceptor;
 
@@ -172,6 +173,9 @@ fn address(listener: &TcpListener, asked: SocketAddr) -> Result<SocketAddr, Star
     listener.local_addr().map_err(|source| StartError::Listen { address: asked, source })
 }
 
+/// How long after an unknown outcome it is looked for again.
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
+
 /// Makes an admin's token where there is none at all: otherwise nobody could ever make one.
 async fn first_admin_token(
     store: &Arc<dyn Store>,
@@ -182,7 +186,25 @@ async fn first_admin_token(
     }
     let issued = Issued::new("first start", Role::Admin, None, clock)?;
     let actor = Actor { token: "cli".to_owned(), role: Role::Admin };
-    Ok(store.create_first_token(issued.record, &actor).await?.then_some(issued.text))
+    let mut unknown = false;
+    loop {
+        match store.create_first_token(issued.record.clone(), &actor).await {
+            Ok(true) => return Ok(Some(issued.text)),
+            Ok(false) if !unknown => return Ok(None),
+            // It may have been this one: nobody else would ever be told of it.
+            Ok(false) => {
+                let stored = store.tokens(Page { after: None, limit: 100 }).await?;
+                return Ok(stored.iter().any(|token| token.id == issued.record.id).then_some(issued.text));
+            }
+            Err(StoreError::OutcomeUnknown(why)) => {
+                tracing::warn!(%why, "it is not known whether the first token is stored: looking again");
+                unknown = true;
+            }
+            Err(StoreError::Unavailable(_)) if unknown => {}
+            Err(error) => return Err(error.into()),
+        }
+        tokio::time::sleep(LOOK_AGAIN).await;
+    }
 }
 
 /// A server that serves.

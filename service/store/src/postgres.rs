@@ -34,7 +34,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
-use tokio::sync::{Mutex, oneshot};
+use tokio::sync::{Mutex, Semaphore, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -91,6 +91,8 @@ struct Inner {
     lost_after: Duration,
     /// One at a time asks what the server is at.
     asking: Mutex<()>,
+    /// Who makes changes: they leave reads some of the pool, however long their commits take.
+    changing: Semaphore,
     /// Changes that are under way and no longer waited for.
     given_up: AtomicUsize,
     max_samples: usize,
@@ -329,9 +331,15 @@ impl PostgresStore {
         task.await.map_err(panicked)?
     }
 
+    /// What is no longer waited for keeps its connection, and nobody from going.
     async fn shut(&self) {
-        self.inner.gate.shut().await;
-        self.inner.pool.close().await;
+        let ended = async {
+            self.inner.gate.shut().await;
+            self.inner.pool.close().await;
+        };
+        if timeout(self.inner.lost_after, ended).await.is_err() {
+            tracing::warn!("a change is not committed yet, and is left to the database");
+        }
     }
 }
 
@@ -439,6 +447,10 @@ impl Inner {
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
+        let patience = self.pool.options().get_acquire_timeout();
+        let Ok(Ok(_turn)) = timeout(patience, self.changing.acquire()).await else {
+            return Err(StoreError::Unavailable("other changes are under way".into()));
+        };
         let mut lent = self.lent().await?;
         let answer = self.answered(changed(&mut lent, self.begin(), work, commits)).await;
         answer.unwrap_or_else(|| {

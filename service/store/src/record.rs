@@ -664,7 +664,8 @@ pub struct Surroundings {
 pub struct Doubt {
     /// Tools of cycles that say something else than was taken in.
     pub tools: BTreeSet<ToolId>,
-    /// Whose cycles' samples were dropped, some of them: nothing says any more whether these are what was taken in.
+    /// Of some of whose cycles nothing says any more whether they are what was taken in: their samples were dropped or are damaged,
+    /// or what they were summarised by was changed since.
     pub unproven: BTreeSet<(MachineId, ToolId)>,
 }
 

@@ -81,19 +81,16 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
         sqlx::query(change).execute(&mut conn).await.unwrap();
         conn.close().await.unwrap();
     };
-    change("UPDATE cycles SET mean_spindle_load_percent = mean_spindle_load_percent + 1 WHERE cycle_id = 'c00005'")
-        .await;
-    change("UPDATE tool_wear SET folded = folded - 1").await;
+    change("UPDATE cycles SET energy_scale = energy_scale + 1 WHERE cycle_id = 'c00005'").await;
     let (found, said) = fail(feedwright(&other, &["check", "--repair"]).output().unwrap());
     for part in [
-        "fault: summary M1/c00005: it is not what the cycle amounts to: mean_spindle_load_percent is ",
+        "fault: summary M1/c00005: it is not what the cycle amounts to: energy_scale is ",
         "fault: wear M1/T1: the cache is not the fold over the cycles, and is not folded again, ",
     ] {
         assert!(found.contains(part), "{found}");
     }
     assert!(said.contains("2 faults are left"), "{said}");
-    change("UPDATE cycles SET mean_spindle_load_percent = mean_spindle_load_percent - 1 WHERE cycle_id = 'c00005'")
-        .await;
+    change("UPDATE cycles SET energy_scale = energy_scale - 1 WHERE cycle_id = 'c00005'").await;
     succeed(feedwright(&other, &["check", "--repair"]).output().unwrap());
     // Nor over cycles that an index does not find.
     change("UPDATE tool_wear SET folded = folded - 1").await;

@@ -463,6 +463,17 @@ async fn wear_is_not_folded_over_cycles_that_nothing_vouches_for(given: &Given) 
     let folded = store.check_wear(Repair::AllBut(&asked_for)).await.unwrap();
     assert_eq!((differing(&folded), folded.different[0].left), (vec![("M1", "T1")], None));
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    // A fold of other rules is believed by nobody: there is nothing to lose in it.
+    assert_eq!(given.raw("UPDATE tool_wear SET fold_version = 1, state = state").await.unwrap(), 2);
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    let doubt = checked(&*store).await.doubt;
+    let folded = store.check_wear(Repair::AllBut(&doubt)).await.unwrap();
+    assert_eq!(folded.different.iter().map(|wear| wear.left).collect::<Vec<_>>(), [None, None]);
+    // A number beside a fold that holds is no cycle that is missing.
+    given.raw("UPDATE tool_wear SET folded = folded + 1048576 WHERE tool_id = 'T1'").await.unwrap();
+    let folded = store.check_wear(Repair::AllBut(&Doubt::default())).await.unwrap();
+    assert_eq!((folded.different[0].missing, folded.different[0].left), (0, None));
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     // What retention left cannot be read: the rest is checked all the same.
     if !given.is_postgres() {
         let damage = "PRAGMA ignore_check_constraints = ON; UPDATE sample_drops SET reason = 'siz'";

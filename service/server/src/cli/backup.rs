@@ -73,8 +73,7 @@ pub async fn restore(settings: &Settings, arguments: RestoreArguments) -> anyhow
     log(&config.log)?;
     let sums = match config.engine() {
         Engine::Sqlite(path) => {
-            let lock = DataDirLock::acquire_with(&config.data_dir, &path);
-            let _lock = lock.context("stop the server first")?;
+            let _lock = DataDirLock::acquire(&config.data_dir).context("stop the server first")?;
             restore_to_sqlite(&arguments.file, &path).await?
         }
         Engine::Postgres(_) => {

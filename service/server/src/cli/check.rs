@@ -25,8 +25,8 @@ pub struct Arguments {
     /// Nothing else can be repaired: what is damaged is named.
     #[arg(long)]
     repair: bool,
-    /// With `--repair`: folds wear also over cycles whose samples retention dropped, by what is stored of them. Their content hash
-    /// cannot be computed any more, so that nothing says whether that is what was taken in.
+    /// With `--repair`: folds wear also over cycles of which nothing says whether they are what was taken in, by what is stored of
+    /// them: their samples were dropped or are damaged, or machine, operation or rules were changed since.
     #[arg(long, requires = "repair")]
     unproven: bool,
     /// Checks this backup instead of the configured database, in a copy of it.
@@ -151,9 +151,8 @@ async fn check(store: &Arc<dyn Store>, asked: Asked) -> anyhow::Result<()> {
                  knows of the others"
             }
             Some(Left::Unproven) => {
-                "the cache is not the fold over the cycles, and is not folded again, since samples of some were \
-                 dropped and nothing says whether these are what was taken in; --repair --unproven folds it by what \
-                 is stored of them"
+                "the cache is not the fold over the cycles, and is not folded again, since nothing says of some of them \
+                 whether they are what was taken in; --repair --unproven folds it by what is stored of them"
             }
             Some(Left::Another) => {
                 "the cache is not the fold over the cycles, and is not folded again, since that of another machine \

@@ -36,7 +36,7 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
         Address::Sqlite(path) => {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
             Some(
-                DataDirLock::acquire_with(folder.unwrap_or(Path::new(".")), path)
+                DataDirLock::acquire(folder.unwrap_or(Path::new(".")))
                     .context("stop the target's server first")?,
             )
         }

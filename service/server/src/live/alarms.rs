@@ -99,6 +99,9 @@ async fn tell(state: &AppState, before: &Open, now: &Open, fresh: &[Alarm]) {
     // Each server looks by itself: nothing here is told to the others.
     for alarm in fresh {
         state.live.show(Event::alarm("raised", alarm.clone()));
+        if alarm.acknowledged.is_some() {
+            state.live.show(Event::alarm("acknowledged", alarm.clone()));
+        }
         if alarm.cleared_at.is_some() {
             cleared(state, alarm).await;
         }

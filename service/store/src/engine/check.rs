@@ -146,9 +146,14 @@ pub(super) async fn tool(
         // Checkpoints beyond the history are left over from nothing.
         same &= !checkpoints.keys().any(|(of, _)| of == machine);
         if !same {
+            // Nobody believes one of another version, or one that cannot be read.
+            let believed = state.and_then(|(_, (of, state))| state.as_ref().filter(|_| *of == version));
             let counted = state.map_or(0, |(of, _)| *of);
-            let missing = u64::try_from(counted.saturating_sub(folded)).unwrap_or(0);
-            let left = left(doubt, (machine, tool), missing);
+            // What is the fold to the byte has counted what is there, whatever number stands beside it.
+            let is_fold = believed.is_some_and(|state| *state == walk.fold().to_bytes());
+            let missing = if is_fold { 0 } else { counted.saturating_sub(folded) };
+            let missing = u64::try_from(missing).unwrap_or(0);
+            let left = left(doubt, (machine, tool), missing, believed.is_some() && !is_fold);
             different.push(DifferingWear { machine: machine.clone(), tool: tool.clone(), missing, left });
         }
     }
@@ -165,10 +170,17 @@ pub(super) async fn tool(
 
 /// Why a cache that differs is not folded again. One that has counted more cycles than there are is the last that knows of
 /// them: a cycle is never taken away, and never becomes another tool's.
-fn left(doubt: Option<&Doubt>, (machine, tool): (&MachineId, &ToolId), missing: u64) -> Option<Left> {
+/// What is not `believed` says nothing that could be lost.
+fn left(
+    doubt: Option<&Doubt>,
+    (machine, tool): (&MachineId, &ToolId),
+    missing: u64,
+    believed: bool,
+) -> Option<Left> {
     let Some(doubt) = doubt else { return Some(Left::Unasked) };
     match () {
         () if missing > 0 => Some(Left::Missing),
+        () if !believed => None,
         () if doubt.tools.contains(tool) => Some(Left::Doubtful),
         () if doubt.unproven.contains(&(machine.clone(), tool.clone())) => Some(Left::Unproven),
         () => None,

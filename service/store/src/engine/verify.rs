@@ -46,9 +46,15 @@ pub(super) async fn page(
     for row in &mut rows {
         let key = format!("{}/{}", row.machine_id, row.cycle_id);
         let tool = row.tool_id.clone();
+        let of = (row.machine_id.clone(), row.tool_id.clone());
+        let of = move || {
+            Ok::<_, StoreError>((id::<MachineId>("machine_id", &of.0)?, id::<ToolId>("tool_id", &of.1)?))
+        };
         let mut fault = |kind, detail: String| {
-            // Lost samples leave what was made of them.
-            if kind != "samples" {
+            // Lost samples leave what was made of them, and nothing that it could be held against.
+            if kind == "samples" {
+                page.doubt.unproven.extend(of());
+            } else {
                 page.doubt.tools.extend(id::<ToolId>("tool_id", &tool));
             }
             page.faults.push(StoreFault { kind, key: key.clone(), detail });
@@ -78,7 +84,7 @@ pub(super) async fn page(
             match retention::gone::of(conn, &machine, &[(cycle.clone(), received)]).await {
                 Ok(gone) if gone.contains_key(&cycle) => {
                     page.dropped += 1;
-                    page.doubt.unproven.extend(id("tool_id", &tool).map(|tool| (machine, tool)));
+                    page.doubt.unproven.extend(of());
                 }
                 Ok(_) => fault("samples", "they are missing, and no retention dropped them".to_owned()),
                 Err(StoreError::Damaged { what }) => {
@@ -122,7 +128,10 @@ pub(super) async fn page(
         };
         match summary(conn, &mut contexts, row, (cycle, hash)).await {
             Ok(Summary::Holds) => {}
-            Ok(Summary::Unverified) => page.unverified += 1,
+            Ok(Summary::Unverified) => {
+                page.unverified += 1;
+                page.doubt.unproven.extend(of());
+            }
             Ok(Summary::Differs(what)) => fault("summary", what),
             Err(StoreError::Damaged { what }) => fault("summary", what),
             Err(error) => return Err(error),

@@ -10,7 +10,7 @@ use sqlx::{ConnectOptions, Connection, Row};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, Semaphore};
 use tokio::time::timeout;
 
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/postgres");
@@ -45,6 +45,9 @@ impl Default for PostgresOptions {
         }
     }
 }
+
+/// Connections that changes leave to reads, where there are so many.
+const KEPT_FOR_READS: u32 = 2;
 
 pub(super) const NOT_USABLE: &str = "the server is in recovery, read-only, or does not commit durably";
 
@@ -109,6 +112,7 @@ impl PostgresStore {
             gate: Gate::default(),
             lost_after: options.lost_after,
             asking: Mutex::default(),
+            changing: Semaphore::new(options.connections.saturating_sub(KEPT_FOR_READS).max(1) as usize),
             given_up: AtomicUsize::new(0),
             max_samples: options.max_samples,
             pooled,

@@ -9,7 +9,7 @@ const sentences = [
   [/^the override range must begin above 0 and contain 100 %$/, () => "der Bereich des Override muss über 0 beginnen und 100\u00a0% enthalten"],
   [/^must not be empty$/, () => "darf nicht leer sein"],
   [/^must have 1 to (\d+) characters$/, (most) => `muss 1 bis ${most} Zeichen haben`],
-  [/^must have at most (\d+) (?:characters|bytes), has (\d+)$/, (most, has) => `darf höchstens ${most} Zeichen haben, hat ${has}`],
+  [/^must have at most (\d+) (characters|bytes), has (\d+)$/, (most, what, has) => `darf höchstens ${most} ${what === "bytes" ? "Bytes" : "Zeichen"} haben, hat ${has}`],
   [/^must begin with a letter or digit and hold only letters, digits and (.+)$/, (others) => `muss mit einem Buchstaben oder einer Ziffer beginnen; erlaubt sind a bis z, A bis Z, Ziffern und ${others}`],
   [/^must not hold control characters$/, () => "darf keine Steuerzeichen enthalten"],
   [/^must be an RFC 3339 time with an offset/, () => "muss ein Zeitpunkt mit Zeitzone sein, wie 2026-05-04T06:00:00Z"],
