@@ -47,8 +47,8 @@ const WORD: Duration = Duration::from_secs(2);
 const LOOKS: u32 = 6;
 /// As many times as long as takes a connection to be lost is waited for one of which is not seen what the server is at.
 const UNSEEN: u32 = 10;
-/// As many changes may be under way that are no longer waited for; those that come then are refused, so that reads keep the
-/// rest of the pool.
+/// As many changes may be under way that are no longer waited for; those that come then are refused at once, and do not wait for
+/// a turn that would end as theirs.
 const GIVEN_UP: usize = 2;
 
 /// What writes a group.

@@ -7,8 +7,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use feedwright_store::transfer::restore_to_sqlite;
 use feedwright_store::{
-    DifferingWear, Doubt, Left, Repair, SqliteOptions, SqliteStore, Store, StoreError, StoreFault,
-    faults_of_file,
+    DifferingWear, Doubt, Left, Repair, SqliteOptions, SqliteStore, Store, StoreFault, faults_of_file,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -56,11 +55,8 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
         Engine::Postgres(_) => "the database cannot be checked",
     })?;
     let asked = Asked { repair: arguments.repair, unproven: arguments.unproven };
-    let outcome = check(&store, asked).await;
+    let outcome = check(&store, &config.engine(), asked).await;
     store.close().await;
-    if outcome.as_ref().is_err_and(|error| error.is::<StoreError>()) {
-        tell_of_file(&config.engine()).await?;
-    }
     drop(lock);
     outcome
 }
@@ -77,7 +73,8 @@ async fn tell_of_file(engine: &Engine) -> anyhow::Result<()> {
 async fn of_backup(backup: &std::path::Path, at: &std::path::Path) -> anyhow::Result<()> {
     restore_to_sqlite(backup, at).await?;
     let store: Arc<dyn Store> = Arc::new(SqliteStore::open(at, SqliteOptions::default()).await?);
-    let outcome = check(&store, Asked { repair: false, unproven: false }).await;
+    let asked = Asked { repair: false, unproven: false };
+    let outcome = check(&store, &Engine::Sqlite(at.to_owned()), asked).await;
     store.close().await;
     outcome
 }
@@ -93,10 +90,14 @@ struct Asked {
     unproven: bool,
 }
 
-async fn check(store: &Arc<dyn Store>, asked: Asked) -> anyhow::Result<()> {
+async fn check(store: &Arc<dyn Store>, engine: &Engine, asked: Asked) -> anyhow::Result<()> {
     let mut faults = 0_u64;
     let mut foldable = true;
-    for fault in store.check_tables().await? {
+    let tables = store.check_tables().await;
+    if tables.is_err() {
+        tell_of_file(engine).await?;
+    }
+    for fault in tables? {
         faults += 1;
         foldable &= !fault.may_mislead_wear();
         tell(&fault)?;

@@ -652,6 +652,7 @@ impl Store for Engine {
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck> {
         let mut checked = WearCheck::default();
         let mut after = None;
+        let doubt = repair.doubt().cloned().map(Arc::new);
         loop {
             let last = after.clone();
             let next = snapshot!(self, |conn| check::next_tool(conn, last.as_ref()).await)?;
@@ -659,7 +660,7 @@ impl Store for Engine {
                 return Ok(checked);
             };
             let tool = next.clone();
-            let found: StoreResult<_> = match repair.doubt().cloned() {
+            let found: StoreResult<_> = match doubt.clone() {
                 Some(doubt) => write!(self, |conn| check::tool(conn, &tool, Some(&doubt)).await),
                 None => snapshot!(self, |conn| check::tool(conn, &tool, None).await),
             };

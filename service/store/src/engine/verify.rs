@@ -65,16 +65,15 @@ pub(super) async fn page(
             fault("cycle", "its key is no identifier".to_owned());
             continue;
         };
-        let block = match dialect::block(conn, &machine, &cycle).await {
+        let block = match dialect::block_as_told(conn, &machine, &cycle).await {
             Err(StoreError::Damaged { what }) => {
                 fault("samples", what);
                 continue;
             }
             block => block?,
         };
-        if let Some(block) = &block
-            && let Some(told) = dialect::told_bytes(conn, &machine, &cycle).await?
-            && usize::try_from(told).ok() != Some(block.len())
+        if let Some((block, Some(told))) = &block
+            && usize::try_from(*told).ok() != Some(block.len())
         {
             fault("samples", format!("they are told to take {told} bytes, and take {}", block.len()));
         }
@@ -97,7 +96,7 @@ pub(super) async fn page(
             }
             continue;
         }
-        let samples = match block.map(|block| codec::decode_samples(&block, max_samples)).transpose() {
+        let samples = match block.map(|(block, _)| codec::decode_samples(&block, max_samples)).transpose() {
             Ok(samples) => samples,
             Err(error) => {
                 fault("samples", error.to_string());

@@ -48,14 +48,13 @@ pub(super) async fn block(
     Ok(block.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
 }
 
-/// Told by the block itself.
-#[expect(clippy::unused_async, reason = "the other engine keeps it in a column")]
-pub(super) async fn told_bytes(
-    _conn: &mut Conn,
-    _machine: &MachineId,
-    _id: &CycleId,
-) -> StoreResult<Option<i64>> {
-    Ok(None)
+/// The same; how long it is no column tells.
+pub(super) async fn block_as_told(
+    conn: &mut Conn,
+    machine: &MachineId,
+    id: &CycleId,
+) -> StoreResult<Option<(Vec<u8>, Option<i64>)>> {
+    Ok(block(conn, machine, id).await?.map(|block| (block, None)))
 }
 
 /// How long the block of a row of `cycle_samples` is.

@@ -12,7 +12,7 @@ pub(crate) use many::insert_blocks;
 pub(super) use many::{
     CYCLES, PLACES, RECOMMENDATIONS, insert_cycles, insert_recommendations, kept_cell, save_wear, write_rest,
 };
-pub(super) use samples::{BLOCK, PACK, block, block_of, packs, stray_packs, tidy, told_bytes};
+pub(super) use samples::{BLOCK, PACK, block, block_as_told, block_of, packs, stray_packs, tidy};
 
 use super::{Conn, Writer};
 use crate::codec::state;

@@ -8,9 +8,9 @@ use crate::sqlite::Conn;
 use feedwright_core::ids::{CycleId, MachineId};
 use std::collections::BTreeMap;
 
-/// The pack of a cycle's samples, and their place in it.
+/// The pack of a cycle's samples, their place in it, and how many bytes they are told to take.
 pub(in crate::sqlite) const BLOCK: &str =
-    "SELECT p.blocks, s.place FROM cycle_samples s LEFT JOIN sample_packs p ON p.pack = s.pack
+    "SELECT p.blocks, s.place, s.bytes FROM cycle_samples s LEFT JOIN sample_packs p ON p.pack = s.pack
      WHERE s.machine_id = $1 AND s.cycle_id = $2
        AND s.received_at_us = (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)";
 
@@ -38,22 +38,18 @@ pub(in crate::sqlite) async fn block(
     machine: &MachineId,
     id: &CycleId,
 ) -> StoreResult<Option<Vec<u8>>> {
-    let found: Option<(Option<Vec<u8>>, i64)> =
-        sqlx::query_as(BLOCK).bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?;
-    found.map(|(blocks, at)| block_of(blocks.as_deref(), at)).transpose()
+    Ok(block_as_told(conn, machine, id).await?.map(|(block, _)| block))
 }
 
-/// How long the block of a cycle's samples is told to be, which retention counts by.
-pub(in crate::sqlite) async fn told_bytes(
+/// The same with how many bytes it is told to take, which retention counts by.
+pub(in crate::sqlite) async fn block_as_told(
     conn: &mut Conn,
     machine: &MachineId,
     id: &CycleId,
-) -> StoreResult<Option<i64>> {
-    let told = sqlx::query_scalar(
-        "SELECT bytes FROM cycle_samples WHERE machine_id = $1 AND cycle_id = $2
-         AND received_at_us = (SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2)",
-    );
-    Ok(told.bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?)
+) -> StoreResult<Option<(Vec<u8>, Option<i64>)>> {
+    let found: Option<(Option<Vec<u8>>, i64, i64)> =
+        sqlx::query_as(BLOCK).bind(machine.as_str()).bind(id.as_str()).fetch_optional(&mut *conn).await?;
+    found.map(|(blocks, at, told)| Ok((block_of(blocks.as_deref(), at)?, Some(told)))).transpose()
 }
 
 /// The block of what [`BLOCK`] has found.
