@@ -1,7 +1,7 @@
 -- Distributes a Feedwright database over the workers of a Citus cluster, by machine.
 --
--- Run it once on the coordinator, by psql with ON_ERROR_STOP, after a server of this version has migrated the empty
--- database and stopped again, and before any data is in it. Servers connect to the coordinator. Needs Citus 12 or newer
+-- Run it once on the coordinator, by psql with ON_ERROR_STOP, after `feedwright check` of this version has migrated the empty
+-- database, and before any data is in it. Servers connect to the coordinator. Needs Citus 12 or newer
 -- on PostgreSQL 15 or newer, with the workers added (citus_add_node) and citus.shard_replication_factor = 1.
 --
 -- Every distributed table is distributed by machine_id, every key of one contains it, no table has a foreign key, and
@@ -15,6 +15,10 @@ SELECT create_reference_table('tools');
 SELECT create_reference_table('tool_events');
 SELECT create_reference_table('operations');
 SELECT create_reference_table('operation_asks');
+-- By machine too, but written together with the audit and the registry's generation, which stay on the coordinator: a
+-- change of one shard alone is committed apart from them, one of a table with a copy on each node is not.
+SELECT create_reference_table('calibrations');
+SELECT create_reference_table('retention');
 SELECT create_reference_table('models');
 SELECT create_reference_table('feed_profiles');
 SELECT create_reference_table('feed_profile_versions');
@@ -27,8 +31,6 @@ SELECT create_distributed_table('cycle_samples', 'machine_id', colocate_with => 
 SELECT create_distributed_table('cycle_cuts', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('tool_wear', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('tool_wear_checkpoints', 'machine_id', colocate_with => 'cycles');
-SELECT create_distributed_table('calibrations', 'machine_id', colocate_with => 'cycles');
-SELECT create_distributed_table('retention', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('sample_drops', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('cycle_sample_drops', 'machine_id', colocate_with => 'cycles');
 SELECT create_distributed_table('cycle_overrides', 'machine_id', colocate_with => 'cycles');

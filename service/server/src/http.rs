@@ -34,6 +34,7 @@ mod fleet;
 mod friction;
 mod health;
 mod jobs;
+mod known;
 mod library;
 mod life;
 mod live;

@@ -71,7 +71,7 @@ impl Fault {
         {
             return Self::of_sqlite(code);
         }
-        Self::of_sqlstate(&code)
+        if is_between_nodes(&code, error.message()) { Self::Unavailable } else { Self::of_sqlstate(&code) }
     }
 
     /// <https://www.sqlite.org/rescode.html>: the low byte is the primary code.
@@ -103,6 +103,33 @@ impl Fault {
             _ if ["08", "28", "53", "57"].iter().any(|class| code.starts_with(class)) => Self::Unavailable,
             _ => Self::Other,
         }
+    }
+}
+
+/// Whether Citus tells that one of its nodes was lost, or refused, in the midst of a change. It has codes of its own for that: I/O
+/// error where what it copies to another node cannot be sent (`SendCopyDataToPlacement`, `EndRemoteCopy` and `ReportCopyError`
+/// of its `multi_copy.c`), which says nothing of a disk, and an internal error with the node's own message and without its code.
+fn is_between_nodes(code: &str, message: &str) -> bool {
+    const LOST: [&str; 3] = [
+        "failed to COPY to shard ",
+        "failed to complete COPY on ",
+        "failure on connection marked as essential",
+    ];
+    // PostgreSQL's, of a server that ends, has no room, or has found a deadlock.
+    const SAID_BY_THE_NODE: [&str; 7] = [
+        "terminating connection due to ",
+        "the database system is ",
+        "server closed the connection unexpectedly",
+        "could not extend file ",
+        "could not write to file ",
+        "deadlock detected",
+        "canceling statement due to ",
+    ];
+    let begins = |texts: &[&str]| texts.iter().any(|text| message.starts_with(text));
+    match code {
+        "58030" => begins(&LOST),
+        "XX000" => begins(&LOST) || begins(&SAID_BY_THE_NODE),
+        _ => false,
     }
 }
 
@@ -139,6 +166,27 @@ impl StoreError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What a server of Citus says, and nothing else of the same codes: those end the service, or are the statement's own fault.
+    #[test]
+    fn a_node_that_is_lost_is_no_broken_disk() {
+        for (code, message) in [
+            ("58030", "failed to COPY to shard 102008 on worker-1:5432"),
+            ("58030", "failed to complete COPY on worker-1:5432"),
+            ("XX000", "failure on connection marked as essential: worker-1:5432"),
+            ("XX000", "terminating connection due to administrator command"),
+            ("XX000", "could not extend file \"base/5/16384\": No space left on device"),
+        ] {
+            assert!(is_between_nodes(code, message), "{code} {message}");
+        }
+        for (code, message) in [
+            ("58030", "could not fsync file \"base/5/16384\": Input/output error"),
+            ("XX000", "cache lookup failed for type 16384"),
+            ("XX001", "failed to COPY to shard 102008 on worker-1:5432"),
+        ] {
+            assert!(!is_between_nodes(code, message), "{code} {message}");
+        }
+    }
 
     /// By extended result codes, as they come: what a store concludes of a refused write rests on them.
     #[test]

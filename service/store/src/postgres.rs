@@ -58,13 +58,15 @@ type Engine = PostgresStore;
 /// One statement of a change takes no longer; a change that forgets its transaction is ended. Its level is named, as a role or a
 /// database may have another one by default: what a change waits for by its first statement, a lock, it has to see by the next.
 /// The last setting is for Citus, and nothing to a server without it: by one connection to each worker a change reads what it
-/// wrote before, by several it may be refused (Citus issue 3426).
+/// wrote before, by several it may be refused (Citus issue 3426), and what reads sees one moment of each worker, as each
+/// connection has a snapshot of its own.
 const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_timeout = '15s'; \
                      SET LOCAL idle_in_transaction_session_timeout = '30s'; \
                      SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
                               SET LOCAL statement_timeout = '30s'; \
-                              SET LOCAL idle_in_transaction_session_timeout = '30s'";
+                              SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                              SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 /// The same behind a pooler. sqlx 0.9.0 names its statements even where it remembers none of them, and the connection
 /// that the pooler chose may have others of the same names: they go first.
 const BEGIN_POOLED: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; DEALLOCATE ALL; \
@@ -74,7 +76,8 @@ const BEGIN_POOLED: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; DEALLOCATE ALL
                             SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 const BEGIN_SNAPSHOT_POOLED: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; DEALLOCATE ALL; \
                                      SET LOCAL statement_timeout = '30s'; \
-                                     SET LOCAL idle_in_transaction_session_timeout = '30s'";
+                                     SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                                     SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 
 /// The store in a PostgreSQL database. Clones share it; other servers may too.
 #[derive(Debug, Clone)]

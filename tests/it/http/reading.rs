@@ -231,9 +231,17 @@ async fn what_cannot_be_read_says_why() {
         "/v1/series?last=5&tool=T9",
         "/v1/series?last=5&operation=O9",
         "/v1/summaries?machine=M9",
+        "/v1/summaries?tool=T9",
+        "/v1/summaries?operation=O9&last=2",
     ] {
         assert_eq!(app.get(path).await.status, StatusCode::NOT_FOUND, "{path}");
     }
+    let none = app.get("/v1/summaries?tool=T1&to=2020-01-01T00:00:00Z").await;
+    assert_eq!(
+        (none.status, &none.json()["items"]),
+        (StatusCode::OK, &json!([])),
+        "known, and none of that time"
+    );
 }
 
 /// A cycle that the control only reported.

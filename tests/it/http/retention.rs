@@ -81,4 +81,20 @@ async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
     let answer = app.call(Role::Machine, "POST", &format!("{M1}/cycles"), &[], Some(none)).await;
     assert_eq!(answer.status, StatusCode::CREATED);
     assert_eq!(app.get(&format!("{M1}/cycles/r1/samples")).await.status, StatusCode::NOT_FOUND);
+    // Who computes with samples says of which cycles they are gone.
+    let load: Vec<f64> = (0..400).map(|at| f64::from(at) * 0.1).collect();
+    let thrust: Vec<f64> = load.iter().map(|load| 50.0 * load).collect();
+    let measured = json!({
+        "cycle_id": "d1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:20:00Z",
+        "samples": {"period_ms": 10, "feed_drive_load_percent": load, "thrust_newtons": thrust},
+    });
+    let answer = app.call(Role::Machine, "POST", &format!("{M1}/cycles"), &[], Some(measured)).await;
+    assert_eq!(answer.status, StatusCode::CREATED, "{answer:?}");
+    let skipped = json!({"no_samples": 1, "samples_dropped": 3});
+    let fitted = app.post(&format!("{M1}/calibrations/fit"), json!({"dry_run": true})).await.json();
+    assert_eq!((&fitted["considered"], &fitted["skipped"]), (&json!(5), &skipped), "{fitted}");
+    let asked =
+        json!({"filter": {"machine": "M1", "to": "2026-05-04T05:20:00Z"}, "question": {"control": {}}});
+    let many = app.post("/v1/what-if", asked).await.json();
+    assert_eq!((&many["considered"], &many["skipped"]), (&json!(4), &skipped), "{many}");
 }

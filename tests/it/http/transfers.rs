@@ -130,6 +130,17 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
         refused.contains("cycle_samples") && refused.contains("is there with other content"),
         "{refused}"
     );
+    // A check makes the tables of a database and nothing that keeps a cell from being copied into it (deploy/citus).
+    if let Some(plant) = Given::postgres().await {
+        let folder = TempDir::new().unwrap();
+        let mut check = feedwright(&folder, &["check"]);
+        check.env("FEEDWRIGHT__DATABASE__URL", plant.address());
+        succeed(check.output().unwrap());
+        let mut copy = feedwright(&folder, &["copy", "--from", &address(&cell), "--to", &plant.address()]);
+        let said = succeed(copy.output().unwrap());
+        assert!(said.contains("cycles: 30 rows ") && said.contains(", 30 of them written"), "{said}");
+        plant.done().await;
+    }
 }
 
 /// What keeps a file from being opened is named all the same.

@@ -36,8 +36,6 @@ use std::collections::HashMap;
 
 /// Kind of these jobs.
 const KIND: &str = "feed_profile_optimize";
-/// Why a cycle is left out whose depth or loads were not sampled, or are gone.
-const NO_SAMPLES: &str = "no_samples";
 /// Overrides that differ by more were chosen by a law or an operator, points.
 const VARIED_OVERRIDE: f64 = 1.0;
 
@@ -212,11 +210,16 @@ async fn recorded(state: &AppState, rows: Vec<StoredCycle>) -> Result<Recorded, 
         let wear = level.filter(|level| *count <= level.window).map(|level| level.as_run);
         match recording(state, row, wear).await? {
             Some(cycle) => found.cycles.push(cycle),
-            None => found.skipped.push(SkippedBody { cycle: name(row), reason: NO_SAMPLES }),
+            None => found.skipped.push(SkippedBody { cycle: name(row), reason: without_recording(row) }),
         }
     }
     found.cycles.reverse();
     Ok(found)
+}
+
+/// Why a cycle is left out of which there is no recording: its depth or loads were not sampled, or its samples were dropped.
+const fn without_recording(row: &StoredCycle) -> &'static str {
+    if row.samples_are_gone() { "samples_dropped" } else { "no_samples" }
 }
 
 fn name(row: &StoredCycle) -> String {
@@ -438,7 +441,7 @@ impl Predicted {
             skipped_cycles: Vec::new(),
         };
         for row in state.store.cycles_of_profile(&stored.version, most).await? {
-            let cycle = recording(state, &row, None).await?.ok_or(NO_SAMPLES);
+            let cycle = recording(state, &row, None).await?.ok_or(without_recording(&row));
             let idle = self.report.idle_percent[1];
             let actual = cycle
                 .and_then(|cycle| Actual::of(&cycle, &self.settings, idle).map_err(|reason| reason.as_str()));

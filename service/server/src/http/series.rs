@@ -5,6 +5,7 @@ use super::dto::series::{BucketBody, BucketSeriesBody, OneSeriesBody, SeriesAnsw
 use super::dto::time;
 use super::export::{self, PIECE, Size};
 use super::extract::Query;
+use super::known::known;
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
 use super::value_series;
@@ -16,7 +17,7 @@ use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::series::Buckets;
-use feedwright_store::{CycleFilter, PointColumns, Store};
+use feedwright_store::CycleFilter;
 use futures_util::stream;
 use http::{HeaderValue, header};
 use serde::Deserialize;
@@ -115,32 +116,6 @@ pub(super) async fn get_series(
         (!piece.is_empty()).then_some(Ok(piece))
     });
     export::table(turn, format, "series", fields, stream::iter(pieces)).await
-}
-
-/// 404 where a tool or an operation is neither registered nor met in any cycle.
-async fn known(store: &dyn Store, filter: &CycleFilter) -> Result<(), Problem> {
-    if let Some(tool) = &filter.tool
-        && store.tool(tool).await?.is_none()
-        && store
-            .last_points(
-                &CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() },
-                PointColumns::Energy,
-                1,
-            )
-            .await?
-            .is_empty()
-    {
-        return Err(Problem::not_found("tool", tool.as_str()));
-    }
-    if let Some(operation) = &filter.operation
-        && store.operation(operation).await?.is_none()
-    {
-        let of = CycleFilter { operation: Some(operation.clone()), ..CycleFilter::default() };
-        if store.last_points(&of, PointColumns::Energy, 1).await?.is_empty() {
-            return Err(Problem::not_found("operation", operation.as_str()));
-        }
-    }
-    Ok(())
 }
 
 #[derive(Debug, Clone, Copy)]

@@ -3,6 +3,7 @@
 use super::dto::time;
 use super::export::{self, Size};
 use super::extract::Query;
+use super::known::known;
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
 use crate::state::AppState;
@@ -12,7 +13,7 @@ use axum::response::Response;
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::summary::{Energy, EnergyBasis, IdlePower};
-use feedwright_store::{CycleFilter, Page, StoredCycle};
+use feedwright_store::{CycleFilter, CycleKey, Page, StoredCycle};
 use futures_util::stream;
 use futures_util::{StreamExt, TryStreamExt};
 use serde::Deserialize;
@@ -51,7 +52,8 @@ pub(super) struct SummariesQuery {
         (status = 200, description = "The summaries", content(
             (Object = "application/json"), (String = "text/csv"),
             (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
-        (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
+        (status = 404, description = "Of that machine, tool or operation nothing is known",
+            body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
         (status = 422, description = "A parameter that is not accepted", body = ProblemDocument<'static>),
     )
@@ -85,19 +87,33 @@ pub(super) async fn get_summaries(
     let pieces = match query.last {
         Some(last) => {
             let cycles = state.store.last_cycles(&filter, last).await?;
+            if cycles.is_empty() {
+                known(&*state.store, &filter).await?;
+            }
             let pieces: Vec<_> =
                 cycles.chunks(PAGE as usize).map(|cycles| Ok(rows(cycles.to_vec()))).collect();
             stream::iter(pieces).boxed()
         }
         None => {
             let store = state.store.clone();
-            stream::try_unfold(Some(None), move |after| {
+            // Read before anything is answered, so that an error can be told by its status.
+            let first = store.cycles(&filter, Page { after: None, limit: PAGE }).await?;
+            if first.is_empty() {
+                known(&*store, &filter).await?;
+            }
+            stream::try_unfold(Some(Piece::Read(first)), move |piece| {
                 let (store, filter) = (store.clone(), filter.clone());
                 async move {
-                    let Some(after) = after else { return Ok(None) };
-                    let cycles = store.cycles(&filter, Page { after, limit: PAGE }).await?;
-                    let next = cycles.last().filter(|_| cycles.len() == PAGE as usize).map(|last| {
-                        Some((last.cycle.started_at, last.cycle.machine.clone(), last.cycle.id.clone()))
+                    let cycles = match piece {
+                        None => return Ok(None),
+                        Some(Piece::Read(cycles)) => cycles,
+                        Some(Piece::After(key)) => {
+                            store.cycles(&filter, Page { after: Some(key), limit: PAGE }).await?
+                        }
+                    };
+                    let last = cycles.last().filter(|_| cycles.len() == PAGE as usize);
+                    let next = last.map(|StoredCycle { cycle, .. }| {
+                        Piece::After((cycle.started_at, cycle.machine.clone(), cycle.id.clone()))
                     });
                     Ok::<_, TableError>((!cycles.is_empty()).then_some((cycles, next)))
                 }
@@ -107,6 +123,14 @@ pub(super) async fn get_summaries(
         }
     };
     export::table(turn, format, "summaries", fields(), pieces).await
+}
+
+/// Cycles that are written next.
+enum Piece {
+    /// These.
+    Read(Vec<StoredCycle>),
+    /// Those behind this one.
+    After(CycleKey),
 }
 
 const PEAKS: [(&str, &str); 5] = [

@@ -33,8 +33,10 @@ const SLOWEST_FEED_MM_MIN: f64 = 1.0;
 /// Why a cycle cannot be asked "what if"; the codes are stable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Unusable {
-    /// No samples are kept.
+    /// It came without samples.
     NoSamples,
+    /// Its samples were dropped by retention.
+    SamplesDropped,
     /// Depth, feed-drive load or spindle load was not sampled.
     MissingChannel,
     /// The samples are not evenly spaced.
@@ -58,6 +60,7 @@ impl Unusable {
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::NoSamples => "no_samples",
+            Self::SamplesDropped => "samples_dropped",
             Self::MissingChannel => "missing_channel",
             Self::UnevenTime => "uneven_time",
             Self::Length => "too_few_or_many_samples",

@@ -77,12 +77,16 @@ impl Library {
     /// A stored cycle, cut to its contact.
     pub async fn contact(&mut self, stored: &StoredCycle) -> StoreResult<Result<ContactCycle, Unusable>> {
         let meta = &stored.cycle;
+        if stored.samples_are_gone() {
+            return Ok(Err(Unusable::SamplesDropped));
+        }
         if !stored.has_samples {
             return Ok(Err(Unusable::NoSamples));
         }
         let Some(around) = self.around(meta).await? else { return Ok(Err(Unusable::Refused)) };
         let samples: Option<Samples> = self.store.cycle_samples(&meta.machine, &meta.id).await?;
-        let Some(samples) = samples else { return Ok(Err(Unusable::NoSamples)) };
+        // Retention may have come between the two questions.
+        let Some(samples) = samples else { return Ok(Err(Unusable::SamplesDropped)) };
         let context = Context {
             machine: &around.machine,
             calibration: around.calibration.as_ref(),

@@ -57,6 +57,7 @@ impl Measured {
             measured.considered += 1;
             let samples = store.cycle_samples(&row.cycle.machine, &row.cycle.id).await?;
             let reason = match samples {
+                None if row.samples_are_gone() => Some("samples_dropped"),
                 None => Some("no_samples"),
                 Some(samples) => (!measured.take(&samples)).then_some("no_dynamometer"),
             };

@@ -541,7 +541,7 @@ pub struct OutcomeAnswer {
     pub overloaded: usize,
     /// Cycles that ran it and are not compared.
     pub skipped: usize,
-    /// Which they are, and why: `aborted`, `cut_short` (the server kept only a part), `no_samples`, `too_short`,
-    /// `too_many_samples`.
+    /// Which they are, and why: `aborted`, `cut_short` (the server kept only a part), `no_samples`,
+    /// `samples_dropped` (by retention), `too_short`, `too_many_samples`.
     pub skipped_cycles: Vec<SkippedBody>,
 }
