@@ -247,13 +247,26 @@ pub struct SamplesSchema {
     /// Number of the first sample within the cycle, counted from 0.
     first: u64,
     /// Times since the start of the cycle, ms; only where the start has `usual_period_ms`.
-    time_ms: Option<Vec<f64>>,
+    #[schema(required = false)]
+    time_ms: OneOrMore,
     /// Tool tip depth, mm; null where it was not measured. So every other channel of a posted cycle, by its name.
-    depth_mm: Option<Vec<Option<f64>>>,
+    #[schema(required = false)]
+    depth_mm: OneOrMore,
     /// Feed-drive load, percent.
-    feed_drive_load_percent: Option<Vec<Option<f64>>>,
+    #[schema(required = false)]
+    feed_drive_load_percent: OneOrMore,
     /// Spindle load, percent.
-    spindle_load_percent: Option<Vec<Option<f64>>>,
+    #[schema(required = false)]
+    spindle_load_percent: OneOrMore,
+}
+
+/// A value by itself, null where it was not measured, or an array of them.
+#[derive(Serialize, ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "the schema of what is read by hand")]
+enum OneOrMore {
+    One(Option<f64>),
+    More(Vec<Option<f64>>),
 }
 
 /// A message of a machine.
