@@ -38,8 +38,8 @@ const MAD_SIGMA: f64 = 1.4826;
 /// One counted cycle, compensated for its feed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct CompensatedRatio {
-    /// Running number of the cycle within its tool's life.
-    pub(super) number: u64,
+    /// Running number of the cycle among those of its tool's life that may have worn it.
+    pub(super) worked: u64,
     /// Over what the new tool would have needed at the feeds run, with its standard deviation.
     pub(super) own: (f64, f64),
     /// The same extra energy at the reference feed.
@@ -63,7 +63,8 @@ pub(super) struct FeedMemory {
     /// Settings of the operation that ran last.
     pub(super) every: Option<u32>,
     pub(super) reference_feed_mm_min: Option<f64>,
-    /// Reference cycles that were counted after their baseline: running number and ratio, oldest first.
+    /// Reference cycles that were counted after their baseline: running number among those that may have worn the tool, and
+    /// ratio, oldest first.
     pub(super) references: Vec<(u64, f64)>,
     pub(super) reference_trend: TrendPoints,
     /// Running number of the last reference cycle that was counted or taught, and how many there were.
@@ -128,17 +129,17 @@ impl ToolFold {
     }
 
     /// Keeps what a counted cycle says beside its ratio as run.
-    pub(super) fn remember(&mut self, at: usize, (number, ratio): (u64, f64), found: Option<Compensated>) {
+    pub(super) fn remember(&mut self, at: usize, ((number, worked), ratio): ((u64, u64), f64), found: Option<Compensated>) {
         let is_reference = self.keys[at].key.strategy == Some(Strategy::FConst);
         let memory = &mut self.feeds;
         if is_reference {
-            push(&mut memory.references, (number, ratio));
+            push(&mut memory.references, (worked, ratio));
             memory.reference_trend.push_at(number, ratio);
         }
         if let Some(found) = found {
             let pair = |of: Estimate| (of.value, of.sd);
             let entry = CompensatedRatio {
-                number,
+                worked,
                 own: pair(found.at_own_feed),
                 reference: found.at_reference_feed.map(pair),
                 sd_at_limit: found.sd_at_limit,
@@ -199,7 +200,7 @@ impl ToolFold {
             return None;
         }
         let ratios: Vec<f64> = window.iter().map(|(_, ratio)| *ratio).collect();
-        let numbers = window.iter().map(|(number, _)| *number);
+        let numbers = window.iter().map(|(worked, _)| *worked);
         Some(Decision {
             basis: Some(LevelBasis::ReferenceCycles),
             level: self.onward(median(&ratios), numbers),
@@ -222,18 +223,18 @@ impl ToolFold {
         let common: Vec<f64> = window.iter().map(|entry| entry.deciding().1).collect();
         Some(Decision {
             basis: Some(LevelBasis::FeedCompensated),
-            level: self.onward(median(&ratios), window.iter().map(|entry| entry.number)),
+            level: self.onward(median(&ratios), window.iter().map(|entry| entry.worked)),
             sd: Some(median(&common).hypot(median_error(&ratios))),
             n: window.len(),
         })
     }
 
     /// A window's median is as old as its middle. The wear so far is taken to go on at its mean rate for that long,
-    /// which is exact for steady wear and cautious for wear that slows down.
+    /// which is exact for steady wear and cautious for wear that slows down. Cycles that did not wear the tool carry nothing on.
     fn onward(&self, level: f64, numbers: impl Iterator<Item = u64>) -> f64 {
         #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
         let (age, now) =
-            (median(&numbers.map(|number| number as f64).collect::<Vec<_>>()), self.cycles as f64);
+            (median(&numbers.map(|number| number as f64).collect::<Vec<_>>()), self.worked as f64);
         1.0 + (level - 1.0) * (now / age.max(1.0)).min(MOST_ONWARD)
     }
 

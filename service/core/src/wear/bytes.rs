@@ -225,7 +225,7 @@ impl Field for DepthDigest {
     }
 }
 
-fields!(CompensatedRatio { number, own, reference, sd_at_limit });
+fields!(CompensatedRatio { worked, own, reference, sd_at_limit });
 fields!(FeedMemory {
     varied,
     ever_varied,
@@ -255,6 +255,7 @@ fields!(BaselineKey {
 });
 fields!(Measured {
     number,
+    worked,
     machine,
     cycle,
     started_us,
@@ -292,6 +293,7 @@ fields!(KeyState {
     level_at_entry,
     unconfirmed,
     stepped,
+    knows_since,
     learning,
     baseline,
     recent,
@@ -312,8 +314,9 @@ fields!(ToolFold {
     life,
     unworn,
     awaiting_mount,
-    change_announced,
+    announced_until,
     cycles,
+    worked,
     counted,
     last_counted,
     last_counted_us,
@@ -328,6 +331,7 @@ fields!(ToolFold {
     warned,
     worn,
     suspects,
+    suspected_since,
     trend,
     feeds,
 });
@@ -355,6 +359,7 @@ impl ToolFold {
             && fold.last_excluded.len() <= LAST_EXCLUDED
             && fold.current.is_none_or(|at| at < fold.keys.len())
             && fold.last_counted <= fold.cycles
+            && fold.worked <= fold.cycles
             && fold.feeds.last_reference.is_none_or(|number| number <= fold.cycles)
             && fold.feeds.references.len() <= KEPT_RATIOS
             && fold.feeds.compensated.len() <= KEPT_RATIOS;

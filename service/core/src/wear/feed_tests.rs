@@ -3,7 +3,7 @@
 //! The material is exact: e = 40·(F/200)^−0.6 J/mm, and a worn surface that drags whatever the feed.
 
 use super::*;
-use crate::cycle::Flags;
+use crate::cycle::{Flag, Flags};
 use crate::friction::relation::DepthProfile;
 use crate::ids::{CycleId, MachineId, OperationId};
 use crate::operation::WearSettings;
@@ -142,6 +142,24 @@ fn a_slower_feed_is_no_wear() {
     );
     assert!((level.value - 1.0).abs() < 2.0 * level.sd.unwrap() + 0.01, "{level:?}");
     assert!(says(&verdict, "decided_by_compensation"));
+}
+
+#[test]
+fn what_wears_no_tool_carries_no_wear_on() {
+    let mut life = Life::new(None);
+    for k in 0..40 {
+        life.run(None, &hole(|_| 200.0 + 10.0 * f64::from(k % 3), 0.002 * f64::from(k)));
+    }
+    let level = |life: &Life| life.fold.verdict().level.unwrap();
+    let before = level(&life);
+    assert!(before.decides == Some(LevelBasis::FeedCompensated) && before.value > 1.05, "{before:?}");
+    for _ in 0..12 {
+        life.with(None, &hole(|_| 200.0, 0.1), |cycle| cycle.flags.insert(Flag::Aborted));
+    }
+    assert_eq!(level(&life), before);
+    // A cycle that cut and could not be measured does.
+    life.with(None, &hole(|_| 200.0, 0.1), |cycle| cycle.energy = None);
+    assert!(level(&life).value > before.value);
 }
 
 /// A fast program near the reference feed: carried over to it, the wear is called although the energy as run says less.

@@ -17,7 +17,7 @@ use crate::tool::ToolEventKind;
 use crate::units::{Process, Strategy};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 5;
+pub const FOLD_VERSION: u16 = 6;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
@@ -31,6 +31,8 @@ const MAX_SUSPECTS: usize = 64;
 const LEAST_RATIOS: usize = 5;
 /// Cycles off the usual that make a lasting step, where the level's window is not smaller still.
 const LASTING: usize = 3;
+/// Cycles within which a step that was announced has to come, or four windows: one that comes later is another one.
+const ANNOUNCED_CYCLES: u64 = 20;
 /// Two single cycles off the usual within so many of one key: conditions alternate.
 const FLIP_SPAN: u64 = 6;
 /// Levels are compared with the limits with this much room for rounding.
@@ -87,9 +89,12 @@ pub struct ToolFold {
     pub(super) unworn: bool,
     /// Whether the tool is known to be mounted only later: cycles before that have a wrong clock.
     pub(super) awaiting_mount: bool,
-    /// An engineer announced changed conditions before a step was seen.
-    pub(super) change_announced: bool,
+    /// Running number of the last cycle for which an engineer's announcement of changed conditions holds, which came before a step
+    /// was seen; 0 without one.
+    pub(super) announced_until: u64,
     pub(super) cycles: u64,
+    /// Those of them that may have worn the tool: all but air cuts, and what was given up or cut hardly anything.
+    pub(super) worked: u64,
     pub(super) counted: u64,
     pub(super) last_counted: u64,
     pub(super) last_counted_us: Option<i64>,
@@ -109,6 +114,8 @@ pub struct ToolFold {
     pub(super) worn: bool,
     /// Undercuts that no usual cycle has followed yet: whether each was short of its usual time.
     pub(super) suspects: Vec<bool>,
+    /// Running number of the first of them.
+    pub(super) suspected_since: u64,
     pub(super) trend: TrendPoints,
     pub(super) feeds: FeedMemory,
 }
@@ -120,8 +127,9 @@ impl Default for ToolFold {
             life: 0,
             unworn: true,
             awaiting_mount: false,
-            change_announced: false,
+            announced_until: 0,
             cycles: 0,
+            worked: 0,
             counted: 0,
             last_counted: 0,
             last_counted_us: None,
@@ -136,6 +144,7 @@ impl Default for ToolFold {
             warned: false,
             worn: false,
             suspects: Vec::new(),
+            suspected_since: 0,
             trend: TrendPoints::default(),
             feeds: FeedMemory::default(),
         }
@@ -167,7 +176,8 @@ impl ToolFold {
             return;
         }
         let level = self.standing();
-        let mut announced = true;
+        // What is being learnt has no usual yet that a step could leave: told twice, it announces nothing.
+        let mut announced = self.current_key().is_some_and(|key| key.baseline.is_some());
         for key in &mut self.keys {
             announced &= key.change.is_none() && !key.unconfirmed && !key.stepped;
             key.unconfirmed = false;
@@ -176,7 +186,8 @@ impl ToolFold {
                 key.relearn(level.unwrap_or(1.0));
             }
         }
-        self.change_announced = announced;
+        let holds = ANNOUNCED_CYCLES.max(4 * u64::from(self.window));
+        self.announced_until = if announced { self.cycles + holds } else { 0 };
         self.settle_suspects();
     }
 
@@ -187,6 +198,7 @@ impl ToolFold {
         }
         self.last = Some(facts.order.clone());
         self.cycles += 1;
+        self.worked += 1;
         self.note_feeds(facts, settings);
         let (compared, settings) = match self.countable(facts, settings) {
             Ok(found) => found,
@@ -200,7 +212,7 @@ impl ToolFold {
         };
         let (in_contact, joules, duration_ms) = compared;
         let at = self.key_of(facts, in_contact, settings);
-        let mut cycle = Measured::of(facts, (joules, duration_ms), self.cycles);
+        let mut cycle = Measured::of(facts, (joules, duration_ms), (self.cycles, self.worked));
         if !settings.is_friction {
             cycle.digest = None;
         }
@@ -212,7 +224,7 @@ impl ToolFold {
         if learning {
             self.learn(at, cycle);
         } else if self.keys[at].override_differs(&cycle) {
-            self.leave_out(&cycle, Exclusion::OperatorOverride);
+            self.leave_out_for_override(at, &cycle);
         } else if self.keys[at].change.is_some() {
             self.compare_after_change(at, cycle);
         } else {
@@ -283,7 +295,7 @@ impl ToolFold {
         let speed_changed = level.is_some() && self.keys.iter().any(|known| known.differs_in_speed(&key));
         let mut state = KeyState::new(key, settings.wear, self.standing().unwrap_or(1.0));
         if speed_changed || self.evicted {
-            state.unconfirmed = !std::mem::take(&mut self.change_announced);
+            state.unconfirmed = !self.take_announcement();
         }
         if self.keys.len() < MAX_KEYS {
             self.keys.push(state);
@@ -313,13 +325,16 @@ impl ToolFold {
             return;
         }
         if centre.is_some_and(|centre| key.look(&cycle, &centre) == Look::Usual) {
-            self.settle_suspects();
+            self.settle_suspects_by(at);
         }
         self.note_reference(at, cycle.number);
         let key = &mut self.keys[at];
         let mut cycle = cycle;
         if key.learning.iter().filter(|held| held.digest.is_some()).count() >= HELD_DIGESTS {
             cycle.digest = None;
+        }
+        if key.learning.len() == 1 {
+            key.knows_since.get_or_insert(cycle.number);
         }
         key.learning.push(cycle);
         if let Some(judged) = key.complete() {
@@ -384,14 +399,34 @@ impl ToolFold {
         let off = std::mem::take(&mut key.off);
         if !level_step {
             off.into_iter().for_each(|cycle| self.count(at, cycle));
-        } else if self.change_announced {
-            self.change_announced = false;
-            key.relearn(level.unwrap_or(1.0));
+        } else if self.take_announcement() {
+            self.keys[at].relearn(level.unwrap_or(1.0));
             off.into_iter().for_each(|cycle| self.learn(at, cycle));
         } else {
-            key.change = Some(Change { before: usual, back: Vec::new() });
+            self.keys[at].change = Some(Change { before: usual, back: Vec::new() });
             off.iter().for_each(|cycle| self.leave_out(cycle, Exclusion::ConditionsChanged));
         }
+    }
+
+    /// Whether a step was announced; it is one step that was.
+    fn take_announcement(&mut self) -> bool {
+        self.cycles <= std::mem::take(&mut self.announced_until)
+    }
+
+    /// A cycle under another override of the operator's is not compared; whether it cut at all is told all the same.
+    fn leave_out_for_override(&mut self, at: usize, cycle: &Measured) {
+        let key = &self.keys[at];
+        let usual = key.change.as_ref().map(|change| change.before).or_else(|| key.usual());
+        match usual.map(|usual| (key.look_despite_override(cycle, &usual), usual)) {
+            Some((Look::Undercut, usual)) => {
+                let short = KeyState::looks_incomplete(cycle, &usual);
+                self.suspect(cycle, short);
+                return;
+            }
+            Some((Look::Usual, _)) => self.settle_suspects_by(at),
+            Some((Look::Off, _)) | None => {}
+        }
+        self.leave_out(cycle, Exclusion::OperatorOverride);
     }
 
     /// After a step that nobody has confirmed: only what comes back to the old usual for good is counted again.
@@ -440,7 +475,7 @@ impl ToolFold {
     /// Counts a cycle, with what it says beside its ratio as run.
     fn count(&mut self, at: usize, cycle: Measured) {
         let Some(baseline) = &self.keys[at].baseline else { return };
-        let said = (cycle.number, cycle.joules / baseline.joules);
+        let said = ((cycle.number, cycle.worked), cycle.joules / baseline.joules);
         let found = self.compensated(at, cycle.digest.as_ref());
         self.note_reference(at, cycle.number);
         self.remember(at, said, found);
@@ -479,7 +514,7 @@ impl ToolFold {
         }
         self.ratios.push(ratio);
         self.trend.push(ratio);
-        self.settle_suspects();
+        self.settle_suspects_by(at);
     }
 
     /// Compares the level with its limits. Not while a baseline's own cycles are counted: their ratios say how they
@@ -512,8 +547,19 @@ impl ToolFold {
         if self.suspects.len() == MAX_SUSPECTS {
             self.suspects.remove(0);
         }
+        if self.suspects.is_empty() {
+            self.suspected_since = cycle.number;
+        }
         self.suspects.push(short);
         self.leave_out(cycle, Exclusion::BrokenSuspected);
+    }
+
+    /// A cycle of a key is as usual. What is usual of a key that has only been met since says nothing of a tool that broke before:
+    /// it may be what a broken tool takes.
+    fn settle_suspects_by(&mut self, at: usize) {
+        if self.keys[at].knows_since.is_some_and(|since| since < self.suspected_since) {
+            self.settle_suspects();
+        }
     }
 
     /// A usual cycle has come: what looked like a broken tool was air.
@@ -540,6 +586,12 @@ impl ToolFold {
 
     fn exclude(&mut self, machine: &MachineId, cycle: &CycleId, why: Exclusion) {
         self.excluded[why as usize] += 1;
+        if matches!(
+            why,
+            Exclusion::Aborted | Exclusion::Incomplete | Exclusion::AirCut | Exclusion::BrokenSuspected
+        ) {
+            self.worked = self.worked.saturating_sub(1);
+        }
         if self.last_excluded.len() == LAST_EXCLUDED {
             self.last_excluded.remove(0);
         }

@@ -135,11 +135,19 @@ impl ToolFold {
             say("worn", format!("energy reached 10 % above {against} (now {percent:+.1} %), latched"));
             return ToolState::Worn;
         }
-        if current.is_some_and(|key| key.change.is_some()) {
+        // Of whichever key: what the tool does elsewhere meanwhile confirms nothing.
+        if let Some(changed) = self.keys.iter().find(|key| key.change.is_some()) {
+            let operation = &changed.key.operation;
+            let of = if current.is_some_and(|key| key.key.operation == *operation) {
+                String::new()
+            } else {
+                format!(" in operation `{operation}`")
+            };
             say(
                 "conditions_changed",
-                "energy, time, depth or the sheet's thickness jumped and stayed: confirm the conditions"
-                    .into(),
+                format!(
+                    "energy, time, depth or the sheet's thickness jumped and stayed{of}: confirm the conditions"
+                ),
             );
             return ToolState::Changed;
         }

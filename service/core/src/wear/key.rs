@@ -64,6 +64,8 @@ const DIFFERENCE_MEDIAN: f64 = 0.953_87;
 pub(super) struct Measured {
     /// Running number of the cycle within its tool's life.
     pub(super) number: u64,
+    /// The same of the cycles that may have worn the tool.
+    pub(super) worked: u64,
     pub(super) machine: MachineId,
     pub(super) cycle: CycleId,
     pub(super) started_us: i64,
@@ -79,9 +81,10 @@ pub(super) struct Measured {
 }
 
 impl Measured {
-    pub(super) fn of(facts: &CycleFacts, (joules, duration_ms): (f64, Option<f64>), number: u64) -> Self {
+    pub(super) fn of(facts: &CycleFacts, (joules, duration_ms): (f64, Option<f64>), (number, worked): (u64, u64)) -> Self {
         Self {
             number,
+            worked,
             machine: facts.order.machine.clone(),
             cycle: facts.order.cycle.clone(),
             started_us: facts.order.started_at.micros(),
@@ -150,6 +153,8 @@ pub(super) struct KeyState {
     pub(super) unconfirmed: bool,
     /// Whether conditions changed while it was being learnt, and nobody confirmed that.
     pub(super) stepped: bool,
+    /// Running number of the second cycle that was learnt from: two that agree are what "after good cycles" takes.
+    pub(super) knows_since: Option<u64>,
     /// Cycles the baseline is being learnt from, in order; empty once it is complete.
     pub(super) learning: Vec<Measured>,
     pub(super) baseline: Option<Baseline>,
@@ -199,8 +204,10 @@ impl BaselineKey {
     pub(super) fn of(facts: &CycleFacts, in_contact: bool, settings: &FoldSettings) -> Self {
         let (basis, idle_subtracted) =
             facts.energy.map_or((EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
+        // Friction drilling alone has reference cycles, and of a cycle whose operation was not registered yet nobody knew what it was.
+        let strategy = if settings.is_friction { facts.compared_as() } else { facts.strategy };
         // What else a machine names with a reference cycle it was asked for is what runs between them.
-        let as_told = facts.compared_as() == facts.strategy;
+        let as_told = strategy == facts.strategy;
         Self {
             machine: facts.order.machine.clone(),
             operation: facts.operation.clone(),
@@ -209,7 +216,7 @@ impl BaselineKey {
             idle_subtracted,
             in_contact,
             energy_scale: facts.energy_scale,
-            strategy: facts.compared_as(),
+            strategy,
             law_version: facts.law_version.clone().filter(|_| as_told),
             profile: facts.profile.clone().filter(|_| as_told),
         }
@@ -261,6 +268,7 @@ impl KeyState {
             level_at_entry,
             unconfirmed: false,
             stepped: false,
+            knows_since: None,
             learning: Vec::new(),
             baseline: None,
             recent: Vec::new(),
@@ -334,6 +342,7 @@ impl KeyState {
         };
         *self = Self {
             used: self.used,
+            knows_since: self.knows_since,
             reference_feed_mm_min: self.reference_feed_mm_min,
             ..Self::new(self.key.clone(), settings, level)
         };
@@ -345,6 +354,25 @@ impl KeyState {
             let expected = baseline.operator_percent.unwrap_or(OPERATOR_NEUTRAL);
             (cycle.operator() - expected).abs() > OPERATOR_TOLERANCE
         })
+    }
+
+    /// Whether `cycle`, under another override than the baseline's, cut at all. At a higher feed it takes less time, and down to as much
+    /// less energy; at a lower one no less.
+    pub(super) fn look_despite_override(&self, cycle: &Measured, usual: &Usual) -> Look {
+        let expected = self.baseline.as_ref().and_then(|baseline| baseline.operator_percent);
+        let shorter = (expected.unwrap_or(OPERATOR_NEUTRAL) / cycle.operator()).min(1.0);
+        let depth_off =
+            ratio(cycle.depth_mm, usual.depth_mm).is_some_and(|r| (r - 1.0).abs() > DEPTH_TOLERANCE);
+        let least = UNDERCUT * usual.joules;
+        if depth_off {
+            Look::Off
+        } else if cycle.joules < least * shorter {
+            Look::Undercut
+        } else if cycle.joules < least {
+            Look::Off
+        } else {
+            Look::Usual
+        }
     }
 
     /// What the last counted cycles amount to.

@@ -249,6 +249,93 @@ fn an_undercut_after_good_cycles_is_suspected_until_a_normal_one_follows() {
     assert_eq!(young.ratio(1.0).state, ToolState::Learning);
 }
 
+/// A cycle of that ratio under another baseline key.
+fn elsewhere(life: &mut Life, ratio: f64, law: &str) -> Verdict {
+    life.with(|cycle| {
+        cycle.law_version = Some(law.to_owned());
+        cycle.energy = Some((EnergyBasis::Dynamometer, false, ratio * NEW));
+    })
+}
+
+#[test]
+fn what_is_usual_of_a_key_met_since_does_not_clear_a_broken_tool() {
+    let mut life = Life::learnt();
+    (0..5).for_each(|_| drop(elsewhere(&mut life, 1.0, "known")));
+    life.ratios(&[0.02; 3]);
+    let states: Vec<ToolState> = (0..12).map(|_| elsewhere(&mut life, 0.02, "new").state).collect();
+    assert_eq!(states, [ToolState::BrokenSuspected; 12], "what a broken tool takes is as usual for it");
+    // One that was known before tells.
+    let verdict = elsewhere(&mut life, 1.0, "known");
+    assert_eq!((verdict.state, excluded(&verdict, Exclusion::AirCut)), (ToolState::Good, 3));
+    // So does whoever has looked at the tool.
+    assert_eq!(life.ratio(0.02).state, ToolState::BrokenSuspected);
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(life.fold.verdict().state, ToolState::Good);
+}
+
+#[test]
+fn changed_conditions_stay_changed_whatever_the_tool_does_elsewhere() {
+    let mut life = Life::learnt();
+    assert_eq!(life.ratios(&[1.3; 4]).state, ToolState::Changed);
+    let states: Vec<ToolState> = (0..8).map(|_| elsewhere(&mut life, 1.3, "other").state).collect();
+    assert_eq!(states, [ToolState::Changed; 8]);
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(elsewhere(&mut life, 1.3, "other").state, ToolState::Good);
+}
+
+#[test]
+fn a_step_long_after_it_was_announced_or_confirmed_twice_is_alarmed() {
+    let mut twice = Life::learnt();
+    twice.ratios(&[1.3; 4]);
+    (0..3).for_each(|_| twice.fold.event(ToolEventKind::ConditionsConfirmed));
+    twice.ratios(&[1.3; 8]);
+    assert_eq!(twice.ratios(&[1.7; 4]).state, ToolState::Changed, "it was the first one that was confirmed");
+    let mut late = Life::learnt();
+    late.fold.event(ToolEventKind::ConditionsConfirmed);
+    late.ratios(&[1.0; 19]);
+    assert_eq!(late.ratios(&[1.3; 4]).state, ToolState::Changed, "20 cycles after it was announced");
+    let mut soon = Life::learnt();
+    soon.fold.event(ToolEventKind::ConditionsConfirmed);
+    soon.ratios(&[1.0; 15]);
+    assert_ne!(soon.ratios(&[1.3; 4]).state, ToolState::Changed);
+}
+
+#[test]
+fn a_tool_that_breaks_under_another_override_is_suspected() {
+    let at = |life: &mut Life, percent: f64, ratio: f64| {
+        life.with(|cycle| {
+            cycle.operator_override_percent = Some(percent);
+            cycle.energy = Some((EnergyBasis::Dynamometer, false, ratio * NEW));
+        })
+    };
+    for (percent, least) in [(90.0, 0.6), (200.0, 0.3)] {
+        let mut life = Life::learnt();
+        let verdict = at(&mut life, percent, least + 0.01);
+        assert_eq!((verdict.state, excluded(&verdict, Exclusion::OperatorOverride)), (ToolState::Good, 1));
+        assert_eq!(at(&mut life, percent, least - 0.01).state, ToolState::BrokenSuspected, "{percent}");
+        assert_eq!(at(&mut life, percent, 0.59).state, ToolState::BrokenSuspected, "{percent}");
+        // One that cut, at whatever override, clears it, and is not compared.
+        let verdict = at(&mut life, percent, 0.9);
+        assert_eq!(verdict.state, ToolState::Good, "{percent}");
+        assert!(excluded(&verdict, Exclusion::OperatorOverride) >= 2);
+    }
+}
+
+#[test]
+fn only_friction_drilling_has_reference_cycles() {
+    // As of a cycle that came before its operation was registered: nobody knew that it was not friction drilling.
+    let mut life = Life::new();
+    let drilling = FoldSettings { is_friction: false, ..settings() };
+    for number in 1..=6 {
+        let mut cycle = facts(number, NEW);
+        cycle.strategy = None;
+        cycle.flags.insert(Flag::ReferenceCycle);
+        assert!(cycle.is_reference());
+        life.fold.cycle(&cycle, Some(&drilling));
+    }
+    assert_eq!(life.fold.verdict().baselines[0].key.strategy, None);
+}
+
 #[test]
 fn a_lasting_step_is_changed_conditions_neither_wear_nor_a_new_tool() {
     for step in [0.77, 1.34, 1.15, 0.85] {
