@@ -598,7 +598,16 @@ impl Config {
             let url = url.expose_secret();
             let postgres = url.starts_with("postgres://") || url.starts_with("postgresql://");
             must(url.is_empty() || postgres, path, "must be empty or begin with postgres://");
+            let unknown = feedwright_store::unknown_parameter(url).filter(|_| postgres);
+            let what = || format!("has a parameter `{}` that is not known", unknown.unwrap_or_default());
+            must(unknown.is_none(), path, &what());
         }
+        must(
+            !self.database.pooled || !self.database.direct_url.expose_secret().is_empty(),
+            "database.direct_url",
+            "name the server itself where database.pooled is set: what listens, and the lock of migrations, would stay on a \
+             connection that the pooler gives to others",
+        );
         must((1..=1000).contains(&self.database.connections), "database.connections", "1 to 1000");
         must(!self.data_dir.as_os_str().is_empty(), "data_dir", "must not be empty");
         must((1..=65_536).contains(&self.server.max_connections), "server.max_connections", "1 to 65536");

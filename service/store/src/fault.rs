@@ -16,6 +16,8 @@ impl From<sqlx::Error> for StoreError {
             | sqlx::Error::Tls(_)
             | sqlx::Error::PoolTimedOut
             | sqlx::Error::PoolClosed
+            // What came is no answer to what was asked, as of a connection that a pooler had given to somebody else before.
+            | sqlx::Error::Protocol(_)
             | sqlx::Error::WorkerCrashed => Self::Unavailable(Box::new(error)),
             sqlx::Error::ColumnDecode { index, .. } => {
                 Self::Damaged { what: format!("column {index} does not decode") }
@@ -93,8 +95,9 @@ impl Fault {
             // I/O error, data or index corrupted
             "58030" | "XX001" | "XX002" => Self::NotWritable,
             // read-only transaction (a demoted server: another one takes over), serialisation, deadlock, lock not
-            // available, statement or session timed out; a right, or a database, that somebody has taken away
-            "25006" | "40001" | "40P01" | "55P03" | "57014" | "25P03" | "42501" | "3D000" => {
+            // available, statement or session timed out; a right, or a database, that somebody has taken away, or that is closed to
+            // everybody for a while
+            "25006" | "40001" | "40P01" | "55P03" | "57014" | "25P03" | "42501" | "3D000" | "55000" => {
                 Self::Unavailable
             }
             _ if code.starts_with("22") || code.starts_with("23") => Self::Refused,

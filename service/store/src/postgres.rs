@@ -5,6 +5,7 @@
 //! Session locks and migrations use a direct connection. A connection that comes back inside an open transaction is
 //! thrown away before anyone else's work can disappear in it.
 
+mod address;
 mod dialect;
 #[path = "engine/mod.rs"]
 #[expect(clippy::duplicate_mod, reason = "SQL that both engines understand is compiled for each of them")]
@@ -13,6 +14,7 @@ mod lent;
 mod notice;
 mod open;
 
+pub use address::unknown_parameter;
 pub(crate) use open::MIGRATIONS;
 pub use open::PostgresOptions;
 

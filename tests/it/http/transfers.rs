@@ -143,6 +143,26 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
     }
 }
 
+#[test]
+fn what_is_wrong_with_an_address_is_told_without_its_password() {
+    let folder = TempDir::new().unwrap();
+    for (address, cause) in [
+        ("postgre://fw:hunter2@db/fw", "--to must begin with sqlite:// or postgres://"),
+        ("'postgres://fw:hunter2@db/fw'", "--to must begin with sqlite:// or postgres://"),
+        ("postgres://db/fw?passwd=hunter2", "--to has a parameter `passwd` that is not known"),
+    ] {
+        let flags =
+            feedwright(&folder, &["copy", "--from", "sqlite:///none", "--to", address]).output().unwrap();
+        let mut variable = feedwright(&folder, &["copy", "--from", "sqlite:///none"]);
+        variable.env("FEEDWRIGHT_COPY_TO", address);
+        for output in [flags, variable.output().unwrap()] {
+            let (told, said) = fail(output);
+            assert!(said.contains(cause), "{said}");
+            assert!(!format!("{told}{said}").contains("hunter2"), "{told}{said}");
+        }
+    }
+}
+
 /// What keeps a file from being opened is named all the same.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_page_that_cannot_be_read_is_named_by_the_check() {

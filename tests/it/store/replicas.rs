@@ -173,6 +173,22 @@ async fn a_database_that_cannot_hold_every_name_is_refused_and_left_as_it_is() {
     given.done().await;
 }
 
+#[tokio::test]
+async fn a_schema_that_comes_first_later_is_no_empty_database() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    given.raw("CREATE SCHEMA AUTHORIZATION CURRENT_USER").await.unwrap();
+    let refused = PostgresStore::open(&given.address(), PostgresOptions::default()).await.err().unwrap();
+    assert!(format!("{refused:?}").contains("the tables are in the schema public"), "{refused:?}");
+    let tables = "SELECT 1 FROM pg_tables WHERE schemaname = CURRENT_USER";
+    assert_eq!(given.raw(tables).await.unwrap(), 0, "nothing was made there");
+    // Whoever says which one is meant is served.
+    let address = format!("{}?options[search_path]=public", given.address());
+    PostgresStore::open(&address, PostgresOptions::default()).await.unwrap().close().await;
+    given.done().await;
+}
+
 /// No fold changes by an event after the last cycle: what this server remembers of the tool has to be forgotten all the same.
 #[tokio::test]
 async fn an_event_that_one_server_revokes_holds_no_more_at_another() {

@@ -638,6 +638,33 @@ fn dropping(store: &Arc<dyn Store>) -> JoinHandle<StoreResult<Dropped>> {
     tokio::spawn(async move { store.drop_partition(at(125 * DAY)).await })
 }
 
+#[tokio::test]
+async fn a_partition_that_cannot_be_dropped_keeps_no_other() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = decided(&given).await;
+    given.raw("CREATE VIEW somebodys AS SELECT * FROM cycle_samples_202601").await.unwrap();
+    for month in ["February", "March"] {
+        assert_eq!(store.drop_partition(at(125 * DAY)).await.unwrap().cycles, 1, "{month}");
+    }
+    let stays = store.drop_partition(at(125 * DAY)).await.unwrap_err();
+    assert!(matches!(&stays, StoreError::Unavailable(_)), "{stays:?}");
+    assert!(
+        format!("{stays:?}").contains("the partition cycle_samples_202601 cannot be dropped"),
+        "{stays:?}"
+    );
+    given.raw("DROP VIEW somebodys").await.unwrap();
+    assert_eq!(store.drop_partition(at(125 * DAY)).await.unwrap().cycles, 1);
+    // Whatever a backslash in a text is to the role that asks.
+    let mut other = PgConnection::connect(&given.address()).await.unwrap();
+    sqlx::query("SET standard_conforming_strings = off").execute(&mut other).await.unwrap();
+    let found = "SELECT count(*) FROM cycle_samples_partitions()";
+    assert!(sqlx::query_scalar::<_, i64>(found).fetch_one(&mut other).await.unwrap() > 3);
+    other.close().await.unwrap();
+    given.done().await;
+}
+
 async fn counts(store: &dyn Store) -> u64 {
     let drops = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
     drops.iter().map(|drop| drop.cycles).sum()

@@ -129,7 +129,12 @@ impl ToolFold {
     }
 
     /// Keeps what a counted cycle says beside its ratio as run.
-    pub(super) fn remember(&mut self, at: usize, ((number, worked), ratio): ((u64, u64), f64), found: Option<Compensated>) {
+    pub(super) fn remember(
+        &mut self,
+        at: usize,
+        ((number, worked), ratio): ((u64, u64), f64),
+        found: Option<Compensated>,
+    ) {
         let is_reference = self.keys[at].key.strategy == Some(Strategy::FConst);
         let memory = &mut self.feeds;
         if is_reference {

@@ -81,7 +81,11 @@ pub(super) struct Measured {
 }
 
 impl Measured {
-    pub(super) fn of(facts: &CycleFacts, (joules, duration_ms): (f64, Option<f64>), (number, worked): (u64, u64)) -> Self {
+    pub(super) fn of(
+        facts: &CycleFacts,
+        (joules, duration_ms): (f64, Option<f64>),
+        (number, worked): (u64, u64),
+    ) -> Self {
         Self {
             number,
             worked,

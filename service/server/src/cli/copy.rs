@@ -2,9 +2,10 @@
 
 use super::{Settings, log, print};
 use crate::data_dir::DataDirLock;
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 use feedwright_store::transfer::{Address, copy};
+use feedwright_store::unknown_parameter;
 use secrecy::{ExposeSecret, SecretString};
 use std::path::Path;
 
@@ -12,26 +13,29 @@ use std::path::Path;
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// Where everything is: `sqlite:///path/to/feedwright.sqlite3` or `postgres://user:password@host/database`.
-    #[arg(long, env = "FEEDWRIGHT_COPY_FROM", hide_env_values = true, value_parser = secret)]
+    #[arg(long, env = "FEEDWRIGHT_COPY_FROM", hide_env_values = true)]
     from: SecretString,
     /// Where it is to be: fresh, or what an earlier copy of the same source left there.
-    #[arg(long, env = "FEEDWRIGHT_COPY_TO", hide_env_values = true, value_parser = secret)]
+    #[arg(long, env = "FEEDWRIGHT_COPY_TO", hide_env_values = true)]
     to: SecretString,
 }
 
-fn secret(text: &str) -> Result<SecretString, String> {
-    match Address::parse(text) {
-        Some(_) => Ok(SecretString::from(text)),
-        None => Err("must begin with sqlite:// or postgres://".to_owned()),
+/// The address that a flag, or its variable, names. Told by its flag alone: it may hold a password, whatever is wrong with it.
+fn address(flag: &str, text: &SecretString) -> anyhow::Result<Address> {
+    let text = text.expose_secret();
+    let address =
+        Address::parse(text).with_context(|| format!("{flag} must begin with sqlite:// or postgres://"))?;
+    if let Some(name) = unknown_parameter(text).filter(|_| matches!(address, Address::Postgres(_))) {
+        bail!("{flag} has a parameter `{name}` that is not known");
     }
+    Ok(address)
 }
 
 /// Runs the command.
 pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()> {
     let config = settings.load(Vec::new())?;
     log(&config.log)?;
-    let address = |text: &SecretString| Address::parse(text.expose_secret()).context("no address");
-    let (from, to) = (address(&arguments.from)?, address(&arguments.to)?);
+    let (from, to) = (address("--from", &arguments.from)?, address("--to", &arguments.to)?);
     let _lock = match &to {
         Address::Sqlite(path) => {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());

@@ -280,6 +280,19 @@ mod tests {
             (vec![("FEEDWRIGHT__TLS__CERTIFICATE", "a.pem")], None, "tls.key: certificate and key belong"),
             (vec![("FEEDWRIGHT__TLS__KEY", "a.pem")], None, "tls.key: certificate and key belong"),
             (vec![("FEEDWRIGHT__DATABASE__URL", "mysql://x")], None, "database.url: must be empty or begin"),
+            (
+                vec![("FEEDWRIGHT__DATABASE__URL", "postgres://x/y?sslmod=require")],
+                None,
+                "database.url: has a parameter `sslmod` that is not known",
+            ),
+            (
+                vec![
+                    ("FEEDWRIGHT__DATABASE__URL", "postgres://x/y"),
+                    ("FEEDWRIGHT__DATABASE__POOLED", "true"),
+                ],
+                None,
+                "database.direct_url: name the server itself",
+            ),
         ] {
             let error = load(&environment, file).unwrap_err();
             assert!(error.contains(path), "{error}");

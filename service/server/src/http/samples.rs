@@ -61,7 +61,7 @@ pub(super) struct SamplesQuery {
             (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
         (status = 404, description = "There is no such cycle, or it came without samples", body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
-        (status = 410, description = "They were dropped by retention; `dropped_at` says when",
+        (status = 410, description = "They were dropped by retention (`dropped_at` says when), or are missing (`samples_missing`)",
             body = ProblemDocument<'static>),
         (status = 422, description = "A parameter that is not accepted", body = ProblemDocument<'static>),
     )
@@ -138,13 +138,15 @@ pub(super) async fn no_samples(
     if !cycle.samples_are_gone() {
         return Ok(Problem::not_found("cycle with samples", id.as_str()));
     }
+    let gone = state.store.samples_gone(machine, &[(id.clone(), cycle.received_at)]).await?;
+    let Some(gone) = gone.get(id) else {
+        let detail = "the samples of this cycle are missing, and no retention dropped them: `feedwright check` tells what else is";
+        return Ok(Problem::new(StatusCode::GONE, "samples_missing", detail));
+    };
     let detail = "the samples of this cycle were dropped by retention; its summary is kept";
     let mut problem = Problem::new(StatusCode::GONE, "samples_dropped", detail);
-    let gone = state.store.samples_gone(machine, &[(id.clone(), cycle.received_at)]).await?;
-    if let Some(gone) = gone.get(id) {
-        problem.members.insert("dropped_at".to_owned(), time::show(gone.dropped_at).into());
-        problem.members.insert("reason".to_owned(), gone.reason.as_str().into());
-    }
+    problem.members.insert("dropped_at".to_owned(), time::show(gone.dropped_at).into());
+    problem.members.insert("reason".to_owned(), gone.reason.as_str().into());
     Ok(problem)
 }
 

@@ -59,6 +59,7 @@ impl PostgresStore {
             let mut first = direct.clone().application_name("feedwright migrations").connect().await?;
             assert_durable(&mut first).await?;
             assert_encoding(&mut first).await?;
+            assert_one_schema(&mut first).await?;
             Ok::<_, StoreError>(first)
         };
         // Whoever starts servers finds out that an address leads nowhere, as behind a firewall.
@@ -178,6 +179,27 @@ async fn assert_encoding(conn: &mut Conn) -> StoreResult<()> {
         return Ok(());
     }
     let detail = format!("needs a database in UTF8, this one is in {found}; nothing was changed");
+    Err(StoreError::NotWritable(detail.into()))
+}
+
+/// Tables made in another schema than those that are there would be an empty database beside a full one: as where a schema of the
+/// role's own name was made, which comes first in a search path that nobody set.
+async fn assert_one_schema(conn: &mut Conn) -> StoreResult<()> {
+    let found: Option<(String, String)> = sqlx::query_as(
+        "SELECT n.nspname::TEXT, current_schema()::TEXT
+         FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace
+         WHERE c.relname = '_sqlx_migrations' AND n.nspname = ANY(current_schemas(FALSE))
+             AND NOT EXISTS (SELECT 1 FROM pg_class o JOIN pg_namespace first ON first.oid = o.relnamespace
+                             WHERE o.relname = '_sqlx_migrations' AND first.nspname = current_schema())
+         LIMIT 1",
+    )
+    .fetch_optional(&mut *conn)
+    .await?;
+    let Some((there, first)) = found else { return Ok(()) };
+    let detail = format!(
+        "the tables are in the schema {there}, and {first} comes before it in the search path: set `search_path`, or remove \
+         {first}; nothing was changed"
+    );
     Err(StoreError::NotWritable(detail.into()))
 }
 

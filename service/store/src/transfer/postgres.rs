@@ -27,7 +27,9 @@ pub(super) struct PostgresSide {
 impl PostgresSide {
     pub(super) async fn connect(url: &str) -> StoreResult<Self> {
         let options: PgConnectOptions = url.parse()?;
-        let conn = options.application_name("feedwright transfer").connect().await?;
+        let mut conn = options.application_name("feedwright transfer").connect().await?;
+        // Types of columns are compared by their names, which a role may have quoted.
+        sqlx::query("SET quote_all_identifiers = off").execute(&mut conn).await?;
         Ok(Self { conn, numbered: Vec::new() })
     }
 
