@@ -146,6 +146,13 @@ fn named_last(message: &str) -> &str {
 }
 
 impl StoreError {
+    /// Whether PostgreSQL says that its disk is full.
+    pub(crate) fn is_of_a_full_disk(&self) -> bool {
+        let Self::Unavailable(source) = self else { return false };
+        let said = source.downcast_ref::<sqlx::Error>().and_then(sqlx::Error::as_database_error);
+        said.and_then(DatabaseError::code).is_some_and(|code| code == "53100")
+    }
+
     /// The same verdict for another row of a group that failed as a whole.
     pub(crate) fn again(&self) -> Self {
         let text = || -> Box<dyn std::error::Error + Send + Sync> {

@@ -33,8 +33,8 @@ use lent::Lent;
 use sqlx::postgres::PgConnectOptions;
 use sqlx::{ConnectOptions, Connection, PgPool};
 use std::pin::pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{Mutex, Semaphore, oneshot};
 use tokio::task::JoinHandle;
@@ -52,6 +52,10 @@ const UNSEEN: u32 = 10;
 /// As many changes may be under way that are no longer waited for; those that come then are refused at once, and do not wait for
 /// a turn that would end as theirs.
 const GIVEN_UP: usize = 2;
+
+/// A group that the server's disk had no room for says so much longer that it is full, unless another one is written: where it has
+/// room again and nobody is let to it, nobody would find out.
+const FULL_FOR: Duration = Duration::from_secs(30);
 
 /// What writes a group.
 type Writer = Conn;
@@ -100,6 +104,8 @@ struct Inner {
     changing: Semaphore,
     /// Changes that are under way and no longer waited for.
     given_up: AtomicUsize,
+    /// When the last group came that the server's disk had no room for, if none was written since.
+    full_since: std::sync::Mutex<Option<Instant>>,
     max_samples: usize,
     pooled: bool,
     registry: Arc<Registry>,
@@ -148,6 +154,26 @@ impl PostgresStore {
     async fn is_away(&self, error: &StoreError) -> bool {
         let StoreError::Unavailable(source) = error else { return false };
         matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) && self.word().await.is_err()
+    }
+
+    /// Notes what became of a group: whether the server had room for it.
+    fn heed_group(&self, outcome: Result<(), &StoreError>) {
+        let mut full = self.inner.full_since.lock().unwrap_or_else(PoisonError::into_inner);
+        match outcome {
+            Ok(()) => *full = None,
+            Err(error) if error.is_of_a_full_disk() => *full = Some(Instant::now()),
+            Err(_) => {}
+        }
+    }
+
+    /// Whether the last group, of late, was one that there was no room for. A row that is written over keeps its place on a full disk,
+    /// so that the probe says nothing of that.
+    fn has_room(&self) -> StoreResult<()> {
+        let full = *self.inner.full_since.lock().unwrap_or_else(PoisonError::into_inner);
+        match full.filter(|since| since.elapsed() < FULL_FOR) {
+            Some(_) => Err(StoreError::Unavailable("the database's disk is full".into())),
+            None => Ok(()),
+        }
     }
 
     /// Asks the server itself over a connection of its own: those of the pool, and a pooler's, may all be lent, or lead nowhere.

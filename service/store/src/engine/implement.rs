@@ -147,6 +147,7 @@ impl Engine {
             match outcome {
                 Ok((answers, memory)) => {
                     self.memory().put(memory);
+                    self.heed_group(Ok(()));
                     return Ok(answers);
                 }
                 Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_)))
@@ -161,7 +162,10 @@ impl Engine {
                 Err(StoreError::Unavailable(error)) if unknown => {
                     return Err(StoreError::OutcomeUnknown(error));
                 }
-                Err(error) => return Err(error),
+                Err(error) => {
+                    self.heed_group(Err(&error));
+                    return Err(error);
+                }
             }
         }
     }
@@ -211,7 +215,8 @@ impl Store for Engine {
             .execute(&mut *conn)
             .await?;
             dialect::may_write(conn).await
-        })
+        })?;
+        self.has_room()
     }
 
     async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>> {

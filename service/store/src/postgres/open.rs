@@ -115,6 +115,7 @@ impl PostgresStore {
             asking: Mutex::default(),
             changing: Semaphore::new(options.connections.saturating_sub(KEPT_FOR_READS).max(1) as usize),
             given_up: AtomicUsize::new(0),
+            full_since: std::sync::Mutex::default(),
             max_samples: options.max_samples,
             pooled,
             registry: Arc::default(),
