@@ -599,8 +599,7 @@ impl Config {
             let postgres = url.starts_with("postgres://") || url.starts_with("postgresql://");
             must(url.is_empty() || postgres, path, "must be empty or begin with postgres://");
             let unknown = feedwright_store::unknown_parameter(url).filter(|_| postgres);
-            let what = || format!("has a parameter `{}` that is not known", unknown.unwrap_or_default());
-            must(unknown.is_none(), path, &what());
+            must(unknown.is_none(), path, unknown.as_deref().unwrap_or_default());
         }
         must(
             !self.database.pooled || !self.database.direct_url.expose_secret().is_empty(),

@@ -240,7 +240,7 @@ impl ToolFold {
         #[expect(clippy::cast_precision_loss, reason = "counts of cycles are far below 2^53")]
         let (age, now) =
             (median(&numbers.map(|number| number as f64).collect::<Vec<_>>()), self.worked as f64);
-        1.0 + (level - 1.0) * (now / age.max(1.0)).min(MOST_ONWARD)
+        1.0 + (level - 1.0) * (now / age.max(1.0)).clamp(1.0, MOST_ONWARD)
     }
 
     /// The level that [`ToolFold::decision`] found, with what it is the median of.

@@ -315,6 +315,7 @@ fields!(ToolFold {
     unworn,
     awaiting_mount,
     announced_until,
+    answered_at,
     cycles,
     worked,
     counted,

@@ -92,6 +92,8 @@ pub struct ToolFold {
     /// Running number of the last cycle for which an engineer's announcement of changed conditions holds, which came before a step
     /// was seen; 0 without one.
     pub(super) announced_until: u64,
+    /// How many cycles there were when an event confirmed what had been seen.
+    pub(super) answered_at: Option<u64>,
     pub(super) cycles: u64,
     /// Those of them that may have worn the tool: all but air cuts, and what was given up or cut hardly anything.
     pub(super) worked: u64,
@@ -114,7 +116,7 @@ pub struct ToolFold {
     pub(super) worn: bool,
     /// Undercuts that no usual cycle has followed yet: whether each was short of its usual time.
     pub(super) suspects: Vec<bool>,
-    /// Running number of the first of them.
+    /// Running number of the first cycle with which it may have broken.
     pub(super) suspected_since: u64,
     pub(super) trend: TrendPoints,
     pub(super) feeds: FeedMemory,
@@ -128,6 +130,7 @@ impl Default for ToolFold {
             unworn: true,
             awaiting_mount: false,
             announced_until: 0,
+            answered_at: None,
             cycles: 0,
             worked: 0,
             counted: 0,
@@ -176,8 +179,10 @@ impl ToolFold {
             return;
         }
         let level = self.standing();
-        // What is being learnt has no usual yet that a step could leave: told twice, it announces nothing.
-        let mut announced = self.current_key().is_some_and(|key| key.baseline.is_some());
+        // Told twice, or of what is suspected, it announces nothing; nor where nothing is usual yet that a step could leave.
+        let mut announced = self.suspects.is_empty()
+            && self.answered_at != Some(self.cycles)
+            && self.keys.iter().any(|key| key.baseline.is_some());
         for key in &mut self.keys {
             announced &= key.change.is_none() && !key.unconfirmed && !key.stepped;
             key.unconfirmed = false;
@@ -188,6 +193,7 @@ impl ToolFold {
         }
         let holds = ANNOUNCED_CYCLES.max(4 * u64::from(self.window));
         self.announced_until = if announced { self.cycles + holds } else { 0 };
+        self.answered_at = (!announced).then_some(self.cycles);
         self.settle_suspects();
     }
 
@@ -295,19 +301,26 @@ impl ToolFold {
         let speed_changed = level.is_some() && self.keys.iter().any(|known| known.differs_in_speed(&key));
         let mut state = KeyState::new(key, settings.wear, self.standing().unwrap_or(1.0));
         if speed_changed || self.evicted {
-            state.unconfirmed = !self.take_announcement();
+            state.unconfirmed = !self.take_announcement(self.cycles);
         }
         if self.keys.len() < MAX_KEYS {
             self.keys.push(state);
             return self.keys.len() - 1;
         }
         self.evicted = true;
-        let oldest = (0..self.keys.len()).min_by_key(|&at| self.keys[at].used).unwrap_or(0);
+        // What waits to be confirmed is not forgotten.
+        let rank = |at: &usize| (self.keys[*at].change.is_some(), self.keys[*at].used);
+        let oldest = (0..self.keys.len()).min_by_key(rank).unwrap_or(0);
+        state.unconfirmed |= self.keys[oldest].change.is_some();
         self.keys[oldest] = state;
         oldest
     }
 
     fn learn(&mut self, at: usize, cycle: Measured) {
+        if self.keys[at].learning.is_empty() {
+            // As it stands now: the tool may have worn elsewhere since the key was made, or its conditions were confirmed.
+            self.keys[at].level_at_entry = self.standing().unwrap_or(1.0);
+        }
         let key = &mut self.keys[at];
         // Two cycles that agree are what "after good cycles" takes: one alone may itself be the odd one.
         let centre = key.learning_centre(2);
@@ -317,7 +330,7 @@ impl ToolFold {
         };
         if undercut {
             let short = centre.is_some_and(|centre| KeyState::looks_incomplete(&cycle, &centre));
-            self.suspect(&cycle, short);
+            self.suspect(at, &cycle, short);
             return;
         }
         if cycle.joules <= 0.0 {
@@ -333,10 +346,11 @@ impl ToolFold {
         if key.learning.iter().filter(|held| held.digest.is_some()).count() >= HELD_DIGESTS {
             cycle.digest = None;
         }
-        if key.learning.len() == 1 {
-            key.knows_since.get_or_insert(cycle.number);
-        }
+        let number = cycle.number;
         key.learning.push(cycle);
+        if key.knows_since.is_none() && key.learning_centre(2).is_some() {
+            key.knows_since = Some(number);
+        }
         if let Some(judged) = key.complete() {
             for (cycle, why) in judged {
                 match why {
@@ -361,7 +375,7 @@ impl ToolFold {
         match key.look(&cycle, &usual) {
             Look::Undercut => {
                 let short = KeyState::looks_incomplete(&cycle, &usual);
-                self.suspect(&cycle, short);
+                self.suspect(at, &cycle, short);
             }
             _ if cycle.joules <= 0.0 => self.leave_out(&cycle, Exclusion::Incomplete),
             Look::Usual if !key.goes_on(&cycle, &usual) => {
@@ -397,9 +411,10 @@ impl ToolFold {
         let key = &mut self.keys[at];
         let level_step = key.off_is_level() || key.off_is_another_sheet(&usual);
         let off = std::mem::take(&mut key.off);
+        let begun = off.first().map_or(self.cycles, |cycle| cycle.number);
         if !level_step {
             off.into_iter().for_each(|cycle| self.count(at, cycle));
-        } else if self.take_announcement() {
+        } else if self.take_announcement(begun) {
             self.keys[at].relearn(level.unwrap_or(1.0));
             off.into_iter().for_each(|cycle| self.learn(at, cycle));
         } else {
@@ -408,9 +423,9 @@ impl ToolFold {
         }
     }
 
-    /// Whether a step was announced; it is one step that was.
-    fn take_announcement(&mut self) -> bool {
-        self.cycles <= std::mem::take(&mut self.announced_until)
+    /// Whether a step that began with cycle `number` was announced; it is one step that was.
+    fn take_announcement(&mut self, number: u64) -> bool {
+        number <= std::mem::take(&mut self.announced_until)
     }
 
     /// A cycle under another override of the operator's is not compared; whether it cut at all is told all the same.
@@ -420,7 +435,7 @@ impl ToolFold {
         match usual.map(|usual| (key.look_despite_override(cycle, &usual), usual)) {
             Some((Look::Undercut, usual)) => {
                 let short = KeyState::looks_incomplete(cycle, &usual);
-                self.suspect(cycle, short);
+                self.suspect(at, cycle, short);
                 return;
             }
             Some((Look::Usual, _)) => self.settle_suspects_by(at),
@@ -438,7 +453,7 @@ impl ToolFold {
             Look::Undercut => {
                 let short = KeyState::looks_incomplete(&cycle, &change.before);
                 key.change = Some(change);
-                self.suspect(&cycle, short);
+                self.suspect(at, &cycle, short);
             }
             Look::Usual => {
                 change.back.push(cycle);
@@ -543,12 +558,13 @@ impl ToolFold {
         (!window.is_empty()).then(|| median(window))
     }
 
-    fn suspect(&mut self, cycle: &Measured, short: bool) {
+    fn suspect(&mut self, at: usize, cycle: &Measured, short: bool) {
         if self.suspects.len() == MAX_SUSPECTS {
             self.suspects.remove(0);
         }
         if self.suspects.is_empty() {
-            self.suspected_since = cycle.number;
+            // It may have broken at any time since something was usual.
+            self.suspected_since = self.last_counted.max(self.keys[at].knows_since.unwrap_or(0)) + 1;
         }
         self.suspects.push(short);
         self.leave_out(cycle, Exclusion::BrokenSuspected);

@@ -157,7 +157,7 @@ pub(super) struct KeyState {
     pub(super) unconfirmed: bool,
     /// Whether conditions changed while it was being learnt, and nobody confirmed that.
     pub(super) stepped: bool,
-    /// Running number of the second cycle that was learnt from: two that agree are what "after good cycles" takes.
+    /// Running number of the cycle with which two that it learnt from agreed: that is what "after good cycles" takes.
     pub(super) knows_since: Option<u64>,
     /// Cycles the baseline is being learnt from, in order; empty once it is complete.
     pub(super) learning: Vec<Measured>,
@@ -346,7 +346,6 @@ impl KeyState {
         };
         *self = Self {
             used: self.used,
-            knows_since: self.knows_since,
             reference_feed_mm_min: self.reference_feed_mm_min,
             ..Self::new(self.key.clone(), settings, level)
         };
@@ -361,21 +360,23 @@ impl KeyState {
     }
 
     /// Whether `cycle`, under another override than the baseline's, cut at all. At a higher feed it takes less time, and down to as much
-    /// less energy; at a lower one no less.
+    /// less energy; at a lower one more time, in which idling alone takes as much more.
     pub(super) fn look_despite_override(&self, cycle: &Measured, usual: &Usual) -> Look {
         let expected = self.baseline.as_ref().and_then(|baseline| baseline.operator_percent);
-        let shorter = (expected.unwrap_or(OPERATOR_NEUTRAL) / cycle.operator()).min(1.0);
+        let expected = expected.filter(|percent| *percent > 0.0).unwrap_or(OPERATOR_NEUTRAL);
+        let times = expected / cycle.operator().max(1.0);
         let depth_off =
             ratio(cycle.depth_mm, usual.depth_mm).is_some_and(|r| (r - 1.0).abs() > DEPTH_TOLERANCE);
         let least = UNDERCUT * usual.joules;
         if depth_off {
             Look::Off
-        } else if cycle.joules < least * shorter {
+        } else if cycle.joules < least * times.min(1.0) {
             Look::Undercut
-        } else if cycle.joules < least {
-            Look::Off
-        } else {
+        } else if (least * times.max(1.0)..=usual.joules * times.max(1.0) / UNDERCUT).contains(&cycle.joules)
+        {
             Look::Usual
+        } else {
+            Look::Off
         }
     }
 

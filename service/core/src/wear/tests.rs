@@ -274,6 +274,62 @@ fn what_is_usual_of_a_key_met_since_does_not_clear_a_broken_tool() {
 }
 
 #[test]
+fn a_key_that_is_met_or_learnt_anew_after_the_last_usual_cycle_clears_no_broken_tool() {
+    // It broke before the first undercut was seen: what was met in between is a broken tool's.
+    let mut between = Life::learnt();
+    (0..2).for_each(|_| drop(elsewhere(&mut between, 0.05, "new")));
+    between.ratios(&[0.05; 2]);
+    assert_eq!(elsewhere(&mut between, 0.05, "new").state, ToolState::BrokenSuspected);
+    // What a key had learnt is forgotten with its baseline.
+    let mut anew = Life::learnt();
+    (0..8).for_each(|_| drop(elsewhere(&mut anew, 1.0, "other")));
+    anew.ratios(&[1.3; 4]);
+    anew.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(elsewhere(&mut anew, 0.05, "other").state, ToolState::BrokenSuspected);
+    assert_eq!(anew.ratios(&[0.05; 8]).state, ToolState::BrokenSuspected);
+}
+
+#[test]
+fn confirmed_conditions_carry_the_wear_of_when_they_are_run() {
+    let mut life = Life::learnt();
+    (0..8).for_each(|_| drop(elsewhere(&mut life, 1.0, "other")));
+    life.ratios(&[1.3; 4]);
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    // It wears elsewhere before the confirmed conditions are run again.
+    for k in 1..=16 {
+        elsewhere(&mut life, 1.0 + 0.005 * f64::from(k), "other");
+    }
+    assert_eq!(life.fold.verdict().state, ToolState::Warning);
+    let verdict = life.ratios(&[1.3 * 1.08; 12]);
+    assert_eq!(verdict.state, ToolState::Warning, "{:?}", verdict.level);
+    assert!(verdict.level.unwrap().as_run > 1.05, "{:?}", verdict.level);
+}
+
+#[test]
+fn what_is_confirmed_of_a_suspected_tool_announces_no_step() {
+    let mut life = Life::learnt();
+    life.ratios(&[0.05; 2]);
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(life.fold.verdict().state, ToolState::Good);
+    assert_eq!(life.ratios(&[1.4; 4]).state, ToolState::Changed);
+    // An announcement holds for what the tool ran before, whatever it is learning now.
+    let mut told = Life::learnt();
+    elsewhere(&mut told, 1.0, "other");
+    told.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_ne!(told.ratios(&[1.4; 4]).state, ToolState::Changed);
+}
+
+#[test]
+fn changed_conditions_are_not_forgotten_among_many_keys() {
+    let mut life = Life::learnt();
+    life.ratios(&[1.3; 4]);
+    for number in 0..300 {
+        elsewhere(&mut life, 1.3, &format!("law {number}"));
+    }
+    assert_eq!(life.fold.verdict().state, ToolState::Changed);
+}
+
+#[test]
 fn changed_conditions_stay_changed_whatever_the_tool_does_elsewhere() {
     let mut life = Life::learnt();
     assert_eq!(life.ratios(&[1.3; 4]).state, ToolState::Changed);
@@ -292,7 +348,7 @@ fn a_step_long_after_it_was_announced_or_confirmed_twice_is_alarmed() {
     assert_eq!(twice.ratios(&[1.7; 4]).state, ToolState::Changed, "it was the first one that was confirmed");
     let mut late = Life::learnt();
     late.fold.event(ToolEventKind::ConditionsConfirmed);
-    late.ratios(&[1.0; 19]);
+    late.ratios(&[1.0; 20]);
     assert_eq!(late.ratios(&[1.3; 4]).state, ToolState::Changed, "20 cycles after it was announced");
     let mut soon = Life::learnt();
     soon.fold.event(ToolEventKind::ConditionsConfirmed);
@@ -314,6 +370,8 @@ fn a_tool_that_breaks_under_another_override_is_suspected() {
         assert_eq!((verdict.state, excluded(&verdict, Exclusion::OperatorOverride)), (ToolState::Good, 1));
         assert_eq!(at(&mut life, percent, least - 0.01).state, ToolState::BrokenSuspected, "{percent}");
         assert_eq!(at(&mut life, percent, 0.59).state, ToolState::BrokenSuspected, "{percent}");
+        // Idling takes the longer the slower it is: twice the energy of nothing is nothing.
+        assert_eq!(at(&mut life, 50.0, 0.7).state, ToolState::BrokenSuspected, "{percent}");
         // One that cut, at whatever override, clears it, and is not compared.
         let verdict = at(&mut life, percent, 0.9);
         assert_eq!(verdict.state, ToolState::Good, "{percent}");

@@ -25,8 +25,8 @@ fn address(flag: &str, text: &SecretString) -> anyhow::Result<Address> {
     let text = text.expose_secret();
     let address =
         Address::parse(text).with_context(|| format!("{flag} must begin with sqlite:// or postgres://"))?;
-    if let Some(name) = unknown_parameter(text).filter(|_| matches!(address, Address::Postgres(_))) {
-        bail!("{flag} has a parameter `{name}` that is not known");
+    if let Some(why) = unknown_parameter(text).filter(|_| matches!(address, Address::Postgres(_))) {
+        bail!("{flag} {why}");
     }
     Ok(address)
 }

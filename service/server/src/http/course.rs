@@ -21,7 +21,7 @@ use feedwright_core::ids::{CycleId, MachineId};
     responses(
         (status = 200, description = "The course", body = CourseBody),
         (status = 404, description = "There is no such cycle, or no samples of it", body = ProblemDocument<'static>),
-        (status = 410, description = "Its samples were dropped by retention; `dropped_at` says when",
+        (status = 410, description = "Its samples were dropped by retention (`dropped_at` says when), or are missing (`samples_lost`)",
             body = ProblemDocument<'static>),
         (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),
     )

@@ -61,7 +61,7 @@ pub(super) struct SamplesQuery {
             (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
         (status = 404, description = "There is no such cycle, or it came without samples", body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
-        (status = 410, description = "They were dropped by retention (`dropped_at` says when), or are missing (`samples_missing`)",
+        (status = 410, description = "They were dropped by retention (`dropped_at` says when), or are missing (`samples_lost`)",
             body = ProblemDocument<'static>),
         (status = 422, description = "A parameter that is not accepted", body = ProblemDocument<'static>),
     )
@@ -141,7 +141,7 @@ pub(super) async fn no_samples(
     let gone = state.store.samples_gone(machine, &[(id.clone(), cycle.received_at)]).await?;
     let Some(gone) = gone.get(id) else {
         let detail = "the samples of this cycle are missing, and no retention dropped them: `feedwright check` tells what else is";
-        return Ok(Problem::new(StatusCode::GONE, "samples_missing", detail));
+        return Ok(Problem::new(StatusCode::GONE, "samples_lost", detail));
     };
     let detail = "the samples of this cycle were dropped by retention; its summary is kept";
     let mut problem = Problem::new(StatusCode::GONE, "samples_dropped", detail);

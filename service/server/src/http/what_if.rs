@@ -32,7 +32,7 @@ const CHUNK: usize = 16;
     responses(
         (status = 200, body = WhatIfAnswer),
         (status = 404, description = "There is no such cycle", body = ProblemDocument<'static>),
-        (status = 410, description = "Its samples were dropped by retention", body = ProblemDocument<'static>),
+        (status = 410, description = "Its samples were dropped by retention, or are missing (`samples_lost`)", body = ProblemDocument<'static>),
         (status = 422, description = "A control that is none, or a cycle that says too little (`cycle_not_usable`)",
             body = ProblemDocument<'static>),
         (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),

@@ -35,7 +35,7 @@ const SLOWEST_FEED_MM_MIN: f64 = 1.0;
 pub enum Unusable {
     /// It came without samples.
     NoSamples,
-    /// Its samples were dropped by retention.
+    /// It came with samples that are not there any more.
     SamplesDropped,
     /// Depth, feed-drive load or spindle load was not sampled.
     MissingChannel,

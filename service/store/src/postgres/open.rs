@@ -190,6 +190,7 @@ async fn assert_one_schema(conn: &mut Conn) -> StoreResult<()> {
         "SELECT n.nspname::TEXT, current_schema()::TEXT
          FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace
          WHERE c.relname = '_sqlx_migrations' AND n.nspname = ANY(current_schemas(FALSE))
+             AND EXISTS (SELECT 1 FROM pg_class ours WHERE ours.relnamespace = n.oid AND ours.relname = 'cycle_samples')
              AND NOT EXISTS (SELECT 1 FROM pg_class o JOIN pg_namespace first ON first.oid = o.relnamespace
                              WHERE o.relname = '_sqlx_migrations' AND first.nspname = current_schema())
          LIMIT 1",

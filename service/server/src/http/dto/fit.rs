@@ -39,7 +39,7 @@ pub struct FitAnswer {
     pub torque: LineFit,
     /// Cycles that were looked at.
     pub considered: u32,
-    /// Cycles that gave nothing, by reason: `no_samples`, `samples_dropped` (by retention), `no_dynamometer`.
+    /// Cycles that gave nothing, by reason: `no_samples`, `samples_dropped` (or missing), `no_dynamometer`.
     pub skipped: BTreeMap<&'static str, u32>,
 }
 

@@ -62,6 +62,11 @@ impl From<&ToolLife> for LifeBody {
             Some((_, _, duration_ms)) => duration_ms,
             None => cycle.facts.duration_ms,
         };
+        // As it is compared: friction drilling alone has reference cycles.
+        let strategy = |cycle: &LifeCycle| match cycle.settings {
+            Some(settings) if !settings.is_friction => cycle.facts.strategy,
+            _ => cycle.facts.compared_as(),
+        };
         let ratio = |cycle: &LifeCycle| life.verdict.ratio_of(&cycle.facts, cycle.settings.as_ref()?);
         Self {
             wear: WearBody::from(&life.verdict).owned(),
@@ -70,7 +75,7 @@ impl From<&ToolLife> for LifeBody {
             machine: facts().map(|facts| facts.order.machine.to_string()).collect(),
             cycle_id: facts().map(|facts| facts.order.cycle.to_string()).collect(),
             operation: facts().map(|facts| facts.operation.to_string()).collect(),
-            strategy: facts().map(|facts| facts.compared_as().map(Strategy::as_str)).collect(),
+            strategy: life.cycles.iter().map(|cycle| strategy(cycle).map(Strategy::as_str)).collect(),
             energy_joules: life.cycles.iter().map(joules).collect(),
             energy_ratio: life.cycles.iter().map(ratio).collect(),
             level: life.cycles.iter().map(|cycle| cycle.level.map(|level| level.value)).collect(),

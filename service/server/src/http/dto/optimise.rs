@@ -542,6 +542,6 @@ pub struct OutcomeAnswer {
     /// Cycles that ran it and are not compared.
     pub skipped: usize,
     /// Which they are, and why: `aborted`, `cut_short` (the server kept only a part), `no_samples`,
-    /// `samples_dropped` (by retention), `too_short`, `too_many_samples`.
+    /// `samples_dropped` (or missing), `too_short`, `too_many_samples`.
     pub skipped_cycles: Vec<SkippedBody>,
 }

@@ -11,6 +11,9 @@ import { opening } from "../live.js";
 import { entered, numeric, written } from "../fields.js";
 import { t, told } from "../text.js";
 
+/** Refusals of a cycle whose samples are not there any more. */
+const GONE = new Set(["samples_dropped", "samples_lost"]);
+
 const asked = new URLSearchParams(location.search);
 const RECENT = 60, APPROACH_MM = -1.2, APPROACH_S = 0.6, KEYS = 40;
 const cyclePath = (machine, id) => `/v1/machines/${segment(machine)}/cycles/${segment(id)}`;
@@ -305,7 +308,7 @@ async function compare(to, id) {
     build();
   } catch (error) {
     if (!(error instanceof ApiError)) throw error;
-    put(said, error.code === "cycle_not_usable" || error.code === "samples_dropped" ? notice("", t("cycle.noWhatIf"), told("whatif", error.code === "samples_dropped" ? "no_samples" : error.reason ?? "", error.message)) : failure(error));
+    put(said, error.code === "cycle_not_usable" || GONE.has(error.code) ? notice("", t("cycle.noWhatIf"), told("whatif", GONE.has(error.code) ? "samples_dropped" : error.reason ?? "", error.message)) : failure(error));
   }
 }
 /** The same depths under another control, as the identified load–feed relation predicts them. */
