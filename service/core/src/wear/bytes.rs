@@ -256,6 +256,7 @@ fields!(BaselineKey {
 fields!(Measured {
     number,
     worked,
+    level,
     machine,
     cycle,
     started_us,
@@ -294,6 +295,8 @@ fields!(KeyState {
     unconfirmed,
     stepped,
     knows_since,
+    last_usual,
+    before,
     learning,
     baseline,
     recent,

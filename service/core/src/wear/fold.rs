@@ -182,7 +182,8 @@ impl ToolFold {
         // Told twice, or of what is suspected, it announces nothing; nor where nothing is usual yet that a step could leave.
         let mut announced = self.suspects.is_empty()
             && self.answered_at != Some(self.cycles)
-            && self.keys.iter().any(|key| key.baseline.is_some());
+            && self.keys.iter().any(|key| key.baseline.is_some())
+            && !self.keys.iter().any(|key| key.baseline.is_none() && key.before.is_some());
         for key in &mut self.keys {
             announced &= key.change.is_none() && !key.unconfirmed && !key.stepped;
             key.unconfirmed = false;
@@ -317,19 +318,14 @@ impl ToolFold {
     }
 
     fn learn(&mut self, at: usize, cycle: Measured) {
-        if self.keys[at].learning.is_empty() {
-            // As it stands now: the tool may have worn elsewhere since the key was made, or its conditions were confirmed.
-            self.keys[at].level_at_entry = self.standing().unwrap_or(1.0);
-        }
+        let level = self.standing().unwrap_or(1.0);
         let key = &mut self.keys[at];
         // Two cycles that agree are what "after good cycles" takes: one alone may itself be the odd one.
         let centre = key.learning_centre(2);
-        let undercut = match &centre {
-            Some(centre) => key.look(&cycle, centre) == Look::Undercut,
-            None => false,
-        };
-        if undercut {
-            let short = centre.is_some_and(|centre| KeyState::looks_incomplete(&cycle, &centre));
+        // Whoever confirms a step confirms none to hardly anything: before it is learnt anew, that is told by what was usual before.
+        let usual = [centre, key.before].into_iter().flatten();
+        if let Some(usual) = usual.into_iter().find(|usual| key.look(&cycle, usual) == Look::Undercut) {
+            let short = KeyState::looks_incomplete(&cycle, &usual);
             self.suspect(at, &cycle, short);
             return;
         }
@@ -338,6 +334,7 @@ impl ToolFold {
             return;
         }
         if centre.is_some_and(|centre| key.look(&cycle, &centre) == Look::Usual) {
+            key.last_usual = key.last_usual.max(cycle.number);
             self.settle_suspects_by(at);
         }
         self.note_reference(at, cycle.number);
@@ -347,7 +344,11 @@ impl ToolFold {
             cycle.digest = None;
         }
         let number = cycle.number;
+        cycle.level = level;
         key.learning.push(cycle);
+        // Where learning is interrupted the tool may have worn elsewhere meanwhile.
+        let levels: Vec<f64> = key.learning.iter().map(|cycle| cycle.level).collect();
+        key.level_at_entry = median(&levels);
         if key.knows_since.is_none() && key.learning_centre(2).is_some() {
             key.knows_since = Some(number);
         }
@@ -521,6 +522,7 @@ impl ToolFold {
         self.window = key.window;
         self.counted += 1;
         self.last_counted = self.last_counted.max(cycle.number);
+        key.last_usual = key.last_usual.max(cycle.number);
         self.last_counted_us = self.last_counted_us.max(Some(cycle.started_us));
         self.unmeasured = 0;
         key.keep(cycle);
@@ -563,8 +565,9 @@ impl ToolFold {
             self.suspects.remove(0);
         }
         if self.suspects.is_empty() {
-            // It may have broken at any time since something was usual.
-            self.suspected_since = self.last_counted.max(self.keys[at].knows_since.unwrap_or(0)) + 1;
+            // It may have broken at any time since something of this key was usual.
+            let key = &self.keys[at];
+            self.suspected_since = key.last_usual.max(key.knows_since.unwrap_or(0)) + 1;
         }
         self.suspects.push(short);
         self.leave_out(cycle, Exclusion::BrokenSuspected);

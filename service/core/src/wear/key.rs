@@ -66,6 +66,8 @@ pub(super) struct Measured {
     pub(super) number: u64,
     /// The same of the cycles that may have worn the tool.
     pub(super) worked: u64,
+    /// The tool's level when a baseline was learnt from it; 1 for others.
+    pub(super) level: f64,
     pub(super) machine: MachineId,
     pub(super) cycle: CycleId,
     pub(super) started_us: i64,
@@ -89,6 +91,7 @@ impl Measured {
         Self {
             number,
             worked,
+            level: 1.0,
             machine: facts.order.machine.clone(),
             cycle: facts.order.cycle.clone(),
             started_us: facts.order.started_at.micros(),
@@ -159,6 +162,10 @@ pub(super) struct KeyState {
     pub(super) stepped: bool,
     /// Running number of the cycle with which two that it learnt from agreed: that is what "after good cycles" takes.
     pub(super) knows_since: Option<u64>,
+    /// Running number of the last cycle that was as usual.
+    pub(super) last_usual: u64,
+    /// What was usual before it was to be learnt anew.
+    pub(super) before: Option<Usual>,
     /// Cycles the baseline is being learnt from, in order; empty once it is complete.
     pub(super) learning: Vec<Measured>,
     pub(super) baseline: Option<Baseline>,
@@ -273,6 +280,8 @@ impl KeyState {
             unconfirmed: false,
             stepped: false,
             knows_since: None,
+            last_usual: 0,
+            before: None,
             learning: Vec::new(),
             baseline: None,
             recent: Vec::new(),
@@ -344,8 +353,12 @@ impl KeyState {
             window_cycles: self.window,
             ..WearSettings::default()
         };
+        let before = self.change.as_ref().map(|change| change.before).or_else(|| self.usual());
         *self = Self {
             used: self.used,
+            knows_since: self.knows_since,
+            last_usual: self.last_usual,
+            before: before.or(self.before),
             reference_feed_mm_min: self.reference_feed_mm_min,
             ..Self::new(self.key.clone(), settings, level)
         };

@@ -261,6 +261,7 @@ fn elsewhere(life: &mut Life, ratio: f64, law: &str) -> Verdict {
 fn what_is_usual_of_a_key_met_since_does_not_clear_a_broken_tool() {
     let mut life = Life::learnt();
     (0..5).for_each(|_| drop(elsewhere(&mut life, 1.0, "known")));
+    life.ratio(1.0);
     life.ratios(&[0.02; 3]);
     let states: Vec<ToolState> = (0..12).map(|_| elsewhere(&mut life, 0.02, "new").state).collect();
     assert_eq!(states, [ToolState::BrokenSuspected; 12], "what a broken tool takes is as usual for it");
@@ -287,6 +288,39 @@ fn a_key_that_is_met_or_learnt_anew_after_the_last_usual_cycle_clears_no_broken_
     anew.fold.event(ToolEventKind::ConditionsConfirmed);
     assert_eq!(elsewhere(&mut anew, 0.05, "other").state, ToolState::BrokenSuspected);
     assert_eq!(anew.ratios(&[0.05; 8]).state, ToolState::BrokenSuspected);
+}
+
+#[test]
+fn a_confirmed_step_is_none_to_hardly_anything() {
+    let mut life = Life::learnt();
+    life.ratios(&[1.3; 4]);
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(life.ratios(&[0.05; 12]).state, ToolState::BrokenSuspected);
+    assert_eq!(life.ratios(&[1.3; 6]).state, ToolState::Good, "it was air");
+    // A key that was learnt by a broken tool alone vouches for nothing, also once it is complete.
+    let mut broken = Life::learnt();
+    (0..7).for_each(|_| drop(elsewhere(&mut broken, 0.05, "new")));
+    broken.ratios(&[0.05; 2]);
+    assert_eq!(elsewhere(&mut broken, 0.05, "new").state, ToolState::BrokenSuspected);
+    // One that had been known before a step was announced does, once its cycles agree again.
+    let mut announced = Life::learnt();
+    announced.fold.event(ToolEventKind::ConditionsConfirmed);
+    announced.ratio(0.05);
+    assert_eq!(announced.ratios(&[1.3; 10]).state, ToolState::Good);
+}
+
+#[test]
+fn wear_between_the_cycles_that_a_key_is_learnt_from_is_carried_over() {
+    let mut life = Life::learnt();
+    elsewhere(&mut life, 1.0, "seldom");
+    for k in 1..=18 {
+        life.ratio(1.0 + 0.005 * f64::from(k));
+    }
+    assert_eq!(life.ratios(&[1.09; 5]).state, ToolState::Warning);
+    let states: Vec<ToolState> = (0..8).map(|_| elsewhere(&mut life, 1.09, "seldom").state).collect();
+    let verdict = life.fold.verdict();
+    assert_eq!(verdict.state, ToolState::Warning, "{states:?} {:?}", verdict.level);
+    assert!((verdict.level.unwrap().as_run - 1.09).abs() < 0.01, "{:?}", verdict.level);
 }
 
 #[test]
@@ -344,6 +378,8 @@ fn a_step_long_after_it_was_announced_or_confirmed_twice_is_alarmed() {
     let mut twice = Life::learnt();
     twice.ratios(&[1.3; 4]);
     (0..3).for_each(|_| twice.fold.event(ToolEventKind::ConditionsConfirmed));
+    twice.ratio(1.3);
+    twice.fold.event(ToolEventKind::ConditionsConfirmed);
     twice.ratios(&[1.3; 8]);
     assert_eq!(twice.ratios(&[1.7; 4]).state, ToolState::Changed, "it was the first one that was confirmed");
     let mut late = Life::learnt();
