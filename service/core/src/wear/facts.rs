@@ -119,8 +119,9 @@ impl CycleFacts {
         }
     }
 
-    /// The strategy that its energy is compared under.
-    pub fn compared_as(&self) -> Option<Strategy> {
-        if self.is_reference() { Some(Strategy::FConst) } else { self.strategy }
+    /// The strategy that its energy is compared under. Friction drilling alone has reference cycles, and of a cycle whose operation
+    /// was not registered yet nobody knew what it was.
+    pub fn compared_as(&self, is_friction: bool) -> Option<Strategy> {
+        if is_friction && self.is_reference() { Some(Strategy::FConst) } else { self.strategy }
     }
 }

@@ -250,7 +250,7 @@ impl ToolFold {
         let friction = settings.filter(|settings| settings.is_friction);
         self.feeds.every = friction.and_then(|settings| settings.wear.reference_every_cycles);
         self.feeds.reference_feed_mm_min = friction.and_then(|settings| settings.reference_feed_mm_min);
-        if friction.is_some() && varies_feed(facts.compared_as()) {
+        if friction.is_some() && varies_feed(facts.compared_as(true)) {
             self.feeds.varied = true;
             self.feeds.ever_varied = true;
         }
@@ -432,8 +432,7 @@ impl ToolFold {
     /// A cycle under another override of the operator's is not compared; whether it cut at all is told all the same.
     fn leave_out_for_override(&mut self, at: usize, cycle: &Measured) {
         let key = &self.keys[at];
-        let usual = key.change.as_ref().map(|change| change.before).or_else(|| key.usual());
-        match usual.map(|usual| (key.look_despite_override(cycle, &usual), usual)) {
+        match key.confirmed_usual().map(|usual| (key.look_despite_override(cycle, &usual), usual)) {
             Some((Look::Undercut, usual)) => {
                 let short = KeyState::looks_incomplete(cycle, &usual);
                 self.suspect(at, cycle, short);

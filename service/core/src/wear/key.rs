@@ -201,6 +201,11 @@ fn push_bounded<T>(ring: &mut Vec<T>, value: T, bound: usize) {
     ring.push(value);
 }
 
+/// Whether `cycle` reached another depth than usual.
+fn depth_is_off(cycle: &Measured, usual: &Usual) -> bool {
+    ratio(cycle.depth_mm, usual.depth_mm).is_some_and(|r| (r - 1.0).abs() > DEPTH_TOLERANCE)
+}
+
 /// Whether two speeds share a key.
 fn speeds_match(one: Option<f64>, other: Option<f64>) -> bool {
     match (one, other) {
@@ -215,8 +220,7 @@ impl BaselineKey {
     pub(super) fn of(facts: &CycleFacts, in_contact: bool, settings: &FoldSettings) -> Self {
         let (basis, idle_subtracted) =
             facts.energy.map_or((EnergyBasis::Reported, false), |(basis, net, _)| (basis, net));
-        // Friction drilling alone has reference cycles, and of a cycle whose operation was not registered yet nobody knew what it was.
-        let strategy = if settings.is_friction { facts.compared_as() } else { facts.strategy };
+        let strategy = facts.compared_as(settings.is_friction);
         // What else a machine names with a reference cycle it was asked for is what runs between them.
         let as_told = strategy == facts.strategy;
         Self {
@@ -353,7 +357,7 @@ impl KeyState {
             window_cycles: self.window,
             ..WearSettings::default()
         };
-        let before = self.change.as_ref().map(|change| change.before).or_else(|| self.usual());
+        let before = self.confirmed_usual();
         *self = Self {
             used: self.used,
             knows_since: self.knows_since,
@@ -378,8 +382,7 @@ impl KeyState {
         let expected = self.baseline.as_ref().and_then(|baseline| baseline.operator_percent);
         let expected = expected.filter(|percent| *percent > 0.0).unwrap_or(OPERATOR_NEUTRAL);
         let times = expected / cycle.operator().max(1.0);
-        let depth_off =
-            ratio(cycle.depth_mm, usual.depth_mm).is_some_and(|r| (r - 1.0).abs() > DEPTH_TOLERANCE);
+        let depth_off = depth_is_off(cycle, usual);
         let least = UNDERCUT * usual.joules;
         if depth_off {
             Look::Off
@@ -391,6 +394,11 @@ impl KeyState {
         } else {
             Look::Off
         }
+    }
+
+    /// What is usual, or was before a step that nobody has confirmed.
+    pub(super) fn confirmed_usual(&self) -> Option<Usual> {
+        self.change.as_ref().map(|change| change.before).or_else(|| self.usual())
     }
 
     /// What the last counted cycles amount to.
@@ -411,8 +419,7 @@ impl KeyState {
 
     /// How `cycle` compares with `usual`.
     pub(super) fn look(&self, cycle: &Measured, usual: &Usual) -> Look {
-        let depth_off =
-            ratio(cycle.depth_mm, usual.depth_mm).is_some_and(|r| (r - 1.0).abs() > DEPTH_TOLERANCE);
+        let depth_off = depth_is_off(cycle, usual);
         if cycle.joules < UNDERCUT * usual.joules && !depth_off {
             return Look::Undercut;
         }

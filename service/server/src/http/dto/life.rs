@@ -62,11 +62,7 @@ impl From<&ToolLife> for LifeBody {
             Some((_, _, duration_ms)) => duration_ms,
             None => cycle.facts.duration_ms,
         };
-        // As it is compared: friction drilling alone has reference cycles.
-        let strategy = |cycle: &LifeCycle| match cycle.settings {
-            Some(settings) if !settings.is_friction => cycle.facts.strategy,
-            _ => cycle.facts.compared_as(),
-        };
+        let strategy = |cycle: &LifeCycle| cycle.facts.compared_as(is_friction(cycle));
         let ratio = |cycle: &LifeCycle| life.verdict.ratio_of(&cycle.facts, cycle.settings.as_ref()?);
         Self {
             wear: WearBody::from(&life.verdict).owned(),
