@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// Fills a server with the cycles of one round, and asks `dbstat`.
 pub(crate) async fn tell() {
     let dir = tempfile::tempdir().expect("a directory");
-    let server = Running::feedwright(dir.path()).await;
+    let server = Running::feedwright(dir.path(), None).await;
     let client = reqwest::Client::new();
     data::register(&client, &server.address, &server.token, data::MACHINES).await;
     let cycles = Arc::new(data::cycles(CYCLES));

@@ -2,6 +2,7 @@
 
 use super::data::{self, MORNING_MS};
 use super::median;
+use super::place::{Engine, Ours};
 use super::process::Running;
 use std::fmt::Write;
 use std::process::Command;
@@ -17,28 +18,28 @@ const MEASURED: usize = 20_000;
 const ASKED: usize = 1000;
 
 /// Grows to `most` summary-only cycles and compares the cost there with that at ten thousand.
-pub(crate) async fn grow(most: usize) {
-    let dir = tempfile::tempdir().expect("a directory");
-    let server = Running::feedwright(dir.path()).await;
+pub(crate) async fn grow(engine: Engine, most: usize) {
+    let ours = Ours::start(engine).await;
+    let server = &ours.server;
     let client = reqwest::Client::new();
     data::register(&client, &server.address, &server.token, data::MACHINES).await;
     let mut stored = 0;
-    fill(&server, &client, &mut stored, FIRST).await;
-    let first = measure(&server, &client, &mut stored).await;
+    fill(server, &client, &mut stored, FIRST).await;
+    let first = measure(&ours, &client, &mut stored).await;
     tell(FIRST, first);
     let begun = Instant::now();
-    fill(&server, &client, &mut stored, most).await;
+    fill(server, &client, &mut stored, most).await;
     println!("grown to {stored} cycles in {:.0} s", begun.elapsed().as_secs_f64());
-    let last = measure(&server, &client, &mut stored).await;
+    let last = measure(&ours, &client, &mut stored).await;
     tell(most, last);
     println!(
         "at {most} × at {FIRST}: ingest {:.2}, latest recommendation {:.2}",
         last.0 / first.0,
         last.1 / first.1
     );
-    server.stop().await;
+    let bytes = ours.end().await;
     #[expect(clippy::cast_precision_loss, reason = "a figure for a table")]
-    let each = data::size_of(dir.path()) as f64 / stored as f64;
+    let each = bytes as f64 / stored as f64;
     println!("{each:.0} bytes on disk per cycle");
 }
 
@@ -51,13 +52,14 @@ fn tell(at: usize, (cpu, asked): (f64, f64)) {
 }
 
 /// Server CPU per cycle, s, and the median of a recommendation, s.
-async fn measure(server: &Running, client: &reqwest::Client, stored: &mut usize) -> (f64, f64) {
+async fn measure(ours: &Ours, client: &reqwest::Client, stored: &mut usize) -> (f64, f64) {
     // A recommendation is on disk before it is answered, and would wait behind gigabytes that the system still writes.
     assert!(Command::new("sync").status().expect("sync").success(), "what was filled is on disk");
-    let (cpu, wanted) = (server.cpu_seconds(), *stored + MEASURED);
+    let server = &ours.server;
+    let (cpu, wanted) = (ours.cpu_seconds(), *stored + MEASURED);
     fill(server, client, stored, wanted).await;
     #[expect(clippy::cast_precision_loss, reason = "a figure for a table")]
-    let each = (server.cpu_seconds() - cpu) / MEASURED as f64;
+    let each = (ours.cpu_seconds() - cpu) / MEASURED as f64;
     let mut times: Vec<Duration> = Vec::with_capacity(ASKED);
     for index in 0..ASKED {
         let machine = index % data::MACHINES;

@@ -2,7 +2,8 @@
 //!
 //! `cargo bench -p feedwright-server --bench posts` measures Feedwright alone, with JSON and with the binary form; with
 //! `-- --peers` it starts VictoriaMetrics and InfluxDB too (Debian's packages `victoria-metrics` and `influxdb`) and
-//! prints ratios; behind `tests/postgres` it also reads cycles out of rows of PostgreSQL.
+//! prints ratios; behind `tests/postgres` it also fills rows of PostgreSQL and reads cycles out of them. With `-- --postgres`,
+//! behind `tests/postgres`, Feedwright keeps its cycles in that server: its processor time counts as Feedwright's does.
 //! `-- --weekend` replays 96,000 cycles of 200 machines while others post live; `-- --growth 10000000` tells what so
 //! many cycles do to the cost of the next one; `-- --stages` tells what each step of a post costs by itself;
 //! `-- --bytes` tells where the bytes of a file go, and `-- --blocks` what samples of many cycles in one block would save.
@@ -14,6 +15,7 @@ mod data;
 mod growth;
 mod lone;
 mod peers;
+mod place;
 mod process;
 mod rest;
 mod stages;
@@ -21,8 +23,8 @@ mod weekend;
 
 use data::Cycle;
 use lone::Lone;
+use place::{Engine, Ours};
 use process::Running;
-use rest::rest;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -41,6 +43,8 @@ const ROUNDS: usize = 5;
 struct Round {
     /// Values per second of the server's processor time, what it does afterwards before it is at rest included.
     values_per_cpu_second: f64,
+    /// What the server of a database has of that time.
+    database: f64,
     /// Cycles of a commit, on average, while many post.
     group: f64,
     /// Median time of a cycle posted alone, s.
@@ -98,12 +102,13 @@ fn main() {
     if given("--bytes").is_some() {
         return runtime.block_on(bytes::tell());
     }
+    let engine = given("--postgres").map_or(Engine::Sqlite, |_| Engine::Postgres);
     if given("--weekend").is_some() {
-        return runtime.block_on(weekend::replay());
+        return runtime.block_on(weekend::replay(engine));
     }
     if let Some(at) = given("--growth") {
         let cycles = arguments.get(at + 1).and_then(|text| text.parse().ok());
-        return runtime.block_on(growth::grow(cycles.expect("--growth CYCLES")));
+        return runtime.block_on(growth::grow(engine, cycles.expect("--growth CYCLES")));
     }
     let count_of = |at: usize| arguments.get(at + 1).and_then(|text| text.parse().ok());
     let repeated: usize = given("--rounds").map_or(ROUNDS, |at| count_of(at).expect("--rounds NUMBER"));
@@ -126,10 +131,10 @@ fn main() {
     for _ in 0..repeated {
         for (system, done) in &mut rounds {
             let round = match system {
-                System::Json => runtime.block_on(feedwright(&cycles, &JSON, WHOLE)),
-                System::Binary => runtime.block_on(feedwright(&cycles, &BINARY, WHOLE)),
-                System::JsonMinimal => runtime.block_on(feedwright(&cycles, &JSON, MINIMAL)),
-                System::BinaryMinimal => runtime.block_on(feedwright(&cycles, &BINARY, MINIMAL)),
+                System::Json => runtime.block_on(feedwright(engine, &cycles, &JSON, WHOLE)),
+                System::Binary => runtime.block_on(feedwright(engine, &cycles, &BINARY, WHOLE)),
+                System::JsonMinimal => runtime.block_on(feedwright(engine, &cycles, &JSON, MINIMAL)),
+                System::BinaryMinimal => runtime.block_on(feedwright(engine, &cycles, &BINARY, MINIMAL)),
                 System::VictoriaMetrics => runtime.block_on(peers::victoria_metrics(&cycles)),
                 System::InfluxDb => runtime.block_on(peers::influxdb(&cycles)),
                 // On one thread, as the client of the others while they are read.
@@ -141,6 +146,7 @@ fn main() {
     for (system, done) in &rounds {
         println!("\n{}", system.name());
         show("  million values per server-CPU-second", done, |round| round.values_per_cpu_second / 1e6);
+        show("  of its processor time the database's", done, |round| round.database);
         show("  cycles a commit", done, |round| round.group);
         show("  one cycle alone, p50 ms", done, |round| round.alone_p50 * 1e3);
         show("  one cycle alone, p99 ms", done, |round| round.alone_p99 * 1e3);
@@ -197,17 +203,19 @@ const BINARY: Form = Form { media_type: feedwright_store::wire::MEDIA_TYPE, body
 const WHOLE: &str = "return=representation";
 const MINIMAL: &str = "return=minimal";
 
-/// One round of Feedwright: a server of its own on SQLite, everything switched on.
-async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form, prefer: &'static str) -> Round {
-    let dir = tempfile::tempdir().expect("a directory");
-    let server = Running::feedwright(dir.path()).await;
+/// One round of Feedwright: a server of its own, everything switched on.
+async fn feedwright(engine: Engine, cycles: &Arc<Vec<Cycle>>, form: &Form, prefer: &'static str) -> Round {
+    let mut ours = Ours::start(engine).await;
+    let server = &ours.server;
     let client = reqwest::Client::new();
     data::register(&client, &server.address, &server.token, data::MACHINES).await;
     let bodies: Arc<Vec<Vec<u8>>> = Arc::new(cycles.iter().map(form.body).collect());
-    let cpu = server.cpu_seconds();
-    post_all(&client, &server, (cycles, &bodies), (form.media_type, prefer)).await;
-    let spent = rest(&server, dir.path()).await - cpu;
-    let group = mean_group(&client, &server).await;
+    let (cpu, database) = (ours.cpu_seconds(), ours.database_seconds());
+    post_all(&client, server, (cycles, &bodies), (form.media_type, prefer)).await;
+    let spent = ours.rest().await - cpu;
+    let share = (engine == Engine::Postgres).then(|| (ours.database_seconds() - database) / spent);
+    let server = &ours.server;
+    let group = mean_group(&client, server).await;
     let headers = format!(
         "authorization: Bearer {}\r\ncontent-type: {}\r\nprefer: {prefer}\r\n",
         server.token, form.media_type
@@ -228,10 +236,11 @@ async fn feedwright(cycles: &Arc<Vec<Cycle>>, form: &Form, prefer: &'static str)
         reads.push(time);
     }
     let resident = server.resident_bytes();
-    server.stop().await;
+    let bytes = ours.end().await;
     let stored: usize = cycles.iter().map(Cycle::values).sum();
     let values = cycles[..CYCLES].iter().map(Cycle::values).sum();
-    Round { group, ..round(values, spent, (alone, reads), resident, data::size_of(dir.path()), stored) }
+    let database = share.unwrap_or(f64::NAN);
+    Round { group, database, ..round(values, spent, (alone, reads), resident, bytes, stored) }
 }
 
 /// Posts the first [`CYCLES`] of them, by as many clients as there are machines.
@@ -302,6 +311,7 @@ fn round(
     let alone_p50 = median(&mut alone);
     Round {
         values_per_cpu_second: values as f64 / cpu,
+        database: f64::NAN,
         group: f64::NAN,
         alone_p50,
         alone_p99: alone.get(alone.len() * 99 / 100).map_or(f64::NAN, Duration::as_secs_f64),

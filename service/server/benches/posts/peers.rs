@@ -2,6 +2,7 @@
 
 use super::data::{Cycle, size_of};
 use super::lone::Lone;
+use super::place::{postmaster_of, seconds_below};
 use super::process::{Running, free_port};
 use super::rest::rest;
 use super::{ALONE, CYCLES, Round, median, round};
@@ -42,7 +43,7 @@ pub(crate) async fn victoria_metrics(cycles: &Arc<Vec<Cycle>>) -> Round {
         reads.push(time);
     }
     assert_eq!(lone.get("/internal/force_merge").1, 200);
-    rest(&server, dir.path()).await;
+    at_rest(&server, dir.path()).await;
     // Beside them it leaves caches when it stops, of one size whatever it holds.
     let merged = ["data", "indexdb"].map(|name| bytes_per_value(&dir.path().join(name), cycles));
     server.stop().await;
@@ -83,7 +84,8 @@ fn seconds(ms: u64) -> f64 {
 /// A time and eight values.
 type SampleRow = (i64, f64, f64, f64, f64, f64, f64, f64, f64);
 
-/// A row per sample in PostgreSQL, filled by COPY; only what reading a cycle costs, and what it takes on disk.
+/// A row per sample in PostgreSQL: what filling it by COPY costs, before there is an index, what reading a cycle costs, and what
+/// it takes on disk.
 pub(crate) async fn postgres_rows(cycles: &Arc<Vec<Cycle>>) -> Round {
     let address = std::env::var("FEEDWRIGHT_TEST_POSTGRES").expect("behind tests/postgres");
     let mut server = PgConnection::connect(&address).await.expect("the server of tests/postgres");
@@ -95,6 +97,8 @@ pub(crate) async fn postgres_rows(cycles: &Arc<Vec<Cycle>>) -> Round {
         )
         .await
         .expect("a fresh table");
+    let postmaster = postmaster_of(&mut server).await;
+    let cpu = seconds_below(postmaster);
     for bulk in cycles.chunks(BULK) {
         let mut copy = server.copy_in_raw("COPY samples FROM STDIN").await.expect("a copy");
         let mut text = String::new();
@@ -110,6 +114,8 @@ pub(crate) async fn postgres_rows(cycles: &Arc<Vec<Cycle>>) -> Round {
         copy.send(text.as_bytes()).await.expect("rows");
         copy.finish().await.expect("rows");
     }
+    server.execute("CHECKPOINT").await.expect("nothing is put off");
+    let spent = seconds_below(postmaster) - cpu;
     server.execute("CREATE INDEX samples_by_machine ON samples (machine, at)").await.expect("an index");
     server.execute("VACUUM ANALYZE samples").await.expect("statistics");
     let mut reads = Vec::with_capacity(ALONE);
@@ -134,16 +140,21 @@ pub(crate) async fn postgres_rows(cycles: &Arc<Vec<Cycle>>) -> Round {
         .expect("a size");
     server.execute("DROP TABLE samples").await.expect("removed");
     let values: usize = cycles.iter().map(Cycle::values).sum();
-    let nothing = Round { read_p50: median(&mut reads), ..round(0, f64::NAN, (vec![], vec![]), 0, 0, 1) };
+    let filled = Round { read_p50: median(&mut reads), ..round(values, spent, (vec![], vec![]), 0, 0, 1) };
     #[expect(clippy::cast_precision_loss, reason = "figures for a table")]
     let bytes_per_value = bytes as f64 / values as f64;
-    Round { bytes_per_value, resident: f64::NAN, ..nothing }
+    Round { bytes_per_value, resident: f64::NAN, ..filled }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "figures for a table")]
 fn bytes_per_value(dir: &Path, cycles: &[Cycle]) -> f64 {
     let values: usize = cycles.iter().map(Cycle::values).sum();
     size_of(dir) as f64 / values as f64
+}
+
+/// Processor time of a peer when it is at rest, s.
+async fn at_rest(server: &Running, dir: &Path) -> f64 {
+    rest(&server.address, || (server.cpu_seconds(), size_of(dir))).await
 }
 
 async fn import(
@@ -168,7 +179,7 @@ async fn import(
         send(body_of(bulk)).await;
         values += bulk.iter().map(Cycle::values).sum::<usize>();
     }
-    let spent = rest(server, dir).await - cpu;
+    let spent = at_rest(server, dir).await - cpu;
     let mut alone: Vec<Duration> = Vec::with_capacity(ALONE);
     let mut lone = Lone::connect(&server.address, "");
     for cycle in cycles[CYCLES..].chunks(1) {

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// Ticks of the kernel's processor times per second on Linux.
-const TICKS: f64 = 100.0;
+pub(crate) const TICKS: f64 = 100.0;
 /// Longest time a server may take to start or to stop.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -21,11 +21,16 @@ pub(crate) struct Running {
 const SERVER: &str = "FEEDWRIGHT_BENCH_SERVER";
 
 impl Running {
-    /// Feedwright in that directory, on a free port. Like its peers here it writes no line per request.
-    pub(crate) async fn feedwright(dir: &Path) -> Self {
+    /// Feedwright in that directory, on a free port, with SQLite or the database at an address. Like its peers here it writes no
+    /// line per request.
+    pub(crate) async fn feedwright(dir: &Path, database: Option<&str>) -> Self {
         let port = free_port();
         let program = std::env::var_os(SERVER).unwrap_or_else(|| env!("CARGO_BIN_EXE_feedwright").into());
-        let mut child = Command::new(program)
+        let mut command = Command::new(program);
+        if let Some(address) = database {
+            command.args(["--set".to_owned(), format!("database.url={address}")]);
+        }
+        let mut child = command
             .args(["--data-dir".as_ref(), dir.as_os_str()])
             .args(["--set", "log.level=warn", "serve", "--listen", &format!("127.0.0.1:{port}")])
             .stdout(Stdio::null())

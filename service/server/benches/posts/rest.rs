@@ -1,8 +1,5 @@
 //! When a server is at rest: what it has acknowledged may be written after it was, and costs what it costs.
 
-use super::data::size_of;
-use super::process::Running;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// A server is at rest that has done next to nothing for so long: longer than any of them puts off what it acknowledged.
@@ -12,14 +9,13 @@ const NEXT_TO_NOTHING: f64 = 0.03;
 /// Longest time that it may take to come to rest.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Waits until a server that keeps its data in `dir` is at rest. Its processor time up to then, s, without what it does
-/// when it has nothing to do.
-pub(crate) async fn rest(server: &Running, dir: &Path) -> f64 {
+/// Waits until a server is at rest, by its processor time, s, and the bytes that it keeps. The processor time up to then, without
+/// what it does when it has nothing to do.
+pub(crate) async fn rest(server: &str, look: impl Fn() -> (f64, u64)) -> f64 {
     let begun = Instant::now();
-    let look = || (server.cpu_seconds(), size_of(dir));
     let (mut before, mut since) = (look(), Instant::now());
     while since.elapsed() < CALM {
-        assert!(begun.elapsed() < PATIENCE, "{} does not come to rest", server.address);
+        assert!(begun.elapsed() < PATIENCE, "{server} does not come to rest");
         tokio::time::sleep(CALM / 20).await;
         let now = look();
         if now.0 - before.0 > NEXT_TO_NOTHING || now.1 != before.1 {

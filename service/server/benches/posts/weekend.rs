@@ -1,6 +1,7 @@
 //! A weekend that is replayed late and out of order while other machines post live.
 
 use super::data::{self, Cycle, MORNING_MS};
+use super::place::{Engine, Ours};
 use super::process::Running;
 use super::{WHOLE, median, post};
 use std::sync::Arc;
@@ -23,17 +24,17 @@ const LIVE: usize = 20;
 static WRITING: Semaphore = Semaphore::const_new(1);
 
 /// Replays, and tells what live posts waited for.
-pub(crate) async fn replay() {
+pub(crate) async fn replay(engine: Engine) {
     let templates = Arc::new(data::cycles(400));
-    let dir = tempfile::tempdir().expect("a directory");
-    let server = Running::feedwright(dir.path()).await;
+    let ours = Ours::start(engine).await;
+    let server = &ours.server;
     let client = reqwest::Client::new();
     data::register(&client, &server.address, &server.token, CUT_OFF + LIVE).await;
-    let quiet = live(&server, &client, &templates, "quiet", Arc::new(AtomicBool::new(false)), 10).await;
+    let quiet = live(server, &client, &templates, "quiet", Arc::new(AtomicBool::new(false)), 10).await;
     tell("live posts before", quiet);
 
     let (done, next) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
-    let (begun, cpu) = (Instant::now(), server.cpu_seconds());
+    let (begun, cpu, database) = (Instant::now(), server.cpu_seconds(), ours.database_seconds());
     let replayers = (0..REPLAYING).map(|_| {
         let (client, templates, next) = (client.clone(), templates.clone(), next.clone());
         let (address, token) = (server.address.clone(), server.token.clone());
@@ -51,7 +52,7 @@ pub(crate) async fn replay() {
         })
     });
     let replayers: Vec<_> = replayers.collect();
-    let waiting = live(&server, &client, &templates, "busy", done.clone(), usize::MAX);
+    let waiting = live(server, &client, &templates, "busy", done.clone(), usize::MAX);
     let all = async {
         for replayer in replayers {
             replayer.await.expect("every cycle is acknowledged");
@@ -61,13 +62,14 @@ pub(crate) async fn replay() {
     };
     let (waited, took) = tokio::join!(waiting, all);
     println!(
-        "{} cycles of {CUT_OFF} machines replayed in {:.1} s, {:.1} s of server CPU with the live posts",
+        "{} cycles of {CUT_OFF} machines replayed in {:.1} s, {:.1} s of server CPU with the live posts, {:.1} s of the database's",
         CUT_OFF * KEPT,
         took.as_secs_f64(),
-        server.cpu_seconds() - cpu
+        server.cpu_seconds() - cpu,
+        ours.database_seconds() - database
     );
     tell("live posts meanwhile", waited);
-    server.stop().await;
+    ours.end().await;
 }
 
 fn tell(what: &str, mut times: Vec<Duration>) {

@@ -57,7 +57,7 @@ async fn run() {
     );
     let client = reqwest::Client::new();
     let dir = tempfile::tempdir().expect("a directory");
-    let ours = Running::feedwright(dir.path()).await;
+    let ours = Running::feedwright(dir.path(), None).await;
     fill(&client, &ours).await;
 
     let peer_dir = tempfile::tempdir().expect("a directory");

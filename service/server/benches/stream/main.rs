@@ -56,7 +56,7 @@ async fn echo() -> Running {
 }
 
 async fn server(dir: &tempfile::TempDir) -> Running {
-    let server = Running::feedwright(dir.path()).await;
+    let server = Running::feedwright(dir.path(), None).await;
     client::register(&server, SHOP.connections).await;
     server
 }

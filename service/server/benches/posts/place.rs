@@ -1,0 +1,137 @@
+//! Where a server of ours keeps what it is sent: a folder of its own, or a database of its own on the PostgreSQL server of
+//! `tests/postgres`.
+
+use super::process::Running;
+use super::{data, rest};
+use sqlx::{AssertSqlSafe, Connection, Executor, PgConnection};
+use tempfile::TempDir;
+
+/// What our server keeps its cycles in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Engine {
+    Sqlite,
+    Postgres,
+}
+
+/// A server of ours, with nothing in it at first.
+pub(crate) struct Ours {
+    pub(crate) server: Running,
+    dir: TempDir,
+    database: Option<Database>,
+}
+
+/// The name of the database; there is one at a time.
+const NAME: &str = "feedwright_bench";
+
+struct Database {
+    server: PgConnection,
+    /// The process whose children are the sessions.
+    postmaster: u32,
+}
+
+impl Ours {
+    pub(crate) async fn start(engine: Engine) -> Self {
+        let dir = tempfile::tempdir().expect("a directory");
+        let (database, url) = match engine {
+            Engine::Sqlite => (None, None),
+            Engine::Postgres => {
+                let (database, url) = Database::make().await;
+                (Some(database), Some(url))
+            }
+        };
+        let server = Running::feedwright(dir.path(), url.as_deref()).await;
+        Self { server, dir, database }
+    }
+
+    /// Processor time so far, s: of the server and, where there is one, of the database's.
+    pub(crate) fn cpu_seconds(&self) -> f64 {
+        self.server.cpu_seconds() + self.database_seconds()
+    }
+
+    /// Processor time so far of the database's server, s.
+    pub(crate) fn database_seconds(&self) -> f64 {
+        self.database.as_ref().map_or(0.0, |database| seconds_below(database.postmaster))
+    }
+
+    /// Waits until both are at rest, and nothing is put off any more. Processor time up to then, s, of both.
+    pub(crate) async fn rest(&mut self) -> f64 {
+        let look = || (self.cpu_seconds(), data::size_of(self.dir.path()));
+        let spent = rest::rest(&self.server.address, look).await;
+        let Some(database) = &mut self.database else { return spent };
+        // Pages that it would write minutes later.
+        let before = seconds_below(database.postmaster);
+        database.server.execute("CHECKPOINT").await.expect("a checkpoint");
+        spent + seconds_below(database.postmaster) - before
+    }
+
+    /// Bytes that are kept after the server has ended. Of a database without its log, which is reused.
+    pub(crate) async fn end(self) -> u64 {
+        self.server.stop().await;
+        match self.database {
+            None => data::size_of(self.dir.path()),
+            Some(database) => database.remove().await,
+        }
+    }
+}
+
+impl Database {
+    /// An empty one, and its address.
+    async fn make() -> (Self, String) {
+        let address = std::env::var("FEEDWRIGHT_TEST_POSTGRES").expect("behind tests/postgres");
+        let mut server = PgConnection::connect(&address).await.expect("the server of tests/postgres");
+        for statement in [format!("DROP DATABASE IF EXISTS {NAME}"), format!("CREATE DATABASE {NAME}")] {
+            server.execute(AssertSqlSafe(statement)).await.expect("a fresh database");
+        }
+        let postmaster = postmaster_of(&mut server).await;
+        let (before, _) = address.rsplit_once('/').expect("a database");
+        (Self { server, postmaster }, format!("{before}/{NAME}"))
+    }
+
+    /// Removes it; says how many bytes it had.
+    async fn remove(mut self) -> u64 {
+        let bytes: i64 = sqlx::query_scalar("SELECT pg_database_size($1)")
+            .bind(NAME)
+            .fetch_one(&mut self.server)
+            .await
+            .expect("a size");
+        let statement = AssertSqlSafe(format!("DROP DATABASE {NAME}"));
+        self.server.execute(statement).await.expect("nobody uses it");
+        u64::try_from(bytes).expect("a size")
+    }
+}
+
+/// The process whose children are the sessions of a PostgreSQL server on this machine.
+pub(crate) async fn postmaster_of(server: &mut PgConnection) -> u32 {
+    let session: i32 =
+        sqlx::query_scalar("SELECT pg_backend_pid()").fetch_one(server).await.expect("a session");
+    let session = u32::try_from(session).expect("a process");
+    stat_of(session).expect("a process of this machine").parent
+}
+
+/// What the system says of a process.
+struct Stat {
+    parent: u32,
+    /// Ticks of the process itself, and of its children that have ended.
+    own: f64,
+    ended: f64,
+}
+
+fn stat_of(process: u32) -> Option<Stat> {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    let fields: Vec<&str> = stat.rsplit_once(") ")?.1.split(' ').collect();
+    let ticks = |at: usize| fields.get(at)?.parse::<f64>().ok();
+    Some(Stat {
+        parent: fields.get(1)?.parse().ok()?,
+        own: ticks(11)? + ticks(12)?,
+        ended: ticks(13)? + ticks(14)?,
+    })
+}
+
+/// Processor time of a process and its children, those that have ended included, s.
+pub(crate) fn seconds_below(process: u32) -> f64 {
+    let root = stat_of(process).expect("it runs");
+    let all = std::fs::read_dir("/proc").expect("processes").flatten();
+    let children = all.filter_map(|entry| stat_of(entry.file_name().to_str()?.parse().ok()?));
+    let theirs: f64 = children.filter(|stat| stat.parent == process).map(|stat| stat.own).sum();
+    (root.own + root.ended + theirs) / super::process::TICKS
+}
