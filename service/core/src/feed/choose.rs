@@ -183,10 +183,12 @@ fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
     let mounted_new = verdict.life > 0 && verdict.started_unworn;
     match (verdict.state, verdict.level) {
         // Mounted new and not judged yet: it is what a profile for new tools is made for.
-        (ToolState::Learning, None) if mounted_new => Ok(1.0),
         (ToolState::Unknown, None) if mounted_new && verdict.cycles == 0 => Ok(1.0),
+        // Also where a level is told: it is of before what cannot be counted, or too uncertain to go by.
+        (ToolState::Unknown, _) => unknown("the tool's wear is not known"),
+        (_, _) if stale => unknown("the tool's wear is older than data stays good"),
+        (ToolState::Learning, None) if mounted_new => Ok(1.0),
         (_, None) => unknown("the tool's wear is not known"),
-        (_, Some(_)) if stale => unknown("the tool's wear is older than data stays good"),
         (_, Some(level)) if verdict.indicators.masked_by_control => {
             // Under a law that slows the feed the energy hides the wear and the time shows it: in the process model,
             // +9.1 % at constant feed are +2.3 % energy and +6.3 % time (Stryczek & Błaszczak 2020, F_AC). Their
@@ -279,8 +281,12 @@ mod tests {
         let lost = Verdict { state: ToolState::Unknown, ..worn(None) };
         assert_eq!(chosen(&band, &lost), Err("profile_wear_unknown"));
         assert_eq!(chosen(&band, &Verdict { cycles: 0, ..lost }), Ok("new".into()), "mounted a moment ago");
-        let stale = choose(&band, &operation(), &limits(), &worn(Some(1.0)), (true, true));
-        assert_eq!(stale.unwrap_err().0, "profile_wear_unknown");
+        for verdict in [worn(Some(1.0)), worn(None)] {
+            let stale = choose(&band, &operation(), &limits(), &verdict, (true, true));
+            assert_eq!(stale.unwrap_err().0, "profile_wear_unknown", "{:?}", verdict.state);
+        }
+        let outdated = Verdict { state: ToolState::Unknown, ..worn(Some(1.0)) };
+        assert_eq!(chosen(&band, &outdated), Err("profile_wear_unknown"), "a level of before");
         let held = choose(&band, &operation(), &limits(), &worn(Some(1.0)), (false, false));
         assert_eq!(held.unwrap_err().0, "profile_withheld");
         let narrow = FeedLimits::new(10.0, 500.0, 5.0, 200.0).unwrap();

@@ -17,7 +17,7 @@ use crate::tool::ToolEventKind;
 use crate::units::{Process, Strategy};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 6;
+pub const FOLD_VERSION: u16 = 7;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
@@ -33,6 +33,8 @@ const LEAST_RATIOS: usize = 5;
 const LASTING: usize = 3;
 /// Cycles within which a step that was announced has to come, or four windows: one that comes later is another one.
 const ANNOUNCED_CYCLES: u64 = 20;
+/// After so many cycles of which none says how worn the tool is, or four windows, nobody knows it.
+const OUTDATED_CYCLES: u64 = 20;
 /// Two single cycles off the usual within so many of one key: conditions alternate.
 const FLIP_SPAN: u64 = 6;
 /// Levels are compared with the limits with this much room for rounding.
@@ -97,6 +99,8 @@ pub struct ToolFold {
     pub(super) cycles: u64,
     /// Those of them that may have worn the tool: all but air cuts, and what was given up or cut hardly anything.
     pub(super) worked: u64,
+    /// How many of these there were when one was counted last, or somebody confirmed what had been seen.
+    pub(super) known_worked: u64,
     pub(super) counted: u64,
     pub(super) last_counted: u64,
     pub(super) last_counted_us: Option<i64>,
@@ -133,6 +137,7 @@ impl Default for ToolFold {
             answered_at: None,
             cycles: 0,
             worked: 0,
+            known_worked: 0,
             counted: 0,
             last_counted: 0,
             last_counted_us: None,
@@ -185,8 +190,9 @@ impl ToolFold {
             && self.keys.iter().any(|key| key.baseline.is_some())
             && !self.keys.iter().any(|key| key.baseline.is_none() && key.before.is_some());
         for key in &mut self.keys {
-            announced &= key.change.is_none() && !key.unconfirmed && !key.stepped;
+            announced &= key.change.is_none() && !key.unconfirmed && !key.after_gap && !key.stepped;
             key.unconfirmed = false;
+            key.after_gap = false;
             key.stepped = false;
             if key.change.is_some() {
                 key.relearn(level.unwrap_or(1.0));
@@ -195,6 +201,7 @@ impl ToolFold {
         let holds = ANNOUNCED_CYCLES.max(4 * u64::from(self.window));
         self.announced_until = if announced { self.cycles + holds } else { 0 };
         self.answered_at = (!announced).then_some(self.cycles);
+        self.known_worked = self.worked;
         self.settle_suspects();
     }
 
@@ -338,6 +345,7 @@ impl ToolFold {
             self.settle_suspects_by(at);
         }
         self.note_reference(at, cycle.number);
+        self.note_gap(at);
         let key = &mut self.keys[at];
         let mut cycle = cycle;
         if key.learning.iter().filter(|held| held.digest.is_some()).count() >= HELD_DIGESTS {
@@ -364,6 +372,28 @@ impl ToolFold {
             let first = key.learning.remove(0);
             self.leave_out(&first, Exclusion::BaselineOutlier);
         }
+    }
+
+    /// A cycle is learnt from that comes after so many of which nobody knows how they wore the tool, that what was known before them
+    /// says nothing of it.
+    fn note_gap(&mut self, at: usize) {
+        if self.unknown_for().is_none() {
+            return;
+        }
+        if self.level().is_some() {
+            self.keys[at].after_gap |= !self.take_announcement(self.cycles);
+        } else if !self.keys[at].learning.is_empty() {
+            self.unworn = false;
+        }
+    }
+
+    /// Cycles that may have worn the tool since one was counted, where they are so many that nobody knows how worn it is: more than a
+    /// level lasts, and than baselines that are being learnt take.
+    pub(super) fn unknown_for(&self) -> Option<u64> {
+        let learning = self.keys.iter().filter(|key| key.baseline.is_none());
+        let taken: u64 = learning.map(|key| key.learning_bound() as u64).sum();
+        let unknown = self.worked.saturating_sub(self.known_worked);
+        (unknown > outdated_after(self.window) + taken).then_some(unknown)
     }
 
     fn compare(&mut self, at: usize, cycle: Measured) {
@@ -521,6 +551,7 @@ impl ToolFold {
         self.window = key.window;
         self.counted += 1;
         self.last_counted = self.last_counted.max(cycle.number);
+        self.known_worked = self.known_worked.max(cycle.worked);
         key.last_usual = key.last_usual.max(cycle.number);
         self.last_counted_us = self.last_counted_us.max(Some(cycle.started_us));
         self.unmeasured = 0;
@@ -615,6 +646,11 @@ impl ToolFold {
         }
         self.last_excluded.push((machine.clone(), cycle.clone(), why));
     }
+}
+
+/// So many cycles after which a level is outdated.
+pub(super) fn outdated_after(window: u32) -> u64 {
+    OUTDATED_CYCLES.max(4 * u64::from(window))
 }
 
 /// Cycles that make a step lasting: no more than flip the median of the window.

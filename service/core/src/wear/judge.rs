@@ -2,7 +2,7 @@
 
 use super::WARNING_LEVEL;
 use super::basis::Decision;
-use super::fold::ToolFold;
+use super::fold::{ToolFold, outdated_after};
 use super::key::KeyState;
 use super::trend::remaining;
 use super::verdict::{
@@ -12,11 +12,12 @@ use crate::ids::{CycleId, MachineId};
 use crate::summary::PeakShift;
 use crate::units::{Strategy, Timestamp};
 
-/// A level with so many cycles since, or four windows, is outdated: nothing can be said of the tool as it is now.
-const OUTDATED_CYCLES: u64 = 20;
-
 /// What a cycle that is cut short wants somebody to know.
 const CUT_SHORT: &str = "the server cut it short, as it has more samples or lasts longer than is kept";
+
+/// Of a baseline that carries a level over which nobody knew any more.
+const AFTER_GAP: &str = "the tool was used for long without being measured, or under more conditions than are kept, before this \
+                         baseline was met: confirm that its wear is still what it was";
 
 /// Shift of the spindle load's falling edge, mm, that may be wear; the paper's worn tool moves the maximum by 2 mm.
 const FALL_SHIFT_MM: f64 = 1.0;
@@ -163,10 +164,18 @@ impl ToolFold {
         if key.baseline.is_none() {
             let (have, need) = (key.learnt_from(), key.needed);
             say("learning", format!("{have} of {need} cycles that a baseline needs"));
+            if let Some(unknown) = self.unknown_for() {
+                say("level_outdated", format!("of the last {unknown} cycles none says how worn the tool is"));
+                return ToolState::Unknown;
+            }
+            if key.after_gap {
+                say("level_unconfirmed", AFTER_GAP.into());
+                return ToolState::Unknown;
+            }
             return if self.unworn { ToolState::Learning } else { ToolState::Unknown };
         }
         let age = self.cycles - self.last_counted;
-        if age > OUTDATED_CYCLES.max(4 * u64::from(self.window)) {
+        if age > outdated_after(self.window) {
             let last = self.last_excluded.last().map(|(_, _, why)| *why);
             let cut = if last == Some(Exclusion::CutShort) {
                 format!("; the last: {CUT_SHORT}")
@@ -215,11 +224,15 @@ impl ToolFold {
             );
             return ToolState::Unknown;
         }
-        if key.unconfirmed {
+        if key.unconfirmed && self.keys.iter().any(|known| known.differs_in_speed(&key.key)) {
             say(
                 "speed_changed",
                 "the commanded speed was changed in mid-life: confirm the conditions".into(),
             );
+            return ToolState::Changed;
+        }
+        if key.unconfirmed || key.after_gap {
+            say("level_unconfirmed", AFTER_GAP.into());
             return ToolState::Changed;
         }
         say("good", format!("energy is {percent:+.1} % against the new tool"));

@@ -158,6 +158,8 @@ pub(super) struct KeyState {
     pub(super) level_at_entry: f64,
     /// Whether it began because the commanded speed of an operation changed in mid-life, and nobody confirmed that.
     pub(super) unconfirmed: bool,
+    /// Whether it learnt from a cycle before which nobody knew how worn the tool was, and nobody confirmed that.
+    pub(super) after_gap: bool,
     /// Whether conditions changed while it was being learnt, and nobody confirmed that.
     pub(super) stepped: bool,
     /// Running number of the cycle with which two that it learnt from agreed: that is what "after good cycles" takes.
@@ -282,6 +284,7 @@ impl KeyState {
             window: settings.window_cycles,
             level_at_entry,
             unconfirmed: false,
+            after_gap: false,
             stepped: false,
             knows_since: None,
             last_usual: 0,

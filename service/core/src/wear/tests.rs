@@ -611,6 +611,76 @@ fn a_level_that_no_cycle_confirms_is_outdated() {
     assert!(why(&verdict).contains(&"level_outdated"));
 }
 
+/// Cycles that cannot be compared, as their loads are missing.
+fn unmeasured(life: &mut Life, cycles: u32) -> Verdict {
+    (0..cycles).map(|_| life.with(|cycle| cycle.energy = None)).last().unwrap()
+}
+
+#[test]
+fn a_level_that_nobody_knows_any_more_is_not_carried_over_as_one_that_is_known() {
+    let elsewhere = |life: &mut Life, cycles: u32| {
+        let run = |life: &mut Life| life.with(|cycle| cycle.operation = OperationId::try_from("O2").unwrap());
+        (0..cycles).map(|_| run(life)).last().unwrap()
+    };
+    let mut life = Life::learnt();
+    unmeasured(&mut life, 300);
+    let verdict = elsewhere(&mut life, 2);
+    assert_eq!((verdict.state, why(&verdict).last().copied()), (ToolState::Unknown, Some("level_outdated")));
+    let verdict = elsewhere(&mut life, 6);
+    assert_eq!(
+        (verdict.state, why(&verdict).last().copied()),
+        (ToolState::Changed, Some("level_unconfirmed"))
+    );
+    let kept = ToolFold::from_bytes(&life.fold.to_bytes()).unwrap();
+    assert_eq!(kept.verdict(), verdict, "as it is stored");
+    // The baseline of before says how worn the tool is, wherever it comes from.
+    assert_eq!(life.ratios(&[1.08; 5]).state, ToolState::Warning);
+    assert_eq!(life.ratios(&[1.0; 5]).state, ToolState::Good);
+    assert_eq!(
+        elsewhere(&mut life, 1).state,
+        ToolState::Changed,
+        "of this baseline nobody knows all the same"
+    );
+    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(elsewhere(&mut life, 1).state, ToolState::Good);
+
+    // Others that are learnt meanwhile, one after the other, are no gap.
+    let mut many = Life::learnt();
+    for round in 0..5 {
+        for operation in 2..40 {
+            let operation = OperationId::try_from(format!("O{operation}").as_str()).unwrap();
+            let verdict = many.with(|cycle| cycle.operation = operation);
+            assert!(matches!(verdict.state, ToolState::Learning | ToolState::Good), "{round}: {verdict:?}");
+        }
+    }
+    let mut told = Life::learnt();
+    unmeasured(&mut told, 300);
+    told.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(elsewhere(&mut told, 6).state, ToolState::Good, "confirmed beforehand");
+}
+
+#[test]
+fn a_baseline_that_is_learnt_over_long_unmeasured_work_is_no_new_tools() {
+    for measured in [1_u32, 2, 4] {
+        let mut life = Life::new();
+        life.ratios(&[1.0; 4][..measured as usize]);
+        assert_eq!(unmeasured(&mut life, 46 - measured).state, ToolState::Learning, "{measured}");
+        let verdict = unmeasured(&mut life, 254);
+        assert_eq!(
+            (verdict.state, why(&verdict).last().copied()),
+            (ToolState::Unknown, Some("level_outdated"))
+        );
+        let verdict = life.ratios(&[1.3; 20]);
+        assert_eq!((verdict.state, verdict.level.is_some()), (ToolState::Unknown, false), "{measured}");
+        assert!(why(&verdict).contains(&"no_new_tool_baseline"), "{measured}: {verdict:?}");
+    }
+    // A few that could not be measured change nothing.
+    let mut life = Life::new();
+    life.ratios(&[1.0; 3]);
+    unmeasured(&mut life, 10);
+    assert_eq!(life.ratios(&[1.0; 3]).state, ToolState::Good);
+}
+
 #[test]
 fn remaining_cycles_are_told_only_on_evidence() {
     let mut life = Life::learnt();

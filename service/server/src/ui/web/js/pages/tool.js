@@ -208,7 +208,7 @@ function head() {
   put($("#say"), html`<span class="${sign === "act" ? "act-ink" : sign === "plan" ? "plan-ink" : ""}">${icon(sign, t(`level.${sign}`))}</span><span>${first} ${then}</span>`);
   const excluded = Object.values(wear.excluded).reduce((sum, count) => sum + count, 0);
   put($("#evidence"), evidence(wear));
-  const others = wear.reasons.filter((reason) => ["masked_by_control", "masked_by_feed", "decided_by_compensation", "decided_by_reference_cycles", "level_carried_over", "no_new_tool_baseline", "level_outdated", "cycle_time_risen", "speed_changed"].includes(reason.code));
+  const others = wear.reasons.filter((reason) => ["masked_by_control", "masked_by_feed", "decided_by_compensation", "decided_by_reference_cycles", "level_carried_over", "no_new_tool_baseline", "level_outdated", "cycle_time_risen", "speed_changed", "level_unconfirmed"].includes(reason.code));
   put($("#reasons"), html`${others.map((reason) => notice(reason.code.startsWith("masked_by") || reason.code === "cycle_time_risen" ? "plan" : "", told("reason", reason.code, reason.message)))}`);
   put($("#learning"), learning ? html`<section class="panel body learning"><h2>${t("tool.learning", { have: num(learning.learnt_from), need: num(learning.needed) })}</h2>${progress(learning.learnt_from / learning.needed)}<p class="muted">${t("tool.learningText", { of: [learning.strategy ? told("strategy", learning.strategy) : null, learning.operation, learning.machine].filter(Boolean).join(", "), more: num(Math.max(0, learning.needed - learning.learnt_from)) })}</p></section>` : "");
   put($("#facts"), html`${facts(wear).map(([name, text]) => html`<dt>${name}</dt><dd>${text}</dd>`)}`);
