@@ -15,7 +15,6 @@ pub(super) use many::{
 pub(super) use samples::{BLOCK, PACK, block, block_as_told, block_of, packs, stray_packs, tidy};
 
 use super::{Conn, Writer};
-use crate::codec::state;
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::sqlite::recommendation_id;
@@ -62,6 +61,14 @@ pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
 /// A tool's caches, inside a transaction that nobody else writes beside.
 pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
 
+/// The file is nobody else's.
+macro_rules! server {
+    () => {
+        "0"
+    };
+}
+pub(super) use server;
+
 /// Begins a group's transaction. The generation of the registry and whether any feed profile is active, under empty names
 /// of a tool, and the versions of the folds of a list of tools.
 pub(super) const HEADS: &str = "BEGIN IMMEDIATE;
@@ -102,11 +109,6 @@ pub(super) fn recommendation_of(key: &RecommendationKey) -> String {
         Ok(id) => id.as_str().to_owned(),
         Err(_) => format!("{key:02x?}"),
     }
-}
-
-/// A fold's state as it is stored.
-pub(super) fn pack_state(plain: &[u8]) -> Vec<u8> {
-    state::pack(plain)
 }
 
 /// How long the block of a row of `cycle_samples` is.

@@ -1,6 +1,6 @@
 //! Many rows in one statement: an array per column, so that one prepared statement takes any number of rows.
 
-use crate::codec::zeros;
+use crate::codec::state;
 use crate::error::{StoreError, StoreResult};
 use crate::postgres::Conn;
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
@@ -87,7 +87,7 @@ pub(in crate::postgres) async fn save_wear(
     .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
     .bind(rows.iter().map(|row| row.folded).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| zeros::pack(&row.state)).collect::<Vec<_>>())
+    .bind(rows.iter().map(|row| state::pack(&row.state)).collect::<Vec<_>>())
     .bind(i64::from(FOLD_VERSION))
     .bind(now.micros())
     .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())
