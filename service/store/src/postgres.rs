@@ -15,6 +15,8 @@ mod notice;
 mod open;
 
 pub use address::unknown_parameter;
+pub(crate) use dialect::is_ours;
+pub(crate) use notice::LIVE;
 pub(crate) use open::MIGRATIONS;
 pub use open::PostgresOptions;
 

@@ -31,11 +31,22 @@ struct Known {
     tools: HashMap<ToolId, Option<Arc<Tool>>>,
 }
 
+/// The server that was asked last, and how often it was another one than before.
+#[derive(Debug, Default)]
+struct Asked {
+    server: Option<i64>,
+    others: i64,
+}
+
 /// The registry in memory, shared by everyone who uses one store.
 #[derive(Debug, Default)]
 pub(crate) struct Registry {
     known: Mutex<Known>,
+    asked: Mutex<Asked>,
 }
+
+/// Changes of a registry are far fewer.
+const CHANGES_BITS: u32 = 40;
 
 fn keep<K: Hash + Eq, V>(map: &mut HashMap<K, V>, key: K, value: V) {
     if map.len() >= MOST {
@@ -52,6 +63,16 @@ impl Registry {
         }
         // A slow reader of an older generation has nothing to add to a newer one.
         (known.generation == generation).then_some(known)
+    }
+
+    /// The generation of so many changes that a server tells of, which is the same after no other server was asked meanwhile. One
+    /// that has taken over may lack the last commits of the one before, and counts up to the same numbers with other content.
+    pub(crate) fn generation(&self, server: i64, changes: i64) -> i64 {
+        let mut asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        if asked.server.replace(server).is_some_and(|before| before != server) {
+            asked.others += 1;
+        }
+        (asked.others << CHANGES_BITS) + changes
     }
 
     /// Everything around a cycle that began at a time, and the generation it belongs to, where all of it is here.
@@ -116,5 +137,27 @@ impl Registry {
     pub(crate) fn forget(&self) {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         *known = Known { generation: known.generation, ..Known::default() };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_one_server_was_asked_for_is_not_of_another_ones_generation() {
+        let registry = Registry::default();
+        let tool: ToolId = "T1".try_into().unwrap();
+        let first = registry.generation(1_700_000_000_000_000, 6);
+        registry.learn_tool(first, &tool, None);
+        assert_eq!(registry.generation(1_700_000_000_000_000, 6), first);
+        assert!(registry.tool(first, &tool).is_some());
+        // Started before the one that it takes over from, and changed as often.
+        let second = registry.generation(1_690_000_000_000_000, 6);
+        assert!(second > first);
+        assert!(registry.tool(second, &tool).is_none(), "asked for anew");
+        registry.learn_tool(second, &tool, None);
+        assert!(registry.tool(first, &tool).is_none(), "a slow reader adds nothing");
+        assert!(registry.tool(registry.generation(1_690_000_000_000_000, 7), &tool).is_none());
     }
 }

@@ -70,6 +70,11 @@ pub enum TransferError {
         "another copy or restore is at work on the target (its session there is called `feedwright transfer`)"
     )]
     InUse,
+    /// A server would go on counting meanwhile.
+    #[error(
+        "a server is running on the target (its session there is called `feedwright live`): stop it first; nothing was written"
+    )]
+    Served,
     /// What arrived is not what was sent.
     #[error("{table} differs after the transfer: {from} there, {to} here")]
     Differs {

@@ -264,6 +264,23 @@ async fn servers_that_start_together_migrate_once() {
     given.done().await;
 }
 
+#[tokio::test]
+async fn a_direct_address_of_another_database_is_refused() {
+    let (Some(given), Some(other)) = (Given::postgres().await, Given::postgres().await) else {
+        return;
+    };
+    let options = |direct: &Given| PostgresOptions {
+        pooled: true,
+        direct: Some(direct.address()),
+        ..PostgresOptions::default()
+    };
+    let refused = PostgresStore::open(&given.address(), options(&other)).await.unwrap_err();
+    assert!(format!("{refused:?}").contains("leads to another database"), "{refused:?}");
+    PostgresStore::open(&given.address(), options(&given)).await.unwrap().close().await;
+    given.done().await;
+    other.done().await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_pooler_in_transaction_mode_is_borne() {
     let Some(given) = Given::postgres().await else {

@@ -655,7 +655,17 @@ async fn a_partition_that_cannot_be_dropped_keeps_no_other() {
         "{stays:?}"
     );
     given.raw("DROP VIEW somebodys").await.unwrap();
+    // Nor does one that was put elsewhere; what has its name here is not it.
+    for step in [
+        "CREATE SCHEMA archive",
+        "ALTER TABLE cycle_samples_202601 SET SCHEMA archive",
+        "CREATE TABLE cycle_samples_202601 (machine_id TEXT, block BYTEA)",
+        "INSERT INTO cycle_samples_202601 VALUES ('M1', '')",
+    ] {
+        given.raw(step).await.unwrap();
+    }
     assert_eq!(store.drop_partition(at(125 * DAY)).await.unwrap().cycles, 1);
+    assert_eq!(given.numbers("SELECT COUNT(*) FROM cycle_samples_202601").await, [1]);
     // Whatever a backslash in a text is to the role that asks.
     let mut other = PgConnection::connect(&given.address()).await.unwrap();
     sqlx::query("SET standard_conforming_strings = off").execute(&mut other).await.unwrap();

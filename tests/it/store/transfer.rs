@@ -207,6 +207,40 @@ async fn what_a_later_version_wrote_is_neither_copied_nor_backed_up() {
 }
 
 #[tokio::test]
+async fn nothing_is_copied_under_a_server_that_runs_and_what_is_an_admins_stays_apart() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    fill(&*cell.store()).await;
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    let store = plant.store();
+    let mut listener = store.notices().unwrap().listen().await.unwrap();
+    let refused = copied(&from, &to).await.unwrap_err();
+    assert!(matches!(refused, TransferError::Served), "{refused}");
+    assert!(store.machines(Page { after: None, limit: 9 }).await.unwrap().is_empty(), "nothing was written");
+    assert!(tokio::time::timeout(Duration::from_millis(1), listener.next()).await.is_err());
+    drop(listener);
+    for step in
+        ["ALTER TABLE cycle_samples DETACH PARTITION cycle_samples_default", "CREATE TABLE notes (at POINT)"]
+    {
+        plant.raw(step).await.unwrap();
+    }
+    // Until its session is gone.
+    let outcome = async {
+        loop {
+            match copied(&from, &to).await {
+                Err(TransferError::Served) => tokio::task::yield_now().await,
+                outcome => return outcome,
+            }
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(60), outcome).await.expect("it goes").unwrap();
+    cell.done().await;
+    plant.done().await;
+}
+
+#[tokio::test]
 async fn two_copies_do_not_write_into_one_plant() {
     let Some(plant) = Given::postgres().await else {
         return;

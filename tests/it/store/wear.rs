@@ -34,10 +34,12 @@ stories!(
 mod tables {
     super::stories!(with tables:
         a_damaged_cache_is_found_and_repaired,
+        a_cache_that_is_lost_is_folded_again_with_the_next_cycle,
         a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says,
     );
     use super::{
-        a_damaged_cache_is_found_and_repaired, a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says,
+        a_cache_that_is_lost_is_folded_again_with_the_next_cycle, a_damaged_cache_is_found_and_repaired,
+        a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says,
     };
 }
 
@@ -545,6 +547,19 @@ async fn a_damaged_cache_is_found_and_repaired(given: &Given) {
         assert_clean(&*store).await;
         assert_eq!(given.wear_states().await, good, "{damage}");
     }
+}
+
+async fn a_cache_that_is_lost_is_folded_again_with_the_next_cycle(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let runs: Vec<Run> = (1..=40).map(|n| Run { sampled: false, ..Run::nth(n) }).collect();
+    commit(&*store, &runs[..38]).await;
+    assert_eq!(given.raw("DELETE FROM tool_wear").await.unwrap(), 1);
+    let answered = commit(&*store, &runs[38..]).await;
+    assert!(answered.iter().all(|one| matches!(one, Ok(Committed::Stored(_)))), "{answered:?}");
+    let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!((verdict.cycles, verdict.counted), (40, 40));
+    assert_clean(&*store).await;
 }
 
 async fn a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says(given: &Given) {

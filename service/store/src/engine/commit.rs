@@ -59,7 +59,7 @@ pub(super) async fn group(
     let operations = group.iter().map(|new| &new.cycle.operation);
     dialect::lock(conn, &Locks::group(machines, operations, tools.iter().copied())).await?;
     // Asked under the locks: who changes what this group rests on waits for its end, or has ended before.
-    let heads = wear::heads(conn, &tools).await?;
+    let heads = wear::heads(conn, registry, &tools).await?;
     let around = GroupRegistry::load(conn, registry, heads.generation, group).await?;
     let mut transaction = GroupTransaction::begun(conn);
     count(&mut transaction, group, (now, settings), (&heads, &around, memory)).await

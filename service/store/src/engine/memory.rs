@@ -41,12 +41,14 @@ pub(in super::super) struct Memory {
 }
 
 impl Memory {
-    /// Begins a group under these heads: under another generation of the registry, no tool is remembered.
+    /// Begins a group under these heads: under another generation of the registry, which another server has too, no tool is
+    /// remembered, nor what is stored.
     pub(super) fn begin(&mut self, heads: &Heads) {
         if self.generation != heads.generation {
             self.generation = heads.generation;
             self.tools.clear();
             self.profiles.clear();
+            self.advices.clear();
         }
         self.any_profile = Some(heads.any_profile);
         self.groups += 1;

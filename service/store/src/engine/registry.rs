@@ -1,7 +1,7 @@
 //! The generation of what is registered, and what a group needs of it: from memory where that is of the generation
 //! in force, else from the tables.
 
-use super::{Conn, Db, machines, operations, tools};
+use super::{Conn, Db, dialect, machines, operations, tools};
 use crate::error::StoreResult;
 use crate::record::{NewCycle, Surroundings};
 use crate::registry::{KnownMachine, Registry};
@@ -14,10 +14,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
 /// The generation in force, as this transaction sees it.
-pub(super) async fn generation(conn: &mut Conn) -> StoreResult<i64> {
-    Ok(sqlx::query_scalar::<Db, _>("SELECT CAST(SUM(changes) AS BIGINT) FROM registry_generation")
-        .fetch_one(&mut *conn)
-        .await?)
+async fn generation(conn: &mut Conn, registry: &Registry) -> StoreResult<i64> {
+    let sql =
+        concat!("SELECT ", dialect::server!(), ", CAST(SUM(changes) AS BIGINT) FROM registry_generation");
+    let (server, changes) = sqlx::query_as::<Db, _>(sql).fetch_one(&mut *conn).await?;
+    Ok(registry.generation(server, changes))
 }
 
 /// Rows that changes are counted in.
@@ -87,7 +88,7 @@ pub(super) async fn around(
     (of_machine, of_operation, of_tool): (&MachineId, &OperationId, &ToolId),
     at: Timestamp,
 ) -> StoreResult<Option<(Surroundings, i64)>> {
-    let generation = generation(conn).await?;
+    let generation = generation(conn, registry).await?;
     let Some(known) = machine(conn, registry, generation, of_machine).await? else {
         return Ok(None);
     };

@@ -6,6 +6,7 @@ use crate::codec::state;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
 use crate::locks::Locks;
+use crate::registry::Registry;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::operation::{Ask, asked_at};
@@ -81,22 +82,30 @@ pub(in super::super) struct Heads {
 }
 
 /// Asks for the heads of some tools.
-pub(super) async fn heads(conn: &mut Conn, tools: &BTreeSet<&ToolId>) -> StoreResult<Heads> {
+pub(super) async fn heads(
+    conn: &mut Conn,
+    registry: &Registry,
+    tools: &BTreeSet<&ToolId>,
+) -> StoreResult<Heads> {
     let rows: Vec<(String, String, i64)> = sqlx::query_as::<Db, _>(dialect::HEADS)
         .bind(dialect::list(tools.iter().map(|tool| tool.as_str())))
         .fetch_all(&mut *conn)
         .await?;
     let mut heads = Heads { generation: 0, any_profile: false, versions: BTreeMap::new() };
+    let (mut server, mut changes) = (0, 0);
     for (tool, machine, version) in &rows {
         if !tool.is_empty() {
             let versions = heads.versions.entry(id("tool_id", tool)?).or_default();
             versions.insert(id("machine_id", machine)?, *version);
-        } else if machine.is_empty() {
-            heads.generation = *version;
         } else {
-            heads.any_profile = *version > 0;
+            match machine.as_str() {
+                "" => changes = *version,
+                "server" => server = *version,
+                _ => heads.any_profile = *version > 0,
+            }
         }
     }
+    heads.generation = registry.generation(server, changes);
     Ok(heads)
 }
 
@@ -105,7 +114,7 @@ const MOST_STATE: usize = 16 << 20;
 
 /// A fold's state as it is stored.
 pub(super) fn state_of(fold: &ToolFold) -> Vec<u8> {
-    dialect::pack_state(&fold.to_bytes())
+    state::pack(&fold.to_bytes())
 }
 
 /// A stored state as the fold gave it; `None` where it is damaged.
@@ -301,6 +310,14 @@ impl ToolWear {
             return Ok(());
         };
         let first = first.order()?;
+        if !self.machines.contains_key(machine)
+            && has_more(transaction.conn().await?, &self.tool, machine, new.len()).await?
+        {
+            // Its cache is lost, and its cycles are not.
+            let lost = Cached { fold: None, folded: 0, version: 0, changed: true };
+            self.machines.insert(machine.clone(), lost);
+            return self.refold(transaction.conn().await?, machine, &BEGINNING).await;
+        }
         let cached = self.machines.entry(machine.clone()).or_insert_with(|| Cached {
             fold: Some(beginning(&self.events)),
             folded: 0,
@@ -435,6 +452,20 @@ impl ToolWear {
         let (fold, _) = self.whole.insert((walk.into_fold(), folded));
         Ok(verdict_after(fold, &self.events))
     }
+}
+
+/// Whether a tool has more cycles of a machine than these, which are stored by now.
+async fn has_more(conn: &mut Conn, tool: &ToolId, machine: &MachineId, these: usize) -> StoreResult<bool> {
+    let found: i64 = sqlx::query_scalar::<Db, _>(
+        "SELECT CAST(COUNT(*) AS BIGINT) FROM (
+             SELECT 1 FROM cycles WHERE tool_id = $1 AND machine_id = $2 LIMIT $3) AS first",
+    )
+    .bind(tool.as_str())
+    .bind(machine.as_str())
+    .bind(count("these", these as u64 + 1)?)
+    .fetch_one(&mut *conn)
+    .await?;
+    Ok(found > count("these", these as u64)?)
 }
 
 async fn save_checkpoint(

@@ -2,12 +2,13 @@
 
 mod assumed;
 mod many;
+mod schema;
 
 pub(super) use assumed::{Assumption, MAY_ASSUME, assume, begin_assumed, undo, write_assumed};
 pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
+pub(crate) use schema::is_ours;
 
 use super::{Conn, Writer};
-use crate::codec::zeros;
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::StoreFault;
@@ -76,12 +77,6 @@ pub(super) fn recommendation_key(id: &str) -> RecommendationKey {
 /// The id, as it is told where something is wrong.
 pub(super) fn recommendation_of(key: &RecommendationKey) -> String {
     key.clone()
-}
-
-/// A fold's state as it is stored: as servers of before read it too, which run beside this one while a plant is brought up to it. The
-/// server itself squeezes what is long.
-pub(super) fn pack_state(plain: &[u8]) -> Vec<u8> {
-    zeros::pack(plain)
 }
 
 /// A row has its block to itself, and goes with it.
@@ -154,33 +149,26 @@ pub(super) async fn make_room(conn: &mut Conn, now: Timestamp) -> StoreResult<()
     Ok(())
 }
 
-/// The server checks its own files (`data_checksums`, `amcheck`): nothing to ask here.
+/// Whether the tables are those that the migrations make; the server checks its own files (`data_checksums`, `amcheck`).
 /// What follows reads whole tables, which takes longer than an answer may.
 pub(super) async fn integrity(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
     sqlx::query("SET LOCAL statement_timeout = 0").execute(&mut *conn).await?;
-    Ok(Vec::new())
+    schema::faults(conn).await
 }
 
-/// Locks names until the end of the transaction: shared ones first, each in ascending order.
+/// Locks names until the end of the transaction: shared ones first, each in ascending order. By one statement, as every group
+/// waits for its answer.
 pub(super) async fn lock(conn: &mut Conn, locks: &Locks) -> StoreResult<()> {
-    if !locks.shared.is_empty() {
-        sqlx::query(
-            "SELECT count(pg_advisory_xact_lock_shared(k))
-             FROM (SELECT k FROM unnest($1::BIGINT[]) AS keys (k) ORDER BY k OFFSET 0) AS sorted",
-        )
-        .bind(&locks.shared)
-        .execute(&mut *conn)
-        .await?;
-    }
-    if !locks.exclusive.is_empty() {
-        sqlx::query(
-            "SELECT count(pg_advisory_xact_lock(k))
-             FROM (SELECT k FROM unnest($1::BIGINT[]) AS keys (k) ORDER BY k OFFSET 0) AS sorted",
-        )
-        .bind(&locks.exclusive)
-        .execute(&mut *conn)
-        .await?;
-    }
+    sqlx::query(
+        "SELECT (SELECT count(pg_advisory_xact_lock_shared(k))
+                 FROM (SELECT k FROM unnest($1::BIGINT[]) AS keys (k) ORDER BY k OFFSET 0) AS sorted),
+                (SELECT count(pg_advisory_xact_lock(k))
+                 FROM (SELECT k FROM unnest($2::BIGINT[]) AS keys (k) ORDER BY k OFFSET 0) AS sorted)",
+    )
+    .bind(&locks.shared)
+    .bind(&locks.exclusive)
+    .execute(&mut *conn)
+    .await?;
     Ok(())
 }
 
@@ -190,14 +178,26 @@ pub(super) const WEAR_OF_TOOL_LOCKED: &str =
     "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
      WHERE tool_id = $1 ORDER BY machine_id";
 
-/// The generation of the registry and whether any feed profile is active, under empty names of a tool, and the versions
-/// of the folds of a list of tools. The tools' names are locked by then.
-pub(super) const HEADS: &str =
+/// Which server answers: one that has taken over was started at another time, as is one that was started again. Anybody may ask that,
+/// of any server, also of one that only reads.
+macro_rules! server {
+    () => {
+        "CAST(EXTRACT(EPOCH FROM pg_postmaster_start_time()) * 1000000 AS BIGINT)"
+    };
+}
+pub(super) use server;
+
+/// The generation of the registry, which server answers, and whether any feed profile is active, under empty names of a tool, and the
+/// versions of the folds of a list of tools. The tools' names are locked by then.
+pub(super) const HEADS: &str = concat!(
     "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
      FROM registry_generation
-     UNION ALL SELECT '', 'profiles', CAST(COUNT(*) AS BIGINT)
+     UNION ALL SELECT '', 'server', ",
+    server!(),
+    " UNION ALL SELECT '', 'profiles', CAST(COUNT(*) AS BIGINT)
      FROM (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL LIMIT 1) AS active
-     UNION ALL SELECT tool_id, machine_id, version FROM tool_wear WHERE tool_id = ANY($1)";
+     UNION ALL SELECT tool_id, machine_id, version FROM tool_wear WHERE tool_id = ANY($1)"
+);
 
 /// Those of a list of a machine's cycles whose samples were dropped by name.
 pub(super) const NAMED_DROPS: &str = "SELECT cycle_id, dropped_at_us, reason FROM cycle_sample_drops

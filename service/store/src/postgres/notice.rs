@@ -12,6 +12,9 @@ use tokio::time::timeout;
 
 const CHANNEL: &str = "feedwright_live";
 
+/// What sessions are called in which servers listen: each has one as long as it runs.
+pub(crate) const LIVE: &str = "feedwright live";
+
 impl PostgresStore {
     /// Tells every listener; outside of any transaction that changes something.
     pub(super) async fn tell(&self, text: &str) -> StoreResult<()> {
@@ -53,7 +56,7 @@ fn silent(_: Elapsed) -> StoreError {
 #[async_trait]
 impl Notices for Direct {
     async fn listen(&self) -> StoreResult<Box<dyn Listener>> {
-        let connect = self.connect.clone().application_name("feedwright live");
+        let connect = self.connect.clone().application_name(LIVE);
         let listening = async {
             let pool = PgPoolOptions::new().max_connections(1).connect_with(connect).await?;
             let mut listener = PgListener::connect_with(&pool).await?;

@@ -1,6 +1,6 @@
 //! Opening: limits, settings that durability rests on, migrations.
 
-use super::{Conn, Inner, PostgresStore};
+use super::{Conn, Inner, PostgresStore, dialect};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
 use crate::slot::Slot;
@@ -67,6 +67,7 @@ impl PostgresStore {
             Ok(first) => first?,
             Err(_) => return Err(StoreError::Unavailable("the database says nothing".into())),
         };
+        let direct_database = database_of(&mut migrating).await?;
         // A limit that a role has for questions is none for writing tables anew.
         sqlx::query("SET statement_timeout = 0").execute(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
@@ -125,6 +126,11 @@ impl PostgresStore {
         let mut transaction = lent.begin_with(inner.begin()).await?;
         assert_durable(&mut transaction).await?;
         assert_owner(&mut transaction).await?;
+        if database_of(&mut transaction).await? != direct_database {
+            return Err(StoreError::NotWritable(
+                "database.direct_url leads to another database than database.url: nothing was stored".into(),
+            ));
+        }
         transaction.rollback().await?;
         lent.settle();
         Ok(Self { inner: Arc::new(inner) })
@@ -181,6 +187,16 @@ async fn assert_encoding(conn: &mut Conn) -> StoreResult<()> {
     }
     let detail = format!("needs a database in UTF8, this one is in {found}; nothing was changed");
     Err(StoreError::NotWritable(detail.into()))
+}
+
+/// Which database of which server is asked; each start of a server is another one.
+async fn database_of(conn: &mut Conn) -> StoreResult<(i64, i64)> {
+    let sql = concat!(
+        "SELECT oid::BIGINT, ",
+        dialect::server!(),
+        " FROM pg_database WHERE datname = current_database()"
+    );
+    Ok(sqlx::query_as(sql).fetch_one(&mut *conn).await?)
 }
 
 /// Tables made in another schema than those that are there would be an empty database beside a full one: as where a schema of the

@@ -3,7 +3,7 @@
 use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, quoted};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
-use crate::postgres::MIGRATIONS;
+use crate::postgres::{LIVE, MIGRATIONS, is_ours};
 use async_trait::async_trait;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
 use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
@@ -60,7 +60,23 @@ impl PostgresSide {
             .bind(subject.exclusive.first())
             .fetch_one(&mut side.conn)
             .await?;
-        if is_alone { Ok(side) } else { Err(TransferError::InUse) }
+        if !is_alone {
+            return Err(TransferError::InUse);
+        }
+        side.is_not_served().await?;
+        Ok(side)
+    }
+
+    /// A server would count cycles on what is moved under it. Each of them listens there, whatever pooler its cycles go through.
+    async fn is_not_served(&mut self) -> Result<(), TransferError> {
+        let is_served: bool = sqlx::query_scalar(
+            "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
+             WHERE datname = current_database() AND application_name = $1)",
+        )
+        .bind(LIVE)
+        .fetch_one(&mut self.conn)
+        .await?;
+        if is_served { Err(TransferError::Served) } else { Ok(()) }
     }
 
     pub(super) const fn conn(&mut self) -> &mut PgConnection {
@@ -142,7 +158,8 @@ impl Side for PostgresSide {
         let mut tables: Vec<(String, Vec<(String, Kind)>, Vec<String>)> = Vec::new();
         self.numbered.clear();
         for (table, column, declared, numbered, in_key) in columns {
-            if LEFT_OUT.contains(&table.as_str()) {
+            // What an admin keeps beside, such as a month that was detached, is his.
+            if LEFT_OUT.contains(&table.as_str()) || !is_ours(&table) {
                 continue;
             }
             let kind = kind(&declared)

@@ -12,8 +12,9 @@ use feedwright_core::units::Timestamp;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// How far the clocks of several servers may be apart, µs. What changed within it may have changed before or after.
-const CLOCKS_APART_US: i64 = 60_000_000;
+/// How far the clocks of several servers may be apart, or that of one may have been off, µs, as for retention and events. What changed
+/// within it may have changed before or after.
+const CLOCKS_APART_US: i64 = 600_000_000;
 
 /// What was read already: a page has many cycles of few machines and operations.
 #[derive(Default)]
