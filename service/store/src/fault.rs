@@ -55,9 +55,16 @@ enum Fault {
     Other,
 }
 
+/// Keys that PostgreSQL gives by itself: one that is there already is given by a sequence that was left behind, as by a move that
+/// brought none along, and says nothing of what was sent.
+const NUMBERED: [&str; 3] = ["alarms_pkey", "audit_pkey", "tool_events_pkey"];
+
 impl Fault {
     fn of(error: &dyn DatabaseError) -> Self {
         match error.kind() {
+            ErrorKind::UniqueViolation if error.constraint().is_some_and(|name| NUMBERED.contains(&name)) => {
+                return Self::Other;
+            }
             ErrorKind::UniqueViolation
             | ErrorKind::ForeignKeyViolation
             | ErrorKind::NotNullViolation

@@ -8,7 +8,7 @@ use feedwright_core::tool::ToolEventKind;
 use feedwright_core::units::Process;
 use feedwright_core::wear::Exclusion;
 use feedwright_store::{
-    CheckPage, Committed, CycleFilter, Doubt, Left, NewCycle, Page, Precondition, Repair, Store,
+    CheckPage, Committed, CycleFilter, Doubt, Left, NewCycle, Page, Precondition, Repair, Store, StoreError,
 };
 use sqlx::AssertSqlSafe;
 use std::collections::BTreeSet;
@@ -332,6 +332,16 @@ async fn what_the_tables_of_a_plant_lack_is_named() {
         let last = found.iter().find(|found| (found.kind, found.key.as_str()) == fault).unwrap();
         assert_eq!(last.may_mislead_wear(), misleads, "{change}");
     }
+    // Whoever tells an event is not told that it is wrong.
+    let again = store
+        .add_tool_event(
+            &"T1".try_into().unwrap(),
+            event(ToolEventKind::ConditionsConfirmed, at(900)),
+            &who,
+            at(901),
+        )
+        .await;
+    assert!(matches!(again, Err(StoreError::Database(_))), "{again:?}");
     given.done().await;
 }
 
