@@ -1,5 +1,6 @@
 //! Bodies that nobody would send: seeded, bounded, the same in every run. Both forms of a cycle's body are read without a
-//! panic; what the fast JSON reader takes is what serde takes; what is read twice has the same hash.
+//! panic; what the fast JSON reader takes is what serde takes; what is no JSON is told as that, whatever else is wrong with it;
+//! what is read twice has the same hash.
 
 use feedwright_core::units::Timestamp;
 use feedwright_server::ingest::body::{self, BodyError};
@@ -32,7 +33,7 @@ impl Random {
 }
 
 /// Pieces that break readers: what JSON is made of, and numbers at their edges.
-const PIECES: [&[u8]; 24] = [
+const PIECES: [&[u8]; 31] = [
     b"{",
     b"}",
     b"[",
@@ -57,6 +58,13 @@ const PIECES: [&[u8]; 24] = [
     b"01",
     b"1.",
     b"\"cycle_id\":\"x\",",
+    b"\\ud83d",
+    b"\\ude00",
+    b"\\q",
+    b"\t",
+    b"\xc2\xa0",
+    b"\"zzz\":1,",
+    b"\"tool\":NaN,",
 ];
 
 fn mutated(seed: &[u8], random: &mut Random) -> Vec<u8> {
@@ -91,7 +99,30 @@ fn mutated(seed: &[u8], random: &mut Random) -> Vec<u8> {
 fn seeds() -> Vec<Vec<u8>> {
     let compact: Vec<u8> = JSON.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
     let small = br#"{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"2026-05-04T05:59:00Z","samples":{"time_ms":[0,1.5,2],"depth_mm":[-0.0,0.10,99999]}}"#;
-    vec![JSON.to_vec(), compact, small.to_vec()]
+    // Of short texts, so that most is changed within one.
+    let texts = br#"{"zzz":"a\u00e9","cycle_id":"c1","tool":"T\"1","operation":"O1","started_at":"x","process":"\ud83d\ude00"}"#;
+    let beside = br#"{"cycle_id":"c1","tool":"T\u0031","operation":NaN,"process":"\ud83d\ude00"}"#;
+    vec![JSON.to_vec(), compact, small.to_vec(), texts.to_vec(), beside.to_vec()]
+}
+
+/// Whether it is JSON, by a reader that keeps every text of it; `None` where that stops at a number before it knows.
+fn is_json(body: &[u8]) -> Option<bool> {
+    match serde_json::from_slice::<serde_json::Value>(body) {
+        Ok(_) => Some(true),
+        Err(error) if error.to_string().starts_with("number out of range") => None,
+        Err(_) => Some(false),
+    }
+}
+
+/// The same with numbers in the place of words that are none: no JSON, where they are not all that is wrong with it.
+fn without_nan(body: &[u8]) -> Vec<u8> {
+    let (mut rest, mut out) = (body, Vec::new());
+    while let Some((first, behind)) = rest.split_first() {
+        let nan = rest.strip_prefix(b"NaN");
+        out.push(if nan.is_some() { b'0' } else { *first });
+        rest = nan.unwrap_or(behind);
+    }
+    out
 }
 
 #[test]
@@ -109,6 +140,14 @@ fn json_is_read_alike_by_both_readers_whatever_it_is() {
             let places = fast.as_ref().map_or_else(|_| Places::default(), |(_, places)| *places);
             let fast = fast.map(|(cycle, _)| cycle);
             assert_eq!(fast, slow, "{}", String::from_utf8_lossy(&json));
+            let malformed = matches!(slow, Err(BodyError::Malformed(_)));
+            match is_json(&json) {
+                Some(true) => assert!(!malformed, "{slow:?}: {}", json.escape_ascii()),
+                Some(false) if is_json(&without_nan(&json)) == Some(false) => {
+                    assert!(malformed, "{slow:?}: {}", json.escape_ascii());
+                }
+                _ => {}
+            }
             match (fast, slow) {
                 (Ok(fast), Ok(slow)) => {
                     read += 1;

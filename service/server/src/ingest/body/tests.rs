@@ -228,6 +228,23 @@ fn what_is_no_json_is_malformed() {
     for json in ["[]", "null", "5", "\"text\""] {
         assert!(matches!(of(json), Err(BodyError::Invalid(_))), "{json:?}: {:?}", of(json));
     }
+    // In any order of the fields.
+    let machine = MachineId::try_from("M1").unwrap();
+    for json in [
+        br#"{"cycle_id":"\ud800","zzz":1}"#.as_slice(),
+        br#"{"zzz":1,"cycle_id":"\ud800"}"#,
+        b"{\"cycle_id\":\"a\xff\",\"zzz\":1}",
+        b"{\"zzz\":1,\"cycle_id\":\"a\xff\"}",
+        b"{\"tool\":\"T1\",\"tool\":\"\xff\"}",
+        br#"{"cycle_id":"a\q","tool":NaN}"#,
+        br#"{"tool":NaN,"cycle_id":"a\q"}"#,
+        b"{\"tool\":NaN,\"cycle_id\":\"a\tb\"}",
+        b"{\"tool\":NaN,\"cycle_id\":\"a\xff\"}",
+    ] {
+        for decoded in [decode(&machine, json, 1000, NOW), decode_by_serde(&machine, json, 1000, NOW)] {
+            assert!(matches!(decoded, Err(BodyError::Malformed(_))), "{}: {decoded:?}", json.escape_ascii());
+        }
+    }
 }
 
 #[test]
