@@ -145,13 +145,19 @@ fn explained(path: &str, error: &serde_json::Error) -> Option<Violation> {
 /// What Serde expected, without the names of its types.
 fn in_words(sentence: &str) -> String {
     let Some((head, kind)) = sentence.rsplit_once("expected ") else { return sentence.to_owned() };
-    let words = match kind {
-        "f64" => "a number",
-        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number from 0 on",
-        "i8" | "i16" | "i32" | "i64" => "a whole number",
+    let (least, most): (i64, u64) = match kind {
+        "f64" => return format!("{head}expected a number"),
+        "u8" => (0, u8::MAX.into()),
+        "u16" => (0, u16::MAX.into()),
+        "u32" => (0, u32::MAX.into()),
+        "u64" | "usize" => (0, u64::MAX),
+        "i8" => (i8::MIN.into(), i8::MAX.unsigned_abs().into()),
+        "i16" => (i16::MIN.into(), i16::MAX.unsigned_abs().into()),
+        "i32" => (i32::MIN.into(), i32::MAX.unsigned_abs().into()),
+        "i64" => (i64::MIN, i64::MAX.unsigned_abs()),
         _ => return sentence.to_owned(),
     };
-    format!("{head}expected {words}")
+    format!("{head}expected a whole number from {least} to {most}")
 }
 
 #[cfg(test)]
@@ -191,6 +197,8 @@ mod tests {
         band_hz: Option<(f64, f64)>,
         name: String,
         any: serde_json::Value,
+        version: u32,
+        offset: i16,
     }
 
     fn refused(json: &str) -> (String, &'static str) {
@@ -267,6 +275,14 @@ mod tests {
             "invalid type: integer `5`, expected one of `all`, `grid`, `list`"
         );
         assert_eq!(told(r#"{"band_hz":[1,2,3]}"#), "invalid length 3, expected a tuple of size 2");
+        assert_eq!(
+            told(r#"{"version":4294967296}"#),
+            "invalid value: integer `4294967296`, expected a whole number from 0 to 4294967295"
+        );
+        assert_eq!(
+            told(r#"{"offset":1.5}"#),
+            "invalid type: floating point `1.5`, expected a whole number from -32768 to 32767"
+        );
     }
 
     #[test]
