@@ -107,13 +107,14 @@ fn lone_surrogate(json: &str) -> Option<usize> {
 
 /// The field that Serde names where it is unknown, missing or given twice, with the code for it.
 pub(crate) fn named_field(sentence: &str) -> Option<(&str, &'static str)> {
-    [
-        ("unknown field `", "unknown_field"),
-        ("missing field `", "missing_field"),
-        ("duplicate field `", "duplicate_field"),
-    ]
-    .into_iter()
-    .find_map(|(prefix, code)| Some((sentence.strip_prefix(prefix)?.split_once('`')?.0, code)))
+    if let Some(named) = sentence.strip_prefix("unknown field `") {
+        // The name is as it came, and may have anything in it; the fields there are, which are told behind it, have not.
+        let name = named.strip_suffix("`, there are no fields");
+        return Some((name.or_else(|| Some(named.rsplit_once("`, expected ")?.0))?, "unknown_field"));
+    }
+    [("missing field `", "missing_field"), ("duplicate field `", "duplicate_field")]
+        .into_iter()
+        .find_map(|(prefix, code)| Some((sentence.strip_prefix(prefix)?.strip_suffix('`')?, code)))
 }
 
 /// What is wrong and where; `None` where it is nested deeper than is followed.
@@ -283,6 +284,29 @@ mod tests {
             told(r#"{"offset":1.5}"#),
             "invalid type: floating point `1.5`, expected a whole number from -32768 to 32767"
         );
+    }
+
+    #[test]
+    fn an_unknown_field_is_named_whatever_its_name_is() {
+        for name in [
+            "by`",
+            "b`y",
+            "`",
+            "from`",
+            "from`, expected `to`",
+            "`, there are no fields",
+            "a.b",
+            " at line 1",
+        ] {
+            for (json, path) in [
+                (format!(r#"{{"{name}":1}}"#), name.to_owned()),
+                (format!(r#"{{"inner":{{"{name}":1}}}}"#), format!("inner.{name}")),
+                (format!(r#"{{"knots":[{{"{name}":1}}]}}"#), format!("knots[0].{name}")),
+            ] {
+                assert_eq!(refused(&json), (path, "unknown_field"), "{json}");
+            }
+        }
+        assert_eq!(named_field("unknown field `a`b`, there are no fields"), Some(("a`b", "unknown_field")));
     }
 
     #[test]

@@ -81,6 +81,8 @@ fn fields_that_are_unknown_missing_or_given_twice_are_named() {
     let at = |path: &str, code| (path.to_owned(), code);
     assert_eq!(refusal(&with(r#""feed":1"#)), at("feed", "unknown_field"));
     assert_eq!(refusal(&samples(r#""load":[1]"#)), at("samples.load", "unknown_field"));
+    assert_eq!(refusal(&samples(r#""depth_mm`":[1]"#)), at("samples.depth_mm`", "unknown_field"));
+    assert_eq!(refusal(&with(r#""reported":{"a`b":1}"#)), at("reported.a`b", "unknown_field"));
     let Err(BodyError::Invalid(violations)) = of(&samples(r#""load":[1]"#)) else { panic!("refused") };
     for channel in Channel::ALL {
         assert!(
