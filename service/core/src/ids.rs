@@ -16,7 +16,7 @@ fn check(path: &str, text: &str) -> Result<(), Violation> {
         return Err(Violation::new(
             path,
             "too_long",
-            format!("must have at most {MAX_ID_LENGTH} characters, has {}", bytes.len()),
+            format!("must have at most {MAX_ID_LENGTH} bytes, has {}", bytes.len()),
         ));
     }
     let inner = |b: &u8| b.is_ascii_alphanumeric() || matches!(b, b'.' | b'_' | b':' | b'-');
@@ -121,6 +121,9 @@ mod tests {
         let code = |text: &str| ToolId::try_from(text).unwrap_err().code;
         assert_eq!(code(""), "empty");
         assert_eq!(code(&"a".repeat(129)), "too_long");
+        // Letters that no id has may be more than a byte each: of those there are told bytes.
+        let long = ToolId::try_from("é".repeat(128).as_str()).unwrap_err();
+        assert_eq!((long.code, long.message.as_ref()), ("too_long", "must have at most 128 bytes, has 256"));
         for text in ["-a", ".a", "a b", "a/b", "é", "a\0", "a\n", "%41"] {
             assert_eq!(code(text), "invalid_id", "{text:?}");
         }

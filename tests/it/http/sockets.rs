@@ -80,6 +80,38 @@ async fn a_silent_connection_half_a_head_and_an_idle_one_are_closed_in_time() {
     running.server.shutdown().await.unwrap();
 }
 
+/// RFC 9112, section 3.2. Health checks by HTTP/1.0 name none.
+#[tokio::test]
+async fn a_request_names_one_host() {
+    let running = start(&[("metrics.listen", "127.0.0.1:0")]).await;
+    let body = machine().to_string();
+    let put = running.put_head(body.len());
+    let head =
+        |version: &str, hosts: &str| format!("GET /healthz {version}\r\n{hosts}connection: close\r\n\r\n");
+    for (request, status) in [
+        (put.replace("host: x\r\n", "connection: close\r\n") + &body, "400"),
+        (put.replace("host: x\r\n", "host: x\r\nHost: x\r\nconnection: close\r\n") + &body, "400"),
+        (put.replace("host: x\r\n", "host:\r\nconnection: close\r\n") + &body, "201"),
+        (head("HTTP/1.1", ""), "400"),
+        (head("HTTP/1.1", "").replace("/healthz", "/nowhere"), "400"),
+        (head("HTTP/1.1", "").replace("/healthz", "http://x/healthz"), "400"),
+        (head("HTTP/1.1", "host: x\r\n"), "200"),
+        (head("HTTP/1.0", ""), "200"),
+        (head("HTTP/1.0", "host: x\r\n"), "200"),
+        (head("HTTP/1.0", "host: x\r\nhost: y\r\n"), "400"),
+    ] {
+        let mut stream = running.connect().await;
+        stream.write_all(request.as_bytes()).await.unwrap();
+        let (_, answer) = until_closed(&mut stream).await;
+        assert_eq!(answer.split(' ').nth(1), Some(status), "{request}\n{answer}");
+        assert_eq!(answer.contains("\"code\":\"invalid_host\""), status == "400", "{answer}");
+    }
+    let mut metrics = TcpStream::connect(running.server.metrics_addr.unwrap()).await.unwrap();
+    metrics.write_all(b"GET /metrics HTTP/1.1\r\nconnection: close\r\n\r\n").await.unwrap();
+    assert!(until_closed(&mut metrics).await.1.starts_with("HTTP/1.1 400"));
+    running.server.shutdown().await.unwrap();
+}
+
 #[tokio::test]
 async fn a_body_that_stalls_or_drips_is_answered_and_closed_in_time() {
     let running =

@@ -8,7 +8,7 @@ use axum::extract::{MatchedPath, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
-use http::{HeaderName, HeaderValue, StatusCode, header};
+use http::{HeaderName, HeaderValue, StatusCode, Version, header};
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;
 use tracing::Instrument;
@@ -47,8 +47,13 @@ pub(crate) async fn answer(State(state): State<AppState>, mut request: Request, 
         telemetry::adopt(&span, method.as_str(), route, request.headers());
     }
 
-    let ran = AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await;
-    let response = ran.unwrap_or_else(|_| Problem::internal("a handler panicked").into_response());
+    let response = match without_one_host(&request) {
+        Some(problem) => problem.into_response(),
+        None => {
+            let ran = AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await;
+            ran.unwrap_or_else(|_| Problem::internal("a handler panicked").into_response())
+        }
+    };
     let mut response = finish(response, &id, &span);
 
     let status = response.status();
@@ -68,6 +73,18 @@ pub(crate) async fn answer(State(state): State<AppState>, mut request: Request, 
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     response
+}
+
+/// Refuses what RFC 9112, section 3.2, has refused, so that nobody in between takes it for a request to another host. HTTP/1.0,
+/// which health checks speak, needs no host; nor does what came over no connection.
+fn without_one_host(request: &Request) -> Option<Problem> {
+    request.extensions().get::<Peer>()?;
+    let detail = match request.headers().get_all(header::HOST).iter().count() {
+        0 if request.version() == Version::HTTP_11 => "HTTP/1.1 needs the header Host",
+        0 | 1 => return None,
+        _ => "there is more than one header Host",
+    };
+    Some(Problem::bad_request("invalid_host", detail))
 }
 
 fn request_id(request: &Request) -> String {

@@ -105,10 +105,21 @@ struct SamplesBody {
 }
 
 /// Name of a field in `samples`, refused where there is no such field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum SamplesField {
     PeriodMs,
     TimeMs,
     Column(Channel),
+}
+
+impl SamplesField {
+    const fn as_str(self) -> &'static str {
+        match self {
+            Self::PeriodMs => "period_ms",
+            Self::TimeMs => "time_ms",
+            Self::Column(channel) => channel.as_str(),
+        }
+    }
 }
 
 impl<'de> Deserialize<'de> for SamplesField {
@@ -149,23 +160,21 @@ impl<'de> Deserialize<'de> for SamplesBody {
             }
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<SamplesBody, A::Error> {
                 let mut body = SamplesBody::default();
-                let twice = |name: &str| A::Error::custom(format!("duplicate field `{name}`"));
-                while let Some(field) = map.next_key()? {
-                    match field {
-                        SamplesField::PeriodMs => {
-                            if body.period_ms.replace(map.next_value::<Number>()?.0).is_some() {
-                                return Err(twice("period_ms"));
-                            }
-                        }
-                        SamplesField::TimeMs => {
-                            if body.time_ms.replace(map.next_value::<Numbers>()?.0).is_some() {
-                                return Err(twice("time_ms"));
-                            }
-                        }
+                while let Some(field) = map.next_key::<SamplesField>()? {
+                    let is_there = match field {
+                        SamplesField::PeriodMs => body.period_ms.is_some(),
+                        SamplesField::TimeMs => body.time_ms.is_some(),
                         SamplesField::Column(channel) => {
-                            if body.columns.iter().any(|(known, _)| *known == channel) {
-                                return Err(twice(channel.as_str()));
-                            }
+                            body.columns.iter().any(|(known, _)| *known == channel)
+                        }
+                    };
+                    if is_there {
+                        return Err(A::Error::duplicate_field(field.as_str()));
+                    }
+                    match field {
+                        SamplesField::PeriodMs => body.period_ms = Some(map.next_value::<Number>()?.0),
+                        SamplesField::TimeMs => body.time_ms = Some(map.next_value::<Numbers>()?.0),
+                        SamplesField::Column(channel) => {
                             body.columns.push((channel, map.next_value::<Numbers>()?.0));
                         }
                     }
@@ -270,8 +279,9 @@ fn refusal(json: &[u8], wrong: Wrong) -> BodyError {
     }
 }
 
-/// Refuses a body with more values than all columns of a cycle together, before any of them is kept: a compressed body of
-/// some hundred kilobytes may hold tens of millions, which take eight bytes each.
+/// Refuses samples with more values than all columns of a cycle together, before any of them is kept: a compressed body of
+/// some hundred kilobytes may hold tens of millions, which take eight bytes each. Values elsewhere are not kept: whoever
+/// reads the body stops where they begin.
 fn refuse_too_many_values(json: &[u8], max_samples: usize) -> Result<(), BodyError> {
     // Times are a column too. One value more than a column may have is told by the column.
     let most = (max_samples.saturating_add(1)).saturating_mul(Channel::ALL.len() + 1);
@@ -280,60 +290,73 @@ fn refuse_too_many_values(json: &[u8], max_samples: usize) -> Result<(), BodyErr
         return Ok(());
     }
     // Commas part other things too: reported values, fields, words of a text.
-    let Values(values) = json::read(json).map_err(|wrong| refusal(json, wrong))?;
-    if values <= most {
+    let counted: Counted = json::read(json).map_err(|wrong| refusal(json, wrong))?;
+    if counted.samples.is_none_or(|Values(values)| values <= most) {
         return Ok(());
     }
+    json::well_formed(json).map_err(|wrong| refusal(json, wrong))?;
     let message =
         format!("may hold at most {max_samples} samples, has more values than so many of all channels");
     Err(BodyError::Invalid(vec![Violation::new("samples", "too_many_samples", message)]))
 }
 
-/// How many values a document's columns hold, whatever they are called.
+/// A body of which nothing is kept.
+#[derive(Deserialize)]
+struct Counted {
+    samples: Option<Values>,
+}
+
+/// How many values the columns of samples hold together.
 struct Values(usize);
 
 impl<'de> Deserialize<'de> for Values {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Counted;
-        impl<'de> Visitor<'de> for Counted {
+        struct Columns;
+        impl<'de> Visitor<'de> for Columns {
             type Value = Values;
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a JSON value")
+                f.write_str("an object of columns")
             }
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Values, A::Error> {
-                let mut all = 0_usize;
-                while let Some((IgnoredAny, Values(of_it))) = map.next_entry()? {
-                    all = all.saturating_add(of_it);
+                let (mut all, mut counted) = (0_usize, Vec::new());
+                while let Some(field) = map.next_key::<SamplesField>()? {
+                    if counted.contains(&field) {
+                        return Err(A::Error::duplicate_field(field.as_str()));
+                    }
+                    if field == SamplesField::PeriodMs {
+                        let IgnoredAny = map.next_value()?;
+                    } else {
+                        all = all.saturating_add(map.next_value::<Length>()?.0);
+                    }
+                    counted.push(field);
                 }
                 Ok(Values(all))
-            }
-            fn visit_seq<A: SeqAccess<'de>>(self, mut values: A) -> Result<Values, A::Error> {
-                let mut all = 0_usize;
-                while let Some(Values(of_it)) = values.next_element()? {
-                    all = all.saturating_add(of_it.max(1));
-                }
-                Ok(Values(all))
-            }
-            fn visit_bool<E>(self, _: bool) -> Result<Values, E> {
-                Ok(Values(0))
-            }
-            fn visit_i64<E>(self, _: i64) -> Result<Values, E> {
-                Ok(Values(0))
-            }
-            fn visit_u64<E>(self, _: u64) -> Result<Values, E> {
-                Ok(Values(0))
-            }
-            fn visit_f64<E>(self, _: f64) -> Result<Values, E> {
-                Ok(Values(0))
-            }
-            fn visit_str<E>(self, _: &str) -> Result<Values, E> {
-                Ok(Values(0))
-            }
-            fn visit_unit<E>(self) -> Result<Values, E> {
-                Ok(Values(0))
             }
         }
-        deserializer.deserialize_any(Counted)
+        deserializer.deserialize_map(Columns)
+    }
+}
+
+/// How many values a column holds.
+struct Length(usize);
+
+impl<'de> Deserialize<'de> for Length {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Column;
+        impl<'de> Visitor<'de> for Column {
+            type Value = Length;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an array of numbers")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut values: A) -> Result<Length, A::Error> {
+                let mut length = 0;
+                while let Some(IgnoredAny) = values.next_element()? {
+                    length += 1;
+                }
+                Ok(Length(length))
+            }
+        }
+        deserializer.deserialize_any(Column)
     }
 }
 

@@ -12,7 +12,7 @@ const LITERALS: [&str; 8] = ["NaN", "nan", "Infinity", "-Infinity", "inf", "-inf
 pub(crate) fn first_non_finite(json: &[u8]) -> Option<(String, String)> {
     let mut scan = Scan::of(std::str::from_utf8(json).ok()?);
     scan.value(0)?;
-    scan.rest.trim_start().is_empty().then_some(scan.found).flatten()
+    scan.rest.is_empty().then_some(scan.found).flatten()
 }
 
 /// The text of a field of the outermost object, where all before it is JSON but for such numbers. It is looked for in the
@@ -56,7 +56,7 @@ enum Step<'a> {
 
 impl<'a> Scan<'a> {
     fn of(text: &'a str) -> Self {
-        Self { rest: text.trim_start(), steps: Vec::new(), found: None }
+        Self { rest: behind_space(text), steps: Vec::new(), found: None }
     }
 
     fn path(&self) -> String {
@@ -89,7 +89,7 @@ impl<'a> Scan<'a> {
     }
 
     fn eat(&mut self, token: &str) -> Option<()> {
-        self.rest = self.rest.strip_prefix(token)?.trim_start();
+        self.rest = behind_space(self.rest.strip_prefix(token)?);
         Some(())
     }
 
@@ -129,15 +129,21 @@ impl<'a> Scan<'a> {
 
     fn string(&mut self) -> Option<&'a str> {
         let inner = self.rest.strip_prefix('"')?;
-        let mut escaped = false;
+        let (mut escaped, mut plain) = (false, true);
         for (at, byte) in inner.bytes().enumerate() {
             match byte {
                 _ if escaped => escaped = false,
-                b'\\' => escaped = true,
+                b'\\' => (escaped, plain) = (true, false),
                 b'"' => {
-                    self.rest = inner[at + 1..].trim_start();
+                    let (text, rest) = self.rest.split_at(at + 2);
+                    // What an escape may say is known where texts are read.
+                    if !plain {
+                        serde_json::from_str::<String>(text).ok()?;
+                    }
+                    self.rest = behind_space(rest);
                     return Some(&inner[..at]);
                 }
+                ..b' ' => return None,
                 _ => {}
             }
         }
@@ -147,7 +153,7 @@ impl<'a> Scan<'a> {
     fn scalar(&mut self) -> Option<()> {
         let end = self.rest.find([',', ']', '}', ' ', '\n', '\r', '\t']).unwrap_or(self.rest.len());
         let (literal, rest) = self.rest.split_at(end);
-        self.rest = rest.trim_start();
+        self.rest = behind_space(rest);
         if matches!(literal, "true" | "false" | "null") {
             return Some(());
         }
@@ -158,6 +164,13 @@ impl<'a> Scan<'a> {
         }
         Some(())
     }
+}
+
+/// Space as JSON has it: other characters that are blank are none.
+const SPACE: [char; 4] = [' ', '\n', '\r', '\t'];
+
+fn behind_space(text: &str) -> &str {
+    text.trim_start_matches(SPACE)
 }
 
 /// `Some(true)` for what JSON calls a number; `None` for anything else.
@@ -226,6 +239,14 @@ mod tests {
             r#"{"a":"x,"b":NaN}"#,
             r#"{"a":nope,"b":NaN}"#,
             "[1 2, NaN]",
+            r#"{"a":"\q","b":NaN}"#,
+            r#"{"a":"\u12g4","b":NaN}"#,
+            r#"{"a":"\ud800","b":NaN}"#,
+            r#"{"a\udc00":"","b":NaN}"#,
+            "{\"a\":\"\n\",\"b\":NaN}",
+            "{\"a\":\"\\\n\",\"b\":NaN}",
+            "{\u{a0}\"b\":NaN}",
+            "{\"b\":NaN}\u{c}",
         ] {
             assert_eq!(found(text), None, "{text}");
         }

@@ -81,6 +81,8 @@ fn fields_that_are_unknown_missing_or_given_twice_are_named() {
     let at = |path: &str, code| (path.to_owned(), code);
     assert_eq!(refusal(&with(r#""feed":1"#)), at("feed", "unknown_field"));
     assert_eq!(refusal(&samples(r#""load":[1]"#)), at("samples.load", "unknown_field"));
+    assert_eq!(refusal(&samples(r#""depth_mm`":[1]"#)), at("samples.depth_mm`", "unknown_field"));
+    assert_eq!(refusal(&with(r#""reported":{"a`b":1}"#)), at("reported.a`b", "unknown_field"));
     let Err(BodyError::Invalid(violations)) = of(&samples(r#""load":[1]"#)) else { panic!("refused") };
     for channel in Channel::ALL {
         assert!(
@@ -184,6 +186,43 @@ fn more_values_than_any_cycle_has_are_refused_before_they_are_kept() {
         let not_finite = json.replacen("[1", "[NaN", 1);
         assert_eq!(refusal(&not_finite), (String::from("samples.depth_mm[0]"), "not_finite"));
     }
+    // Where they are no samples, what is wrong is what they are instead.
+    let many = values(most + 2);
+    let at = |path: &str, code| (path.to_owned(), code);
+    for (json, refused) in [
+        (format!(r#"{{"x":[{many}]}}"#), at("x", "unknown_field")),
+        (with(&format!(r#""x":[{many}]"#)), at("x", "unknown_field")),
+        (samples(&format!(r#""x":[{many}]"#)), at("samples.x", "unknown_field")),
+        (with(&format!(r#""seq":[{many}]"#)), at("seq", "wrong_type")),
+        (
+            with(&format!(r#""reported":{{"energy_joules":[{many}]}}"#)),
+            at("reported.energy_joules", "wrong_type"),
+        ),
+        (with(&format!(r#""samples":[{many}]"#)), at("samples", "wrong_type")),
+        (format!("[{many}]"), at("", "wrong_type")),
+        (
+            samples(&format!(r#""depth_mm":5,"thrust_newtons":[{many}]"#)),
+            at("samples.depth_mm", "wrong_type"),
+        ),
+        (
+            samples(&format!(r#""depth_mm":[1],"depth_mm":[{many}]"#)),
+            at("samples.depth_mm", "duplicate_field"),
+        ),
+        (
+            with(&format!(r#""samples":null,"samples":{{"depth_mm":[{many}]}}"#)),
+            at("samples", "duplicate_field"),
+        ),
+        (
+            samples(&format!(r#""depth_mm":[{many}],"thrust_newtons":[null]"#)),
+            at("samples", "too_many_samples"),
+        ),
+    ] {
+        assert_eq!(refusal(&json), refused, "{}", &json[..json.len().min(200)]);
+        let slow = decode_by_serde(&MachineId::try_from("M1").unwrap(), json.as_bytes(), 1000, NOW);
+        assert_eq!(slow, of(&json));
+    }
+    let lone = format!(r#"{{"x":"\ud800","samples":{{"depth_mm":[{many}]}}}}"#);
+    assert!(matches!(of(&lone), Err(BodyError::Malformed(_))), "whether it is JSON at all comes first");
     // As many as there may be, in as long a body.
     let all = Channel::ALL.iter().map(|channel| format!(r#""{}":[{}]"#, channel.as_str(), values(1000)));
     let columns = all.collect::<Vec<_>>().join(", ");
@@ -227,6 +266,23 @@ fn what_is_no_json_is_malformed() {
     }
     for json in ["[]", "null", "5", "\"text\""] {
         assert!(matches!(of(json), Err(BodyError::Invalid(_))), "{json:?}: {:?}", of(json));
+    }
+    // In any order of the fields.
+    let machine = MachineId::try_from("M1").unwrap();
+    for json in [
+        br#"{"cycle_id":"\ud800","zzz":1}"#.as_slice(),
+        br#"{"zzz":1,"cycle_id":"\ud800"}"#,
+        b"{\"cycle_id\":\"a\xff\",\"zzz\":1}",
+        b"{\"zzz\":1,\"cycle_id\":\"a\xff\"}",
+        b"{\"tool\":\"T1\",\"tool\":\"\xff\"}",
+        br#"{"cycle_id":"a\q","tool":NaN}"#,
+        br#"{"tool":NaN,"cycle_id":"a\q"}"#,
+        b"{\"tool\":NaN,\"cycle_id\":\"a\tb\"}",
+        b"{\"tool\":NaN,\"cycle_id\":\"a\xff\"}",
+    ] {
+        for decoded in [decode(&machine, json, 1000, NOW), decode_by_serde(&machine, json, 1000, NOW)] {
+            assert!(matches!(decoded, Err(BodyError::Malformed(_))), "{}: {decoded:?}", json.escape_ascii());
+        }
     }
 }
 
