@@ -5,8 +5,8 @@
     python3 feedwright_cycle.py --batch < cycles.ndjson > cycles.bin
 
 As a module: encode(cycle) takes the same fields as the JSON body, a dict, and returns the bytes of one frame; a batch is
-frame after frame. Numbers are int or float, and columns any sequence of them (of an array of other numbers, its tolist());
-started_at may be a datetime with an offset too. What JSON could not say is refused here, and what is out of its range by
+frame after frame. Numbers are int, float or what else is a real number (numbers.Real, as NumPy's are), and columns any
+sequence of them; started_at may be a datetime with an offset too. What JSON could not say is refused here, and what is out of its range by
 the service, as in JSON. docs/cycle-format.md lays the bytes out.
 """
 
@@ -18,6 +18,7 @@ import sys
 import zlib
 from datetime import date, datetime, timedelta, timezone
 from decimal import Decimal
+from numbers import Real
 
 CHANNELS = {
     "depth_mm": 1,
@@ -128,7 +129,7 @@ def _whole(value, bits):
 
 
 def _number(value):
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
+    if not isinstance(value, Real) or isinstance(value, bool):
         raise ValueError(f"not a number: {value!r:.40}")
     try:
         number = float(value)
