@@ -104,6 +104,9 @@ struct Inner {
     asking: Mutex<()>,
     /// Who makes changes: they leave reads some of the pool, however long their commits take.
     changing: Semaphore,
+    /// The connection of the change before, where the pool has enough without it: a server's process that has just written cycles
+    /// has all at hand that it takes, which another one has to look up.
+    warm: std::sync::Mutex<Option<Warm>>,
     /// Changes that are under way and no longer waited for.
     given_up: AtomicUsize,
     /// When the last group came that the server's disk had no room for, if none was written since.
@@ -113,6 +116,19 @@ struct Inner {
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
 }
+
+/// A connection between two changes.
+#[derive(Debug)]
+struct Warm {
+    lent: Lent,
+    /// When the pool lent it.
+    since: Instant,
+}
+
+/// A connection goes back to the pool after so long, which knows how old one may become.
+const WARM_FOR: Duration = Duration::from_secs(600);
+/// Pools of fewer connections lend each of them anew.
+const ENOUGH_CONNECTIONS: u32 = 4;
 
 impl PostgresStore {
     /// Creates the partitions of samples for the month of `now` and those after it, `months` in all; returns how many
@@ -201,7 +217,8 @@ impl PostgresStore {
         let asked = sqlx::query_scalar("SELECT pg_database_size(current_database())");
         let bytes: i64 = self.in_time(async { Ok(asked.fetch_one(&mut *lent).await?) }).await?;
         let pool = &self.inner.pool;
-        let idle = u32::try_from(pool.num_idle()).unwrap_or(u32::MAX);
+        let warm = self.inner.warm.lock().unwrap_or_else(PoisonError::into_inner).is_some();
+        let idle = u32::try_from(pool.num_idle()).unwrap_or(u32::MAX).saturating_add(warm.into());
         Ok(DatabaseUsage {
             bytes: number("bytes", bytes)?,
             wal_bytes: None,
@@ -368,6 +385,7 @@ impl PostgresStore {
     async fn shut(&self) {
         let ended = async {
             self.inner.gate.shut().await;
+            drop(self.inner.warm.lock().unwrap_or_else(PoisonError::into_inner).take());
             self.inner.pool.close().await;
         };
         if timeout(self.inner.lost_after, ended).await.is_err() {
@@ -484,12 +502,45 @@ impl Inner {
         let Ok(Ok(_turn)) = timeout(patience, self.changing.acquire()).await else {
             return Err(StoreError::Unavailable("other changes are under way".into()));
         };
-        let mut lent = self.lent().await?;
-        let answer = self.answered(changed(&mut lent, self.begin(), work, commits)).await;
-        answer.unwrap_or_else(|| {
-            lent.lose();
-            Err(StoreError::OutcomeUnknown(LOST.into()))
-        })
+        let Warm { mut lent, since } = match self.warm().await {
+            Some(warm) => warm,
+            None => Warm { lent: self.lent().await?, since: Instant::now() },
+        };
+        match self.answered(changed(&mut lent, self.begin(), work, commits)).await {
+            Some(outcome) => {
+                if outcome.is_ok() {
+                    self.keep_warm(Warm { lent, since });
+                }
+                outcome
+            }
+            None => {
+                lent.lose();
+                Err(StoreError::OutcomeUnknown(LOST.into()))
+            }
+        }
+    }
+
+    /// The connection of the change before, where it may still be written by; as the pool asks of one that it lends.
+    async fn warm(&self) -> Option<Warm> {
+        let mut warm = self.warm.lock().unwrap_or_else(PoisonError::into_inner).take()?;
+        let patience = self.pool.options().get_acquire_timeout() / 2;
+        match timeout(patience, open::usable(&mut warm.lent)).await {
+            Ok(Ok(true)) => Some(warm),
+            _ => {
+                warm.lent.lose();
+                None
+            }
+        }
+    }
+
+    fn keep_warm(&self, warm: Warm) {
+        if self.pool.options().get_max_connections() < ENOUGH_CONNECTIONS
+            || warm.since.elapsed() > WARM_FOR
+            || self.pool.is_closed()
+        {
+            return;
+        }
+        self.warm.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(warm);
     }
 }
 

@@ -5,10 +5,12 @@ use sqlx::pool::PoolConnection;
 use sqlx::{Executor, PgPool};
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
+use tokio::runtime::Handle;
 use tokio::time::timeout;
 
 /// A connection of the pool. sqlx 0.9.0 asks the server before it takes one back, however long that says nothing: here it is
 /// given up then, so that a host that vanishes takes none of the pool's places with it.
+#[derive(Debug)]
 pub(super) struct Lent {
     /// There until it is given back or lost.
     conn: Option<PoolConnection<Db>>,
@@ -45,7 +47,12 @@ impl Drop for Lent {
     fn drop(&mut self) {
         let Some(mut conn) = self.conn.take() else { return };
         let (reads, patience) = (self.reads, self.patience);
-        tokio::spawn(async move {
+        // One that a store kept, which ends behind everything else.
+        let Ok(runtime) = Handle::try_current() else {
+            drop(conn.detach());
+            return;
+        };
+        runtime.spawn(async move {
             if reads && !matches!(timeout(patience, conn.execute("ROLLBACK")).await, Ok(Ok(_))) {
                 drop(conn.detach());
                 return;

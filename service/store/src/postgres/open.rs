@@ -115,6 +115,7 @@ impl PostgresStore {
             lost_after: options.lost_after,
             asking: Mutex::default(),
             changing: Semaphore::new(options.connections.saturating_sub(KEPT_FOR_READS).max(1) as usize),
+            warm: std::sync::Mutex::default(),
             given_up: AtomicUsize::new(0),
             full_since: std::sync::Mutex::default(),
             max_samples: options.max_samples,
