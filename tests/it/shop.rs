@@ -111,6 +111,15 @@ impl Shop {
         assert_eq!(self.tables(&sql).await, 1);
     }
 
+    /// Damages all samples that are stored.
+    pub(crate) async fn damage_samples(&self) {
+        let sql = match &self.database {
+            None => "UPDATE sample_packs SET blocks = zeroblob(length(blocks))",
+            Some(_) => "UPDATE cycle_samples SET block = decode(repeat('00', length(block)), 'hex')",
+        };
+        assert!(self.tables(sql).await > 0);
+    }
+
     /// Runs a statement on the tables themselves; says how many rows it changed.
     pub(crate) async fn tables(&self, sql: &str) -> u64 {
         let query = sqlx::AssertSqlSafe(sql.to_owned());

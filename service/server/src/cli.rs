@@ -13,6 +13,7 @@ pub mod replay;
 mod scratch;
 pub mod serve;
 pub mod simulate;
+mod stop;
 pub mod token;
 pub mod twin;
 

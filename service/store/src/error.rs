@@ -78,7 +78,8 @@ impl StoreError {
     }
 
     /// What is damaged, with the cycle that it was found in.
-    pub(crate) fn of_cycle(self, machine: &str, cycle: &str) -> Self {
+    #[must_use]
+    pub fn of_cycle(self, machine: &str, cycle: &str) -> Self {
         match self {
             Self::Damaged { what } => Self::Damaged { what: format!("cycle {machine}/{cycle}: {what}") },
             other => other,

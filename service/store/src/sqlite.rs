@@ -23,7 +23,7 @@ pub(crate) mod recommendation_id;
 mod writing;
 
 pub(crate) use dialect::insert_blocks;
-pub(crate) use files::{beside, log_left};
+pub(crate) use files::{beside, by_name, log_left};
 pub(crate) use journal::is_left;
 pub(crate) use kept::{Cell, Form, is_kept_for_another};
 pub use open::SqliteOptions;

@@ -1,9 +1,11 @@
 //! A machine's lines fitted to its dynamometer cycles.
 
 use super::{drilled, model_machine, number};
-use crate::shop::Shop;
+use crate::shop::{Shop, at};
 use feedwright_core::friction::twin::PaperStrategies;
 use serde_json::{Value, json};
+
+crate::engines::on_both!(cycles_whose_samples_are_gone_are_passed_over_and_damaged_ones_are_named);
 
 const PATH: &str = "/v1/machines/F1/calibrations/fit";
 
@@ -70,4 +72,55 @@ async fn what_makes_no_line_is_refused_and_only_engineers_fit() {
     assert_eq!(shop.send_as(request, &viewer).await.status, 403);
     let request = shop.client.post(shop.url("/v1/friction/simulate")).json(&json!({}));
     assert_eq!(shop.send_as(request, &viewer).await.status, 200, "a viewer may compute");
+}
+
+async fn cycles_whose_samples_are_gone_are_passed_over_and_damaged_ones_are_named() {
+    let shop = Shop::open().await;
+    model_machine(&shop).await;
+    let paper = PaperStrategies::new().unwrap();
+    for number in 1..=4 {
+        assert_eq!(shop.cycle("F1", &drilled(number, &paper.linear, "f_lin", true)).await.status, 201);
+    }
+    assert_eq!(shop.get("/v1/cycles?machine=F1").await.body["items"].as_array().unwrap().len(), 4);
+    // As retention leaves them: the oldest without samples.
+    assert_eq!(shop.tables("DELETE FROM cycle_samples WHERE cycle_id IN ('c1', 'c2')").await, 2);
+    let few = json!({"most_cycles": 1, "dry_run": true});
+    let fitted = shop.post(PATH, &few).await;
+    assert_eq!(
+        (fitted.status, &fitted.body["thrust"]["line"]["cycles"]),
+        (200, &json!(1)),
+        "{}",
+        fitted.text
+    );
+    assert_eq!(
+        (&fitted.body["considered"], &fitted.body["skipped"]),
+        (&json!(3), &json!({"samples_dropped": 2}))
+    );
+    let early = json!({"filter": {"to": at(3)}, "dry_run": true});
+    let none = shop.post(PATH, &early).await;
+    assert_eq!(
+        (none.status, &none.body["errors"][0]["code"]),
+        (422, &json!("not_identifiable")),
+        "{}",
+        none.text
+    );
+    assert_eq!(
+        (&none.body["considered"], &none.body["skipped"]),
+        (&json!(2), &json!({"samples_dropped": 2})),
+        "{}",
+        none.text
+    );
+    let detail = none.body["detail"].as_str().unwrap();
+    assert!(detail.contains("2 cycles were looked at, 2 skipped: samples_dropped"), "{detail}");
+
+    shop.damage_samples().await;
+    let damaged = shop.post(PATH, &few).await;
+    assert_eq!(
+        (damaged.status, &damaged.body["code"]),
+        (500, &json!("stored_data_damaged")),
+        "{}",
+        damaged.text
+    );
+    let detail = damaged.body["detail"].as_str().unwrap();
+    assert!(detail.contains("the samples of cycle F1/c3 cannot be read"), "{detail}");
 }

@@ -6,6 +6,8 @@ use feedwright_core::friction::program::{Between, FeedProgram, Strategy};
 use feedwright_core::friction::twin::{PAPER_END_DEPTH_MM, PaperStrategies};
 use serde_json::{Value, json};
 
+crate::engines::on_both!(where_retention_has_left_nothing_to_learn_from_the_refusal_says_so);
+
 const HERE: &str = "/v1/feed-profiles/bushing";
 
 /// F_Lin of the paper's set-up, times a factor, to the end of the path.
@@ -406,6 +408,42 @@ async fn a_profile_is_learnt_from_cycles_and_its_prediction_held_against_the_nex
     assert_eq!((refused.status, &refused.body["errors"][0]["path"]), (422, &json!("confidence")));
     let unknown = json!({"profile": "bushing", "job": "none", "reason": "r"});
     assert_eq!(story.shop.post("/v1/feed-profiles", &unknown).await.body["errors"][0]["code"], "unknown_job");
+}
+
+async fn where_retention_has_left_nothing_to_learn_from_the_refusal_says_so() {
+    let mut story = Story::begin().await;
+    let mut question = json!({"operation": "O1", "tool_type": "fd-7.3", "limits": limits()});
+    let mut refused = async |story: &Story, change: Option<Value>| {
+        if let Some(edges) = change {
+            question["wear_edges"] = edges;
+        }
+        let asked = story.shop.post("/v1/feed-profiles/optimize", &question).await;
+        let done = ended(&story.shop, asked.headers["location"].to_str().unwrap()).await;
+        let result = done["result"].clone();
+        assert_eq!(
+            (&result["report"], &result["refused"][0]["path"]),
+            (&Value::Null, &json!("cycles")),
+            "{done}"
+        );
+        result
+    };
+    let none = refused(&story, None).await;
+    assert!(none["refused"][0]["message"].as_str().unwrap().starts_with("no cycle was given"), "{none}");
+    assert_eq!(none["skipped"], json!([]));
+    for factor in [0.85, 1.0] {
+        story.drill(1, factor, None).await;
+    }
+    assert_eq!(story.shop.get("/v1/cycles?tool=T1").await.body["items"].as_array().unwrap().len(), 2);
+    assert_eq!(story.shop.tables("DELETE FROM cycle_samples").await, 2);
+    // The same question by the cycles that there are to learn from, and another answer.
+    for change in [None, Some(json!([1.0, 1.04]))] {
+        let gone = refused(&story, change).await;
+        let message = gone["refused"][0]["message"].as_str().unwrap();
+        assert!(message.contains("the samples of 2 were dropped by retention, or are missing"), "{message}");
+        let skipped = gone["skipped"].as_array().unwrap();
+        assert_eq!(skipped.len(), 2, "{gone}");
+        assert!(skipped.iter().all(|one| one["reason"] == "samples_dropped"), "{gone}");
+    }
 }
 
 #[tokio::test]

@@ -208,6 +208,8 @@ async fn what_cannot_be_read_says_why() {
         ("bucket=1s&from=2020-01-01T00:00:00Z", "bucket", "too_many_buckets"),
         ("bucket=5300w&from=0001-01-01T00:00:00Z", "bucket", "out_of_range"),
         ("bucket=1h&from=2027-01-01T00:00:00Z", "to", "empty_range"),
+        ("last=3&from=2026-05-05T00:00:00Z&to=2026-05-04T00:00:00Z", "to", "empty_range"),
+        ("last=3&from=2026-05-04T00:00:00Z&to=2026-05-04T00:00:00Z", "to", "empty_range"),
         ("bucket=1h&from=yesterday", "from", "invalid_timestamp"),
         ("last=0", "last", "out_of_range"),
         ("last=10001", "last", "out_of_range"),
@@ -236,6 +238,19 @@ async fn what_cannot_be_read_says_why() {
     ] {
         assert_eq!(app.get(path).await.status, StatusCode::NOT_FOUND, "{path}");
     }
+    for (end, status) in [("04T05:00:00Z", 422), ("04T04:59:59Z", 422), ("04T05:00:00.000001Z", 200)] {
+        let range = format!("from=2026-05-04T05:00:00Z&to=2026-05-{end}");
+        for path in ["/v1/summaries?", "/v1/summaries?last=3&", "/v1/cycles?", "/v1/series?last=3&"] {
+            let answer = app.get(&format!("{path}{range}")).await;
+            assert_eq!(answer.status, status, "{path}{range}: {answer:?}");
+            if status == 422 {
+                assert_eq!(answer.errors(), [("to".to_owned(), "empty_range".to_owned())]);
+            }
+        }
+    }
+    let filter = json!({"from": "2026-05-04T05:00:00Z", "to": "2026-05-04T05:00:00Z"});
+    let many = app.post("/v1/what-if", json!({"filter": filter, "question": {"control": {}}})).await;
+    assert_eq!(many.errors(), [("filter.to".to_owned(), "empty_range".to_owned())]);
     let none = app.get("/v1/summaries?tool=T1&to=2020-01-01T00:00:00Z").await;
     assert_eq!(
         (none.status, &none.json()["items"]),

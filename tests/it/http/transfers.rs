@@ -5,8 +5,11 @@ use super::full_disk::with_room;
 use crate::store::given::{Given, RIGHT_INDEX, Run, WRONG_INDEX, shop, stored};
 use feedwright_store::{SqliteOptions, SqliteStore, Store};
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use std::io::Read;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 fn file(dir: &TempDir) -> PathBuf {
@@ -271,4 +274,88 @@ async fn what_fails_with_a_file_is_told_of_that_file_and_leaves_nothing() {
     assert!(left.iter().all(|name| !name.to_str().unwrap().contains("sqlite3")), "{left:?}");
     succeed(restore(&good).output().unwrap());
     succeed(feedwright(&other, &["check"]).output().unwrap());
+}
+
+/// A database of a cell with a few cycles.
+async fn small_cell() -> TempDir {
+    let cell = TempDir::new().unwrap();
+    std::fs::create_dir(cell.path().join("data")).unwrap();
+    let store = SqliteStore::open(file(&cell), SqliteOptions::default()).await.unwrap();
+    shop(&store).await;
+    for n in 1..=3 {
+        stored(&store, &Run::nth(n)).await;
+    }
+    store.close().await;
+    cell
+}
+
+/// SQLite takes a name that begins so for an address, and nothing of it would be under that name.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn names_that_sqlite_takes_for_addresses_are_files() {
+    let (cell, folder) = (small_cell().await, TempDir::new().unwrap());
+    for name in ["file:night", "file:night?mode=memory"] {
+        let said = succeed(feedwright(&cell, &["backup", name]).current_dir(folder.path()).output().unwrap());
+        assert!(said.contains("cycles: 3 rows "), "{said}");
+        let made = folder.path().join(name).metadata().unwrap();
+        assert!(made.len() > 0 && said.ends_with(&format!("{name}: {} bytes\n", made.len())), "{said}");
+        let mut check = feedwright(&cell, &["check", "--backup", name]);
+        let said = succeed(check.current_dir(folder.path()).output().unwrap());
+        assert!(said.contains("3 cycles checked"), "{said}");
+    }
+    let made = || folder.path().read_dir().unwrap().count();
+    assert_eq!(made(), 2);
+    // So is the folder of a database.
+    for arguments in [&["restore", "file:night"][..], &["check"], &["backup", "again"]] {
+        let mut command = Command::new(super::commands::binary());
+        command.args(["--data-dir", "file:data"]).args(arguments).current_dir(folder.path());
+        succeed(command.output().unwrap());
+    }
+    assert!(folder.path().join("file:data/feedwright.sqlite3").metadata().unwrap().len() > 0);
+    assert_eq!(made(), 4);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_backup_that_is_told_to_stop_leaves_nothing() {
+    let (cell, folder) = (small_cell().await, TempDir::new().unwrap());
+    let (backup, making) = (folder.path().join("night"), folder.path().join("night.partial"));
+    let stopped = |mut command: Command| {
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+        let began = Instant::now();
+        while !making.exists() {
+            assert!(began.elapsed() < Duration::from_secs(60), "nothing is made");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let sent = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        let mut said = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(1), "{said}");
+        assert!(said.contains("it was told to stop"), "{said}");
+        assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+    };
+    let command = || feedwright(&cell, &["backup", backup.to_str().unwrap()]);
+    // While somebody has the database for themselves, a backup of it waits.
+    let mut conn = tables(&cell).await;
+    for statement in ["PRAGMA locking_mode = EXCLUSIVE", "BEGIN EXCLUSIVE"] {
+        sqlx::query(statement).execute(&mut conn).await.unwrap();
+    }
+    stopped(command());
+    conn.close().await.unwrap();
+    if let Some(plant) = Given::postgres().await {
+        shop(&*plant.store()).await;
+        let mut conn = sqlx::PgConnection::connect(&plant.address()).await.unwrap();
+        for statement in ["BEGIN", "LOCK TABLE cycles IN ACCESS EXCLUSIVE MODE"] {
+            sqlx::query(statement).execute(&mut conn).await.unwrap();
+        }
+        let mut backup = command();
+        backup.env("FEEDWRIGHT__DATABASE__URL", plant.address());
+        stopped(backup);
+        conn.close().await.unwrap();
+        plant.done().await;
+    }
+    // Nobody else's hashes of tokens: whatever stands in its way, the file is its owner's.
+    std::fs::write(&making, "").unwrap();
+    std::fs::set_permissions(&making, std::fs::Permissions::from_mode(0o644)).unwrap();
+    succeed(command().output().unwrap());
+    assert_eq!(backup.metadata().unwrap().mode() & 0o777, 0o600);
 }

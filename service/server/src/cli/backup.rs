@@ -1,6 +1,6 @@
 //! `feedwright backup` and `feedwright restore`.
 
-use super::{Settings, log, print, scratch};
+use super::{Settings, log, print, scratch, stop};
 use crate::clock::Clock;
 use crate::config::{Config, Engine};
 use crate::data_dir::DataDirLock;
@@ -37,19 +37,23 @@ pub struct RestoreArguments {
 pub async fn back_up(settings: &Settings, arguments: BackupArguments) -> anyhow::Result<()> {
     let config = settings.load(Vec::new())?;
     log(&config.log)?;
+    stop::or_dropped(made(&config, arguments.file)).await
+}
+
+async fn made(config: &Config, file: Option<PathBuf>) -> anyhow::Result<()> {
     let now = Clock::system().now();
-    let Some(file) = arguments.file else {
-        note(&config, now).await.context("the backup that was made elsewhere is not noted")?;
+    let Some(file) = file else {
+        note(config, now).await.context("the backup that was made elsewhere is not noted")?;
         return print("noted\n");
     };
     let report = match config.engine() {
         Engine::Sqlite(path) => back_up_sqlite(&path, &file, now).await?,
-        Engine::Postgres(_) => back_up_postgres(&server_url(&config), &file, now).await?,
+        Engine::Postgres(_) => back_up_postgres(&server_url(config), &file, now).await?,
     };
     print(&listed(&report.tables))?;
     print(&format!("{}: {} bytes\n", file.display(), report.bytes))?;
     // The backup is whole whatever comes of this: a role that may only read backs up too.
-    if let Err(error) = note(&config, now).await {
+    if let Err(error) = note(config, now).await {
         let error = format!("{:#}", anyhow::Error::from(error));
         tracing::warn!(
             error,
@@ -74,7 +78,7 @@ pub async fn restore(settings: &Settings, arguments: RestoreArguments) -> anyhow
     let sums = match config.engine() {
         Engine::Sqlite(path) => {
             let _lock = DataDirLock::acquire(&config.data_dir).context("stop the server first")?;
-            restore_to_sqlite(&arguments.file, &path).await?
+            stop::or_dropped(async { Ok(restore_to_sqlite(&arguments.file, &path).await?) }).await?
         }
         Engine::Postgres(_) => {
             let (backup, to) = (arguments.file, server_url(&config));

@@ -4,13 +4,13 @@
 //! Its owner holds the folder itself locked. Who removes one that was left holds it too meanwhile, and a folder that was taken
 //! away between making and locking it is made again under another name.
 
+use super::stop::{self, Stop};
 use anyhow::Context;
 use std::fs::{DirBuilder, File, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use tokio::signal::unix::{Signal, SignalKind, signal};
 
 const PREFIX: &str = "feedwright-scratch-";
 /// Whoever finds a new folder in the moment before it is locked takes it for one that was left: not twice in a row.
@@ -19,38 +19,24 @@ const TRIES: usize = 8;
 /// Runs something in a folder of its own, in the system's folder for such (`TMPDIR`). A signal ends the process, whatever is
 /// under way there.
 pub(super) async fn within<T>(work: impl AsyncFnOnce(PathBuf) -> anyhow::Result<T>) -> anyhow::Result<T> {
-    let signals = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::hangup()].map(signal);
-    let [mut terminate, mut interrupt, mut hangup] = signals;
+    let mut stop = Stop::listen();
     let scratch = Scratch::make(&std::env::temp_dir())?;
     let folder = scratch.folder.clone();
     let kept = Arc::new(Mutex::new(Some(scratch)));
     let of_signal = Arc::clone(&kept);
     // A task of its own: copying a file and asking for its being on the disk do not wait for it.
     let stopping = tokio::spawn(async move {
-        tokio::select! {
-            () = told(&mut terminate) => {}
-            () = told(&mut interrupt) => {}
-            () = told(&mut hangup) => {}
-        }
+        stop.told().await;
         let scratch = of_signal.lock().unwrap_or_else(PoisonError::into_inner).take();
         if scratch.is_some() {
             drop(scratch);
-            tracing::error!("it was told to stop");
-            std::process::exit(1);
+            stop::end();
         }
     });
     let outcome = work(folder).await;
     drop(kept.lock().unwrap_or_else(PoisonError::into_inner).take());
     stopping.abort();
     outcome
-}
-
-/// Waits for a signal; for ever where it cannot be listened to.
-async fn told(signal: &mut io::Result<Signal>) {
-    match signal {
-        Ok(signal) => drop(signal.recv().await),
-        Err(_) => std::future::pending().await,
-    }
 }
 
 /// A folder that nobody else has, for as long as this is kept.

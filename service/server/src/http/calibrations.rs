@@ -65,7 +65,8 @@ pub(super) async fn list(
         (status = 200, description = "What would be stored: a dry run", body = FitAnswer),
         (status = 201, description = "Stored as a version", body = FitAnswer),
         (status = 404, description = "The machine is not registered", body = ProblemDocument<'static>),
-        (status = 422, description = "A filter that is none, or cycles that make no line", body = ProblemDocument<'static>),
+        (status = 422, description = "A filter that is none, or cycles that make no line (`considered` and `skipped` say as in \
+            the answer which were looked at)", body = ProblemDocument<'static>),
         (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),
     ))]
 pub(super) async fn fit(

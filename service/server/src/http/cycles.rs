@@ -212,7 +212,7 @@ pub struct CyclesQuery {
     operation: Option<String>,
     /// Begun at or after, RFC 3339.
     from: Option<String>,
-    /// Begun before, RFC 3339.
+    /// Begun before, RFC 3339; later than `from`.
     to: Option<String>,
     /// Most rows of this page.
     limit: Option<u32>,
@@ -226,7 +226,8 @@ pub struct CyclesQuery {
     responses(
         (status = 200, description = "A page of cycles", body = List<CycleBody>),
         (status = 400, description = "A cursor or a limit that is not accepted", body = ProblemDocument<'static>),
-        (status = 422, description = "A filter that is not accepted", body = ProblemDocument<'static>),
+        (status = 422, description = "A filter that is not accepted, or a range that ends where it begins or before \
+            (`empty_range`)", body = ProblemDocument<'static>),
     )
 )]
 pub async fn list_cycles(
@@ -262,13 +263,15 @@ pub async fn list_cycles(
 impl CyclesQuery {
     fn filter(&self) -> Result<CycleFilter, Problem> {
         let text = Option::as_deref;
-        Ok(CycleFilter {
+        let filter = CycleFilter {
             machine: text(&self.machine).map(|id| MachineId::parse("machine", id)).transpose()?,
             tool: text(&self.tool).map(|id| ToolId::parse("tool", id)).transpose()?,
             operation: text(&self.operation).map(|id| OperationId::parse("operation", id)).transpose()?,
             from: text(&self.from).map(|at| time::read_bound("from", at)).transpose()?,
             to: text(&self.to).map(|at| time::read_bound("to", at)).transpose()?,
-        })
+        };
+        time::check_range("to", (filter.from, filter.to))?;
+        Ok(filter)
     }
 }
 

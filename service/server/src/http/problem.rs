@@ -5,6 +5,7 @@
 //! the request's id and logs the private part.
 
 use axum::response::{IntoResponse, Response};
+use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::invalid::{Violation, bounded};
 use feedwright_store::StoreError;
 use http::{HeaderName, HeaderValue, StatusCode, header};
@@ -151,6 +152,20 @@ impl Problem {
             "the database does not answer, or has no room; nothing was changed",
             2,
         )
+    }
+
+    /// What reading the samples of one cycle of many failed with: where they are damaged it says which cycle's they are.
+    pub fn of_samples(error: StoreError, machine: &MachineId, cycle: &CycleId) -> Self {
+        let are_damaged = matches!(error, StoreError::Damaged { .. });
+        let problem = Self::from(error.of_cycle(machine.as_str(), cycle.as_str()));
+        if !are_damaged {
+            return problem;
+        }
+        let detail = format!(
+            "the samples of cycle {machine}/{cycle} cannot be read: damaged, or of a newer version; `feedwright check` \
+             tells what else is"
+        );
+        Self { detail: detail.into(), ..problem }
     }
 
     /// Whether it is told because the database is away.
@@ -301,8 +316,21 @@ fn private(error: &StoreError) -> String {
         text.push_str(&error.to_string());
         cause = error.source();
     }
-    if let StoreError::Damaged { what } = error {
-        text.push_str(what);
-    }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn damaged_samples_are_told_of_their_cycle_and_once() {
+        let damaged = StoreError::Damaged { what: "sample block: checksum differs".to_owned() };
+        let (machine, cycle) = ("M1".try_into().unwrap(), "c7".try_into().unwrap());
+        let problem = Problem::of_samples(damaged, &machine, &cycle);
+        assert_eq!(problem.code, "stored_data_damaged");
+        assert!(problem.detail.contains("the samples of cycle M1/c7 cannot be read"), "{}", problem.detail);
+        let logged = "stored data is damaged: cycle M1/c7: sample block: checksum differs";
+        assert_eq!(problem.private.as_deref(), Some(logged));
+    }
 }

@@ -36,6 +36,8 @@ use std::collections::HashMap;
 
 /// Kind of these jobs.
 const KIND: &str = "feed_profile_optimize";
+/// Why a cycle is skipped whose samples are not kept any more.
+const SAMPLES_DROPPED: &str = "samples_dropped";
 /// Overrides that differ by more were chosen by a law or an operator, points.
 const VARIED_OVERRIDE: f64 = 1.0;
 
@@ -84,7 +86,8 @@ pub(super) async fn start(
     let Recorded { cycles, skipped } = recorded(&state, rows).await?;
     let ids: Vec<(&str, Option<f64>)> =
         cycles.iter().map(|cycle| (cycle.id.as_str(), cycle.wear_ratio)).collect();
-    let parameters = format!("{body:?} {operation:?} {last:?} {known:?} {ids:?}");
+    // What was skipped too: a refusal says why, and samples go while cycles stay.
+    let parameters = format!("{body:?} {operation:?} {last:?} {known:?} {ids:?} {skipped:?}");
     let question = Question { kind: KIND, parameters, total: 1, steps: INLINE_STEPS + 1 };
     submitted(&state, &question, move |_| {
         json(&optimised(&body, &operation, &cycles, &settings, last.as_ref(), skipped))
@@ -219,7 +222,26 @@ async fn recorded(state: &AppState, rows: Vec<StoredCycle>) -> Result<Recorded, 
 
 /// Why a cycle is left out of which there is no recording: its depth or loads were not sampled, or its samples were dropped.
 const fn without_recording(row: &StoredCycle) -> &'static str {
-    if row.samples_are_gone() { "samples_dropped" } else { "no_samples" }
+    if row.samples_are_gone() { SAMPLES_DROPPED } else { "no_samples" }
+}
+
+/// Why nothing can be learned where no cycle is left whose samples are there; `None` where it is nothing that was dropped.
+fn dropped(cycles: &[RecordedCycle], skipped: &[SkippedBody]) -> Option<Violation> {
+    let gone = skipped.iter().filter(|one| one.reason == SAMPLES_DROPPED).count();
+    if gone == 0 || !cycles.is_empty() {
+        return None;
+    }
+    let mut why = format!(
+        "of the last {} cycles none can be learned from: the samples of {gone} were dropped by retention, or are missing",
+        skipped.len()
+    );
+    if gone < skipped.len() {
+        why.push_str(
+            ", and the others were not sampled with depth, feed-drive load and spindle load (depth_mm, \
+             feed_drive_load_percent, spindle_load_percent): all three are needed",
+        );
+    }
+    Some(Violation::new("cycles", "not_identifiable", why))
 }
 
 fn name(row: &StoredCycle) -> String {
@@ -233,8 +255,12 @@ async fn recording(
     wear_ratio: Option<f64>,
 ) -> Result<Option<RecordedCycle>, Problem> {
     let meta = &row.cycle;
+    if !row.has_samples {
+        return Ok(None);
+    }
+    let samples = state.store.cycle_samples(&meta.machine, &meta.id).await;
     let samples: Option<Samples> =
-        if row.has_samples { state.store.cycle_samples(&meta.machine, &meta.id).await? } else { None };
+        samples.map_err(|error| Problem::of_samples(error, &meta.machine, &meta.id))?;
     let Some(samples) = samples else { return Ok(None) };
     let column = |channel| samples.column(channel).map(<[f64]>::to_vec);
     let (Some(depth_mm), Some(feed_drive_percent), Some(spindle_percent)) = (
@@ -274,18 +300,22 @@ fn optimised(
     last: Option<&Knots>,
     skipped: Vec<SkippedBody>,
 ) -> OptimisedBody {
-    let none = |wrong: Vec<Violation>| OptimisedBody {
+    let none = |wrong: Vec<Violation>, skipped: Vec<SkippedBody>| OptimisedBody {
         content: None,
         report: None,
         bands: Vec::new(),
         refused: wrong.into_iter().map(Into::into).collect(),
+        skipped,
     };
+    if let Some(why) = dropped(cycles, &skipped) {
+        return none(vec![why], skipped);
+    }
     if let Some(edges) = &body.wear_edges {
         let bands = match wear_bands(cycles, settings, last, edges) {
             Ok(bands) => bands,
-            Err(error) => return none(vec![refused(&error)]),
+            Err(error) => return none(vec![refused(&error)], skipped),
         };
-        let mut found = none(Vec::new());
+        let mut found = none(Vec::new(), Vec::new());
         for WearBand { from, to, proposal } in bands {
             let level = Planned { from: Some(from), at: to };
             let (content, wrong) = match content(body, operation, &proposal, level) {
@@ -300,7 +330,7 @@ fn optimised(
     }
     let proposal = match optimise(cycles, settings, last) {
         Ok(proposal) => proposal,
-        Err(error) => return none(vec![refused(&error)]),
+        Err(error) => return none(vec![refused(&error)], skipped),
     };
     // Where the wear of the cycles is not known they count as a new tool's, which is the careful side.
     let at = body.wear_level.or(body.wear_from_level).unwrap_or(1.0);
@@ -310,8 +340,9 @@ fn optimised(
             report: Some(ProposalReport::new(&proposal, settings, skipped)),
             bands: Vec::new(),
             refused: Vec::new(),
+            skipped: Vec::new(),
         },
-        Err(wrong) => none(wrong),
+        Err(wrong) => none(wrong, skipped),
     }
 }
 

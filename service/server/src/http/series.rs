@@ -48,7 +48,7 @@ pub(super) struct SeriesQuery {
     operation: Option<String>,
     /// Begun at or after, RFC 3339; needed with `bucket`.
     from: Option<String>,
-    /// Begun before, RFC 3339; now where it is left out.
+    /// Begun before, RFC 3339, and later than `from`; now where it is left out.
     to: Option<String>,
     /// Width of the buckets, as in `15m`, `1h` or `1d`; they are aligned to UTC, weeks to Mondays.
     bucket: Option<String>,
@@ -72,7 +72,8 @@ pub(super) struct SeriesQuery {
         (status = 404, description = "Of that machine, tool or operation nothing is known",
             body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
-        (status = 422, description = "A parameter that is not accepted, or too large a question",
+        (status = 422, description = "A parameter that is not accepted, a range that ends where it begins or before \
+            (`empty_range`), or too large a question",
             body = ProblemDocument<'static>),
     )
 )]
@@ -192,6 +193,7 @@ impl Asked {
                 return Err(Violation::new("bucket", "one_of", message).into());
             }
         };
+        time::check_range("to", (filter.from, filter.to))?;
         let in_rows = match text(&query.layout) {
             None | Some("series") => false,
             Some("rows") => true,

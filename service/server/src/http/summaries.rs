@@ -38,7 +38,7 @@ pub(super) struct SummariesQuery {
     operation: Option<String>,
     /// Begun at or after, RFC 3339.
     from: Option<String>,
-    /// Begun before, RFC 3339.
+    /// Begun before, RFC 3339; later than `from`.
     to: Option<String>,
     /// Only so many of the newest, oldest of them first; all where it is left out.
     last: Option<u32>,
@@ -55,7 +55,8 @@ pub(super) struct SummariesQuery {
         (status = 404, description = "Of that machine, tool or operation nothing is known",
             body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
-        (status = 422, description = "A parameter that is not accepted", body = ProblemDocument<'static>),
+        (status = 422, description = "A parameter that is not accepted, or a range that ends where it begins or \
+            before (`empty_range`)", body = ProblemDocument<'static>),
     )
 )]
 pub(super) async fn get_summaries(
@@ -71,6 +72,7 @@ pub(super) async fn get_summaries(
         from: text(&query.from).map(|at| time::read_bound("from", at)).transpose()?,
         to: text(&query.to).map(|at| time::read_bound("to", at)).transpose()?,
     };
+    time::check_range("to", (filter.from, filter.to))?;
     if let Some(machine) = &filter.machine
         && state.store.machine(machine).await?.is_none()
     {

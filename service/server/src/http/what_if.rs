@@ -67,7 +67,8 @@ pub(super) async fn of_cycle(
 #[utoipa::path(post, path = "/v1/what-if", tag = "friction", request_body = ManyQuestion,
     responses(
         (status = 200, body = ManyAnswer),
-        (status = 422, description = "A control or a filter that is none", body = ProblemDocument<'static>),
+        (status = 422, description = "A control or a filter that is none, as a range that ends where it begins or before \
+            (`empty_range`)", body = ProblemDocument<'static>),
         (status = 503, description = "Other computations are under way", body = ProblemDocument<'static>),
     ))]
 pub(super) async fn of_many(

@@ -1,6 +1,7 @@
 //! Cycles into series, page by page: no more is kept than the bucket that is being filled.
 
 use super::{GroupBy, MAX_BUCKETS, MAX_CELLS, MAX_CYCLES, Measure, SeriesKey, Value, basis, levels};
+use crate::http::dto::time;
 use crate::http::problem::Problem;
 use feedwright_core::invalid::Violation;
 use feedwright_core::series::{Buckets, Spread};
@@ -117,9 +118,7 @@ pub async fn bucketed(
 ) -> Result<(Buckets, Series<Bucketed>, usize), Problem> {
     let range = filter.from.zip(filter.to);
     let buckets = range.and_then(|(from, to)| Buckets::new(from, to, width_us));
-    let buckets = buckets.ok_or_else(|| {
-        Problem::from(Violation::new("to", "empty_range", "must be later than the beginning of the range"))
-    })?;
+    let buckets = buckets.ok_or_else(|| time::empty_range("to"))?;
     let buckets = countable(buckets, width_us)?;
     let mut collecting = Collecting { measures, by, buckets, series: Series::new() };
     // A series that is asked for by name is there even where nothing was measured: its gaps are the answer.

@@ -3,6 +3,7 @@
 //! SQLite goes on with a file that somebody removes or replaces under it, and all it commits is gone with the process.
 
 use crate::error::{StoreError, StoreResult};
+use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -39,6 +40,15 @@ pub(crate) fn beside(file: &Path, end: &str) -> PathBuf {
     let mut name = file.as_os_str().to_owned();
     name.push(end);
     name.into()
+}
+
+/// A file by a name that SQLite takes for one: what begins with `file:` is an address to it, and leads to another file, or to
+/// none.
+pub(crate) fn by_name(file: &Path) -> Cow<'_, Path> {
+    if file.as_os_str().as_encoded_bytes().starts_with(b"file:") {
+        return Path::new(".").join(file).into();
+    }
+    file.into()
 }
 
 /// The database's file and its log, as they were when they were opened.

@@ -33,7 +33,7 @@ mod tests;
 
 use self::blocks::{BLOCK, Blocks, up};
 use self::records::{Records, latest_epoch};
-use super::files::{Identity, beside};
+use super::files::{Identity, beside, by_name};
 use super::open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS, SETTINGS};
 use crate::error::{StoreError, StoreResult};
 use rusqlite::types::{ToSqlOutput, ValueRef};
@@ -403,7 +403,7 @@ pub(super) fn take_up_closed(database: &Path) -> StoreResult<()> {
             Some(path) => Err(StoreError::NotWritable(of_another(&path).into())),
         };
     }
-    let mut conn = Connection::open_with_flags(database, OpenFlags::SQLITE_OPEN_READ_WRITE)?;
+    let mut conn = Connection::open_with_flags(by_name(database), OpenFlags::SQLITE_OPEN_READ_WRITE)?;
     for (name, value) in SETTINGS.into_iter().chain([("synchronous", "FULL")]) {
         conn.pragma_update(None, name, value)?;
     }

@@ -2,7 +2,7 @@
 
 use super::block_reader::BlockReader;
 use super::checkpoint::Checkpoints;
-use super::files::{Files, Identity, log_left};
+use super::files::{Files, Identity, by_name, log_left};
 use super::group_writer::GroupWriter;
 use super::readers::Readers;
 use super::writing::{Writer, Writing};
@@ -92,7 +92,7 @@ impl Default for SqliteOptions {
 impl SqliteStore {
     /// Opens the file at `path`, creating it for its owner only, and migrates it.
     pub async fn open(path: impl AsRef<Path>, options: SqliteOptions) -> StoreResult<Self> {
-        let path = path.as_ref();
+        let path = &*by_name(path.as_ref());
         // Before a migration, its statements being of the tables as they were; and before the file is made, as a journal
         // that is left of one says that it is missing.
         super::take_up(path).await?;

@@ -10,12 +10,13 @@ use super::failure::{file, io, of_backup, of_source, of_target};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
 use super::{Side, TableSum, TransferError};
-use crate::sqlite::{beside, log_left};
+use crate::gate::panicked;
+use crate::sqlite::{beside, by_name, log_left};
 use crate::store::Store;
 use crate::{SqliteOptions, SqliteStore};
 use feedwright_core::units::Timestamp;
-use std::fs::TryLockError;
-use std::io::{Read, Write};
+use std::fs::{File, TryLockError};
+use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// What a backup holds.
@@ -32,65 +33,174 @@ fn partial(path: &Path) -> PathBuf {
     beside(path, ".partial")
 }
 
-/// An empty file for its owner only.
-fn create(path: &Path) -> Result<std::fs::File, TransferError> {
-    let made = for_owner().truncate(true).open(path);
-    made.map_err(|error| io(path, "cannot be made", &error))
-}
-
-fn for_owner() -> std::fs::OpenOptions {
-    let mut options = std::fs::OpenOptions::new();
-    options.read(true).write(true).create(true);
+/// An empty file for its owner only: it holds hashes of tokens. Where something stands under its name already, a link too, none is
+/// made.
+fn create(path: &Path) -> std::io::Result<File> {
+    let mut options = File::options();
+    options.read(true).write(true).create_new(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options
+    options.open(path)
+}
+
+/// Opens the file that stands under a name, and not what a link there leads to.
+fn open_itself(path: &Path) -> std::io::Result<File> {
+    let mut options = File::options();
+    options.read(true).write(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(
+        &mut options,
+        rustix::fs::OFlags::NOFOLLOW.bits().cast_signed(),
+    );
+    options.open(path)
+}
+
+/// Whether an open file stands under that name, itself.
+#[cfg(unix)]
+fn stands_under(open: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let identity = |found: std::fs::Metadata| (found.dev(), found.ino());
+    let there = path.symlink_metadata().map(identity);
+    open.metadata().map(identity).is_ok_and(|open| there.is_ok_and(|there| there == open))
+}
+
+/// Elsewhere a file that is open is neither removed nor replaced.
+#[cfg(not(unix))]
+fn stands_under(_open: &File, path: &Path) -> bool {
+    path.exists()
+}
+
+#[cfg(unix)]
+fn is_of_this_user(found: &std::fs::Metadata) -> bool {
+    std::os::unix::fs::MetadataExt::uid(found) == rustix::process::geteuid().as_raw()
+}
+
+#[cfg(not(unix))]
+const fn is_of_this_user(_found: &std::fs::Metadata) -> bool {
+    true
 }
 
 /// How every file of SQLite begins.
 const SQLITE: &[u8] = b"SQLite format 3\0";
 
-/// The file that is being made, empty, and nobody else's as long as it is open: two that made the same would take it from
-/// under each other. What an interrupted one has left is made anew; what is somebody else's is left alone.
-fn claim(making: &Path, to: &Path) -> Result<std::fs::File, TransferError> {
-    let unusable = |error| io(making, "cannot be made", &error);
-    let busy = || file(to, "is being made by another process; nothing was written");
-    let mut claimed = for_owner().truncate(false).open(making).map_err(unusable)?;
-    // Not every file system has locks; where there are none, two are not told from each other.
-    if let Err(TryLockError::WouldBlock) = claimed.try_lock() {
-        return Err(busy());
-    }
-    // Between opening and locking, the other one may have finished, and given the file its name.
-    if !making.exists() || to.exists() {
-        return Err(busy());
-    }
+/// The first bytes of a file, as many as SQLite's begin with, where it has so many.
+fn head_of(mut open: &File) -> std::io::Result<Vec<u8>> {
     let mut head = Vec::new();
-    (&mut claimed).take(SQLITE.len() as u64).read_to_end(&mut head).map_err(unusable)?;
+    open.seek(SeekFrom::Start(0))?;
+    open.take(SQLITE.len() as u64).read_to_end(&mut head)?;
+    Ok(head)
+}
+
+fn busy(to: &Path) -> TransferError {
+    file(to, "is being made by another process; nothing was written")
+}
+
+/// Takes a file for itself; `false` where another process has it. Not every file system has locks; where there are none, two
+/// are not told from each other.
+fn lock(open: &File) -> bool {
+    !matches!(open.try_lock(), Err(TryLockError::WouldBlock))
+}
+
+/// Removes what an interrupted one has left under the name: another one's mode and links to it are not taken over. What another
+/// process is making, what is another user's, and what is nothing that was being made is left alone.
+fn clear(making: &Path, to: &Path) -> Result<(), TransferError> {
+    let unusable = |error| io(making, "cannot be made", &error);
+    let in_the_way = |what| file(making, format!("is in the way, and is {what}: move it away"));
+    let found = match making.symlink_metadata() {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        found => found.map_err(unusable)?,
+    };
+    if !found.is_file() {
+        return Err(in_the_way("no file"));
+    }
+    if !is_of_this_user(&found) {
+        return Err(in_the_way("another user's"));
+    }
+    let left = match open_itself(making) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        left => left.map_err(unusable)?,
+    };
+    // Between opening and locking, the other one may have finished, and given the file its name.
+    if !lock(&left) || !stands_under(&left, making) {
+        return Err(busy(to));
+    }
+    let head = head_of(&left).map_err(unusable)?;
     // SQLite writes the first page last: what it has begun is zeros there.
     let is_ours = head.len() < SQLITE.len() || head == SQLITE || head.iter().all(|byte| *byte == 0);
     if !is_ours {
-        return Err(file(making, "is in the way, and is nothing that was being made: move it away"));
+        return Err(in_the_way("nothing that was being made"));
     }
-    discard_beside(making);
-    claimed.set_len(0).map_err(unusable)?;
-    Ok(claimed)
+    std::fs::remove_file(making).map_err(unusable)
+}
+
+/// A file that is being made under another name, until it is whole. It is nobody else's as long as this is kept: two that made
+/// the same would take it from under each other. Dropped before it is whole, it is removed.
+struct Making {
+    path: PathBuf,
+    file: File,
+    is_whole: bool,
+}
+
+impl Making {
+    /// Begins with an empty file for its owner only.
+    fn begin(path: PathBuf, to: &Path) -> Result<Self, TransferError> {
+        clear(&path, to)?;
+        let file = create(&path).map_err(|error| match error.kind() {
+            // Another process has begun meanwhile.
+            ErrorKind::AlreadyExists => busy(to),
+            _ => io(&path, "cannot be made", &error),
+        })?;
+        // Before it is locked it may be taken for one that was left.
+        if !lock(&file) || !stands_under(&file, &path) {
+            return Err(busy(to));
+        }
+        let making = Self { path, file, is_whole: false };
+        // Another process may have finished meanwhile.
+        if to.exists() {
+            return Err(busy(to));
+        }
+        discard_beside(&making.path);
+        Ok(making)
+    }
+
+    /// Makes it durable under its name; returns its size.
+    async fn settle(mut self, to: &Path) -> Result<u64, TransferError> {
+        let made = self.file.try_clone().map_err(|error| io(to, "cannot be written", &error))?;
+        let (from, name) = (self.path.clone(), to.to_owned());
+        // On another thread: who is told to stop does not wait for the disk.
+        let settling = tokio::task::spawn_blocking(move || settle(&made, &from, &name));
+        let bytes = settling.await.map_err(panicked)??;
+        self.is_whole = true;
+        Ok(bytes)
+    }
+}
+
+impl Drop for Making {
+    fn drop(&mut self) {
+        if !self.is_whole {
+            discard(&self.path);
+        }
+    }
 }
 
 /// Makes a whole file durable under its name.
-fn settle(from: &Path, to: &Path) -> Result<u64, TransferError> {
-    let synced = std::fs::File::open(from).and_then(|made| {
-        made.sync_all()?;
-        made.metadata()
-    });
-    let bytes = synced.map_err(|error| io(to, "cannot be written", &error))?.len();
+fn settle(made: &File, from: &Path, to: &Path) -> Result<u64, TransferError> {
+    let unwritten = |error| io(to, "cannot be written", &error);
+    // SQLite was told a name, and may have written elsewhere.
+    if !stands_under(made, from) || head_of(made).map_err(unwritten)? != SQLITE {
+        return Err(file(to, "is not made: what was written is not there"));
+    }
+    made.sync_all().map_err(unwritten)?;
+    let bytes = made.metadata().map_err(unwritten)?.len();
     // It took its time: a server may have made a database there meanwhile.
     absent(to)?;
     std::fs::rename(from, to).map_err(|error| io(to, "cannot be made", &error))?;
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let synced = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
+    let synced = File::open(folder).and_then(|folder| folder.sync_all());
     // A folder that may be written and not listed cannot be opened: with all of its file system the name is durable too.
     #[cfg(target_os = "linux")]
     let synced = synced.or_else(|error| match error.kind() {
-        std::io::ErrorKind::PermissionDenied => Ok(rustix::fs::syncfs(std::fs::File::open(to)?)?),
+        ErrorKind::PermissionDenied => Ok(rustix::fs::syncfs(File::open(to)?)?),
         _ => Err(error),
     });
     synced.map_err(|error| io(folder, "cannot be written", &error))?;
@@ -124,7 +234,7 @@ fn discard_all(making: &Path, ends: &[&str]) {
     for end in ends {
         let file = beside(making, end);
         match std::fs::remove_file(&file) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
                 tracing::warn!(%error, file = %file.display(), "what was half made stays behind");
             }
             _ => {}
@@ -132,29 +242,24 @@ fn discard_all(making: &Path, ends: &[&str]) {
     }
 }
 
-/// Makes a file under another name, and gives it its own when it is whole; removes it where that fails.
+/// Makes a file under another name, and gives it its own when it is whole; removes it where that fails, and where this is
+/// dropped before.
 async fn whole<T>(
     to: &Path,
     make: impl AsyncFnOnce(&Path) -> Result<T, TransferError>,
 ) -> Result<(T, u64), TransferError> {
     absent(to)?;
-    let making = partial(to);
-    let _claimed = claim(&making, to)?;
-    let made = match make(&making).await {
-        Ok(made) => settle(&making, to).map(|bytes| (made, bytes)),
-        Err(error) => Err(error),
-    };
-    if made.is_err() {
-        discard(&making);
-    }
-    made
+    let making = Making::begin(partial(to), to)?;
+    let made = make(&making.path).await?;
+    let bytes = making.settle(to).await?;
+    Ok((made, bytes))
 }
 
-/// Backs a SQLite database up while a server may be writing it.
+/// Backs a SQLite database up while a server may be writing it. Dropped before it is done, it leaves nothing.
 pub async fn back_up_sqlite(from: &Path, to: &Path, now: Timestamp) -> Result<BackupReport, TransferError> {
     let (tables, bytes) = whole(to, async |making| {
-        create(making)?;
-        let target = making.to_str().ok_or_else(|| file(to, "must be UTF-8"))?;
+        let target = by_name(making);
+        let target = target.to_str().ok_or_else(|| file(to, "must be UTF-8"))?;
         let mut source = SqliteSide::read(from).await.map_err(|error| of_source(from, error))?;
         let copied = sqlx::query("VACUUM INTO $1").bind(target).execute(source.conn()).await;
         Box::new(source).close().await;
@@ -165,10 +270,10 @@ pub async fn back_up_sqlite(from: &Path, to: &Path, now: Timestamp) -> Result<Ba
     Ok(BackupReport { tables, bytes })
 }
 
-/// Backs a PostgreSQL database up: one snapshot, while servers write. `from` is the server itself, not a pooler.
+/// Backs a PostgreSQL database up: one snapshot, while servers write. `from` is the server itself, not a pooler. Dropped before
+/// it is done, it leaves nothing.
 pub async fn back_up_postgres(from: &str, to: &Path, now: Timestamp) -> Result<BackupReport, TransferError> {
     let (tables, bytes) = whole(to, async |making| {
-        create(making)?;
         let store = SqliteStore::open(making, SqliteOptions::default());
         store.await.map_err(|error| of_target(to, error))?.close().await;
         let mut source = PostgresSide::read(from).await?;
@@ -276,14 +381,20 @@ async fn sums_of(side: &mut SqliteSide) -> Result<Vec<(String, TableSum)>, Trans
 /// Bytes that are copied at a time.
 const CHUNK: usize = 1 << 20;
 
-/// Copies a backup to a place of its own. It is told which of the two files fails.
-fn unpack(backup: &Path, at: &Path) -> Result<(), TransferError> {
+/// Copies a backup into an empty file, on another thread: who is told to stop does not wait for the disk.
+async fn unpack(backup: &Path, at: &Path) -> Result<(), TransferError> {
+    let (backup, at) = (backup.to_owned(), at.to_owned());
+    tokio::task::spawn_blocking(move || unpack_at_once(&backup, &at)).await.map_err(panicked)?
+}
+
+/// The same on this one. It is told which of the two files fails.
+fn unpack_at_once(backup: &Path, at: &Path) -> Result<(), TransferError> {
     if !backup.is_file() {
         return Err(file(backup, if backup.exists() { "is no file" } else { "is not there" }));
     }
     let unreadable = |error| io(backup, "cannot be read", &error);
-    let mut from = std::fs::File::open(backup).map_err(unreadable)?;
-    let mut to = create(at)?;
+    let mut from = File::open(backup).map_err(unreadable)?;
+    let mut to = open_itself(at).map_err(|error| io(at, "cannot be written", &error))?;
     let mut chunk = vec![0; CHUNK];
     loop {
         match from.read(&mut chunk) {
@@ -291,7 +402,7 @@ fn unpack(backup: &Path, at: &Path) -> Result<(), TransferError> {
             Ok(read) => {
                 to.write_all(&chunk[..read]).map_err(|error| io(at, "cannot be written", &error))?;
             }
-            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
             Err(error) => return Err(unreadable(error)),
         }
     }
@@ -330,9 +441,9 @@ async fn checked(backup: &Path, side: &mut SqliteSide) -> Result<Vec<(String, Ta
     Ok(sums)
 }
 
-/// Copies a backup to a place of its own, checks the copy by its sums, and makes a database of it.
+/// Copies a backup into an empty file, checks the copy by its sums, and makes a database of it.
 async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
-    unpack(backup, at)?;
+    unpack(backup, at).await?;
     let mut side = SqliteSide::write(at).await.map_err(|error| of_backup(backup, error))?;
     let sums = checked(backup, &mut side).await;
     let sums = match sums {
@@ -361,7 +472,7 @@ async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, Tran
     Ok(sums)
 }
 
-/// Restores a backup into a SQLite file that is not there yet.
+/// Restores a backup into a SQLite file that is not there yet. Dropped before it is done, it leaves nothing.
 pub async fn restore_to_sqlite(backup: &Path, to: &Path) -> Result<Vec<(String, TableSum)>, TransferError> {
     if let Some(journal) = crate::sqlite::is_left(to).map_err(|error| of_target(to, error))? {
         return Err(file(&journal, "holds acknowledged cycles of the database that was there: move it away"));
@@ -379,6 +490,7 @@ pub async fn restore_to_postgres(
 ) -> Result<Vec<(String, TableSum)>, TransferError> {
     let staged = folder.join(format!("feedwright-restore-{}.sqlite3", uuid::Uuid::now_v7()));
     let outcome = async {
+        create(&staged).map_err(|error| io(&staged, "cannot be made", &error))?;
         stage(backup, &staged).await?;
         let (from, to) = (Address::Sqlite(staged.clone()), Address::Postgres(to.to_owned()));
         copy_sound(&from, &to, &mut |_, _, _| {}).await
@@ -397,18 +509,72 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let to = dir.path().join("night.backup");
         let making = partial(&to);
-        let first = claim(&making, &to).unwrap();
-        let why = claim(&making, &to).unwrap_err().to_string();
+        let begin = || Making::begin(making.clone(), &to);
+        let refused = || begin().map(|_| ()).unwrap_err().to_string();
+        let first = begin().unwrap();
+        let why = refused();
         assert!(why.contains("is being made by another process"), "{why}");
         drop(first);
+        assert!(!making.exists(), "what is not whole goes");
         // What an interrupted one has left is made anew.
         for left in [[SQLITE, b"half"].concat(), vec![0; 8192], Vec::new()] {
             std::fs::write(&making, left).unwrap();
-            assert_eq!(claim(&making, &to).unwrap().metadata().unwrap().len(), 0);
+            assert_eq!(begin().unwrap().file.metadata().unwrap().len(), 0);
         }
         std::fs::write(&making, "something precious").unwrap();
-        let why = claim(&making, &to).unwrap_err().to_string();
+        let why = refused();
         assert!(why.contains("is in the way"), "{why}");
         assert_eq!(std::fs::read_to_string(&making).unwrap(), "something precious");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_that_is_being_made_is_its_owner_s_whatever_stands_there() {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
+        let dir = tempfile::tempdir().unwrap();
+        let to = dir.path().join("night.backup");
+        let making = partial(&to);
+        let begin = || Making::begin(making.clone(), &to);
+        // One that everybody may read, and another name of the same file.
+        std::fs::write(&making, [SQLITE, b"half"].concat()).unwrap();
+        std::fs::set_permissions(&making, std::fs::Permissions::from_mode(0o644)).unwrap();
+        let elsewhere = dir.path().join("elsewhere");
+        std::fs::hard_link(&making, &elsewhere).unwrap();
+        let made = begin().unwrap();
+        let found = made.path.symlink_metadata().unwrap();
+        assert_eq!((found.mode() & 0o777, found.nlink()), (0o600, 1));
+        drop(made);
+        assert_eq!(std::fs::read(&elsewhere).unwrap(), [SQLITE, b"half"].concat());
+        // A link leads anywhere, and a folder is no file.
+        for target in [&elsewhere, &dir.path().join("nothing")] {
+            symlink(target, &making).unwrap();
+            let why = begin().map(|_| ()).unwrap_err().to_string();
+            assert!(why.contains("is in the way, and is no file"), "{why}");
+            assert_eq!(std::fs::read_link(&making).unwrap(), *target);
+            std::fs::remove_file(&making).unwrap();
+        }
+        assert_eq!(std::fs::read(&elsewhere).unwrap(), [SQLITE, b"half"].concat());
+        std::fs::create_dir(&making).unwrap();
+        assert!(begin().is_err() && making.is_dir());
+    }
+
+    #[tokio::test]
+    async fn what_is_not_made_is_not_told_as_made_and_goes() {
+        let dir = tempfile::tempdir().unwrap();
+        let to = dir.path().join("night.backup");
+        let left = || dir.path().read_dir().unwrap().count();
+        let elsewhere = whole(&to, async |_| Ok(())).await.unwrap_err().to_string();
+        assert!(elsewhere.contains("night.backup: is not made"), "{elsewhere}");
+        assert_eq!(left(), 0);
+        // Whoever is told to stop drops what is under way.
+        let mut interrupted = Box::pin(whole(&to, async |making| {
+            std::fs::write(making, "half").unwrap();
+            std::fs::write(beside(making, "-journal"), "more").unwrap();
+            std::future::pending::<Result<(), TransferError>>().await
+        }));
+        assert!(tokio::time::timeout(std::time::Duration::ZERO, &mut interrupted).await.is_err());
+        assert_eq!(left(), 2);
+        drop(interrupted);
+        assert_eq!(left(), 0);
     }
 }

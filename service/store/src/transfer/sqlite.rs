@@ -5,7 +5,8 @@ use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::BlockRow;
 use crate::sqlite::{
-    APPLIED, Cell, Form, HAS_MIGRATIONS, MIGRATIONS, insert_blocks, is_kept_for_another, recommendation_id,
+    APPLIED, Cell, Form, HAS_MIGRATIONS, MIGRATIONS, by_name, insert_blocks, is_kept_for_another,
+    recommendation_id,
 };
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
@@ -28,7 +29,8 @@ impl SqliteSide {
     /// Reads a file beside whoever writes it, with all that was acknowledged before.
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
         crate::sqlite::take_up(path).await?;
-        let options = SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(PATIENCE);
+        let options =
+            SqliteConnectOptions::new().filename(by_name(path)).read_only(true).busy_timeout(PATIENCE);
         let mut conn = options.connect().await?;
         if sqlx::query_scalar(HAS_MIGRATIONS).fetch_one(&mut conn).await? {
             let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut conn).await?;
@@ -40,7 +42,7 @@ impl SqliteSide {
     /// Writes a file that nobody else writes, as durably as the store does.
     pub(super) async fn write(path: &Path) -> StoreResult<Self> {
         let options = SqliteConnectOptions::new()
-            .filename(path)
+            .filename(by_name(path))
             .create_if_missing(false)
             .synchronous(SqliteSynchronous::Full)
             .busy_timeout(PATIENCE);

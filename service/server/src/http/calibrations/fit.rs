@@ -10,14 +10,24 @@ use feedwright_core::friction::error::Invalid;
 use feedwright_core::ids::MachineId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::machine::{Calibration, FittedLine};
-use feedwright_store::{CycleFilter, Page, Store, StoreResult};
+use feedwright_store::{CycleFilter, Page, Store, StoreResult, StoredCycle};
 use std::collections::BTreeMap;
+use std::fmt::Write;
 
 /// Least share of the variance that a line has to explain: below it the load says little about the quantity.
 const LEAST_R_SQUARED: f64 = 0.5;
 
 /// Rows of calibrations that are read at a time while looking for the newest.
 const PAGE: u32 = 500;
+
+/// Cycles that are read at a time: some that were not measured, or whose samples are gone, are passed over.
+const CYCLES: u32 = 200;
+
+/// Most cycles that are looked at for ones that can be fitted: a machine's whole history is not walked through by one question.
+const MOST_CONSIDERED: u32 = 20_000;
+
+/// Most samples that are unpacked for it: that takes far longer than looking at a cycle.
+const MOST_UNPACKED: u32 = 1_000;
 
 /// Points of a cycle that enter a fit, beyond which it is thinned: a long cycle must not outweigh the others.
 const MOST_POINTS_PER_CYCLE: usize = 2000;
@@ -45,27 +55,57 @@ impl FitRequest {
 pub(super) struct Measured {
     thrust: Vec<(Vec<f64>, Vec<f64>)>,
     torque: Vec<(Vec<f64>, Vec<f64>)>,
+    /// Cycles that gave something.
+    taken: u32,
+    unpacked: u32,
     considered: u32,
     skipped: BTreeMap<&'static str, u32>,
 }
 
 impl Measured {
-    /// Reads the contact of every cycle that a dynamometer measured.
-    pub(super) async fn read(store: &dyn Store, filter: &CycleFilter, most: u32) -> StoreResult<Self> {
+    /// Reads the contact of the oldest `most` cycles that a dynamometer measured.
+    pub(super) async fn read(store: &dyn Store, filter: &CycleFilter, most: u32) -> Result<Self, Problem> {
         let mut measured = Self::default();
-        for row in store.cycles(filter, Page { after: None, limit: most }).await? {
-            measured.considered += 1;
-            let samples = store.cycle_samples(&row.cycle.machine, &row.cycle.id).await?;
-            let reason = match samples {
-                None if row.samples_are_gone() => Some("samples_dropped"),
-                None => Some("no_samples"),
-                Some(samples) => (!measured.take(&samples)).then_some("no_dynamometer"),
-            };
-            if let Some(reason) = reason {
-                *measured.skipped.entry(reason).or_insert(0) += 1;
+        let mut after = None;
+        while measured.considered < MOST_CONSIDERED {
+            let page = store.cycles(filter, Page { after: after.take(), limit: CYCLES }).await?;
+            for row in &page {
+                if measured.taken == most || measured.unpacked == MOST_UNPACKED {
+                    return Ok(measured);
+                }
+                measured.consider(store, row).await?;
+            }
+            match page.last() {
+                Some(StoredCycle { cycle, .. }) if page.len() == CYCLES as usize => {
+                    after = Some((cycle.started_at, cycle.machine.clone(), cycle.id.clone()));
+                }
+                _ => break,
             }
         }
         Ok(measured)
+    }
+
+    async fn consider(&mut self, store: &dyn Store, row: &StoredCycle) -> Result<(), Problem> {
+        self.considered += 1;
+        let (machine, cycle) = (&row.cycle.machine, &row.cycle.id);
+        let reason = if row.samples_are_gone() {
+            Some("samples_dropped")
+        } else if !row.has_samples {
+            Some("no_samples")
+        } else {
+            self.unpacked += 1;
+            let samples = store.cycle_samples(machine, cycle).await;
+            match samples.map_err(|error| Problem::of_samples(error, machine, cycle))? {
+                // Retention may have come between the two questions.
+                None => Some("samples_dropped"),
+                Some(samples) => (!self.take(&samples)).then_some("no_dynamometer"),
+            }
+        };
+        match reason {
+            Some(reason) => *self.skipped.entry(reason).or_insert(0) += 1,
+            None => self.taken += 1,
+        }
+        Ok(())
     }
 
     fn take(&mut self, samples: &Samples) -> bool {
@@ -101,15 +141,31 @@ impl Measured {
         );
         if thrust.line.is_none() && torque.line.is_none() {
             let reason = |fit: LineFit| fit.reason.unwrap_or_default();
-            return Err(Problem::from(vec![
+            let problem = Problem::from(vec![
                 Violation::new("thrust", "not_identifiable", reason(thrust)),
                 Violation::new("torque", "not_identifiable", reason(torque)),
-            ]));
+            ]);
+            return Err(self.told(problem));
         }
         let calibration = Calibration { version: 0, thrust: thrust_line, torque: torque_line };
         let (considered, skipped) = (self.considered, self.skipped);
         let answer = FitAnswer { dry_run: true, calibration: None, thrust, torque, considered, skipped };
         Ok(Fitted { calibration, answer })
+    }
+
+    /// A refusal with what was looked at, as the answer has it: what is missing may be what retention dropped.
+    fn told(self, mut problem: Problem) -> Problem {
+        let mut detail = format!("{}; {} cycles were looked at", problem.detail, self.considered);
+        for (reason, count) in &self.skipped {
+            let _ = write!(detail, ", {count} skipped: {reason}");
+        }
+        if self.considered >= MOST_CONSIDERED || self.unpacked >= MOST_UNPACKED {
+            detail.push_str("; one question looks at no more of them: name a later filter.from");
+        }
+        problem.detail = detail.into();
+        let skipped: serde_json::Map<_, _> =
+            self.skipped.into_iter().map(|(reason, count)| (reason.to_owned(), count.into())).collect();
+        problem.member("considered", self.considered).member("skipped", skipped)
     }
 }
 

@@ -20,7 +20,8 @@ pub const USUAL_FIT_CYCLES: u32 = 50;
 pub struct FitRequest {
     /// Cycles of this machine by tool, operation and time; `machine` must be left out or the path's.
     pub filter: FilterBody,
-    /// Most cycles fitted, 1 to 200, oldest first; 50 where it is left out.
+    /// Most cycles fitted, 1 to 200, oldest first; 50 where it is left out. Those that give nothing are passed over: at
+    /// most 20000 cycles are looked at, and the samples of 1000 are read.
     pub most_cycles: Option<u32>,
     /// Only tells what would be stored.
     pub dry_run: bool,

@@ -437,6 +437,9 @@ pub struct OptimisedBody {
     pub bands: Vec<BandResultBody>,
     /// Why there is none: path, code and a sentence of each violation.
     pub refused: Vec<RefusedBody>,
+    /// Where there is none: cycles without samples that can be learned from, and why (`samples_dropped`, or missing, and
+    /// `no_samples`). Empty where a report names them.
+    pub skipped: Vec<SkippedBody>,
 }
 
 /// Why there is no proposal.

@@ -119,6 +119,20 @@ pub fn read_bound(path: &str, text: &str) -> Result<Timestamp, Violation> {
     Ok(if is_finer(text) { Timestamp::from_micros(whole.micros().saturating_add(1)) } else { whole })
 }
 
+/// Refuses a range that ends before anything can begin in it; `to` is the path of its end. Answered as one in which nothing was
+/// run it would hide that its ends were mixed up.
+pub fn check_range(to: &str, range: (Option<Timestamp>, Option<Timestamp>)) -> Result<(), Violation> {
+    match range {
+        (Some(begin), Some(end)) if begin >= end => Err(empty_range(to)),
+        _ => Ok(()),
+    }
+}
+
+/// What is wrong with such a range.
+pub fn empty_range(to: &str) -> Violation {
+    Violation::new(to, "empty_range", "must be later than the beginning of the range")
+}
+
 /// Reads RFC 3339 with any offset, from the year 1 on; a time finer than a microsecond is the last whole one before it.
 pub fn read(path: &str, text: &str) -> Result<Timestamp, Violation> {
     let invalid = |message| Violation::new(path, "invalid_timestamp", message);

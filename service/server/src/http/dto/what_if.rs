@@ -172,7 +172,7 @@ pub struct FilterBody {
     pub operation: Option<String>,
     /// Begun at or after, RFC 3339.
     pub from: Option<String>,
-    /// Begun before, RFC 3339.
+    /// Begun before, RFC 3339; later than `from`.
     pub to: Option<String>,
 }
 
@@ -181,7 +181,7 @@ impl FilterBody {
     pub fn to_filter(&self, at: &str) -> Result<CycleFilter, Violation> {
         let path = |name: &str| format!("{at}.{name}");
         let text = Option::as_deref;
-        Ok(CycleFilter {
+        let filter = CycleFilter {
             machine: text(&self.machine).map(|id| MachineId::parse(&path("machine"), id)).transpose()?,
             tool: text(&self.tool).map(|id| ToolId::parse(&path("tool"), id)).transpose()?,
             operation: text(&self.operation)
@@ -189,7 +189,9 @@ impl FilterBody {
                 .transpose()?,
             from: text(&self.from).map(|at| time::read_bound(&path("from"), at)).transpose()?,
             to: text(&self.to).map(|at| time::read_bound(&path("to"), at)).transpose()?,
-        })
+        };
+        time::check_range(&path("to"), (filter.from, filter.to))?;
+        Ok(filter)
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::error::StoreResult;
 use crate::record::StoreFault;
 use crate::sqlite::Conn;
+use crate::sqlite::by_name;
 use crate::sqlite::open::MIGRATIONS;
 use futures_util::TryStreamExt;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -24,7 +25,7 @@ pub(in crate::sqlite) async fn integrity(conn: &mut Conn) -> StoreResult<Vec<Sto
 
 /// What SQLite finds wrong with a file that does not open as a store.
 pub(in crate::sqlite) async fn of_file(path: &Path) -> StoreResult<Vec<StoreFault>> {
-    let options = SqliteConnectOptions::new().filename(path).read_only(true);
+    let options = SqliteConnectOptions::new().filename(by_name(path)).read_only(true);
     let mut conn = options.connect().await?;
     let faults = pages(&mut conn).await;
     conn.close().await?;

@@ -359,7 +359,7 @@ async function optimise() {
     const started = await ask("POST", "/v1/feed-profiles/optimize", { body: { operation, tool_type, ...(row ? { profile: row.id } : {}), limits: l } });
     let job = started.body;
     while (job.state === "waiting" || job.state === "running") { await new Promise((wake) => setTimeout(wake, 400)); job = await get(`/v1/jobs/${job.id}`); }
-    if (job.state !== "done" || !job.result?.content) { const why = job.result?.report?.reason ?? job.result?.reason ?? job.result?.why ?? job.state; fill($("#said"), notice("plan", t("profile.noProposal"), typeof why === "string" ? why : JSON.stringify(why).slice(0, 400))); return; }
+    if (job.state !== "done" || !job.result?.content) { const why = job.result?.refused?.[0]?.message ?? job.result?.report?.reason ?? job.result?.reason ?? job.result?.why ?? job.state; fill($("#said"), notice("plan", t("profile.noProposal"), typeof why === "string" ? why : JSON.stringify(why).slice(0, 400))); return; }
     const answer = await post("/v1/feed-profiles", { profile: id, job: job.id, reason: t("profile.optimisedFrom"), ...(row ? { based_on: shown.version } : {}) });
     const address = `/profile?id=${segment(id)}&version=${answer.version}`;
     // It took a while: what was moved meanwhile stays, if it is to.
