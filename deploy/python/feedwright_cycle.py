@@ -18,7 +18,7 @@ import sys
 import zlib
 from datetime import date, datetime, timedelta, timezone
 from decimal import Decimal
-from numbers import Real
+from numbers import Integral, Real
 
 CHANNELS = {
     "depth_mm": 1,
@@ -123,7 +123,7 @@ def _text(text):
 
 def _whole(value, bits):
     # True and False are integers to Python, and nowhere else.
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << bits:
+    if not isinstance(value, Integral) or isinstance(value, bool) or not 0 <= value < 1 << bits:
         raise ValueError(f"not a whole number from 0 to {(1 << bits) - 1}: {value!r:.40}")
     return value
 

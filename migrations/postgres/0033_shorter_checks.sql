@@ -1,7 +1,7 @@
 -- A statement that inserts reads every check of its table anew: those of a cycle's 65 columns took a server more than all else that
 -- it did with a cycle that came alone, most of it for numerics that are made floats. Columns of one range are held to it together
 -- (of a NaN GREATEST makes a NaN, which is beyond any number), and ranges are floats. All rows were held to the same before: nothing
--- is looked through. And a fold is squeezed by who writes it: the database does not try it once more, which took it longer than writing it.
+-- is looked through.
 
 ALTER TABLE cycles
     DROP CONSTRAINT cycles_coverage_range,
@@ -127,13 +127,3 @@ ALTER TABLE recommendations ADD CONSTRAINT recommendations_counts_range CHECK (
 ALTER TABLE recommendations ADD CONSTRAINT recommendations_ids_length CHECK (
     LEAST(length(recommendation_id), length(machine_id), length(operation_id), length(tool_id)) >= 1 AND
     GREATEST(length(recommendation_id), length(machine_id), length(operation_id), length(tool_id)) <= 128) NOT VALID;
-
--- Tables that are distributed over nodes by Citus cannot be told so, and go on as they are.
-DO $$
-BEGIN
-    ALTER TABLE tool_wear ALTER COLUMN state SET STORAGE EXTERNAL;
-    ALTER TABLE tool_wear_checkpoints ALTER COLUMN state SET STORAGE EXTERNAL;
-EXCEPTION WHEN feature_not_supported THEN
-    NULL;
-END
-$$;

@@ -56,6 +56,7 @@ BEGIN
                 -- Posts wait behind each that is tried. Who reads the table as a whole, as a backup does, holds up all of them.
                 EXIT WHEN held_up IS NOT NULL;
                 held_up := part.name;
+            WHEN io_error OR data_corrupted OR index_corrupted OR disk_full OR deadlock_detected THEN RAISE;
             -- Somebody else's, or somebody has made something of it, or whatever else: it stays, and the others go.
             WHEN OTHERS THEN
                 stays := part.name;

@@ -127,6 +127,8 @@ struct Warm {
 
 /// A connection goes back to the pool after so long, which knows how old one may become.
 const WARM_FOR: Duration = Duration::from_secs(600);
+/// A pool that has a connection lends it in far less.
+const AT_ONCE: Duration = Duration::from_millis(20);
 /// Pools of fewer connections lend each of them anew.
 const ENOUGH_CONNECTIONS: u32 = 4;
 
@@ -417,8 +419,17 @@ fn has_no_place(error: &sqlx::Error) -> bool {
 }
 
 impl Inner {
+    /// A connection of the pool; where none is to be had at once, the one that is kept for the next change.
     async fn lent(&self) -> StoreResult<Lent> {
-        Ok(Lent::of(&self.pool, self.lost_after / LOOKS).await?)
+        let mut asked = pin!(Lent::of(&self.pool, self.lost_after / LOOKS));
+        loop {
+            if let Ok(lent) = timeout(AT_ONCE, &mut asked).await {
+                return Ok(lent?);
+            }
+            if let Some(warm) = self.warm().await {
+                return Ok(warm.lent);
+            }
+        }
     }
 
     const fn begin(&self) -> &'static str {
@@ -523,6 +534,9 @@ impl Inner {
     /// The connection of the change before, where it may still be written by; as the pool asks of one that it lends.
     async fn warm(&self) -> Option<Warm> {
         let mut warm = self.warm.lock().unwrap_or_else(PoisonError::into_inner).take()?;
+        if warm.since.elapsed() > WARM_FOR {
+            return None;
+        }
         let patience = self.pool.options().get_acquire_timeout() / 2;
         match timeout(patience, open::usable(&mut warm.lent)).await {
             Ok(Ok(true)) => Some(warm),
@@ -534,10 +548,7 @@ impl Inner {
     }
 
     fn keep_warm(&self, warm: Warm) {
-        if self.pool.options().get_max_connections() < ENOUGH_CONNECTIONS
-            || warm.since.elapsed() > WARM_FOR
-            || self.pool.is_closed()
-        {
+        if self.pool.options().get_max_connections() < ENOUGH_CONNECTIONS || self.pool.is_closed() {
             return;
         }
         self.warm.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(warm);

@@ -366,6 +366,7 @@ impl ToolFold {
             && fold.current.is_none_or(|at| at < fold.keys.len())
             && fold.last_counted <= fold.cycles
             && fold.worked <= fold.cycles
+            && fold.known_worked <= fold.cycles
             && fold.feeds.last_reference.is_none_or(|number| number <= fold.cycles)
             && fold.feeds.references.len() <= KEPT_RATIOS
             && fold.feeds.compensated.len() <= KEPT_RATIOS;

@@ -381,19 +381,19 @@ impl ToolFold {
             return;
         }
         if self.level().is_some() {
-            self.keys[at].after_gap |= !self.take_announcement(self.cycles);
+            self.keys[at].after_gap = true;
         } else if !self.keys[at].learning.is_empty() {
             self.unworn = false;
         }
     }
 
-    /// Cycles that may have worn the tool since one was counted, where they are so many that nobody knows how worn it is: more than a
-    /// level lasts, and than baselines that are being learnt take.
+    /// Cycles that may have worn the tool since its level was known last, without those that baselines are being learnt from; `None` where
+    /// they are so few that it still is.
     pub(super) fn unknown_for(&self) -> Option<u64> {
-        let learning = self.keys.iter().filter(|key| key.baseline.is_none());
-        let taken: u64 = learning.map(|key| key.learning_bound() as u64).sum();
-        let unknown = self.worked.saturating_sub(self.known_worked);
-        (unknown > outdated_after(self.window) + taken).then_some(unknown)
+        let held = self.keys.iter().flat_map(|key| &key.learning);
+        let held = held.filter(|cycle| cycle.worked > self.known_worked).count() as u64;
+        let unknown = self.worked.saturating_sub(self.known_worked).saturating_sub(held);
+        (unknown > outdated_after(self.window)).then_some(unknown)
     }
 
     fn compare(&mut self, at: usize, cycle: Measured) {
@@ -521,10 +521,24 @@ impl ToolFold {
     fn count(&mut self, at: usize, cycle: Measured) {
         let Some(baseline) = &self.keys[at].baseline else { return };
         let said = ((cycle.number, cycle.worked), cycle.joules / baseline.joules);
-        let found = self.compensated(at, cycle.digest.as_ref());
         self.note_reference(at, cycle.number);
+        if self.keys[at].after_gap {
+            self.count_taught(at, cycle);
+            self.judge_after_gap(at);
+            return;
+        }
+        let found = self.compensated(at, cycle.digest.as_ref());
         self.remember(at, said, found);
         self.count_taught(at, cycle);
+    }
+
+    /// A tool is worn no less than by what this baseline shows, though nobody knows by how much more.
+    fn judge_after_gap(&mut self, at: usize) {
+        let key = &self.keys[at];
+        let Some((baseline, usual)) = key.baseline.as_ref().zip(key.usual()) else { return };
+        let least = usual.joules / baseline.joules;
+        self.worn |= least >= WORN_LEVEL - ROUNDING;
+        self.warned |= least >= WARNING_LEVEL - ROUNDING;
     }
 
     fn note_reference(&mut self, at: usize, number: u64) {
@@ -551,11 +565,17 @@ impl ToolFold {
         self.window = key.window;
         self.counted += 1;
         self.last_counted = self.last_counted.max(cycle.number);
-        self.known_worked = self.known_worked.max(cycle.worked);
         key.last_usual = key.last_usual.max(cycle.number);
         self.last_counted_us = self.last_counted_us.max(Some(cycle.started_us));
         self.unmeasured = 0;
+        let (after_gap, worked) = (key.after_gap, cycle.worked);
         key.keep(cycle);
+        if after_gap {
+            // Its ratios are those of a level that is only carried over: nobody knows more of the tool by them.
+            self.settle_suspects_by(at);
+            return;
+        }
+        self.known_worked = self.known_worked.max(worked);
         if self.ratios.len() == *WINDOW_CYCLES.end() as usize {
             self.ratios.remove(0);
         }

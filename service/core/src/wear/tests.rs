@@ -633,6 +633,35 @@ fn a_level_that_nobody_knows_any_more_is_not_carried_over_as_one_that_is_known()
     );
     let kept = ToolFold::from_bytes(&life.fold.to_bytes()).unwrap();
     assert_eq!(kept.verdict(), verdict, "as it is stored");
+    // Nor does anything else that is run then, whatever was learnt in between.
+    for operation in 3..12 {
+        let operation = OperationId::try_from(format!("O{operation}").as_str()).unwrap();
+        for _ in 0..6 {
+            let mut run = Life { fold: life.fold.clone(), number: life.number };
+            let verdict = run.with(|cycle| cycle.operation = operation.clone());
+            life = run;
+            assert!(
+                matches!(verdict.state, ToolState::Unknown | ToolState::Changed),
+                "{operation}: {verdict:?}"
+            );
+        }
+    }
+    // What is above even that level is worn for certain.
+    let mut worn = Life { fold: life.fold.clone(), number: life.number };
+    for _ in 0..5 {
+        worn.with(|cycle| {
+            cycle.operation = OperationId::try_from("O2").unwrap();
+            cycle.energy = Some((EnergyBasis::Dynamometer, false, 1.11 * NEW));
+        });
+    }
+    assert_eq!(worn.fold.verdict().state, ToolState::Worn);
+    // Beside them the baseline of before still tells, however seldom it runs.
+    let mut seldom = Life { fold: life.fold.clone(), number: life.number };
+    let states: Vec<ToolState> = (0..30)
+        .map(|n| if n % 3 == 0 { seldom.ratio(1.11).state } else { elsewhere(&mut seldom, 1).state })
+        .collect();
+    // With three of the window's five from now on.
+    assert_eq!(states[6..], [ToolState::Worn; 24], "{states:?}");
     // The baseline of before says how worn the tool is, wherever it comes from.
     assert_eq!(life.ratios(&[1.08; 5]).state, ToolState::Warning);
     assert_eq!(life.ratios(&[1.0; 5]).state, ToolState::Good);
@@ -664,8 +693,8 @@ fn a_baseline_that_is_learnt_over_long_unmeasured_work_is_no_new_tools() {
     for measured in [1_u32, 2, 4] {
         let mut life = Life::new();
         life.ratios(&[1.0; 4][..measured as usize]);
-        assert_eq!(unmeasured(&mut life, 46 - measured).state, ToolState::Learning, "{measured}");
-        let verdict = unmeasured(&mut life, 254);
+        assert_eq!(unmeasured(&mut life, 20).state, ToolState::Learning, "{measured}");
+        let verdict = unmeasured(&mut life, 280);
         assert_eq!(
             (verdict.state, why(&verdict).last().copied()),
             (ToolState::Unknown, Some("level_outdated"))

@@ -149,7 +149,7 @@ impl Side for PostgresSide {
              FROM pg_class c
              JOIN pg_attribute a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped
              LEFT JOIN pg_constraint k ON k.conrelid = c.oid AND k.contype = 'p'
-             WHERE c.relnamespace = current_schema()::regnamespace AND c.relkind IN ('r', 'p')
+             WHERE c.relnamespace = quote_ident(current_schema())::regnamespace AND c.relkind IN ('r', 'p')
                AND NOT c.relispartition
              ORDER BY c.relname COLLATE \"C\", 5, a.attnum",
         )

@@ -4,6 +4,7 @@
 use crate::error::StoreResult;
 use crate::postgres::Conn;
 use crate::record::StoreFault;
+use std::collections::BTreeSet;
 
 /// Keys, indexes and constraints of all tables, each behind its table. A test holds the list against a database that was just made.
 const MADE: &str = include_str!("made.txt");
@@ -14,11 +15,20 @@ const COUNTERS: i64 = 16;
 /// What is missing, and what would give numbers that are taken.
 pub(in crate::postgres) async fn faults(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
     let there = names(conn).await?;
+    let tables: BTreeSet<&str> =
+        there.iter().filter_map(|made| made.split_once(' ')).map(|(table, _)| table).collect();
     let missing = MADE.lines().filter(|made| there.binary_search_by(|name| name.as_str().cmp(made)).is_err());
     // Without its key a table may have a row twice.
     let kind = |made: &str| if made.ends_with("_pkey") { "schema" } else { "constraint" };
     let mut faults: Vec<StoreFault> =
         missing.map(|made| fault(kind(made), made, "no such key, index or constraint is there")).collect();
+    // Nothing can be asked of a table that is not there.
+    if ["alarms", "audit", "registry_generation", "tool_events"]
+        .into_iter()
+        .any(|table| !tables.contains(table))
+    {
+        return Ok(faults);
+    }
     let counters: i64 =
         sqlx::query_scalar("SELECT COUNT(*) FROM registry_generation").fetch_one(&mut *conn).await?;
     if counters != COUNTERS {
@@ -54,11 +64,11 @@ async fn names(conn: &mut Conn) -> StoreResult<Vec<String>> {
     let mut names: Vec<String> = sqlx::query_scalar(
         "SELECT c.relname::TEXT || ' ' || k.conname::TEXT
          FROM pg_constraint k JOIN pg_class c ON c.oid = k.conrelid
-         WHERE c.relnamespace = current_schema()::REGNAMESPACE AND NOT c.relispartition
+         WHERE c.relnamespace = quote_ident(current_schema())::REGNAMESPACE AND NOT c.relispartition
              AND k.contype IN ('c', 'p', 'u')
          UNION SELECT c.relname::TEXT || ' ' || i.relname::TEXT
          FROM pg_index x JOIN pg_class i ON i.oid = x.indexrelid JOIN pg_class c ON c.oid = x.indrelid
-         WHERE c.relnamespace = current_schema()::REGNAMESPACE AND NOT c.relispartition AND x.indisvalid",
+         WHERE c.relnamespace = quote_ident(current_schema())::REGNAMESPACE AND NOT c.relispartition AND x.indisvalid",
     )
     .fetch_all(&mut *conn)
     .await?;
