@@ -283,7 +283,7 @@ impl PostgresStore {
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        let UnderWay { mut task, committing } = self.begun(work).await?;
+        let UnderWay { mut task, committing } = self.under_way(Locks::default(), work).await?;
         let late = async {
             match committing.await {
                 Ok(()) => tokio::time::sleep(self.inner.lost_after).await,
@@ -297,7 +297,7 @@ impl PostgresStore {
         }
     }
 
-    async fn begun<T, F>(&self, work: F) -> StoreResult<UnderWay<T>>
+    async fn under_way<T, F>(&self, locks: Locks, work: F) -> StoreResult<UnderWay<T>>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
@@ -309,21 +309,22 @@ impl PostgresStore {
         let inner = Arc::clone(&self.inner);
         let (commits, committing) = oneshot::channel();
         let task = tokio::spawn(async move {
-            let outcome = inner.transaction(work, commits).await;
+            let outcome = inner.transaction(&locks, work, commits).await;
             drop(pass);
             outcome
         });
         Ok(UnderWay { task, committing })
     }
 
-    /// Runs a group of cycles in one transaction, in a task that nobody can cancel. All groups wait for one another, so that
-    /// none is waited for longer than for a connection that is lost. What goes on is committed as if another server had.
-    async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
+    /// Runs a group of cycles in one transaction that begins with its locks, in a task that nobody can cancel. All groups wait for
+    /// one another, so that none is waited for longer than for a connection that is lost. What goes on is committed as if another
+    /// server had.
+    async fn write_group<T, F>(&self, locks: impl FnOnce() -> Locks, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, (T, Written)> + Send + 'static,
     {
-        let mut task = self.begun(work).await?.task;
+        let mut task = self.under_way(locks(), work).await?.task;
         match timeout(self.inner.lost_after, &mut task).await {
             Ok(ended) => ended.map_err(panicked)?.map(|(value, _)| value),
             Err(_) => Err(self.give_up(task)),
@@ -410,6 +411,12 @@ enum Seen {
     Idle,
     /// It does not answer.
     Nothing,
+}
+
+/// Whether a lock was not to be had: in time, or as somebody who has it waits for this one (SQLSTATE 55P03, 57014 and 40P01).
+fn is_of_a_lock(error: &sqlx::Error) -> bool {
+    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code);
+    matches!(code.as_deref(), Some("55P03" | "57014" | "40P01"))
 }
 
 /// Whether a server has no connection left, and says so (SQLSTATE class 53).
@@ -505,7 +512,7 @@ impl Inner {
         }
     }
 
-    async fn transaction<T, F>(&self, work: F, commits: oneshot::Sender<()>) -> StoreResult<T>
+    async fn transaction<T, F>(&self, locks: &Locks, work: F, commits: oneshot::Sender<()>) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
@@ -513,11 +520,8 @@ impl Inner {
         let Ok(Ok(_turn)) = timeout(patience, self.changing.acquire()).await else {
             return Err(StoreError::Unavailable("other changes are under way".into()));
         };
-        let Warm { mut lent, since } = match self.warm().await {
-            Some(warm) => warm,
-            None => Warm { lent: self.lent().await?, since: Instant::now() },
-        };
-        match self.answered(changed(&mut lent, self.begin(), work, commits)).await {
+        let Warm { mut lent, since } = self.begun(locks).await?;
+        match self.answered(changed(&mut lent, work, commits)).await {
             Some(outcome) => {
                 if outcome.is_ok() {
                     self.keep_warm(Warm { lent, since });
@@ -531,12 +535,58 @@ impl Inner {
         }
     }
 
-    /// The connection of the change before, where it may still be written by; as the pool asks of one that it lends.
-    async fn warm(&self) -> Option<Warm> {
-        let mut warm = self.warm.lock().unwrap_or_else(PoisonError::into_inner).take()?;
-        if warm.since.elapsed() > WARM_FOR {
-            return None;
+    /// A connection with a change begun on it, and its locks taken: that of the change before, where it still is good for one.
+    async fn begun(&self, locks: &Locks) -> StoreResult<Warm> {
+        let message = format!("{}{}; {}", self.begin(), dialect::locking(locks), open::GOOD);
+        if let Some(Warm { lent, since }) = self.kept() {
+            match self.begins(lent, &message).await {
+                Ok(lent) => return Ok(Warm { lent, since }),
+                Err(Unbegun::Locked(error)) => return Err(error.into()),
+                // The pool may have a better one.
+                Err(Unbegun::Lost(_)) => {}
+            }
         }
+        match self.begins(self.lent().await?, &message).await {
+            Ok(lent) => Ok(Warm { lent, since: Instant::now() }),
+            Err(Unbegun::Locked(error)) => Err(error.into()),
+            Err(Unbegun::Lost(error)) => Err(error),
+        }
+    }
+
+    /// Begins a change on a connection, which goes where it cannot.
+    async fn begins(&self, mut lent: Lent, message: &str) -> Result<Lent, Unbegun> {
+        let asked = Instant::now();
+        let answer = {
+            let mut beginning = pin!(lent.begin_change(message.to_owned()));
+            match timeout(self.pool.options().get_acquire_timeout() / 2, &mut beginning).await {
+                Ok(answer) => Some(answer),
+                // It waits for a lock, or leads nowhere.
+                Err(_) => match self.sees(asked.elapsed()).await {
+                    Seen::AtWork | Seen::Hidden => self.answered(beginning).await,
+                    Seen::Idle | Seen::Nothing => None,
+                },
+            }
+        };
+        let lost = match answer {
+            Some(Ok(true)) => return Ok(lent),
+            Some(Ok(false)) => StoreError::Unavailable(open::NOT_USABLE.into()),
+            Some(Err(error)) if is_of_a_lock(&error) => return Err(Unbegun::Locked(error)),
+            Some(Err(error)) => error.into(),
+            None => StoreError::Unavailable(LOST.into()),
+        };
+        lent.lose();
+        Err(Unbegun::Lost(lost))
+    }
+
+    /// The connection of the change before, where the pool may not have it back yet.
+    fn kept(&self) -> Option<Warm> {
+        let warm = self.warm.lock().unwrap_or_else(PoisonError::into_inner).take()?;
+        (warm.since.elapsed() <= WARM_FOR).then_some(warm)
+    }
+
+    /// The connection of the change before, where it still may be asked; as the pool asks of one that it lends.
+    async fn warm(&self) -> Option<Warm> {
+        let mut warm = self.kept()?;
         let patience = self.pool.options().get_acquire_timeout() / 2;
         match timeout(patience, open::usable(&mut warm.lent)).await {
             Ok(Ok(true)) => Some(warm),
@@ -555,6 +605,14 @@ impl Inner {
     }
 }
 
+/// Why a change could not begin: nothing of it is done.
+enum Unbegun {
+    /// For a lock, which another connection would not have either.
+    Locked(sqlx::Error),
+    /// For the connection, or its server.
+    Lost(StoreError),
+}
+
 /// A change in a task of its own.
 struct UnderWay<T> {
     task: JoinHandle<StoreResult<T>>,
@@ -562,22 +620,16 @@ struct UnderWay<T> {
     committing: oneshot::Receiver<()>,
 }
 
-/// One change in one transaction; `commits` is told when all but its commit is done.
-async fn changed<T, F>(
-    conn: &mut Conn,
-    begin: &'static str,
-    work: F,
-    commits: oneshot::Sender<()>,
-) -> StoreResult<T>
+/// The rest of a change, whose transaction has begun; `commits` is told when all but its commit is done.
+async fn changed<T, F>(lent: &mut Lent, work: F, commits: oneshot::Sender<()>) -> StoreResult<T>
 where
     F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
 {
-    let mut transaction = conn.begin_with(begin).await?;
-    match work(&mut transaction).await {
+    match work(lent).await {
         Ok(value) => {
             // Nobody waits for it where it was begun for a group.
             let _ = commits.send(());
-            match transaction.commit().await.map_err(StoreError::from) {
+            match lent.commit().await.map_err(StoreError::from) {
                 Ok(()) => Ok(value),
                 // The commit was sent: it may have been kept although no answer came.
                 Err(StoreError::Unavailable(error)) => Err(StoreError::OutcomeUnknown(error)),
@@ -585,7 +637,7 @@ where
             }
         }
         Err(error) => {
-            if let Err(rollback) = transaction.rollback().await {
+            if let Err(rollback) = lent.roll_back().await {
                 tracing::debug!(error = %rollback, "rollback failed, the connection goes");
             }
             Err(error)

@@ -31,6 +31,7 @@ pub(crate) use open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS};
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
+use crate::locks::Locks;
 use crate::recent::Recent;
 use crate::record::{DatabaseUsage, StoreFault};
 use crate::registry::Registry;
@@ -230,8 +231,8 @@ impl SqliteStore {
     }
 
     /// Runs a group of cycles, which begins its transaction by its own statements, on the thread of the groups in a task
-    /// that nobody can cancel.
-    async fn write_group<T, F>(&self, work: F) -> StoreResult<T>
+    /// that nobody can cancel. The one writer holds the database: there is nobody to be locked out.
+    async fn write_group<T, F>(&self, _locks: impl FnOnce() -> Locks, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Writer) -> Work<'c, (T, Written)> + Send + 'static,

@@ -123,4 +123,9 @@ async fn cycles_whose_samples_are_gone_are_passed_over_and_damaged_ones_are_name
     );
     let detail = damaged.body["detail"].as_str().unwrap();
     assert!(detail.contains("the samples of cycle F1/c3 cannot be read"), "{detail}");
+    let asked = json!({"filter": {"machine": "F1"}, "question": {"control": {}}});
+    let many = shop.post("/v1/what-if", &asked).await;
+    assert_eq!((many.status, &many.body["code"]), (500, &json!("stored_data_damaged")), "{}", many.text);
+    let detail = many.body["detail"].as_str().unwrap();
+    assert!(detail.contains("the samples of cycle F1/c3 cannot be read"), "{detail}");
 }

@@ -1,8 +1,9 @@
 //! The schema is what Citus can distribute by machine. The extension itself is not run here: these are its documented
 //! conditions, held against the migrated schema.
 
-use super::given::Given;
-use sqlx::{Connection, PgConnection};
+use super::given::{Given, Run, shop, stored};
+use feedwright_store::{CycleFilter, Page, Repair};
+use sqlx::{Connection, Executor, PgConnection};
 use std::collections::{BTreeMap, BTreeSet};
 
 const SQL: &str = include_str!("../../../deploy/citus/distribute.sql");
@@ -98,6 +99,59 @@ async fn every_table_is_placed_and_every_key_of_a_distributed_one_holds_its_colu
     assert!(odd.contains(&"audit".to_owned()), "the question finds what is there: {odd:?}");
     conn.close().await.unwrap();
     given.done().await;
+}
+
+/// Statements that write a fold, kept by a trigger; with `marked`, as if the database had Citus' list of what it distributes.
+async fn statements_that_write_folds(marked: bool) -> Option<Vec<String>> {
+    let given = Given::postgres().await?;
+    let mut conn = PgConnection::connect(&given.address()).await.unwrap();
+    conn.execute(sqlx::raw_sql(
+        "CREATE TABLE written (id BIGINT GENERATED ALWAYS AS IDENTITY, query TEXT);
+         CREATE FUNCTION note_query() RETURNS TRIGGER LANGUAGE plpgsql AS
+             $$ BEGIN INSERT INTO written (query) VALUES (current_query()); RETURN NULL; END $$;
+         CREATE TRIGGER note AFTER INSERT ON tool_wear FOR EACH STATEMENT EXECUTE FUNCTION note_query()",
+    ))
+    .await
+    .unwrap();
+    if marked {
+        conn.execute("CREATE TABLE pg_dist_partition ()").await.unwrap();
+    }
+    let store = given.store();
+    shop(&*store).await;
+    for n in 1..=2 {
+        stored(&*store, &Run::nth(n)).await;
+    }
+    let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 10 }).await.unwrap();
+    assert_eq!(cycles.len(), 2);
+    for cycle in &cycles {
+        assert!(store.cycle_samples(&cycle.cycle.machine, &cycle.cycle.id).await.unwrap().is_some());
+    }
+    let wear = store.check_wear(Repair::No).await.unwrap();
+    assert_eq!((wear.rows, wear.different), (1, vec![]));
+    let written =
+        sqlx::query_scalar("SELECT query FROM written ORDER BY id").fetch_all(&mut conn).await.unwrap();
+    conn.close().await.unwrap();
+    given.done().await;
+    Some(written)
+}
+
+/// Everybody in a group waits for each of its statements; Citus divides one among its nodes that writes a single table.
+#[tokio::test]
+async fn a_group_ends_with_one_statement_or_with_one_for_each_table() {
+    let Some(together) = statements_that_write_folds(false).await else {
+        return;
+    };
+    let others = ["INSERT INTO cycle_samples", "INSERT INTO recommendations"];
+    let Some(apart) = statements_that_write_folds(true).await else {
+        return;
+    };
+    assert_eq!((together.len(), apart.len()), (2, 2), "one for each group");
+    for query in &together {
+        assert!(others.iter().all(|other| query.contains(other)), "{query}");
+    }
+    for query in &apart {
+        assert!(others.iter().all(|other| !query.contains(other)), "{query}");
+    }
 }
 
 /// What is changed of tables that are distributed already: Citus adds a constraint to one by a statement of its own, or with its column.

@@ -54,12 +54,17 @@ async fn carry(mut client: TcpStream, server: u16, mut vanished: watch::Receiver
 
 /// A server, a line to it, and behind that a store with a shop.
 async fn behind_a_line(connections: u32) -> Option<(Cluster, Line, PostgresStore)> {
+    behind_a_line_for(connections, Duration::from_secs(2)).await
+}
+
+/// The same; a connection is lost after so long.
+async fn behind_a_line_for(connections: u32, lost_after: Duration) -> Option<(Cluster, Line, PostgresStore)> {
     let cluster = Cluster::new()?;
     let line = Line::to(cluster.port()).await;
     let options = PostgresOptions {
         connections,
         patience: Duration::from_secs(2),
-        lost_after: Duration::from_secs(2),
+        lost_after,
         ..PostgresOptions::default()
     };
     let url = cluster.url().replace(&cluster.port().to_string(), &line.port.to_string());
@@ -99,6 +104,61 @@ async fn groups_go_on_with_the_one_that_took_over() {
     let page = Page { after: None, limit: 10 };
     assert_eq!(store.cycles(&CycleFilter::default(), page).await.unwrap().len(), 3, "each once");
     let wear = store.check_wear(Repair::No).await.unwrap();
+    assert_eq!((wear.rows, wear.different), (1, vec![]));
+}
+
+/// The connection that is kept from one change to the next vanishes between them, and so do those of the pool: the next group finds
+/// out, and has another one.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_group_has_another_connection_than_the_one_that_vanished_meanwhile() {
+    // Far longer than it is to take, which is by half the patience and a word of the server.
+    let Some((_cluster, line, store)) = behind_a_line_for(8, Duration::from_secs(120)).await else {
+        return;
+    };
+    stored(&store, &Run::nth(1)).await;
+    line.vanish();
+    stored(&store, &Run::nth(2)).await;
+    stored(&store, &Run::nth(3)).await;
+    let wear = store.check_wear(Repair::No).await.unwrap();
+    assert_eq!((wear.rows, wear.different), (1, vec![]));
+}
+
+/// Who waits for a tool longer than for a word of the server is not taken for one that leads nowhere.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_group_that_waits_for_a_tool_keeps_its_turn() {
+    let Some(cluster) = Cluster::new() else {
+        return;
+    };
+    let patience = Duration::from_secs(1);
+    let options =
+        PostgresOptions { patience, lost_after: Duration::from_secs(60), ..PostgresOptions::default() };
+    let first = PostgresStore::open(&cluster.url(), options.clone()).await.unwrap();
+    shop(&first).await;
+    let second = PostgresStore::open(&cluster.url(), options).await.unwrap();
+    // Each has a connection of a change before.
+    stored(&first, &Run::nth(1)).await;
+    stored(&second, &Run::nth(2)).await;
+    let mut holder = PgConnection::connect(&cluster.url()).await.unwrap();
+    holder.execute("BEGIN; LOCK TABLE cycles IN ACCESS EXCLUSIVE MODE").await.unwrap();
+    let post = |store: &PostgresStore, n| {
+        let store = store.clone();
+        tokio::spawn(async move { commit(&store, &[Run::nth(n)]).await.pop().unwrap() })
+    };
+    // The one has the tool and waits for the table, the other one waits for the tool.
+    let before = post(&first, 3);
+    cluster.one_waits_for_a_lock().await;
+    let behind = post(&second, 4);
+    cluster.wait_for_a_lock(2).await;
+    let pids = "SELECT array_agg(pid ORDER BY pid) FROM pg_stat_activity WHERE wait_event_type = 'Lock'";
+    let waiting: Vec<i32> = sqlx::query_scalar(pids).fetch_one(&mut holder).await.unwrap();
+    tokio::time::sleep(patience).await;
+    let still: Vec<i32> = sqlx::query_scalar(pids).fetch_one(&mut holder).await.unwrap();
+    assert_eq!(still, waiting, "nobody began anew");
+    holder.execute("ROLLBACK").await.unwrap();
+    for post in [before, behind] {
+        assert!(matches!(post.await.unwrap(), Ok(Committed::Stored(_))));
+    }
+    let wear = first.check_wear(Repair::No).await.unwrap();
     assert_eq!((wear.rows, wear.different), (1, vec![]));
 }
 

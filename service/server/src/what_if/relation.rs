@@ -1,6 +1,7 @@
 //! Load–feed relations, learned from the first cycles of a tool's life under a key.
 
 use super::cycle::{ContactCycle, IdleLoads, Unusable};
+use crate::http::problem::Problem;
 use feedwright_core::cycle::Samples;
 use feedwright_core::friction::relation::{RelationConfig, RelationParams};
 use feedwright_core::friction::whatif::LoadRelations;
@@ -75,7 +76,7 @@ impl Library {
     }
 
     /// A stored cycle, cut to its contact.
-    pub async fn contact(&mut self, stored: &StoredCycle) -> StoreResult<Result<ContactCycle, Unusable>> {
+    pub async fn contact(&mut self, stored: &StoredCycle) -> Result<Result<ContactCycle, Unusable>, Problem> {
         let meta = &stored.cycle;
         if stored.samples_are_gone() {
             return Ok(Err(Unusable::SamplesDropped));
@@ -84,7 +85,9 @@ impl Library {
             return Ok(Err(Unusable::NoSamples));
         }
         let Some(around) = self.around(meta).await? else { return Ok(Err(Unusable::Refused)) };
-        let samples: Option<Samples> = self.store.cycle_samples(&meta.machine, &meta.id).await?;
+        let samples = self.store.cycle_samples(&meta.machine, &meta.id).await;
+        let samples: Option<Samples> =
+            samples.map_err(|error| Problem::of_samples(error, &meta.machine, &meta.id))?;
         // Retention may have come between the two questions.
         let Some(samples) = samples else { return Ok(Err(Unusable::SamplesDropped)) };
         let context = Context {
@@ -100,7 +103,7 @@ impl Library {
         &mut self,
         stored: &StoredCycle,
         cycle: &ContactCycle,
-    ) -> StoreResult<Option<Arc<Learned>>> {
+    ) -> Result<Option<Arc<Learned>>, Problem> {
         let meta = &stored.cycle;
         // A cycle that names no speed ran at its operation's.
         let operation_rpm =
@@ -149,7 +152,7 @@ impl Library {
         meta: &CycleMeta,
         (operation_rpm, from): (Option<f64>, Option<Timestamp>),
         deepest_mm: f64,
-    ) -> StoreResult<Option<Learned>> {
+    ) -> Result<Option<Learned>, Problem> {
         let filter = CycleFilter {
             machine: Some(meta.machine.clone()),
             tool: Some(meta.tool.clone()),

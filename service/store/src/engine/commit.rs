@@ -33,7 +33,18 @@ enum Placed {
     Done(Committed),
 }
 
-/// Commits a group: answers stand in the order of the group. What `memory` holds is true after the commit only.
+/// What a group locks before it is asked for anything.
+pub(super) fn locks(group: &[NewCycle]) -> Locks {
+    let cycles = || group.iter().map(|new| &new.cycle);
+    Locks::group(
+        cycles().map(|cycle| &cycle.machine),
+        cycles().map(|cycle| &cycle.operation),
+        cycles().map(|cycle| &cycle.tool),
+    )
+}
+
+/// Commits a group, whose locks are taken: answers stand in the order of the group. What `memory` holds is true after the commit
+/// only.
 pub(super) async fn group(
     writer: &mut Writer,
     group: &[NewCycle],
@@ -55,13 +66,10 @@ pub(super) async fn group(
         memory.doubt(group);
     }
     let conn = dialect::asked(writer)?;
-    let machines = group.iter().map(|new| &new.cycle.machine);
-    let operations = group.iter().map(|new| &new.cycle.operation);
-    dialect::lock(conn, &Locks::group(machines, operations, tools.iter().copied())).await?;
-    // Asked under the locks: who changes what this group rests on waits for its end, or has ended before.
+    // Asked under the locks of `locks`: who changes what this group rests on waits for its end, or has ended before.
     let heads = wear::heads(conn, registry, &tools).await?;
     let around = GroupRegistry::load(conn, registry, heads.generation, group).await?;
-    let mut transaction = GroupTransaction::begun(conn);
+    let mut transaction = GroupTransaction::begun(conn, heads.is_distributed);
     count(&mut transaction, group, (now, settings), (&heads, &around, memory)).await
 }
 

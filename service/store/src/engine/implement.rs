@@ -135,14 +135,18 @@ impl Engine {
             let registry = Arc::clone(self.registry());
             let mut memory = self.memory().take();
             let touched = self.recent().map(|recent| Group::of(Arc::clone(group), Arc::clone(recent)));
-            let group = self.write_group(move |writer| {
-                Box::pin(async move {
-                    let _until_committed = touched;
-                    let known = (&*registry, &mut memory);
-                    let (answers, written) = commit::group(writer, &cycles, now, settings, known).await?;
-                    Ok(((answers, memory), written))
-                })
-            });
+            let locked = Arc::clone(group);
+            let group = self.write_group(
+                move || commit::locks(&locked),
+                move |writer| {
+                    Box::pin(async move {
+                        let _until_committed = touched;
+                        let known = (&*registry, &mut memory);
+                        let (answers, written) = commit::group(writer, &cycles, now, settings, known).await?;
+                        Ok(((answers, memory), written))
+                    })
+                },
+            );
             let outcome = group.await;
             match outcome {
                 Ok((answers, memory)) => {

@@ -77,7 +77,7 @@ impl Memory {
                 versions.extend(wear.versions().map(|of_tool| (tool.clone(), of_tool)));
             }
         }
-        Some((Heads { generation, any_profile, versions }, registry))
+        Some((Heads { generation, is_distributed: false, any_profile, versions }, registry))
     }
 
     /// Forgets what a group changed here whose assumptions did not hold.

@@ -17,8 +17,8 @@ pub(super) struct GroupTransaction<'c> {
 }
 
 enum State<'c> {
-    /// Begun, with the cycles of the group inserted where that was assumed.
-    Begun(&'c mut Conn),
+    /// Begun, with the cycles of the group inserted where that was assumed; and whether the database is distributed.
+    Begun(&'c mut Conn, bool),
     /// Not begun: what it rests on, and the cycles that are taken to be new.
     Assumed(&'c mut Writer, dialect::Assumption<'c>, Vec<Arc<CycleRow>>),
     /// What was assumed does not hold.
@@ -26,9 +26,9 @@ enum State<'c> {
 }
 
 impl<'c> GroupTransaction<'c> {
-    /// One that has begun.
-    pub(super) const fn begun(conn: &'c mut Conn) -> Self {
-        Self { state: State::Begun(conn) }
+    /// One that has begun, in a database that is distributed or not.
+    pub(super) const fn begun(conn: &'c mut Conn, is_distributed: bool) -> Self {
+        Self { state: State::Begun(conn, is_distributed) }
     }
 
     /// One that rests on the heads of the group's tools until it begins.
@@ -45,12 +45,13 @@ impl<'c> GroupTransaction<'c> {
         if let State::Assumed(writer, assumption, cycles) = &mut self.state {
             let holds = dialect::begin_assumed(dialect::asked(writer)?, *assumption, cycles).await?;
             self.state = match std::mem::replace(&mut self.state, State::Refuted) {
-                State::Assumed(writer, ..) if holds => State::Begun(dialect::asked(writer)?),
+                // Where that is assumed the database is a file.
+                State::Assumed(writer, ..) if holds => State::Begun(dialect::asked(writer)?, false),
                 _ => State::Refuted,
             };
         }
         match &mut self.state {
-            State::Begun(conn) => Ok(conn),
+            State::Begun(conn, _) => Ok(conn),
             State::Assumed(..) | State::Refuted => Err(refuted()),
         }
     }
@@ -63,7 +64,7 @@ impl<'c> GroupTransaction<'c> {
                 cycles.extend(rows.iter().cloned());
                 true
             }
-            State::Begun(_) | State::Refuted => false,
+            State::Begun(..) | State::Refuted => false,
         }
     }
 
@@ -74,14 +75,14 @@ impl<'c> GroupTransaction<'c> {
     /// As [`GroupTransaction::conn`].
     pub(super) async fn write(&mut self, rest: &Rest<'_>, now: Timestamp) -> StoreResult<Written> {
         match &mut self.state {
-            State::Begun(conn) => {
+            State::Begun(conn, is_distributed) => {
                 for row in rest.with_new_advice() {
                     recommendations::keep_advice(conn, row).await?;
                 }
                 for change in &rest.alarms {
                     alarms::apply(conn, change, now).await?;
                 }
-                dialect::write_rest(conn, rest, now).await
+                dialect::write_rest(conn, rest, now, *is_distributed).await
             }
             State::Assumed(writer, assumption, cycles) => {
                 match dialect::write_assumed(writer, *assumption, cycles, rest, now)? {

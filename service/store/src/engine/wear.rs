@@ -75,6 +75,8 @@ pub(in super::super) type Versions = BTreeMap<MachineId, i64>;
 pub(in super::super) struct Heads {
     /// The generation of the registry.
     pub(in super::super) generation: i64,
+    /// Whether the database is one of several nodes.
+    pub(in super::super) is_distributed: bool,
     /// Whether any feed profile is active.
     pub(in super::super) any_profile: bool,
     /// Versions of the folds of the group's tools.
@@ -91,7 +93,8 @@ pub(super) async fn heads(
         .bind(dialect::list(tools.iter().map(|tool| tool.as_str())))
         .fetch_all(&mut *conn)
         .await?;
-    let mut heads = Heads { generation: 0, any_profile: false, versions: BTreeMap::new() };
+    let mut heads =
+        Heads { generation: 0, is_distributed: false, any_profile: false, versions: BTreeMap::new() };
     let (mut server, mut changes) = (0, 0);
     for (tool, machine, version) in &rows {
         if !tool.is_empty() {
@@ -101,6 +104,7 @@ pub(super) async fn heads(
             match machine.as_str() {
                 "" => changes = *version,
                 "server" => server = *version,
+                "distributed" => heads.is_distributed = *version > 0,
                 _ => heads.any_profile = *version > 0,
             }
         }

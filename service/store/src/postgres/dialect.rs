@@ -14,6 +14,7 @@ use crate::locks::Locks;
 use crate::record::StoreFault;
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
+use std::fmt::Write;
 
 /// Months for which partitions of samples are kept ready, the present one included.
 const MONTHS_AHEAD: i32 = 13;
@@ -172,6 +173,29 @@ pub(super) async fn lock(conn: &mut Conn, locks: &Locks) -> StoreResult<()> {
     Ok(())
 }
 
+/// The statements that do the same behind those that begin a transaction, in one message with them: shared locks first, each in the order in
+/// which they stand there.
+pub(super) fn locking(locks: &Locks) -> String {
+    let mut sql = String::new();
+    for (function, keys) in
+        [("pg_advisory_xact_lock_shared", &locks.shared), ("pg_advisory_xact_lock", &locks.exclusive)]
+    {
+        for (index, key) in keys.iter().enumerate() {
+            let before = if index == 0 {
+                format!("; SELECT count({function}(k)) FROM (VALUES ")
+            } else {
+                ", ".to_owned()
+            };
+            // Infallible: into memory.
+            let _ = write!(sql, "{before}({key})");
+        }
+        if !keys.is_empty() {
+            sql.push_str(") AS keys (k)");
+        }
+    }
+    sql
+}
+
 /// A tool's caches. The tool's name is locked by then: rows of several machines stand on several nodes where the
 /// database is distributed, and cannot be locked together there.
 pub(super) const WEAR_OF_TOOL_LOCKED: &str =
@@ -187,14 +211,15 @@ macro_rules! server {
 }
 pub(super) use server;
 
-/// The generation of the registry, which server answers, and whether any feed profile is active, under empty names of a tool, and the
-/// versions of the folds of a list of tools. The tools' names are locked by then.
+/// The generation of the registry, which server answers, whether the database is one that Citus distributes, and whether any feed
+/// profile is active, under empty names of a tool, and the versions of the folds of a list of tools. The tools' names are locked by then.
 pub(super) const HEADS: &str = concat!(
     "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
      FROM registry_generation
      UNION ALL SELECT '', 'server', ",
     server!(),
-    " UNION ALL SELECT '', 'profiles', CAST(COUNT(*) AS BIGINT)
+    " UNION ALL SELECT '', 'distributed', CASE WHEN to_regclass('pg_dist_partition') IS NULL THEN 0::BIGINT ELSE 1::BIGINT END
+     UNION ALL SELECT '', 'profiles', CAST(COUNT(*) AS BIGINT)
      FROM (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL LIMIT 1) AS active
      UNION ALL SELECT tool_id, machine_id, version FROM tool_wear WHERE tool_id = ANY($1)"
 );

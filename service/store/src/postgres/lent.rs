@@ -1,8 +1,8 @@
 //! A connection of the pool that is lent.
 
-use super::{Conn, Db};
+use super::{Conn, Db, open};
 use sqlx::pool::PoolConnection;
-use sqlx::{Executor, PgPool};
+use sqlx::{AssertSqlSafe, Executor, PgPool};
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 use tokio::runtime::Handle;
@@ -14,21 +14,48 @@ use tokio::time::timeout;
 pub(super) struct Lent {
     /// There until it is given back or lost.
     conn: Option<PoolConnection<Db>>,
-    /// Whether a transaction that only reads was begun on it, which ends with it.
-    reads: bool,
+    /// Whether a transaction was begun on it and is not committed: it is rolled back when it is given back.
+    begun: bool,
     /// How long the server may take for taking it back.
     patience: Duration,
 }
 
 impl Lent {
     pub(super) async fn of(pool: &PgPool, patience: Duration) -> Result<Self, sqlx::Error> {
-        Ok(Self { conn: Some(pool.acquire().await?), reads: false, patience })
+        Ok(Self { conn: Some(pool.acquire().await?), begun: false, patience })
     }
 
     /// Begins what is rolled back when it is given back.
     pub(super) async fn begin_reading(&mut self, statement: &'static str) -> Result<(), sqlx::Error> {
-        self.reads = true;
+        self.begun = true;
         self.execute(sqlx::raw_sql(statement)).await?;
+        Ok(())
+    }
+
+    /// Begins a change by one message, as each of several is waited for, whose last statement is [`open::GOOD`]; `false` where the
+    /// server is not good for changes.
+    ///
+    /// sqlx 0.9.0 has a transaction of its own for that, which drops what the message answers, and is content with a commit that
+    /// the server makes a rollback, as of a transaction in which a statement has failed.
+    pub(super) async fn begin_change(&mut self, message: String) -> Result<bool, sqlx::Error> {
+        self.begun = true;
+        // Text of this crate's, and numbers.
+        let answers = sqlx::raw_sql(AssertSqlSafe(message)).fetch_all(&mut **self).await?;
+        open::is_good(answers.last().ok_or(sqlx::Error::RowNotFound)?)
+    }
+
+    /// Commits what was begun by [`Lent::begin_change`]. In a transaction that failed the first statement of the message fails
+    /// too, where the server would answer the second one by rolling back, and call that done.
+    pub(super) async fn commit(&mut self) -> Result<(), sqlx::Error> {
+        self.execute(sqlx::raw_sql("SELECT; COMMIT")).await?;
+        self.begun = false;
+        Ok(())
+    }
+
+    /// Takes back what was begun.
+    pub(super) async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
+        self.execute(sqlx::raw_sql("ROLLBACK")).await?;
+        self.begun = false;
         Ok(())
     }
 
@@ -46,14 +73,14 @@ impl Lent {
 impl Drop for Lent {
     fn drop(&mut self) {
         let Some(mut conn) = self.conn.take() else { return };
-        let (reads, patience) = (self.reads, self.patience);
+        let (begun, patience) = (self.begun, self.patience);
         // One that a store kept, which ends behind everything else.
         let Ok(runtime) = Handle::try_current() else {
             drop(conn.detach());
             return;
         };
         runtime.spawn(async move {
-            if reads && !matches!(timeout(patience, conn.execute("ROLLBACK")).await, Ok(Ok(_))) {
+            if begun && !matches!(timeout(patience, conn.execute("ROLLBACK")).await, Ok(Ok(_))) {
                 drop(conn.detach());
                 return;
             }

@@ -5,7 +5,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
 use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
-use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
+use sqlx::postgres::{PgConnectOptions, PgPoolOptions, PgRow};
 use sqlx::{ConnectOptions, Connection, Row};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -138,31 +138,44 @@ impl PostgresStore {
     }
 }
 
-/// Whether a connection is good for work: outside of any transaction, on a server that takes writes and keeps them.
-///
-/// sqlx 0.9.0 may return a connection inside a transaction, whose begin was dropped half-way (sqlx issues 4385 and
-/// 4393). Inside a transaction `now()` is the time of its begin; inside a failed one the question itself fails, and
-/// the connection goes as well. Decisions are read from the primary alone, so a demoted server answers nothing.
-pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
-    const ASK: &str = "SELECT now() = statement_timestamp() AS outside,
-                              NOT pg_is_in_recovery() AND current_setting('transaction_read_only') = 'off' AS writable,
-                              current_setting('synchronous_commit') IN ('on', 'remote_apply')
-                                  AND current_setting('fsync') = 'on' AS durable";
-    // One message: with several of them the time of the statement is that of the last and always later than `now()`,
-    // and outside of a transaction a pooler hands each of them round to another server.
-    let row = sqlx::raw_sql(ASK).fetch_one(&mut *conn).await?;
-    let outside: bool = row.try_get("outside")?;
+/// What changes rest on. Decisions are read from the primary alone, so a demoted server answers nothing.
+macro_rules! good {
+    () => {
+        "NOT pg_is_in_recovery() AND current_setting('transaction_read_only') = 'off' AS writable,
+         current_setting('synchronous_commit') IN ('on', 'remote_apply') AND current_setting('fsync') = 'on' AS durable"
+    };
+}
+
+/// Asks for [`is_good`] and nothing else.
+pub(super) const GOOD: &str = concat!("SELECT ", good!());
+
+/// Whether the server that has answered takes writes and keeps them; where not, why is logged.
+pub(super) fn is_good(row: &PgRow) -> Result<bool, sqlx::Error> {
     let (writable, durable): (bool, bool) = (row.try_get("writable")?, row.try_get("durable")?);
-    if !outside {
-        tracing::error!("a connection came back inside an open transaction and is closed");
-    }
     if !writable {
         tracing::warn!("a connection to a server that is in recovery or read-only is closed");
     }
     if !durable {
         tracing::error!("a connection is closed: synchronous_commit or fsync was turned off on the server");
     }
-    Ok(outside && writable && durable)
+    Ok(writable && durable)
+}
+
+/// Whether a connection is good for work: outside of any transaction, on a server that takes writes and keeps them.
+///
+/// sqlx 0.9.0 may return a connection inside a transaction, whose begin was dropped half-way (sqlx issues 4385 and
+/// 4393). Inside a transaction `now()` is the time of its begin; inside a failed one the question itself fails, and
+/// the connection goes as well.
+pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
+    const ASK: &str = concat!("SELECT now() = statement_timestamp() AS outside, ", good!());
+    // One message: with several of them the time of the statement is that of the last and always later than `now()`,
+    // and outside of a transaction a pooler hands each of them round to another server.
+    let row = sqlx::raw_sql(ASK).fetch_one(&mut *conn).await?;
+    let outside: bool = row.try_get("outside")?;
+    if !outside {
+        tracing::error!("a connection came back inside an open transaction and is closed");
+    }
+    Ok(is_good(&row)? && outside)
 }
 
 /// Partitions are made and dropped by who owns their table: a role that may only write would have none after a year.

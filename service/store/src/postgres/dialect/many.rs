@@ -7,8 +7,12 @@ use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns}
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::FOLD_VERSION;
+use sqlx::AssertSqlSafe;
+use sqlx::postgres::{PgArguments, PgRow};
+use sqlx::query::Query;
 use std::collections::HashSet;
-use std::sync::Arc;
+use std::fmt::Write;
+use std::sync::{Arc, LazyLock};
 
 macro_rules! cycles {
     ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
@@ -46,26 +50,105 @@ pub(in crate::postgres) async fn insert_cycles(
     Ok(keys.filter(|key| !new.contains(key)).collect())
 }
 
-/// Inserts the sample blocks of cycles.
-async fn insert_blocks(conn: &mut Conn, rows: &[BlockRow<'_>]) -> StoreResult<()> {
-    if rows.is_empty() {
-        return Ok(());
-    }
-    sqlx::query(
-        "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block)
-         SELECT * FROM UNNEST($1, $2, $3, $4)",
+/// Blocks of samples, see [`bind_blocks`].
+const BLOCKS: &str = "INSERT INTO cycle_samples (machine_id, received_at_us, cycle_id, block)
+     SELECT * FROM UNNEST($1, $2, $3, $4)";
+
+/// Folds, see [`bind_wear`]: each over the very version that it was made of. Locks see to that; where a database of several nodes
+/// shows a commit later than it was told, a newer fold must not be lost all the same.
+const WEAR: &str =
+    "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
+     SELECT machine_id, tool_id, folded, $6, state, version + 1, $7
+     FROM UNNEST($1, $2, $3, $4, $5) AS saved (machine_id, tool_id, folded, state, version)
+     ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
+         fold_version = excluded.fold_version, state = excluded.state, version = excluded.version,
+         updated_at_us = excluded.updated_at_us
+     WHERE tool_wear.version = excluded.version - 1
+     RETURNING version";
+
+/// Recommendations whose advice is kept, see [`bind_recommendations`].
+const RECOMMENDATIONS: &str =
+    "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
+         level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
+         data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
+     SELECT * FROM UNNEST($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19)";
+
+/// All three by one statement, bound in this order: each statement of a group is waited for by everybody in it.
+static REST: LazyLock<String> = LazyLock::new(|| {
+    format!(
+        "WITH blocks AS ({BLOCKS}), given AS ({}) {}",
+        numbered_after(RECOMMENDATIONS, 4),
+        numbered_after(WEAR, 4 + 19)
     )
-    .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.received_at_us).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.cycle_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| &*row.block).collect::<Vec<_>>())
-    .execute(&mut *conn)
-    .await?;
+});
+
+/// A statement whose first parameter is not `$1` but the one after so many.
+fn numbered_after(sql: &str, before: u32) -> String {
+    let mut parts = sql.split('$');
+    let mut numbered = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let digits = part.bytes().take_while(u8::is_ascii_digit).count();
+        let (number, rest) = part.split_at(digits);
+        let number: u32 = number.parse().unwrap_or_default();
+        // Infallible: into memory.
+        let _ = write!(numbered, "${}{rest}", number + before);
+    }
+    numbered
+}
+
+type Bound<'q> = Query<'q, sqlx::Postgres, PgArguments>;
+
+fn bind_blocks<'q>(query: Bound<'q>, rows: &'q [BlockRow<'_>]) -> Bound<'q> {
+    query
+        .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.received_at_us).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.cycle_id.as_str()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| &*row.block).collect::<Vec<_>>())
+}
+
+fn bind_wear<'q>(query: Bound<'q>, rows: &'q [Arc<SavedWear>], now: Timestamp) -> Bound<'q> {
+    query
+        .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.folded).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| state::pack(&row.state)).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())
+        .bind(i64::from(FOLD_VERSION))
+        .bind(now.micros())
+}
+
+fn bind_recommendations<'q>(query: Bound<'q>, rows: &'q [IssuedRow]) -> Bound<'q> {
+    query
+        .bind(rows.iter().map(|row| row.recommendation_id.as_str()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.advice.hash.as_slice()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.issued_at_us).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.valid_until_us).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_as_run).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_lowest).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_highest).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_n).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_window).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.remaining_cycles).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.remaining_low).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.remaining_high).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.data_age_ms).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_decides).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_value).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.level_sd).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.operation_id.as_str()).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
+}
+
+/// Refuses folds that were not all written, which each gives back a row for.
+fn all_written(folds: &[Arc<SavedWear>], written: &[PgRow]) -> StoreResult<()> {
+    if written.len() < folds.len() {
+        return Err(StoreError::Unavailable("a tool's fold is newer than the one it was counted on".into()));
+    }
     Ok(())
 }
 
-/// Writes the folds of machines and tools, each over the very version that it was made of. Locks see to that; where a
-/// database of several nodes shows a commit later than it was told, a newer fold must not be lost all the same.
+/// Writes the folds of machines and tools, each over the very version that it was made of.
 pub(in crate::postgres) async fn save_wear(
     conn: &mut Conn,
     rows: &[Arc<SavedWear>],
@@ -74,29 +157,8 @@ pub(in crate::postgres) async fn save_wear(
     if rows.is_empty() {
         return Ok(());
     }
-    let written: Vec<i64> = sqlx::query_scalar(
-        "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
-         SELECT machine_id, tool_id, folded, $5, state, version + 1, $6
-         FROM UNNEST($1, $2, $3, $4, $7) AS saved (machine_id, tool_id, folded, state, version)
-         ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
-             fold_version = excluded.fold_version, state = excluded.state, version = excluded.version,
-             updated_at_us = excluded.updated_at_us
-         WHERE tool_wear.version = excluded.version - 1
-         RETURNING version",
-    )
-    .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.folded).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| state::pack(&row.state)).collect::<Vec<_>>())
-    .bind(i64::from(FOLD_VERSION))
-    .bind(now.micros())
-    .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())
-    .fetch_all(&mut *conn)
-    .await?;
-    if written.len() < rows.len() {
-        return Err(StoreError::Unavailable("a tool's fold is newer than the one it was counted on".into()));
-    }
-    Ok(())
+    let written = bind_wear(sqlx::query(WEAR), rows, now).fetch_all(&mut *conn).await?;
+    all_written(rows, &written)
 }
 
 /// Inserts recommendations whose advice is kept.
@@ -104,47 +166,49 @@ pub(in crate::postgres) async fn insert_recommendations(
     conn: &mut Conn,
     rows: &[IssuedRow],
 ) -> StoreResult<()> {
-    if rows.is_empty() {
-        return Ok(());
+    if !rows.is_empty() {
+        bind_recommendations(sqlx::query(RECOMMENDATIONS), rows).execute(&mut *conn).await?;
     }
-    sqlx::query(
-        "INSERT INTO recommendations (recommendation_id, advice_hash, issued_at_us, valid_until_us, level_as_run,
-             level_lowest, level_highest, level_n, level_window, remaining_cycles, remaining_low, remaining_high,
-             data_age_ms, level_decides, level_value, level_sd, machine_id, operation_id, tool_id)
-         SELECT * FROM UNNEST($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19)",
-    )
-    .bind(rows.iter().map(|row| row.recommendation_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.advice.hash.as_slice()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.issued_at_us).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.valid_until_us).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_as_run).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_lowest).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_highest).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_n).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_window).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.remaining_cycles).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.remaining_low).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.remaining_high).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.data_age_ms).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_decides).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_value).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.level_sd).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.operation_id.as_str()).collect::<Vec<_>>())
-    .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
-    .execute(&mut *conn)
-    .await?;
     Ok(())
 }
 
-/// Writes the rest of a group.
+/// Writes the rest of a group: by one statement, or each table by its own where the database is distributed, as Citus does not divide such a
+/// statement among its nodes.
 pub(in crate::postgres) async fn write_rest(
     conn: &mut Conn,
     rest: &Rest<'_>,
     now: Timestamp,
+    is_distributed: bool,
 ) -> StoreResult<Written> {
-    insert_blocks(conn, &rest.blocks).await?;
-    save_wear(conn, &rest.wear, now).await?;
-    insert_recommendations(conn, &rest.issued).await?;
+    if is_distributed {
+        if !rest.blocks.is_empty() {
+            bind_blocks(sqlx::query(BLOCKS), &rest.blocks).execute(&mut *conn).await?;
+        }
+        save_wear(conn, &rest.wear, now).await?;
+        insert_recommendations(conn, &rest.issued).await?;
+        return Ok(Written::whole());
+    }
+    let query = bind_blocks(sqlx::query(AssertSqlSafe(REST.as_str())), &rest.blocks);
+    let query = bind_wear(bind_recommendations(query, &rest.issued), &rest.wear, now);
+    let written = query.fetch_all(&mut *conn).await?;
+    all_written(&rest.wear, &written)?;
     Ok(Written::whole())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parameters_of_one_statement_are_numbered_one_after_the_other() {
+        let numbers: Vec<u32> = REST
+            .split('$')
+            .skip(1)
+            .map(|part| part.split(|c: char| !c.is_ascii_digit()).next().unwrap().parse().unwrap())
+            .collect();
+        let mut sorted = numbers.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, (1..=30).collect::<Vec<_>>(), "each once");
+        assert_eq!(numbered_after("SELECT $2, $1, '' WHERE $10", 3), "SELECT $5, $4, '' WHERE $13");
+    }
 }

@@ -319,6 +319,7 @@ pub(in crate::sqlite) async fn write_rest(
     conn: &mut Conn,
     rest: &Rest<'_>,
     now: Timestamp,
+    _is_distributed: bool,
 ) -> StoreResult<Written> {
     if let Some(text) = as_many_each(rest) {
         let query = bind_rest(sqlx::query(text), rest, now);

@@ -48,6 +48,7 @@ fn messages(conn: &Connection) -> Vec<String> {
 fn group(writer: &mut GroupWriter, tool: &str) -> StoreResult<Option<Written>> {
     let generation = "SELECT SUM(changes) FROM registry_generation";
     let heads = Heads {
+        is_distributed: false,
         generation: writer.conn.query_row(generation, (), |row| row.get(0)).unwrap(),
         any_profile: false,
         versions: BTreeMap::new(),
