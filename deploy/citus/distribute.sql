@@ -45,6 +45,7 @@ COMMIT;
 -- local: quarantine
 -- local: tokens
 -- local: machine_contacts
+-- local: tool_checkpoints
 -- local: registry_generation
 -- local: sessions
 -- local: stream_leases

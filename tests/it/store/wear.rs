@@ -36,10 +36,14 @@ mod tables {
         a_damaged_cache_is_found_and_repaired,
         a_cache_that_is_lost_is_folded_again_with_the_next_cycle,
         a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says,
+        a_late_cycle_of_a_tool_that_moves_is_counted_whatever_a_key_says,
+        a_long_history_on_several_machines_is_refolded_from_checkpoints,
     );
     use super::{
         a_cache_that_is_lost_is_folded_again_with_the_next_cycle, a_damaged_cache_is_found_and_repaired,
         a_late_cycle_is_counted_whatever_the_key_of_a_checkpoint_says,
+        a_late_cycle_of_a_tool_that_moves_is_counted_whatever_a_key_says,
+        a_long_history_on_several_machines_is_refolded_from_checkpoints,
     };
 }
 
@@ -175,6 +179,92 @@ async fn a_tool_that_moves_is_folded_over_all_machines(store: Arc<dyn Store>) {
     assert_eq!(verdict.cycles, 24);
     let check = store.check_wear(Repair::No).await.unwrap();
     assert_eq!((check.rows, check.different), (2, vec![]));
+}
+
+/// Shared by three machines in turn, some of whose cycles come late, each of which is held against all there are by then.
+async fn a_long_history_on_several_machines_is_refolded_from_checkpoints(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    for id in ["M2", "M3"] {
+        store.put_machine(machine(id), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    }
+    let all: Vec<Run> = (1..=900)
+        .map(|n| Run {
+            machine: ["M1", "M2", "M3"][n as usize / 5 % 3],
+            sampled: false,
+            load: 30.0 + f64::from(n % 11) * 0.1 + f64::from(n) * 0.002,
+            ..Run::nth(n)
+        })
+        .collect();
+    let late = [2_usize, 254, 255, 256, 300, 511, 700, 701, 850];
+    let live: Vec<Run> =
+        all.iter().enumerate().filter(|(at, _)| !late.contains(at)).map(|(_, run)| run.clone()).collect();
+    let tool = "T1".try_into().unwrap();
+    let mut came = Vec::new();
+    let as_it_is = async |came: &[Run]| {
+        let mut in_order = came.to_vec();
+        in_order.sort_by_key(|run| run.seconds);
+        assert_eq!(store.verdict(&tool).await.unwrap(), naive(&in_order, true, WearSettings::default()));
+    };
+    for group in live.chunks(61) {
+        for outcome in commit(&*store, group).await {
+            assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+        }
+        came.extend_from_slice(group);
+        as_it_is(&came).await;
+    }
+    let kept = "UPDATE tool_checkpoints SET folded = folded";
+    assert_eq!(given.raw(kept).await.unwrap(), 3, "states on the way over all machines");
+    // Backwards and forwards, alone and behind newer ones of another machine.
+    for index in [8, 0, 7, 1, 6, 2, 5, 3, 4] {
+        stored(&*store, &all[late[index]]).await;
+        came.push(all[late[index]].clone());
+        as_it_is(&came).await;
+        assert_clean(&*store).await;
+    }
+    let levels = store.levels(&tool, at(0), at(1_000_000), 2000).await.unwrap();
+    let from = levels[600].key.0;
+    let some = store.levels(&tool, from, at(1_000_000), 2000).await.unwrap();
+    assert_eq!(some, levels[600..], "levels go on from a state on the way");
+
+    for damage in [
+        "UPDATE tool_checkpoints SET last_started_at_us = last_started_at_us - 8000000000 WHERE folded = 512",
+        "UPDATE tool_checkpoints SET last_machine_id = 'M9' WHERE folded = 512",
+        "UPDATE tool_checkpoints SET folded = 900 WHERE folded = 768",
+        "UPDATE tool_checkpoints SET state = (SELECT state FROM tool_checkpoints WHERE folded = 256) WHERE folded = 768",
+    ] {
+        assert_eq!(given.raw(damage).await.unwrap(), 1, "{damage}");
+        assert_eq!(differing(&store.check_wear(Repair::No).await.unwrap()), [("M1", "T1")], "{damage}");
+        let repaired = store.check_wear(Repair::AllBut(&Doubt::default())).await.unwrap();
+        assert_eq!(repaired.different[0].left, None, "{damage}");
+        assert_clean(&*store).await;
+        as_it_is(&came).await;
+    }
+    assert_eq!(given.raw(kept).await.unwrap(), 3);
+}
+
+/// A late cycle is counted also where the key of a state over all machines says that it has been.
+async fn a_late_cycle_of_a_tool_that_moves_is_counted_whatever_a_key_says(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    let runs: Vec<Run> = (1..=300)
+        .map(|n| Run {
+            machine: if n % 2 == 0 { "M1" } else { "M2" },
+            sampled: false,
+            load: 30.0 + f64::from(n % 11) * 0.1,
+            ..Run::nth(n)
+        })
+        .collect();
+    let late = &runs[199];
+    let live: Vec<Run> = runs.iter().filter(|run| run.id != late.id).cloned().collect();
+    commit(&*store, &live).await;
+    let earlier = "UPDATE tool_checkpoints SET last_started_at_us = last_started_at_us - 6000000000";
+    assert_eq!(given.raw(earlier).await.unwrap(), 1);
+    stored(&*store, late).await;
+    let verdict = store.verdict(&"T1".try_into().unwrap()).await.unwrap();
+    assert_eq!(verdict, naive(&runs, true, WearSettings::default()));
+    assert_clean(&*store).await;
 }
 
 async fn an_event_takes_effect_with_the_cycle_it_names(store: Arc<dyn Store>) {

@@ -5,7 +5,7 @@
 //! relation is known well enough; else by nothing, and its cycles are flagged as masked.
 
 use super::WORN_LEVEL;
-use super::fold::ToolFold;
+use super::fold::{LEAST_RATIOS, ToolFold};
 use super::key::KeyState;
 use super::trend::TrendPoints;
 use super::verdict::{FeedEvidence, Level, LevelBasis, MOST_LEVEL, Masked, ReferenceCycles};
@@ -22,8 +22,6 @@ const ENOUGH_SD: f64 = 0.03;
 const PRECISE_SD: f64 = 0.015;
 /// Reference cycles after those of the baseline that may decide.
 const FEWEST_REFERENCES: usize = 3;
-/// Compensated ratios that may decide, where the window is not smaller still.
-const LEAST_RATIOS: usize = 5;
 /// Largest factor by which a window's wear is carried on to the present; early in a life it would be noise.
 const MOST_ONWARD: f64 = 1.25;
 /// Reference cycles that come up to so much later than asked still decide, as a share and in cycles.
@@ -128,13 +126,13 @@ impl ToolFold {
         all.then_some(found)
     }
 
-    /// Keeps what a counted cycle says beside its ratio as run.
+    /// Keeps what a counted cycle says beside its ratio as run; returns the larger one of that and the compensated one.
     pub(super) fn remember(
         &mut self,
         at: usize,
         ((number, worked), ratio): ((u64, u64), f64),
         found: Option<Compensated>,
-    ) {
+    ) -> f64 {
         let is_reference = self.keys[at].key.strategy == Some(Strategy::FConst);
         let memory = &mut self.feeds;
         if is_reference {
@@ -149,9 +147,12 @@ impl ToolFold {
                 reference: found.at_reference_feed.map(pair),
                 sd_at_limit: found.sd_at_limit,
             };
-            memory.compensated_trend.push_at(number, entry.deciding().0);
+            let deciding = entry.deciding().0;
+            memory.compensated_trend.push_at(number, deciding);
             push(&mut memory.compensated, entry);
+            return ratio.max(deciding);
         }
+        ratio
     }
 
     /// The level that decides; `None` before anything was counted.

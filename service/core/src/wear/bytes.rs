@@ -2,7 +2,7 @@
 
 use super::basis::{CompensatedRatio, FeedMemory, KEPT_RATIOS};
 use super::facts::OrderKey;
-use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold};
+use super::fold::{FOLD_VERSION, LAST_EXCLUDED, LEAST_RATIOS, MAX_KEYS, ToolFold};
 use super::key::{Baseline, Change, KeyState, Measured, Usual};
 use super::trend::{Told, TrendPoints};
 use super::verdict::{BaselineKey, Exclusion};
@@ -323,6 +323,7 @@ fields!(ToolFold {
     cycles,
     worked,
     known_worked,
+    since_gap,
     counted,
     last_counted,
     last_counted_us,
@@ -367,6 +368,7 @@ impl ToolFold {
             && fold.last_counted <= fold.cycles
             && fold.worked <= fold.cycles
             && fold.known_worked <= fold.cycles
+            && fold.since_gap.as_ref().is_none_or(|since| since.len() < LEAST_RATIOS)
             && fold.feeds.last_reference.is_none_or(|number| number <= fold.cycles)
             && fold.feeds.references.len() <= KEPT_RATIOS
             && fold.feeds.compensated.len() <= KEPT_RATIOS;

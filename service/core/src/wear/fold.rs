@@ -17,7 +17,7 @@ use crate::tool::ToolEventKind;
 use crate::units::{Process, Strategy};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 7;
+pub const FOLD_VERSION: u16 = 8;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
@@ -28,7 +28,7 @@ pub(super) const LAST_EXCLUDED: usize = 20;
 /// Newest undercuts in a row that are kept apart; beyond them the tool is not less broken.
 const MAX_SUSPECTS: usize = 64;
 /// Ratios that the level is judged from at the least, where the window is not smaller still.
-const LEAST_RATIOS: usize = 5;
+pub(super) const LEAST_RATIOS: usize = 5;
 /// Cycles off the usual that make a lasting step, where the level's window is not smaller still.
 const LASTING: usize = 3;
 /// Cycles within which a step that was announced has to come, or four windows: one that comes later is another one.
@@ -101,6 +101,9 @@ pub struct ToolFold {
     pub(super) worked: u64,
     /// How many of these there were when one was counted last, or somebody confirmed what had been seen.
     pub(super) known_worked: u64,
+    /// What was counted of a complete baseline since the level was not known for long, while that is too little for a window of its own:
+    /// ratios that decide, oldest first.
+    pub(super) since_gap: Option<Vec<f64>>,
     pub(super) counted: u64,
     pub(super) last_counted: u64,
     pub(super) last_counted_us: Option<i64>,
@@ -138,6 +141,7 @@ impl Default for ToolFold {
             cycles: 0,
             worked: 0,
             known_worked: 0,
+            since_gap: None,
             counted: 0,
             last_counted: 0,
             last_counted_us: None,
@@ -202,6 +206,7 @@ impl ToolFold {
         self.announced_until = if announced { self.cycles + holds } else { 0 };
         self.answered_at = (!announced).then_some(self.cycles);
         self.known_worked = self.worked;
+        self.since_gap = None;
         self.settle_suspects();
     }
 
@@ -528,8 +533,40 @@ impl ToolFold {
             return;
         }
         let found = self.compensated(at, cycle.digest.as_ref());
-        self.remember(at, said, found);
+        let deciding = self.remember(at, said, found);
+        let (known_worked, is_known) = (self.known_worked, self.is_known_by(deciding));
         self.count_taught(at, cycle);
+        if !is_known {
+            self.known_worked = known_worked;
+        }
+    }
+
+    /// Whether the level is known with this ratio. After long work that nobody knows the window is still that of before: until it holds
+    /// enough of after, one ratio that may be of a worn tool leaves open which.
+    fn is_known_by(&mut self, ratio: f64) -> bool {
+        let usual = |since: &Vec<f64>| since.iter().all(|ratio| *ratio < WARNING_LEVEL - ROUNDING);
+        if self.unknown_for().is_some() {
+            // Another gap, unless it is the one that is not over.
+            let goes_on = self.since_gap.take().filter(|since| !usual(since));
+            self.since_gap = Some(goes_on.unwrap_or_default());
+        }
+        let Some(since) = &mut self.since_gap else { return true };
+        since.push(ratio);
+        let is_enough = since.len() >= LEAST_RATIOS.min(self.window as usize);
+        let is_known = is_enough || usual(since);
+        if is_enough {
+            self.since_gap = None;
+        }
+        is_known
+    }
+
+    /// The largest ratio since the level was not known for long, and how many there are of so many that are needed; `None` where they
+    /// leave nothing open.
+    pub(super) fn unclear_since_gap(&self) -> Option<(f64, usize, usize)> {
+        let since = self.since_gap.as_ref()?;
+        let largest = since.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let needed = LEAST_RATIOS.min(self.window as usize);
+        (largest >= WARNING_LEVEL - ROUNDING).then_some((largest, since.len(), needed))
     }
 
     /// A tool is worn no less than by what this baseline shows, though nobody knows by how much more.

@@ -185,6 +185,16 @@ impl ToolFold {
             say("level_outdated", format!("none of the last {age} cycles could be counted{cut}"));
             return ToolState::Unknown;
         }
+        if !key.after_gap
+            && let Some((largest, have, need)) = self.unclear_since_gap()
+        {
+            let percent = 100.0 * (largest - 1.0);
+            let why = format!(
+                "after long work that nobody measured energy is up to {percent:+.1} %: {have} of {need} cycles that tell"
+            );
+            say("level_outdated", why);
+            return ToolState::Unknown;
+        }
         if !self.unworn {
             return ToolState::Unknown;
         }

@@ -689,6 +689,56 @@ fn a_level_that_nobody_knows_any_more_is_not_carried_over_as_one_that_is_known()
 }
 
 #[test]
+fn after_long_unmeasured_work_the_window_of_before_calls_no_tool_good_that_may_be_worn() {
+    let mut life = Life::learnt();
+    life.ratios(&[1.02; 5]);
+    unmeasured(&mut life, 300);
+    for have in 1..=4 {
+        let verdict = life.ratio(1.12);
+        if have < 3 {
+            let last = verdict.reasons.last().unwrap();
+            assert_eq!((verdict.state, last.0), (ToolState::Unknown, "level_outdated"), "{have}");
+            assert!(last.1.contains(&format!("+12.0 %: {have} of 5 cycles")), "{}", last.1);
+        } else {
+            assert_eq!(verdict.state, ToolState::Worn, "the window's median is of after: {have}");
+        }
+        let kept = ToolFold::from_bytes(&life.fold.to_bytes()).unwrap();
+        assert_eq!((kept.verdict(), &kept), (verdict, &life.fold), "as it is stored");
+    }
+
+    // Where it is as it was, each cycle says so; one that scatters leaves it open until there are enough.
+    let mut same = Life::learnt();
+    unmeasured(&mut same, 300);
+    assert_eq!(same.ratio(1.01).state, ToolState::Good);
+    assert_eq!(same.ratio(1.08).state, ToolState::Unknown);
+    let states: Vec<_> = (0..3).map(|_| same.ratio(1.01).state).collect();
+    assert_eq!(states, [ToolState::Unknown, ToolState::Unknown, ToolState::Good]);
+
+    // One cycle in thirty is measured: what each of them says holds until nobody knows any more.
+    let mut seldom = Life::learnt();
+    for _ in 0..10 {
+        assert_eq!(unmeasured(&mut seldom, 29).state, ToolState::Unknown);
+        assert_eq!(seldom.ratio(1.0).state, ToolState::Good);
+    }
+    // What is run in between carries no level over that is not known.
+    let mut elsewhere = Life::learnt();
+    unmeasured(&mut elsewhere, 300);
+    assert_eq!(elsewhere.ratio(1.12).state, ToolState::Unknown);
+    let other = |cycle: &mut CycleFacts| cycle.operation = OperationId::try_from("O2").unwrap();
+    let verdict = (0..6).map(|_| elsewhere.with(other)).last().unwrap();
+    assert_eq!(
+        (verdict.state, why(&verdict).last().copied()),
+        (ToolState::Changed, Some("level_unconfirmed"))
+    );
+    // Somebody who looked at the tool says that it is known.
+    let mut told = Life::learnt();
+    unmeasured(&mut told, 300);
+    assert_eq!(told.ratio(1.08).state, ToolState::Unknown);
+    told.fold.event(ToolEventKind::ConditionsConfirmed);
+    assert_eq!(told.ratio(1.02).state, ToolState::Good);
+}
+
+#[test]
 fn a_baseline_that_is_learnt_over_long_unmeasured_work_is_no_new_tools() {
     for measured in [1_u32, 2, 4] {
         let mut life = Life::new();

@@ -84,6 +84,24 @@ async fn cached(
     Ok((by_machine, by_count))
 }
 
+/// The states on the way over all machines of a tool, by how many cycles they have counted, with the machine of the last of them.
+async fn overall(conn: &mut Conn, tool: &ToolId) -> StoreResult<BTreeMap<i64, (MachineId, (State, Last))>> {
+    let rows: Vec<CheckpointRow> = sqlx::query_as::<Db, _>(
+        "SELECT last_machine_id AS machine_id, folded, fold_version, state, last_started_at_us, last_seq,
+             last_cycle_id
+         FROM tool_checkpoints WHERE tool_id = $1",
+    )
+    .bind(tool.as_str())
+    .fetch_all(&mut *conn)
+    .await?;
+    let mut by_count = BTreeMap::new();
+    for CheckpointRow { state: row, last_started_at_us, last_seq, last_cycle_id } in rows {
+        let last = (last_started_at_us, last_seq, last_cycle_id);
+        by_count.insert(row.folded, (id("machine_id", &row.machine_id)?, (state(&row), last)));
+    }
+    Ok(by_count)
+}
+
 fn last_of(order: &OrderKey) -> StoreResult<Last> {
     let seq = order.seq.map(|seq| count("last_seq", seq)).transpose()?;
     Ok((order.started_at.micros(), seq, order.cycle.as_str().to_owned()))
@@ -119,10 +137,31 @@ pub(super) async fn tool(
         let last = fold.last().map(last_of).transpose()?;
         Ok(holds(Some(state), fold) && (state.0 != version || last.as_ref() == Some(of)))
     };
+    let mut overall = overall(conn, tool).await?;
+    let mut overall_same = true;
+    let mut walk = Walk::new(&events);
+    while !overall.is_empty() {
+        let page = wear::facts_after(conn, tool, None, walk.fold().last()).await?;
+        if page.is_empty() {
+            break;
+        }
+        for row in &page {
+            row.readable()
+                .and_then(|()| walk.step(row))
+                .map_err(|error| error.of_cycle(&row.machine_id, &row.cycle_id))?;
+            let found = walk.at_checkpoint().then(|| count("folded", walk.folded())).transpose()?;
+            if let Some((machine, found)) = found.and_then(|folded| overall.remove(&folded)) {
+                overall_same &= walk.fold().last().is_some_and(|last| last.machine == machine)
+                    && checkpoint_holds(Some(&found), walk.fold())?;
+            }
+        }
+    }
+    overall_same &= overall.is_empty();
     let mut different = Vec::new();
     for machine in &machines {
         let mut walk = Walk::new(&events);
-        let mut same = true;
+        // One that is of all of them is told of the first.
+        let mut same = std::mem::replace(&mut overall_same, true);
         loop {
             let page = wear::facts_after(conn, tool, Some(machine), walk.fold().last()).await?;
             if page.is_empty() {

@@ -1,12 +1,12 @@
 //! What cycles amounted to, as points of series: few columns of many rows.
 
-use super::wear::{self, ToolWear};
+use super::wear::{self, Of, ToolWear};
 use super::{Conn, Db};
 use crate::error::StoreResult;
 use crate::history::Walk;
 use crate::point::{CyclePoint, PointColumns, PointEnergy, PointPeaks};
 use crate::record::{CycleFilter, CycleKey, LevelPoint, Page};
-use crate::rows::id;
+use crate::rows::{Place, id};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::summary::{EnergyBasis, IdlePower};
@@ -226,14 +226,16 @@ pub(super) async fn levels(
     to: Timestamp,
     limit: u32,
 ) -> StoreResult<Vec<LevelPoint>> {
-    let events = ToolWear::load(conn, tool).await?.events;
+    let known = ToolWear::load(conn, tool).await?;
+    let events = known.events.clone();
     let machines = wear::machines_of(conn, tool).await?;
-    let mut walk = match machines.as_slice() {
-        // Of one machine the checkpoints are those of the whole tool.
-        [only] => match wear::checkpoint_at(conn, tool, only, from).await? {
-            Some((fold, folded)) => Walk::resume(fold, folded, &events),
-            None => Walk::new(&events),
-        },
+    // Of one machine the checkpoints are those of the whole tool.
+    let of = match machines.as_slice() {
+        [only] => Of::Machine(only),
+        _ => Of::All,
+    };
+    let mut walk = match wear::checkpoint_before(conn, tool, of, &Place::at(from)).await? {
+        Some((fold, folded)) if known.may_resume(of) => Walk::resume(fold, folded, &events),
         _ => Walk::new(&events),
     };
     let mut levels = Vec::new();

@@ -54,6 +54,8 @@ pub(super) struct ToolWear {
     machines: BTreeMap<MachineId, Cached>,
     /// The fold over all machines, where there are several and it is known.
     whole: Option<(ToolFold, u64)>,
+    /// Whether the tool's name is locked: only then are states on the way kept, and those taken back that do not hold any more.
+    locked: bool,
     /// The open alarms that follow the verdict, where they are known. They hold as long as the folds of these versions do:
     /// who changes such an alarm writes a fold or begins another generation of the registry.
     pub(super) alarms: Option<Vec<alarms::Open>>,
@@ -219,7 +221,8 @@ pub(super) async fn ask_operations(
 impl ToolWear {
     /// Loads a tool's events and caches; locks the caches where the engine locks rows.
     pub(super) async fn load_locked(conn: &mut Conn, tool: &ToolId) -> StoreResult<Self> {
-        Self::load_by(conn, tool, dialect::WEAR_OF_TOOL_LOCKED).await
+        let wear = Self::load_by(conn, tool, dialect::WEAR_OF_TOOL_LOCKED).await?;
+        Ok(Self { locked: true, ..wear })
     }
 
     /// Loads a tool's events and caches for reading.
@@ -244,7 +247,7 @@ impl ToolWear {
             machines.insert(id("machine_id", &row.machine_id)?, cached);
         }
         let (events, unplaced) = tools::placed_events(conn, tool).await?;
-        Ok(Self { tool: tool.clone(), events, unplaced, machines, whole: None, alarms: None })
+        Ok(Self { tool: tool.clone(), events, unplaced, machines, whole: None, locked: false, alarms: None })
     }
 
     /// Whether what is here is what is stored, so that it need not be loaded again.
@@ -314,6 +317,10 @@ impl ToolWear {
             return Ok(());
         };
         let first = first.order()?;
+        if !self.machines.contains_key(machine) {
+            // The fold of one machine was that of the whole tool.
+            self.whole = None;
+        }
         if !self.machines.contains_key(machine)
             && has_more(transaction.conn().await?, &self.tool, machine, new.len()).await?
         {
@@ -332,33 +339,42 @@ impl ToolWear {
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
             return self.refold(transaction.conn().await?, machine, &Place::of(&first)).await;
         };
-        let mut walk = Walk::resume(fold, cached.folded, &self.events);
+        let folded = cached.folded;
+        // The machine's newest need not be the tool's.
+        if self.machines.len() > 1 && !self.whole.as_ref().is_some_and(|(whole, _)| newest(whole)) {
+            self.whole = None;
+            forget_checkpoints(transaction.conn().await?, &self.tool, &Place::of(&first)).await?;
+        }
+        let mut walk = Walk::resume(fold, folded, &self.events);
         for row in new {
             walk.step(row)?;
             if walk.at_checkpoint() {
-                save_checkpoint(transaction.conn().await?, &self.tool, machine, &walk).await?;
+                save_checkpoint(transaction.conn().await?, &self.tool, Of::Machine(machine), &walk).await?;
             }
         }
         let (folded, fold) = (walk.folded(), walk.into_fold());
         self.keep(machine, fold, folded);
-        self.count_whole(new)
+        self.count_whole(transaction, new).await
     }
 
-    /// Counts cycles in the fold over all machines, where they are the newest of all; else it is made again.
-    fn count_whole(&mut self, new: &[FactsRow]) -> StoreResult<()> {
+    /// Counts cycles in the fold over all machines, where that is known: they are the newest of all then.
+    async fn count_whole(
+        &mut self,
+        transaction: &mut GroupTransaction<'_>,
+        new: &[FactsRow],
+    ) -> StoreResult<()> {
         let Some((fold, folded)) = self.whole.take() else {
             return Ok(());
         };
-        let Some(first) = new.first() else {
-            return Ok(());
-        };
-        let first = first.order()?;
-        if self.machines.len() > 1 && fold.last().is_some_and(|last| *last < first) {
-            let mut walk = Walk::resume(fold, folded, &self.events);
-            new.iter().try_for_each(|row| walk.step(row))?;
-            let folded = walk.folded();
-            self.whole = Some((walk.into_fold(), folded));
+        let mut walk = Walk::resume(fold, folded, &self.events);
+        for row in new {
+            walk.step(row)?;
+            if walk.at_checkpoint() {
+                save_checkpoint(transaction.conn().await?, &self.tool, Of::All, &walk).await?;
+            }
         }
+        let folded = walk.folded();
+        self.whole = Some((walk.into_fold(), folded));
         Ok(())
     }
 
@@ -378,13 +394,21 @@ impl ToolWear {
         from: &Place,
     ) -> StoreResult<()> {
         self.whole = None;
-        let untouched = |fold: &ToolFold| fold.last().is_some_and(|last| Place::of(last) < *from);
-        if self.machines.get(machine).and_then(|cached| cached.fold.as_ref()).is_some_and(untouched) {
+        let known = self.machines.get(machine).and_then(|cached| cached.fold.as_ref());
+        if known.is_some() {
+            // What comes before is what it was, for the tool as for the machine.
+            forget_checkpoints(conn, &self.tool, from).await?;
+        }
+        if known.and_then(ToolFold::last).is_some_and(|last| Place::of(last) < *from) {
             return Ok(());
         }
-        let (fold, folded) = checkpoint_before(conn, &self.tool, machine, from)
-            .await?
-            .unwrap_or_else(|| (beginning(&self.events), 0));
+        let resumed = checkpoint_before(conn, &self.tool, Of::Machine(machine), from).await?;
+        if known.is_none() {
+            // Of what another version has counted meanwhile, or what is lost, nobody knows from where on.
+            let good = resumed.as_ref().and_then(|(fold, _)| fold.last()).map_or(BEGINNING, Place::of);
+            forget_checkpoints(conn, &self.tool, &good).await?;
+        }
+        let (fold, folded) = resumed.unwrap_or_else(|| (beginning(&self.events), 0));
         sqlx::query::<Db>(
             "DELETE FROM tool_wear_checkpoints WHERE machine_id = $1 AND tool_id = $2 AND folded > $3",
         )
@@ -402,7 +426,7 @@ impl ToolWear {
             for row in &page {
                 walk.step(row)?;
                 if walk.at_checkpoint() {
-                    save_checkpoint(conn, &self.tool, machine, &walk).await?;
+                    save_checkpoint(conn, &self.tool, Of::Machine(machine), &walk).await?;
                 }
             }
         }
@@ -427,6 +451,12 @@ impl ToolWear {
         self.machines.values().any(|cached| cached.fold.is_none())
     }
 
+    /// Whether states on the way may be gone on from. Who wrote a state of a machine that cannot be read here may not have known of
+    /// those over all machines, and then has not taken them back.
+    pub(super) fn may_resume(&self, of: Of<'_>) -> bool {
+        matches!(of, Of::Machine(_)) || !self.is_unreadable()
+    }
+
     /// The verdict over all machines, where no cycle has to be read for it: of one machine it is that one's fold.
     pub(super) fn known_verdict(&self) -> Option<Verdict> {
         let mut caches = self.machines.values();
@@ -436,26 +466,45 @@ impl ToolWear {
         self.whole.as_ref().map(|(fold, _)| verdict_after(fold, &self.events))
     }
 
-    /// The verdict over all machines; a tool that moved between machines is folded over all its cycles, which is exact by
-    /// construction.
+    /// The verdict over all machines. The cycles of a tool that moved between machines are folded in their order, from the last state
+    /// on the way, which is exact by construction.
     pub(super) async fn verdict(&mut self, conn: &mut Conn) -> StoreResult<Verdict> {
         if let Some(verdict) = self.known_verdict() {
             return Ok(verdict);
         }
         let mut walk = Walk::new(&self.events);
         if !self.machines.is_empty() {
+            if self.may_resume(Of::All)
+                && let Some((fold, folded)) = checkpoint_before(conn, &self.tool, Of::All, &END).await?
+            {
+                walk = Walk::resume(fold, folded, &self.events);
+            }
             loop {
                 let page = facts_after(conn, &self.tool, None, walk.fold().last()).await?;
                 if page.is_empty() {
                     break;
                 }
-                page.iter().try_for_each(|row| walk.step(row))?;
+                for row in &page {
+                    walk.step(row)?;
+                    if self.locked && self.machines.len() > 1 && walk.at_checkpoint() {
+                        save_checkpoint(conn, &self.tool, Of::All, &walk).await?;
+                    }
+                }
             }
         }
         let folded = walk.folded();
         let (fold, _) = self.whole.insert((walk.into_fold(), folded));
         Ok(verdict_after(fold, &self.events))
     }
+}
+
+/// Whose cycles a checkpoint has counted.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Of<'a> {
+    /// Those of a tool on one machine.
+    Machine(&'a MachineId),
+    /// All of a tool that more than one machine has run.
+    All,
 }
 
 /// Whether a tool has more cycles of a machine than these, which are stored by now.
@@ -472,31 +521,69 @@ async fn has_more(conn: &mut Conn, tool: &ToolId, machine: &MachineId, these: us
     Ok(found > count("these", these as u64)?)
 }
 
-async fn save_checkpoint(
-    conn: &mut Conn,
-    tool: &ToolId,
-    machine: &MachineId,
-    walk: &Walk<'_>,
-) -> StoreResult<()> {
+async fn save_checkpoint(conn: &mut Conn, tool: &ToolId, of: Of<'_>, walk: &Walk<'_>) -> StoreResult<()> {
     let Some(last) = walk.fold().last() else {
         return Ok(());
     };
+    // Of one machine the last cycle is its own.
+    let (sql, machine) = match of {
+        Of::Machine(machine) => (
+            "INSERT INTO tool_wear_checkpoints (machine_id, tool_id, folded, fold_version, last_started_at_us,
+                 last_seq, last_cycle_id, state)
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
+             ON CONFLICT (machine_id, tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
+                 last_started_at_us = excluded.last_started_at_us, last_seq = excluded.last_seq,
+                 last_cycle_id = excluded.last_cycle_id, state = excluded.state",
+            machine,
+        ),
+        Of::All => (
+            "INSERT INTO tool_checkpoints (last_machine_id, tool_id, folded, fold_version, last_started_at_us,
+                 last_seq, last_cycle_id, state)
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
+             ON CONFLICT (tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
+                 last_started_at_us = excluded.last_started_at_us, last_machine_id = excluded.last_machine_id,
+                 last_seq = excluded.last_seq, last_cycle_id = excluded.last_cycle_id, state = excluded.state",
+            &last.machine,
+        ),
+    };
+    sqlx::query::<Db>(sql)
+        .bind(machine.as_str())
+        .bind(tool.as_str())
+        .bind(count("folded", walk.folded())?)
+        .bind(i64::from(FOLD_VERSION))
+        .bind(last.started_at.micros())
+        .bind(last.seq.map(|seq| count("last_seq", seq)).transpose()?)
+        .bind(last.cycle.as_str())
+        .bind(state_of(walk.fold()))
+        .execute(&mut *conn)
+        .await?;
+    Ok(())
+}
+
+/// A place as the key of the last cycle stands beside a state.
+fn key_of(place: &Place) -> StoreResult<(i64, &str, i64, &str)> {
+    let at = place.at.micros();
+    Ok(match &place.cycle {
+        None => (at, "", i64::MIN, ""),
+        Some((machine, seq, cycle)) => {
+            (at, machine.as_str(), seq.map_or(Ok(-1), |seq| count("seq", seq))?, cycle.as_str())
+        }
+    })
+}
+
+/// Takes back the states over all machines of a tool that have counted what comes at a place or after it. The tool's name is locked
+/// by then.
+async fn forget_checkpoints(conn: &mut Conn, tool: &ToolId, from: &Place) -> StoreResult<()> {
+    let (at, machine, seq, cycle) = key_of(from)?;
     sqlx::query::<Db>(
-        "INSERT INTO tool_wear_checkpoints (machine_id, tool_id, folded, fold_version, last_started_at_us, last_seq,
-             last_cycle_id, state)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
-         ON CONFLICT (machine_id, tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
-             last_started_at_us = excluded.last_started_at_us, last_seq = excluded.last_seq,
-             last_cycle_id = excluded.last_cycle_id, state = excluded.state",
+        "DELETE FROM tool_checkpoints WHERE tool_id = $1
+         AND (last_started_at_us, last_machine_id, COALESCE(last_seq, -1), last_cycle_id) >= ($2, $3, $4, $5)",
     )
-    .bind(machine.as_str())
     .bind(tool.as_str())
-    .bind(count("folded", walk.folded())?)
-    .bind(i64::from(FOLD_VERSION))
-    .bind(last.started_at.micros())
-    .bind(last.seq.map(|seq| count("last_seq", seq)).transpose()?)
-    .bind(last.cycle.as_str())
-    .bind(state_of(walk.fold()))
+    .bind(at)
+    .bind(machine)
+    .bind(seq)
+    .bind(cycle)
     .execute(&mut *conn)
     .await?;
     Ok(())
@@ -506,54 +593,68 @@ async fn save_checkpoint(
 struct CheckpointRow {
     folded: i64,
     fold_version: i64,
+    last_machine_id: String,
+    last_started_at_us: i64,
+    last_seq: Option<i64>,
+    last_cycle_id: String,
     state: Vec<u8>,
 }
 
-/// The last checkpoint whose cycles all come before `from`.
-async fn checkpoint_before(
-    conn: &mut Conn,
-    tool: &ToolId,
-    machine: &MachineId,
-    from: &Place,
-) -> StoreResult<Option<(ToolFold, u64)>> {
-    let (before_machine, seq, cycle) = match &from.cycle {
-        None => ("", i64::MIN, ""),
-        Some((machine, seq, cycle)) => {
-            (machine.as_str(), seq.map_or(Ok(-1), |seq| count("seq", seq))?, cycle.as_str())
-        }
-    };
-    let row: Option<CheckpointRow> = sqlx::query_as::<Db, _>(
-        "SELECT folded, fold_version, state FROM tool_wear_checkpoints
-         WHERE machine_id = $1 AND tool_id = $2
-           AND (last_started_at_us, machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($3, $4, $5, $6)
-         ORDER BY folded DESC LIMIT 1",
-    )
-    .bind(machine.as_str())
-    .bind(tool.as_str())
-    .bind(from.at.micros())
-    .bind(before_machine)
-    .bind(seq)
-    .bind(cycle)
-    .fetch_optional(&mut *conn)
-    .await?;
-    // The fold knows by itself how far it goes: a key that says otherwise would leave cycles out.
-    let is_before = |fold: &ToolFold| fold.last().is_some_and(|last| Place::of(last) < *from);
-    if let Some(row) = row
-        && let Some(fold) = readable(row.fold_version, &row.state).filter(is_before)
-    {
-        return Ok(Some((fold, number("folded", row.folded)?)));
+impl CheckpointRow {
+    /// The fold, where it ends with the cycle that the row says, which late cycles are held against: a key that says otherwise
+    /// would leave some out.
+    fn fold(&self) -> StoreResult<Option<(ToolFold, u64)>> {
+        let Some(fold) = readable(self.fold_version, &self.state) else { return Ok(None) };
+        let told = (
+            self.last_started_at_us,
+            &*self.last_machine_id,
+            self.last_seq.unwrap_or(-1),
+            &*self.last_cycle_id,
+        );
+        let last = fold.last().map(Place::of);
+        let ends_so = last.as_ref().map(key_of).transpose()?.is_some_and(|key| key == told);
+        Ok(ends_so.then_some((fold, number("folded", self.folded)?)))
     }
-    Ok(None)
 }
 
-/// The last checkpoint of one machine whose cycles all began before `at`.
-pub(super) async fn checkpoint_at(
+/// The last checkpoint whose cycles all come before `from`.
+pub(super) async fn checkpoint_before(
     conn: &mut Conn,
     tool: &ToolId,
-    machine: &MachineId,
-    at: Timestamp,
+    of: Of<'_>,
+    from: &Place,
 ) -> StoreResult<Option<(ToolFold, u64)>> {
-    checkpoint_before(conn, tool, machine, &Place::at(at)).await
+    let (at, machine, seq, cycle) = key_of(from)?;
+    let sql = match of {
+        Of::Machine(_) => {
+            "SELECT folded, fold_version, machine_id AS last_machine_id, last_started_at_us, last_seq, last_cycle_id, state
+             FROM tool_wear_checkpoints
+             WHERE tool_id = $1
+               AND (last_started_at_us, machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($2, $3, $4, $5)
+               AND machine_id = $6
+             ORDER BY folded DESC LIMIT 1"
+        }
+        Of::All => {
+            "SELECT folded, fold_version, last_machine_id, last_started_at_us, last_seq, last_cycle_id, state
+             FROM tool_checkpoints
+             WHERE tool_id = $1
+               AND (last_started_at_us, last_machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($2, $3, $4, $5)
+             ORDER BY folded DESC LIMIT 1"
+        }
+    };
+    let mut query = sqlx::query_as::<Db, CheckpointRow>(sql)
+        .bind(tool.as_str())
+        .bind(at)
+        .bind(machine)
+        .bind(seq)
+        .bind(cycle);
+    if let Of::Machine(machine) = of {
+        query = query.bind(machine.as_str());
+    }
+    match query.fetch_optional(&mut *conn).await? {
+        Some(row) => row.fold(),
+        None => Ok(None),
+    }
 }
 
 /// Whether a tool is registered.

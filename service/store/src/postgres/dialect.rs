@@ -123,6 +123,7 @@ pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
              ('tool_wear', 'SELECT'), ('tool_wear', 'INSERT'), ('tool_wear', 'UPDATE'),
              ('tool_wear_checkpoints', 'SELECT'), ('tool_wear_checkpoints', 'INSERT'),
              ('tool_wear_checkpoints', 'UPDATE'), ('tool_wear_checkpoints', 'DELETE'),
+             ('tool_checkpoints', 'SELECT'), ('tool_checkpoints', 'INSERT'), ('tool_checkpoints', 'UPDATE'), ('tool_checkpoints', 'DELETE'),
              ('advices', 'SELECT'), ('advices', 'INSERT'), ('recommendations', 'SELECT'), ('recommendations', 'INSERT'),
              ('machine_contacts', 'SELECT'), ('machine_contacts', 'INSERT'), ('machine_contacts', 'UPDATE'), ('alarms', 'SELECT'), ('alarms', 'INSERT'),
              ('alarms', 'UPDATE'), ('quarantine', 'SELECT'), ('quarantine', 'INSERT'), ('quarantine', 'UPDATE')) AS t (name, needed)

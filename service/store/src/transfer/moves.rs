@@ -62,7 +62,12 @@ fn kind(table: &str) -> Kind {
         "tokens" => Kind::Filled(&["revoked_at_us"]),
         "tool_events" => Kind::Filled(&["revoked_at_us", "revoked_by"]),
         // Folds are caches, leases and sessions end, decisions of a day are put together.
-        "tool_wear" | "tool_wear_checkpoints" | "stream_leases" | "sessions" | "sample_drops" => Kind::Anyhow,
+        "tool_wear"
+        | "tool_wear_checkpoints"
+        | "tool_checkpoints"
+        | "stream_leases"
+        | "sessions"
+        | "sample_drops" => Kind::Anyhow,
         "cycle_samples" => Kind::Dropped,
         _ => Kind::Never,
     }
