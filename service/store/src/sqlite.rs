@@ -111,7 +111,7 @@ impl SqliteStore {
     }
 
     /// The time that whoever writes to the database agrees on: that of the only server.
-    #[expect(clippy::unused_self, clippy::unused_async, reason = "the other engine asks its server")]
+    #[expect(clippy::unused_async, reason = "the other engine asks its server")]
     async fn common_time(&self, _conn: &mut Conn, now: Timestamp) -> StoreResult<Timestamp> {
         Ok(now)
     }
