@@ -13,7 +13,7 @@ use feedwright_core::closed_loop::control::LawSettings;
 use feedwright_core::friction::law::OverloadHold;
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::RecommendSettings;
-use feedwright_store::{QuarantineBounds, SampleRetention, WatchSettings};
+use feedwright_store::{LONGEST_LEASE_MS, QuarantineBounds, SampleRetention, WatchSettings};
 use secrecy::{ExposeSecret, SecretString};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
@@ -625,7 +625,7 @@ impl Config {
             ("stream.heartbeat_ms", self.stream.heartbeat_ms, 600_000),
             ("stream.idle_ms", self.stream.idle_ms, 3_600_000),
             ("stream.resume_ms", self.stream.resume_ms, 3_600_000),
-            ("stream.lease_ms", self.stream.lease_ms, 600_000),
+            ("stream.lease_ms", self.stream.lease_ms, LONGEST_LEASE_MS),
             ("live.heartbeat_ms", self.live.heartbeat_ms, 600_000),
             ("live.sample_interval_ms", self.live.sample_interval_ms, 60_000),
             ("quarantine.entries", self.quarantine.entries, 10_000_000),

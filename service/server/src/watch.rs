@@ -2,11 +2,11 @@
 //! quarantine, disk and database are, which alarms stand; into the store's alarms and into the metrics.
 //!
 //! Several replicas make the same round on one database: each notes the machines that it heard of, and whoever comes
-//! first raises an alarm, once.
+//! first raises an alarm, once. The database tells them what time it is, so that all find the same.
 
+use crate::clock::Moment;
 use crate::state::AppState;
 use feedwright_core::ids::MachineId;
-use feedwright_core::units::Timestamp;
 use feedwright_store::{FleetRow, Page, StoreError, StoreResult};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,11 +14,11 @@ use std::sync::{Mutex, PoisonError};
 
 /// Machines that were heard of since the last round, with when.
 #[derive(Debug, Default)]
-pub struct Heard(Mutex<BTreeMap<MachineId, Timestamp>>);
+pub struct Heard(Mutex<BTreeMap<MachineId, Moment>>);
 
 impl Heard {
     /// Notes that a cycle of a registered machine arrived, whatever becomes of it.
-    pub fn note(&self, machine: &MachineId, at: Timestamp) {
+    pub fn note(&self, machine: &MachineId, at: Moment) {
         let mut heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         match heard.get_mut(machine) {
             Some(last) => *last = at.max(*last),
@@ -26,12 +26,12 @@ impl Heard {
         }
     }
 
-    fn take(&self) -> Vec<(MachineId, Timestamp)> {
+    fn take(&self) -> Vec<(MachineId, Moment)> {
         std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner)).into_iter().collect()
     }
 
     /// Puts back what a failed round could not note.
-    fn restore(&self, taken: &[(MachineId, Timestamp)]) {
+    fn restore(&self, taken: &[(MachineId, Moment)]) {
         for (machine, at) in taken {
             self.note(machine, *at);
         }
@@ -89,9 +89,11 @@ pub async fn round(state: &AppState) -> StoreResult<()> {
         Ok(usage) => state.metrics.database(&usage),
         Err(error) => tracing::warn!(%error, "the database's size is not known"),
     }
-    let heard = state.intake.heard().take();
+    let taken = state.intake.heard().take();
     let settings = state.config.watch.settings(state.config.quarantine.bounds());
-    let (now, taken) = (state.clock.now(), heard.clone());
+    let (now, moment) = (state.clock.now(), state.clock.moment());
+    // How long ago it was is the same by every clock.
+    let heard = taken.iter().map(|(machine, at)| (machine.clone(), moment.since(*at))).collect();
     let found = match state.store.watch(heard, &settings, now).await {
         Ok(found) => found,
         Err(error) => {

@@ -33,7 +33,7 @@ pub use feed_profile::*;
 pub use notice::{Listener, Notices};
 pub use past::PAST;
 pub use point::*;
-pub use postgres::{PostgresOptions, PostgresStore, unknown_parameter};
+pub use postgres::{CommonClock, PostgresOptions, PostgresStore, unknown_parameter};
 pub use record::*;
 pub use sqlite::{SqliteOptions, SqliteStore, faults_of_file};
 pub use store::Store;

@@ -18,7 +18,7 @@ pub use address::unknown_parameter;
 pub(crate) use dialect::is_ours;
 pub(crate) use notice::LIVE;
 pub(crate) use open::MIGRATIONS;
-pub use open::PostgresOptions;
+pub use open::{CommonClock, PostgresOptions};
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
@@ -113,6 +113,7 @@ struct Inner {
     full_since: std::sync::Mutex<Option<Instant>>,
     max_samples: usize,
     pooled: bool,
+    clock: CommonClock,
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
 }
@@ -168,6 +169,15 @@ impl PostgresStore {
     #[expect(clippy::unused_self, reason = "the other engine's store knows")]
     const fn is_alone(&self) -> bool {
         false
+    }
+
+    /// The time that all servers on the database agree on: that of the database, whatever their own clocks tell. Asked for by itself:
+    /// in a statement on a table that is distributed Citus may refuse a function which answers otherwise each time.
+    async fn common_time(&self, conn: &mut Conn, now: Timestamp) -> StoreResult<Timestamp> {
+        match self.inner.clock {
+            CommonClock::Database => dialect::clock(conn).await,
+            CommonClock::Callers => Ok(now),
+        }
     }
 
     /// Whether nobody connected in time, and not for want of a connection that others have.

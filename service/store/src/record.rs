@@ -13,6 +13,7 @@ use feedwright_core::units::{Process, Timestamp};
 use feedwright_core::wear::{CycleFacts, Exclusion, FoldSettings, Level, Verdict};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// A value with the version that its ETag names, counted from 1.
 #[derive(Debug, Clone, PartialEq)]
@@ -849,6 +850,9 @@ pub type RowNumber = i64;
 /// Which tool's history a CSV or a verdict is about.
 pub type ToolKey = ToolId;
 
+/// No lease on a stream lasts longer, ms: what stands for later was written by another clock, or before the clock was put back.
+pub const LONGEST_LEASE_MS: u64 = 600_000;
+
 /// What became of the wish to hold a machine's stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StreamLease {
@@ -859,8 +863,8 @@ pub enum StreamLease {
     },
     /// It is another one's.
     Held {
-        /// It is free after this.
-        until: Timestamp,
+        /// It is free after this long, unless it is prolonged.
+        wait: Duration,
     },
 }
 

@@ -41,6 +41,7 @@ use crate::work::{Work, Written};
 use block_reader::BlockReader;
 use checkpoint::Checkpoints;
 use feedwright_core::ids::{CycleId, MachineId};
+use feedwright_core::units::Timestamp;
 use readers::{Lent, Readers};
 use sqlx::Connection;
 use std::path::Path;
@@ -108,6 +109,12 @@ impl SqliteStore {
 
     fn is_alone(&self) -> bool {
         self.inner.alone
+    }
+
+    /// The time that whoever writes to the database agrees on: that of the only server.
+    #[expect(clippy::unused_async, reason = "the other engine asks its server")]
+    async fn common_time(&self, _conn: &mut Conn, now: Timestamp) -> StoreResult<Timestamp> {
+        Ok(now)
     }
 
     /// A file is there, however slow it is.

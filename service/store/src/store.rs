@@ -26,6 +26,7 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// The store. Every method that changes something returns when it is durable and seen by who reads next, and writes its audit line
 /// in the same transaction. Futures of mutating methods must not be dropped half-way: callers spawn them.
@@ -55,14 +56,16 @@ pub trait Store: Send + Sync + 'static {
     /// One machine of the fleet; `None` where it is not registered.
     async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>>;
 
-    /// One round of the watch: notes when machines were `heard` of, raises and clears what only a look around can tell
-    /// (silence, a quarantine that fills up), and says what was found.
+    /// One round of the watch: notes how long ago machines were `heard` of, raises and clears what only a look around can tell
+    /// (silence, a quarantine that fills up), and says what was found. A database that several servers share goes by its own clock
+    /// instead of `now`, and makes one round after the other, so that all of them tell the same.
     async fn watch(
         &self,
-        heard: Vec<(MachineId, Timestamp)>,
+        heard: Vec<(MachineId, Duration)>,
         settings: &WatchSettings,
         now: Timestamp,
     ) -> StoreResult<Round>;
+
     /// What the database occupies and how many of its connections are in use.
     async fn usage(&self) -> StoreResult<DatabaseUsage>;
 
@@ -381,31 +384,28 @@ pub trait Store: Send + Sync + 'static {
     async fn revoke_token(&self, id: &str, actor: &Actor, now: Timestamp)
     -> StoreResult<Option<TokenRecord>>;
 
-    /// Takes the lease on a machine's stream until `until`: where it is free, expired or the holder's own already, and
-    /// where `takeover` even from another.
+    /// Takes the lease on a machine's stream for as long as `lease`: where it is free, expired or the holder's own already, and
+    /// where `takeover` even from another. One's own never ends sooner for it. A database that several servers share goes by
+    /// its own clock instead of `now`: counted from before this was asked, no lease is over sooner than `lease`.
     async fn take_stream(
         &self,
         machine: &MachineId,
         holder: &str,
         takeover: bool,
+        lease: Duration,
         now: Timestamp,
-        until: Timestamp,
     ) -> StoreResult<StreamLease>;
-    /// Prolongs every unexpired lease of a holder; those it holds, with their generations.
+    /// Prolongs a holder's unexpired leases on these machines, to end after `lease`; those it holds, with their generations. The
+    /// clock is that of [`Store::take_stream`].
     async fn renew_streams(
         &self,
         holder: &str,
+        machines: &[MachineId],
+        lease: Duration,
         now: Timestamp,
-        until: Timestamp,
     ) -> StoreResult<Vec<(MachineId, i64)>>;
     /// Gives a lease back, unless it is another's by now.
-    async fn release_stream(
-        &self,
-        machine: &MachineId,
-        holder: &str,
-        generation: i64,
-        now: Timestamp,
-    ) -> StoreResult<()>;
+    async fn release_stream(&self, machine: &MachineId, holder: &str, generation: i64) -> StoreResult<()>;
     /// Keeps what a streamed cycle's samples were answered.
     async fn put_overrides(&self, overrides: &CycleOverrides) -> StoreResult<()>;
     /// What a streamed cycle's samples were answered.

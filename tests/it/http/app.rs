@@ -92,6 +92,11 @@ impl App {
     }
 
     pub(super) async fn with(settings: &[(&str, &str)]) -> Self {
+        Self::by(Clock::fixed(NOW), settings).await
+    }
+
+    /// The same by another clock.
+    pub(super) async fn by(clock: Clock, settings: &[(&str, &str)]) -> Self {
         let dir = TempDir::new().unwrap();
         let address = crate::engines::next_database().await;
         let mut settings = settings.to_vec();
@@ -99,7 +104,6 @@ impl App {
         let config = config(&dir, &settings);
         let database = database::open(&config).await.unwrap();
         let metrics = Arc::new(Metrics::new(config.limits.metric_machines).unwrap());
-        let clock = Clock::fixed(NOW);
         let store = database.store.clone();
         let lifecycle = Lifecycle::default();
         let intake = CycleIntake::start(&config, &store, &clock, &lifecycle, &metrics);

@@ -1,12 +1,12 @@
 //! Three servers on one PostgreSQL, over real sockets: whoever gets a cycle, it is stored once and counted once.
 
-use super::app::{machine, operation, tool};
+use super::app::{App, NOW, machine, operation, tool};
 use crate::store::given::Given;
 use feedwright_server::clock::Clock;
 use feedwright_server::config::{Config, Sources};
 use feedwright_server::database;
 use feedwright_server::server::{RunningServer, Server};
-use feedwright_store::{Page, Repair, Store};
+use feedwright_store::{Page, Repair, Role, Store};
 use secrecy::ExposeSecret;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ async fn server(url: &str, dir: &tempfile::TempDir) -> RunningServer {
     let flags = flags.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
     let config = Config::load(&Sources { flags, ..Sources::default() }).unwrap();
     let store: Arc<dyn Store> = database::open(&config).await.unwrap().store;
-    Server::start(config, store, Clock::fixed(super::app::NOW)).await.unwrap()
+    Server::start(config, store, Clock::fixed(NOW)).await.unwrap()
 }
 
 fn cycle(number: usize) -> Value {
@@ -91,4 +91,56 @@ async fn the_same_cycles_to_three_servers_are_stored_and_counted_once() {
         server.shutdown().await.unwrap();
     }
     given.done().await;
+}
+
+/// Each has its own clock, and five minutes lie between the two.
+#[tokio::test]
+async fn servers_whose_clocks_are_apart_tell_the_same_of_a_silent_machine() {
+    const SILENT_AFTER_S: i64 = 900;
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let url = given.address();
+    let settings = [("database.url", url.as_str()), ("watch.machine_silent_after_ms", "900000")];
+    let app = async |seconds: i64| App::by(Clock::fixed(NOW.plus_millis(seconds * 1000)), &settings).await;
+    let (behind, ahead) = (app(-150).await, app(150).await);
+    for (path, body) in [("machines/M1", machine()), ("tools/T1", tool()), ("operations/O1", operation())] {
+        assert_eq!(behind.put(&format!("/v1/{path}"), body).await.status, 201, "{path}");
+    }
+    // What each tells after its round, in turn, and the alarms that there ever were, with those that are open.
+    let told = async || {
+        let mut told = Vec::new();
+        for app in [&ahead, &behind, &ahead, &behind] {
+            feedwright_server::watch::round(&app.state).await.unwrap();
+            let text = String::from_utf8(app.get("/metrics").await.body).unwrap();
+            let silent = text.contains("feedwright_machine_silent{machine=\"M1\"} 1\n");
+            assert!(silent || text.contains("feedwright_machine_silent{machine=\"M1\"} 0\n"), "{text}");
+            let alarms = given
+                .numbers(
+                    "SELECT COUNT(*) FROM alarms UNION ALL SELECT COUNT(*) FROM alarms WHERE cleared_at_us IS NULL",
+                )
+                .await;
+            told.push((silent, alarms));
+        }
+        told
+    };
+    let goes_by = async |seconds: i64| {
+        let sql =
+            format!("UPDATE machine_contacts SET last_cycle_at_us = last_cycle_at_us - {seconds}000000");
+        given.raw(sqlx::AssertSqlSafe(sql)).await.unwrap();
+    };
+    for (times, hears) in [(0, &behind), (1, &ahead)] {
+        let posted = hears.call(Role::Machine, "POST", "/v1/machines/M1/cycles", &[], Some(cycle(times)));
+        assert_eq!(posted.await.status, 201);
+        // Both hear of it in the end: who has it tells the other by the database.
+        feedwright_server::watch::round(&hears.state).await.unwrap();
+        let before = i64::try_from(times).unwrap();
+        assert_eq!(told().await, vec![(false, vec![before, 0]); 4]);
+        goes_by(SILENT_AFTER_S - 120).await;
+        assert_eq!(told().await, vec![(false, vec![before, 0]); 4], "of the limit two minutes are left");
+        goes_by(240).await;
+        assert_eq!(told().await, vec![(true, vec![before + 1, 1]); 4], "two minutes beyond it, told once");
+    }
+    drop((behind, ahead));
+    given.removed().await;
 }

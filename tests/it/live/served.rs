@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A server that serves, on the system's clock.
+/// A server that serves, on the system's clock where no other one is given.
 pub(crate) struct Served {
     pub(crate) server: RunningServer,
     pub(crate) token: String,
@@ -27,13 +27,23 @@ impl Served {
 
     /// Starts on a data directory, with the admin's token that is known from an earlier start on the same database.
     pub(crate) async fn start_in(dir: &Path, token: Option<&str>, settings: &[(&str, &str)]) -> Self {
+        Self::start_by(Clock::system(), dir, token, settings).await
+    }
+
+    /// The same by a clock of its own.
+    pub(crate) async fn start_by(
+        clock: Clock,
+        dir: &Path,
+        token: Option<&str>,
+        settings: &[(&str, &str)],
+    ) -> Self {
         let path = dir.join("data").to_string_lossy().into_owned();
         let mut flags =
             vec![("data_dir".to_owned(), path), ("server.listen".to_owned(), "127.0.0.1:0".to_owned())];
         flags.extend(settings.iter().map(|&(name, value)| (name.to_owned(), value.to_owned())));
         let config = Config::load(&Sources { flags, ..Sources::default() }).unwrap();
         let database = database::open(&config).await.unwrap();
-        let server = Server::start(config, database.store.clone(), Clock::system()).await.unwrap();
+        let server = Server::start(config, database.store.clone(), clock).await.unwrap();
         let first = server.first_admin_token.as_ref().map(|token| token.expose_secret().to_owned());
         let token = token.map(str::to_owned).or(first).unwrap();
         let client = reqwest::Client::builder().no_proxy().build().unwrap();

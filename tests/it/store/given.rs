@@ -8,7 +8,7 @@ use feedwright_core::summary::{Context, summarise};
 use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_store::{
-    Actor, Committed, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition, Role,
+    Actor, Committed, CommonClock, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition, Role,
     SqliteOptions, SqliteStore, Store, StoreResult, WearCheck, codec,
 };
 use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
@@ -99,10 +99,16 @@ impl Given {
         create.push(&name);
         create.build().persistent(false).execute(&mut admin).await.expect("a fresh database");
         let (base, _) = server.rsplit_once('/').expect("an address ends in a database");
-        let store = PostgresStore::open(&format!("{base}/{name}"), PostgresOptions::default())
-            .await
-            .expect("a fresh store opens");
+        // The stories bring the time, as they do to the other engine.
+        let options = PostgresOptions { clock: CommonClock::Callers, ..PostgresOptions::default() };
+        let store =
+            PostgresStore::open(&format!("{base}/{name}"), options).await.expect("a fresh store opens");
         Some(Self { store: Arc::new(store), place: Place::Database { server, name } })
+    }
+
+    /// The store of another server on the same database, PostgreSQL's, which goes by the database's clock as servers do.
+    pub(crate) async fn server_of_its_own(&self) -> PostgresStore {
+        PostgresStore::open(&self.address(), PostgresOptions::default()).await.expect("a second store opens")
     }
 
     pub(crate) fn store(&self) -> Arc<dyn Store> {

@@ -10,6 +10,7 @@ use feedwright_store::{
 use sqlx::{Connection, PgConnection};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 stories!(
     a_machine_that_falls_silent_alarms_until_it_posts_again,
@@ -37,8 +38,11 @@ async fn open(store: &dyn Store) -> Vec<Alarm> {
     store.alarms(&filter, Page { after: None, limit: 100 }).await.unwrap()
 }
 
+/// Who is silent after a round at `now`, where machines were heard of at these times: how long ago that was is told, and of what
+/// is said to be yet to come, that it was now.
 async fn silent(store: &dyn Store, heard: &[(&str, Timestamp)], now: Timestamp) -> Vec<String> {
-    let heard = heard.iter().map(|&(machine, at)| (id(machine), at)).collect();
+    let ago = |at: Timestamp| Duration::from_micros((now.micros() - at.micros()).try_into().unwrap_or(0));
+    let heard = heard.iter().map(|&(machine, at)| (id(machine), ago(at))).collect();
     let round = store.watch(heard, &settings(), now).await.unwrap();
     let ids: Vec<_> = round.machines.iter().map(|contact| contact.machine.as_str()).collect();
     assert_eq!(ids, ["M1", "M2", "M3"], "every registered machine, by id");
@@ -128,6 +132,57 @@ async fn what_was_heard_before_a_clock_is_set_stays(store: Arc<dyn Store>) {
     assert_eq!(silent(&*store, &[], at(61)).await, ["M2"], "and fall silent as ever");
 }
 
+/// The clocks of two servers tell what they like: the database's counts.
+#[tokio::test]
+async fn servers_whose_clocks_are_apart_agree_on_who_is_silent() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    for name in ["M2", "M3"] {
+        store.put_machine(machine(name), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+    }
+    let (behind, ahead) = (given.server_of_its_own().await, given.server_of_its_own().await);
+    let heard = |now| async move { [("M1", at(now))] };
+    let never: [String; 0] = [];
+    let go_by = async |seconds: u32| {
+        let sql =
+            format!("UPDATE machine_contacts SET last_cycle_at_us = last_cycle_at_us - {seconds}000000");
+        given.raw(sqlx::AssertSqlSafe(sql)).await.unwrap();
+    };
+    let kept = async || given.numbers("SELECT alarm_id FROM alarms WHERE cleared_at_us IS NULL").await;
+    // Who hears of it, with its clock; the limit is ten minutes.
+    for (hears, now) in [(&behind, 0), (&ahead, 150), (&ahead, 10 * 366 * 86_400)] {
+        assert_eq!(silent(hears, &heard(now).await, at(now)).await, never);
+        let all = async || {
+            let mut told = Vec::new();
+            for (server, now) in [(&behind, 0), (&ahead, 150), (&behind, -7200), (&ahead, now)] {
+                told.push((silent(server, &[], at(now)).await, kept().await));
+            }
+            told
+        };
+        assert_eq!(all().await, vec![(vec![], vec![]); 4]);
+        go_by(540).await;
+        assert_eq!(all().await, vec![(vec![], vec![]); 4], "it is heard of nine minutes ago");
+        go_by(120).await;
+        let told = all().await;
+        assert_eq!(told[0].0, ["M1"]);
+        assert_eq!(told[0].1.len(), 1, "{told:?}");
+        assert_eq!(told, vec![told[0].clone(); 4], "by every clock, and by one alarm");
+    }
+    // Heard of nine minutes ago, by a server that could not tell it until now.
+    let late = vec![(id("M1"), Duration::from_secs(540))];
+    assert!(!behind.watch(late, &settings(), at(0)).await.unwrap().machines[0].is_silent);
+    assert_eq!(silent(&ahead, &[], at(150)).await, never);
+    go_by(120).await;
+    assert_eq!(silent(&behind, &[], at(0)).await, ["M1"]);
+    for store in [behind, ahead] {
+        store.close().await;
+    }
+    given.done().await;
+}
+
 fn entry(n: usize) -> QuarantineEntry {
     QuarantineEntry {
         id: format!("q{n}"),
@@ -186,7 +241,7 @@ async fn the_views_for_dashboards_tell_what_is_stored() {
     shop(&*store).await;
     let answer = stored(&*store, &Run::nth(1)).await;
     let energy = answer.summary.best_energy().unwrap();
-    store.watch(vec![(id("M1"), at(63))], &settings(), at(64)).await.unwrap();
+    store.watch(vec![(id("M1"), Duration::from_secs(1))], &settings(), at(64)).await.unwrap();
     store.quarantine(entry(1), b"body".to_vec(), settings().quarantine).await.unwrap();
     let mut conn = PgConnection::connect(&given.address()).await.unwrap();
     let cycle: (String, f64, String, f64, f64) = sqlx::query_as(

@@ -1,9 +1,14 @@
 //! Several servers on one database, a server that is killed, and the description of all this.
 
-use super::client::{Came, Machine};
+use super::client::{Came, Machine, PATIENCE, codes};
 use crate::live::Served;
 use crate::store::given::Given;
+use feedwright_server::clock::Clock;
 use serde_json::json;
+use sqlx::{Connection, PgConnection};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::{Duration, Instant};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_server_at_a_time_serves_a_machine_and_the_next_one_asks_for_everything() {
@@ -27,7 +32,7 @@ async fn one_server_at_a_time_serves_a_machine_and_the_next_one_asks_for_everyth
     assert_eq!(refused.err(), Some((409, "stream_held".to_owned())));
     // The lease is prolonged for as long as the stream is open.
     for _ in 0..4 {
-        tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+        tokio::time::sleep(Duration::from_millis(300)).await;
         assert_eq!(first.ask(json!({"type": "heartbeat"})).await["type"], "heartbeat");
     }
     let refused = Machine::open(&strict, "M1", &token, "feedwright.v1", &[]).await;
@@ -45,6 +50,124 @@ async fn one_server_at_a_time_serves_a_machine_and_the_next_one_asks_for_everyth
     for served in [here, there, strict] {
         served.server.shutdown().await.unwrap();
     }
+    given.done().await;
+}
+
+/// A clock that is so many seconds off.
+fn off(seconds: Arc<AtomicI64>) -> Clock {
+    let right = Clock::system();
+    Clock::new(move || right.now().plus_millis(seconds.load(Ordering::Relaxed) * 1000))
+}
+
+/// Until a question to the tables is answered so.
+async fn until(given: &Given, sql: &'static str, so: impl Fn(&[i64]) -> bool) {
+    let begun = Instant::now();
+    loop {
+        let numbers = given.numbers(sql).await;
+        if so(&numbers) {
+            return;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{sql}: {numbers:?}");
+        tokio::task::yield_now().await;
+    }
+}
+
+/// Each has its own clock, and five minutes lie between the two.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn servers_whose_clocks_are_apart_leave_a_machine_to_one_of_them() {
+    const ENDS: &str = "SELECT expires_at_us FROM stream_leases";
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let url = given.address();
+    let settings = [("database.url", url.as_str()), ("stream.lease_ms", "3000"), ("stream.second", "refuse")];
+    let dir = tempfile::TempDir::new().unwrap();
+    let clock = |seconds| off(Arc::new(AtomicI64::new(seconds)));
+    let behind = Served::start_by(clock(-150), dir.path(), None, &settings).await;
+    behind.with_a_shop().await;
+    let token = behind.machine_token("M1").await;
+    let ahead = Served::start_by(clock(150), dir.path(), Some(&behind.token), &settings).await;
+    for (cycle, here, there) in [("c1", &behind, &ahead), ("c2", &ahead, &behind)] {
+        let mut machine = Machine::connect(here, &token).await;
+        let started = machine.start(cycle, json!({})).await;
+        assert_eq!(started["type"], "started", "{started}");
+        // Twice it is prolonged, and never is it the other's.
+        for _ in 0..2 {
+            let refused = Machine::open(there, "M1", &token, "feedwright.v1", &[]).await;
+            assert_eq!(refused.err(), Some((409, "stream_held".to_owned())));
+            let ends = given.numbers(ENDS).await[0];
+            until(&given, ENDS, |now| now[0] > ends).await;
+        }
+        let answer = machine.samples(0, 10).await;
+        assert!(!codes(&answer["reasons"]).contains(&"lease_unknown"), "{answer}");
+        assert_eq!(machine.end(10).await["status"], 201);
+        machine.break_off();
+        until(&given, ENDS, |now| now == [0]).await;
+    }
+    // Whoever lost it leaves, and the one that has it keeps everybody out.
+    let mut machine = Machine::connect(&ahead, &token).await;
+    given
+        .raw("UPDATE stream_leases SET holder = 'another', generation = generation + 1, expires_at_us = expires_at_us + 60000000")
+        .await
+        .unwrap();
+    assert_eq!(machine.came().await, Came::Closed(Some(4001)), "it finds out when it prolongs its lease");
+    for served in [&behind, &ahead] {
+        let refused = Machine::open(served, "M1", &token, "feedwright.v1", &[]).await;
+        assert_eq!(refused.err(), Some((409, "stream_held".to_owned())));
+    }
+    for served in [behind, ahead] {
+        served.server.shutdown().await.unwrap();
+    }
+    given.done().await;
+}
+
+/// Its clock is put back by an hour while the database gives nothing: it would believe in its lease for an hour.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_whose_clock_is_set_believes_in_a_lease_no_longer_than_the_database() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let url = given.address();
+    let dir = tempfile::TempDir::new().unwrap();
+    let settings = [("database.url", url.as_str()), ("stream.lease_ms", "3000")];
+    let seconds = Arc::new(AtomicI64::new(0));
+    let served = Served::start_by(off(seconds.clone()), dir.path(), None, &settings).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    seconds.store(150, Ordering::Relaxed);
+    let answer = machine.samples(0, 1).await;
+    assert!(!codes(&answer["reasons"]).contains(&"lease_unknown"), "it still has it: {answer}");
+
+    let mut held = PgConnection::connect(&url).await.unwrap();
+    let mut nothing = held.begin().await.unwrap();
+    sqlx::query("LOCK TABLE stream_leases IN ACCESS EXCLUSIVE MODE").execute(&mut *nothing).await.unwrap();
+    seconds.store(-3600, Ordering::Relaxed);
+    // A lease after the last one: what waits for the table prolongs a lease of before, which is over then too.
+    const OVER: &str =
+        "SELECT expires_at_us + 3000000 < EXTRACT(EPOCH FROM clock_timestamp()) * 1000000 FROM stream_leases";
+    let (begun, mut first) = (Instant::now(), 1);
+    let mut knows = false;
+    loop {
+        let is_over: bool = sqlx::query_scalar(OVER).fetch_one(&mut *nothing).await.unwrap();
+        let answer = machine.samples(first, first + 1).await;
+        first += 1;
+        let unknown = codes(&answer["reasons"]).contains(&"lease_unknown");
+        assert!(unknown || !knows, "once it is over it stays over: {answer}");
+        knows = unknown;
+        if is_over {
+            assert!(knows, "the database's lease is over: {answer}");
+            break;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{answer}");
+        // A cycle has so many samples and no more.
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    nothing.rollback().await.unwrap();
+    held.close().await.unwrap();
+    assert_eq!(machine.came().await, Came::Closed(Some(4001)), "it finds out that it lost it");
+    served.server.shutdown().await.unwrap();
     given.done().await;
 }
 

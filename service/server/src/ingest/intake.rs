@@ -125,7 +125,7 @@ impl Told {
             Ok(accepted) => accepted,
             Err(problem) if problem.members.contains_key("quarantine_id") => {
                 self.live.alarms_may_have_changed();
-                self.heard.note(machine, self.clock.now());
+                self.heard.note(machine, self.clock.moment());
                 self.metrics.cycle_quarantined(machine, problem.code);
                 return;
             }
@@ -138,7 +138,7 @@ impl Told {
         };
         let Accepted { cycle, new, answer } = accepted;
         if heard {
-            self.heard.note(machine, self.clock.now());
+            self.heard.note(machine, self.clock.moment());
         }
         self.metrics.recommendation(&answer.recommendation.recommendation);
         if !new {

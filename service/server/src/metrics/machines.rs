@@ -79,7 +79,7 @@ impl MachineMetrics {
             )?,
             last_cycle: new.gauges(
                 "feedwright_machine_last_cycle_timestamp_seconds",
-                "When a cycle of the machine last arrived, by the server's clock",
+                "When a cycle of the machine last arrived, by the clock that all servers go by",
                 machine,
             )?,
             silence_limit: new.gauges(

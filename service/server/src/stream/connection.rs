@@ -667,7 +667,7 @@ fn judge(
     (now, ordered): (Timestamp, &Ordered),
     each: &mut Vec<SampleAdvice>,
 ) -> Option<Answer> {
-    let leased = ownership.slot.is_leased(now);
+    let leased = held.is_leased(state.clock.moment());
     let cycle = held.cycle.as_mut()?;
     cycle.running.set_passing(if leased {
         LoopReasons::NONE

@@ -12,6 +12,7 @@ use feedwright_core::ids::{CycleId, MAX_ID_LENGTH, MachineId};
 use feedwright_store::{CycleOverrides, StreamLease, codec};
 use serde_json::Value;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// What a machine is told of a cycle that is stored.
 #[derive(Debug)]
@@ -164,10 +165,8 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
 
 async fn release(state: &AppState, slot: &Arc<Slot>, generation: i64) {
     let (machine, holder) = (slot.machine.clone(), state.streams.holder().to_owned());
-    let now = state.clock.now();
-    let released = state
-        .commit(|store| async move { store.release_stream(&machine, &holder, generation, now).await })
-        .await;
+    let released =
+        state.commit(|store| async move { store.release_stream(&machine, &holder, generation).await }).await;
     if let Err(error) = released {
         // It ends by itself.
         tracing::debug!(%error, "a lease could not be given back");
@@ -179,7 +178,7 @@ async fn went_elsewhere(state: &AppState, slot: &Arc<Slot>, generation: i64) -> 
     let (machine, holder) = (slot.machine.clone(), state.streams.holder().to_owned());
     let now = state.clock.now();
     let taken = state
-        .commit(|store| async move { store.take_stream(&machine, &holder, false, now, now).await })
+        .commit(|store| async move { store.take_stream(&machine, &holder, false, Duration::ZERO, now).await })
         .await;
     match taken {
         Ok(StreamLease::Taken { generation: next }) => next != generation + 1,

@@ -1,9 +1,12 @@
 //! Leases: prolonged together, and those that were lost.
+//!
+//! The database counts a lease from when it gave it, by its own clock where several servers share it. This server counts it from
+//! before it asked, by a clock that nobody sets, so that what it believes in is over sooner, however far clocks are apart.
 
 use super::slots::Slot;
+use crate::clock::Moment;
 use crate::state::AppState;
 use feedwright_core::ids::MachineId;
-use feedwright_core::units::Timestamp;
 use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::time::{MissedTickBehavior, interval};
@@ -25,30 +28,30 @@ async fn prolong(state: AppState) {
             _ = due.tick() => {}
             () = state.lifecycle.stopping() => return,
         }
-        let slots = state.streams.all();
-        if !slots.is_empty() {
-            renew(&state, &slots).await;
-        }
+        renew(&state, &state.streams.all()).await;
     }
 }
 
 async fn renew(state: &AppState, slots: &[Arc<Slot>]) {
-    let now = state.clock.now();
-    let until = until(state, now);
-    let holder = state.streams.holder().to_owned();
+    let (asked, now) = (state.clock.moment(), state.clock.now());
+    let (holder, lease) = (state.streams.holder().to_owned(), state.config.stream.lease());
     // Read before the database is asked: what is connected later is not among the answers, and not lost for it.
     let connected: Vec<(Arc<Slot>, i64)> =
         slots.iter().filter_map(|slot| Some((slot.clone(), slot.connected()?))).collect();
-    let renewed = state.commit(|store| async move { store.renew_streams(&holder, now, until).await }).await;
+    if connected.is_empty() {
+        return;
+    }
+    let machines: Vec<MachineId> = connected.iter().map(|(slot, _)| slot.machine.clone()).collect();
+    let renewed =
+        state.commit(|store| async move { store.renew_streams(&holder, &machines, lease, now).await }).await;
     match renewed {
         Ok(renewed) => {
             let renewed: HashMap<MachineId, i64> = renewed.into_iter().collect();
             for (slot, generation) in connected {
                 if renewed.get(&slot.machine).is_some_and(|held| *held >= generation) {
-                    slot.leased_until(until);
-                } else if slot.connected() == Some(generation) {
+                    slot.prolonged(generation, believed_until(state, asked));
+                } else if slot.lost(generation) {
                     tracing::info!(machine = %slot.machine, "the stream was taken over by another server");
-                    slot.lost();
                 }
             }
         }
@@ -57,7 +60,8 @@ async fn renew(state: &AppState, slots: &[Arc<Slot>]) {
     }
 }
 
-/// When a lease that is taken now ends.
-pub(super) fn until(state: &AppState, now: Timestamp) -> Timestamp {
-    now.plus_millis(i64::try_from(state.config.stream.lease_ms).unwrap_or(i64::MAX))
+/// Until when a lease is believed in that was asked for then: a tenth less than it lasts, as the clock of a database that is being
+/// set right may go faster by nearly as much.
+pub(super) fn believed_until(state: &AppState, asked: Moment) -> Moment {
+    asked.plus(state.config.stream.lease() * 9 / 10)
 }

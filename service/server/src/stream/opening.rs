@@ -66,20 +66,17 @@ pub async fn open(
     if !takeover && state.streams.is_connected(&machine) {
         return Err(held(Duration::from_millis(config.lease_ms)));
     }
-    let now = state.clock.now();
-    let until = leases::until(state, now);
-    let (holder, wanted) = (state.streams.holder().to_owned(), machine.clone());
-    let lease = state
-        .commit(|store| async move { store.take_stream(&wanted, &holder, takeover, now, until).await })
+    let (asked, now) = (state.clock.moment(), state.clock.now());
+    let (holder, wanted, lease) = (state.streams.holder().to_owned(), machine.clone(), config.lease());
+    let taken = state
+        .commit(|store| async move { store.take_stream(&wanted, &holder, takeover, lease, now).await })
         .await?;
-    let generation = match lease {
+    let generation = match taken {
         StreamLease::Taken { generation } => generation,
-        StreamLease::Held { until } => {
-            let millis = u64::try_from(until.millis_since(now)).unwrap_or(0);
-            return Err(held(Duration::from_millis(millis)));
-        }
+        StreamLease::Held { wait } => return Err(held(wait)),
     };
-    let ownership: Ownership = state.streams.own(&machine, generation, until);
+    let believed_until = leases::believed_until(state, asked);
+    let ownership: Ownership = state.streams.own(&machine, generation, believed_until);
     let failed = (state.clone(), ownership.clone());
     // Counted before the upgrade, so that a shutdown in between waits for it.
     let (tracked, state) = (state.lifecycle.track(), state.clone());

@@ -4,11 +4,11 @@
 //! last owns the slot; an older connection finds that out at its next step and leaves.
 
 use super::cycle::StreamedCycle;
+use crate::clock::Moment;
 use crate::config::StreamConfig;
 use feedwright_core::ids::{CycleId, MachineId};
-use feedwright_core::units::Timestamp;
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
@@ -29,8 +29,6 @@ pub struct Slot {
     /// The machine.
     pub machine: MachineId,
     held: Mutex<Held>,
-    /// The lease is this server's until then, µs.
-    lease_until_us: AtomicI64,
 }
 
 /// What a slot holds.
@@ -46,6 +44,8 @@ pub struct Held {
     told_to_leave: bool,
     /// Generation of the lease.
     pub generation: i64,
+    /// The lease is this server's until then; `None` where it is not.
+    leased_until: Option<Moment>,
     /// The cycle that runs.
     pub cycle: Option<StreamedCycle>,
     /// The last cycle that was stored, with its answer: asked for again when the answer was lost.
@@ -70,6 +70,11 @@ pub enum Unnamed {
 }
 
 impl Held {
+    /// Whether the machine's lease is known to be this server's.
+    pub fn is_leased(&self, now: Moment) -> bool {
+        self.leased_until.is_some_and(|until| now < until)
+    }
+
     /// The running cycle that is meant by what names none.
     pub fn meant(&self) -> Option<&StreamedCycle> {
         self.cycle.as_ref().filter(|_| self.unnamed == Unnamed::Running)
@@ -141,16 +146,12 @@ impl Streams {
     }
 
     /// Gives the machine's slot to a new connection, which has the lease of that generation; an older one leaves.
-    pub fn own(&self, machine: &MachineId, generation: i64, lease_until: Timestamp) -> Ownership {
+    pub fn own(&self, machine: &MachineId, generation: i64, leased_until: Moment) -> Ownership {
         let slot = {
             let mut slots = self.slots();
-            let made = || {
-                let (held, lease_until_us) = (Mutex::default(), AtomicI64::new(0));
-                Arc::new(Slot { machine: machine.clone(), held, lease_until_us })
-            };
+            let made = || Arc::new(Slot { machine: machine.clone(), held: Mutex::default() });
             slots.entry(machine.clone()).or_insert_with(made).clone()
         };
-        slot.lease_until_us.store(lease_until.micros(), Ordering::Relaxed);
         let (owner, leave) = {
             let mut held = slot.lock();
             held.leave.cancel();
@@ -159,6 +160,7 @@ impl Streams {
             held.owner += 1;
             held.connected = true;
             held.generation = generation;
+            held.leased_until = Some(leased_until);
             (held.owner, held.leave.clone())
         };
         Ownership { slot, owner, leave }
@@ -221,22 +223,25 @@ impl Slot {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the machine's lease is known to be this server's.
-    pub fn is_leased(&self, now: Timestamp) -> bool {
-        now.micros() < self.lease_until_us.load(Ordering::Relaxed)
-    }
-
-    /// The lease was prolonged.
-    pub fn leased_until(&self, until: Timestamp) {
-        self.lease_until_us.store(until.micros(), Ordering::Relaxed);
-    }
-
-    /// The lease is another server's: whoever is connected here leaves.
-    pub fn lost(&self) {
-        self.lease_until_us.store(0, Ordering::Relaxed);
+    /// The lease with which a connection was opened, of that generation, was prolonged.
+    pub fn prolonged(&self, generation: i64, until: Moment) {
         let mut held = self.lock();
+        // A later connection has asked later, and knows better.
+        if held.generation == generation && !held.told_to_leave {
+            held.leased_until = Some(until);
+        }
+    }
+
+    /// The lease of that generation is another server's: whoever is connected here with it leaves. `false` where nobody is.
+    pub fn lost(&self, generation: i64) -> bool {
+        let mut held = self.lock();
+        if !held.connected || held.generation != generation {
+            return false;
+        }
+        held.leased_until = None;
         held.told_to_leave = true;
         held.leave.cancel();
+        true
     }
 
     /// Whether somebody is connected, with the lease of which generation.
@@ -251,5 +256,41 @@ impl Ownership {
     pub fn held(&self) -> Option<MutexGuard<'_, Held>> {
         let held = self.slot.lock();
         (held.owner == self.owner && !held.told_to_leave).then_some(held)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::Clock;
+    use crate::config::{Config, Sources};
+    use feedwright_core::units::Timestamp;
+    use std::time::Duration;
+
+    #[test]
+    fn a_lease_is_believed_in_until_it_ends_is_prolonged_or_lost() {
+        let config = Config::load(&Sources::default()).unwrap();
+        let streams = Streams::new(&config.stream);
+        let begun = Clock::fixed(Timestamp::from_micros(0)).moment();
+        let at = |seconds| begun.plus(Duration::from_secs(seconds));
+        let machine = MachineId::try_from("M1").unwrap();
+        let owned = streams.own(&machine, 1, at(10));
+        let leased = |now| owned.slot.lock().is_leased(at(now));
+        assert!(leased(9) && !leased(10));
+        owned.slot.prolonged(1, at(20));
+        assert!(leased(19) && !leased(20));
+        assert!(owned.held().is_some());
+
+        // Another connection has come: what was asked for the one before says nothing of it.
+        let later = streams.own(&machine, 2, at(30));
+        owned.slot.prolonged(1, at(40));
+        assert!(leased(29) && !leased(30));
+        assert!(!owned.slot.lost(1));
+        assert!(leased(29) && later.held().is_some() && owned.held().is_none());
+
+        assert!(later.slot.lost(2));
+        assert!(!leased(0) && later.held().is_none());
+        later.slot.prolonged(2, at(50));
+        assert!(!leased(0), "whoever was told to leave has none");
     }
 }

@@ -234,12 +234,17 @@ impl Store for Engine {
 
     async fn watch(
         &self,
-        heard: Vec<(MachineId, Timestamp)>,
+        heard: Vec<(MachineId, Duration)>,
         settings: &WatchSettings,
         now: Timestamp,
     ) -> StoreResult<Round> {
-        let settings = settings.clone();
-        write!(self, |conn| watch::round(conn, &heard, &settings, now).await)
+        let (engine, settings) = (self.clone(), settings.clone());
+        write!(self, |conn| {
+            // The clock is read by one round after the other: one that waited with an earlier time would clear what the other raised.
+            dialect::lock(conn, &Locks::subject("watch", "")).await?;
+            let now = engine.common_time(conn, now).await?;
+            watch::round(conn, &heard, &settings, now).await
+        })
     }
 
     async fn usage(&self) -> StoreResult<DatabaseUsage> {
@@ -783,32 +788,33 @@ impl Store for Engine {
         machine: &MachineId,
         holder: &str,
         takeover: bool,
+        lease: Duration,
         now: Timestamp,
-        until: Timestamp,
     ) -> StoreResult<StreamLease> {
-        let (machine, holder) = (machine.clone(), holder.to_owned());
-        write!(self, |conn| streams::take(conn, &machine, &holder, takeover, (now, until)).await)
+        let (engine, machine, holder) = (self.clone(), machine.clone(), holder.to_owned());
+        write!(self, |conn| {
+            let now = engine.common_time(conn, now).await?;
+            streams::take(conn, &machine, &holder, takeover, (now, lease)).await
+        })
     }
 
     async fn renew_streams(
         &self,
         holder: &str,
+        machines: &[MachineId],
+        lease: Duration,
         now: Timestamp,
-        until: Timestamp,
     ) -> StoreResult<Vec<(MachineId, i64)>> {
-        let holder = holder.to_owned();
-        write!(self, |conn| streams::renew(conn, &holder, (now, until)).await)
+        let (engine, holder, machines) = (self.clone(), holder.to_owned(), machines.to_vec());
+        write!(self, |conn| {
+            let now = engine.common_time(conn, now).await?;
+            streams::renew(conn, &holder, &machines, (now, lease)).await
+        })
     }
 
-    async fn release_stream(
-        &self,
-        machine: &MachineId,
-        holder: &str,
-        generation: i64,
-        now: Timestamp,
-    ) -> StoreResult<()> {
+    async fn release_stream(&self, machine: &MachineId, holder: &str, generation: i64) -> StoreResult<()> {
         let (machine, holder) = (machine.clone(), holder.to_owned());
-        write!(self, |conn| streams::release(conn, &machine, &holder, generation, now).await)
+        write!(self, |conn| streams::release(conn, &machine, &holder, generation).await)
     }
 
     async fn put_overrides(&self, overrides: &CycleOverrides) -> StoreResult<()> {

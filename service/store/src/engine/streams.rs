@@ -1,11 +1,14 @@
 //! Streams: their leases, and the overrides that were computed for a cycle.
 
-use super::{Conn, Db, alarms};
+use super::{Conn, Db, alarms, dialect};
 use crate::error::StoreResult;
-use crate::record::{AlarmKind, CycleOverrides, StreamLease};
+use crate::record::{AlarmKind, CycleOverrides, LONGEST_LEASE_MS, StreamLease};
 use crate::rows::id;
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::units::Timestamp;
+use std::time::Duration;
+
+const LONGEST_LEASE: Duration = Duration::from_millis(LONGEST_LEASE_MS);
 
 /// Takes a machine's lease where it is free, expired, already the holder's, or may be taken over.
 pub(super) async fn take(
@@ -13,12 +16,18 @@ pub(super) async fn take(
     machine: &MachineId,
     holder: &str,
     takeover: bool,
-    (now, until): (Timestamp, Timestamp),
+    (now, lease): (Timestamp, Duration),
 ) -> StoreResult<StreamLease> {
+    bring_back(conn, machine, now).await?;
+    let until = after(now, lease);
+    // One's own keeps its end where that is later: who holds it believes in that.
     let taken: Option<i64> = sqlx::query_scalar::<Db, _>(
         "INSERT INTO stream_leases (machine_id, holder, generation, expires_at_us) VALUES ($1, $2, 1, $3)
          ON CONFLICT (machine_id) DO UPDATE SET holder = excluded.holder,
-             generation = stream_leases.generation + 1, expires_at_us = excluded.expires_at_us
+             generation = stream_leases.generation + 1,
+             expires_at_us = CASE WHEN stream_leases.holder = excluded.holder
+                 AND stream_leases.expires_at_us > excluded.expires_at_us
+                 THEN stream_leases.expires_at_us ELSE excluded.expires_at_us END
          WHERE $4 = 1 OR stream_leases.expires_at_us <= $5 OR stream_leases.holder = $2
          RETURNING generation",
     )
@@ -37,42 +46,58 @@ pub(super) async fn take(
             .bind(machine.as_str())
             .fetch_optional(&mut *conn)
             .await?;
-    Ok(StreamLease::Held { until: Timestamp::from_micros(expires_at.unwrap_or(until.micros())) })
+    let left = expires_at.unwrap_or(until.micros()).saturating_sub(now.micros());
+    Ok(StreamLease::Held { wait: Duration::from_micros(u64::try_from(left).unwrap_or(0)) })
 }
 
-/// Prolongs every lease of a holder; those that it still holds.
+/// Nobody would have the machine's stream until the time has come that a clock which was ahead has written.
+async fn bring_back(conn: &mut Conn, machine: &MachineId, now: Timestamp) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "UPDATE stream_leases SET expires_at_us = $2 WHERE machine_id = $1 AND expires_at_us > $2",
+    )
+    .bind(machine.as_str())
+    .bind(after(now, LONGEST_LEASE).micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+/// Prolongs a holder's leases on these machines; those that it still holds. Any other, as of a stream that was never opened, ends.
 pub(super) async fn renew(
     conn: &mut Conn,
     holder: &str,
-    (now, until): (Timestamp, Timestamp),
+    machines: &[MachineId],
+    (now, lease): (Timestamp, Duration),
 ) -> StoreResult<Vec<(MachineId, i64)>> {
-    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
-        "UPDATE stream_leases SET expires_at_us = $2 WHERE holder = $1 AND expires_at_us > $3
-         RETURNING machine_id, generation",
-    )
-    .bind(holder)
-    .bind(until.micros())
-    .bind(now.micros())
-    .fetch_all(&mut *conn)
-    .await?;
+    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(dialect::RENEW_LEASES)
+        .bind(holder)
+        .bind(after(now, lease).micros())
+        .bind(now.micros())
+        .bind(dialect::list(machines.iter().map(MachineId::as_str)))
+        .fetch_all(&mut *conn)
+        .await?;
     rows.iter().map(|(machine, generation)| Ok((id("machine_id", machine)?, *generation))).collect()
 }
 
-/// Gives a lease back, unless it is somebody else's by now.
+/// When a lease that is taken or prolonged now ends.
+fn after(now: Timestamp, lease: Duration) -> Timestamp {
+    let lease_us = i64::try_from(lease.min(LONGEST_LEASE).as_micros()).unwrap_or(i64::MAX);
+    Timestamp::from_micros(now.micros().saturating_add(lease_us))
+}
+
+/// Gives a lease back, unless it is somebody else's by now: it is over then, whatever the clock tells.
 pub(super) async fn release(
     conn: &mut Conn,
     machine: &MachineId,
     holder: &str,
     generation: i64,
-    now: Timestamp,
 ) -> StoreResult<()> {
     sqlx::query::<Db>(
-        "UPDATE stream_leases SET expires_at_us = $4 WHERE machine_id = $1 AND holder = $2 AND generation = $3",
+        "UPDATE stream_leases SET expires_at_us = 0 WHERE machine_id = $1 AND holder = $2 AND generation = $3",
     )
     .bind(machine.as_str())
     .bind(holder)
     .bind(generation)
-    .bind(now.micros())
     .execute(&mut *conn)
     .await?;
     Ok(())

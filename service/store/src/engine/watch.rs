@@ -1,7 +1,8 @@
 //! What a watchman finds on his round: who was heard of, who is silent, how full the quarantine is, what alarms.
 //!
 //! A round is one transaction. Silence and a quarantine that fills up are the two alarms that no event raises, so the
-//! round raises and clears them.
+//! round raises and clears them. `now` is one clock's for all servers on the database, and never earlier than it was for the
+//! round before: who is silent does not depend on who asks.
 
 use super::{CLOCK_AHEAD_US, Conn, Db, alarms, dialect};
 use crate::error::StoreResult;
@@ -13,6 +14,7 @@ use crate::rows::{id, number, word};
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
 use serde_json::json;
+use std::time::Duration;
 
 /// Most machines that a round looks at.
 const MOST_MACHINES: i64 = 10_000;
@@ -28,7 +30,7 @@ struct ContactRow {
 
 pub(super) async fn round(
     conn: &mut Conn,
-    heard: &[(MachineId, Timestamp)],
+    heard: &[(MachineId, Duration)],
     settings: &WatchSettings,
     now: Timestamp,
 ) -> StoreResult<Round> {
@@ -59,13 +61,13 @@ async fn bring_back(conn: &mut Conn, now: Timestamp) -> StoreResult<()> {
     Ok(())
 }
 
-/// What this server heard before its clock was put back was heard now at the latest.
-async fn note(conn: &mut Conn, heard: &[(MachineId, Timestamp)], now: Timestamp) -> StoreResult<()> {
+/// Notes how long before now this server heard of machines: when that was by its own clock tells others nothing.
+async fn note(conn: &mut Conn, heard: &[(MachineId, Duration)], now: Timestamp) -> StoreResult<()> {
     if heard.is_empty() {
         return Ok(());
     }
-    let at = |at: &Timestamp| at.micros().min(now.micros());
-    let heard: Vec<_> = heard.iter().map(|(machine, heard)| (machine.as_str(), at(heard))).collect();
+    let at = |ago: &Duration| now.micros().saturating_sub(i64::try_from(ago.as_micros()).unwrap_or(i64::MAX));
+    let heard: Vec<_> = heard.iter().map(|(machine, ago)| (machine.as_str(), at(ago))).collect();
     sqlx::query::<Db>(dialect::NOTE_CONTACTS).bind(json!(heard).to_string()).execute(&mut *conn).await?;
     Ok(())
 }

@@ -237,6 +237,18 @@ pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<String> {
 /// A lost connection, a restart or a deadlock's victim: the second attempt finds by key what the first one kept.
 pub(super) const COMMIT_ATTEMPTS: u32 = 3;
 
+/// Prolongs those of a holder's leases that have not ended, on a list of machines. By one statement over several rows, which wait
+/// for no more than a stream that is opened or ends.
+pub(super) const RENEW_LEASES: &str = "UPDATE stream_leases SET expires_at_us = $2
+     WHERE holder = $1 AND expires_at_us > $3 AND machine_id = ANY($4)
+     RETURNING machine_id, generation";
+
+/// The server's clock as it is at this moment, µs, and not as it was when the transaction began.
+pub(super) async fn clock(conn: &mut Conn) -> StoreResult<Timestamp> {
+    let now_us = sqlx::query_scalar("SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000000 AS BIGINT)");
+    Ok(Timestamp::from_micros(now_us.fetch_one(&mut *conn).await?))
+}
+
 /// Notes when machines were last heard of, out of `[[machine, microseconds], …]`, in the order of their keys.
 pub(super) const NOTE_CONTACTS: &str = "INSERT INTO machine_contacts (machine_id, last_cycle_at_us)
      SELECT heard.value->>0, (heard.value->>1)::BIGINT FROM jsonb_array_elements($1::JSONB) AS heard (value)

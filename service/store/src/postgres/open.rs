@@ -15,6 +15,16 @@ use tokio::time::timeout;
 
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/postgres");
 
+/// Whose clock tells what all servers on a database have to agree on: when a lease ends, how long a machine is silent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum CommonClock {
+    /// The database's.
+    #[default]
+    Database,
+    /// Whoever asks brings the time: stories, which set it.
+    Callers,
+}
+
 /// How a PostgreSQL store is run.
 #[derive(Debug, Clone)]
 pub struct PostgresOptions {
@@ -31,6 +41,8 @@ pub struct PostgresOptions {
     pub pooled: bool,
     /// Address of the server itself, for migrations, where the other one is a pooler's.
     pub direct: Option<String>,
+    /// Whose clock all servers go by.
+    pub clock: CommonClock,
 }
 
 impl Default for PostgresOptions {
@@ -42,6 +54,7 @@ impl Default for PostgresOptions {
             max_samples: DEFAULT_MAX_SAMPLES,
             pooled: false,
             direct: None,
+            clock: CommonClock::Database,
         }
     }
 }
@@ -120,6 +133,7 @@ impl PostgresStore {
             full_since: std::sync::Mutex::default(),
             max_samples: options.max_samples,
             pooled,
+            clock: options.clock,
             registry: Arc::default(),
             memory: Slot::default(),
         };

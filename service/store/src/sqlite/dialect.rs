@@ -122,6 +122,11 @@ pub(super) use block_bytes;
 /// A failed commit is never tried again: after a failed fsync the pages may be gone.
 pub(super) const COMMIT_ATTEMPTS: u32 = 1;
 
+/// Prolongs those of a holder's leases that have not ended, on a list of machines.
+pub(super) const RENEW_LEASES: &str = "UPDATE stream_leases SET expires_at_us = $2
+     WHERE holder = $1 AND expires_at_us > $3 AND machine_id IN (SELECT value FROM json_each($4))
+     RETURNING machine_id, generation";
+
 /// Notes when machines were last heard of, out of `[[machine, microseconds], …]`.
 pub(super) const NOTE_CONTACTS: &str = "INSERT INTO machine_contacts (machine_id, last_cycle_at_us)
      SELECT json_extract(value, '$[0]'), json_extract(value, '$[1]') FROM json_each($1) WHERE TRUE
