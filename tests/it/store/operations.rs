@@ -295,6 +295,11 @@ async fn a_pooler_in_transaction_mode_is_borne() {
         patience: Duration::from_secs(30),
         ..PostgresOptions::default()
     };
+    let untold = PostgresStore::open(&pooler.url(&database), PostgresOptions::default()).await.unwrap_err();
+    assert!(
+        format!("{untold:?}").contains("set database.pooled = true and database.direct_url"),
+        "{untold:?}"
+    );
     let store = PostgresStore::open(&pooler.url(&database), options).await.unwrap();
     shop(&store).await;
     store.make_room(at(0)).await.unwrap();
@@ -389,6 +394,9 @@ async fn a_server_that_demands_tls_is_reached_and_held_against_its_certificate()
     let told = |outcome: Result<PostgresStore, StoreError>| format!("{:?}", outcome.err());
     let clear = told(open(&format!("{}?sslmode=disable", cluster.url())).await);
     assert!(clear.contains("no encryption"), "{clear}");
+    let nowhere =
+        told(open(&format!("{}?sslmode=verify-full&sslrootcert=/nowhere.pem", cluster.url())).await);
+    assert!(nowhere.contains("`sslrootcert` names /nowhere.pem, which cannot be read"), "{nowhere}");
     let foreign = told(open(&root("other.pem", &other)).await);
     assert!(foreign.contains("InvalidCertificate"), "{foreign}");
 

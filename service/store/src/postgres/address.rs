@@ -1,5 +1,7 @@
 //! What an address of PostgreSQL may say behind its question mark.
 
+use std::fs::File;
+
 /// Parameters that have an effect, by the names that sqlx 0.9 knows.
 const KNOWN: [&str; 18] = [
     "application_name",
@@ -57,6 +59,26 @@ pub fn unknown_parameter(url: &str) -> Option<String> {
     })
 }
 
+/// Parameters that name a file.
+const FILES: [&str; 7] =
+    ["ssl-ca", "ssl-cert", "ssl-key", "ssl-root-cert", "sslcert", "sslkey", "sslrootcert"];
+
+/// Why a file that an address names cannot be read, if one cannot: whoever connects is told what is wrong, and not of which file.
+pub(super) fn unreadable_file(url: &str) -> Option<String> {
+    let (_, parameters) = url.split_once('?')?;
+    let named = parameters.split('#').next()?.split('&').filter_map(|one| one.split_once('='));
+    named
+        .filter_map(|(name, path)| Some((FILES.iter().find(|file| **file == unescaped(name))?, path)))
+        .find_map(|(name, path)| {
+            // The text itself, or escaped, which who connects knows to read.
+            if path.starts_with("-----") || path.contains('%') {
+                return None;
+            }
+            let error = File::open(path).err()?;
+            Some(format!("`{name}` names {path}, which cannot be read: {error}"))
+        })
+}
+
 /// As names may be escaped that are known.
 fn unescaped(name: &str) -> String {
     [
@@ -80,6 +102,27 @@ fn is_option(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_that_cannot_be_read_is_named() {
+        for fine in [
+            "postgres://b/c",
+            "postgres://b/c?sslmode=require",
+            "postgres://b/c?sslrootcert=/dev/null&sslkey=%2Fnowhere",
+            "postgres://b/c?sslcert=-----BEGIN CERTIFICATE-----",
+        ] {
+            assert_eq!(unreadable_file(fine), None, "{fine}");
+        }
+        for (name, told) in [("sslrootcert", "sslrootcert"), ("ssl%2Dkey", "ssl-key")] {
+            let why =
+                unreadable_file(&format!("postgres://u:p@b/c?sslmode=verify-full&{name}=/nowhere/ca.pem"));
+            let why = why.unwrap();
+            assert!(
+                why.starts_with(&format!("`{told}` names /nowhere/ca.pem, which cannot be read: ")),
+                "{why}"
+            );
+        }
+    }
 
     #[test]
     fn a_parameter_without_effect_is_named_and_nothing_that_may_be_secret() {

@@ -1,5 +1,6 @@
 //! Opening: limits, settings that durability rests on, migrations.
 
+use super::address::unreadable_file;
 use super::{Conn, Inner, PostgresStore, dialect};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
@@ -67,6 +68,9 @@ pub(super) const NOT_USABLE: &str = "the server is in recovery, read-only, or do
 impl PostgresStore {
     /// Connects to the database at `url`, refuses one that cannot be written durably, and migrates it under a lock.
     pub async fn open(url: &str, options: PostgresOptions) -> StoreResult<Self> {
+        if let Some(why) = [url].into_iter().chain(options.direct.as_deref()).find_map(unreadable_file) {
+            return Err(StoreError::NotWritable(why.into()));
+        }
         let direct: PgConnectOptions = options.direct.as_deref().unwrap_or(url).parse()?;
         let first = async {
             let mut first = direct.clone().application_name("feedwright migrations").connect().await?;
@@ -119,7 +123,8 @@ impl PostgresStore {
                 })
             })
             .connect_with(connect)
-            .await?;
+            .await
+            .map_err(|error| if pooled { error.into() } else { of_a_pooler(error) })?;
         // In a transaction, as a pooler bears it.
         let inner = Inner {
             pool,
@@ -190,6 +195,17 @@ pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
         tracing::error!("a connection came back inside an open transaction and is closed");
     }
     Ok(is_good(&row)? && outside)
+}
+
+/// What an address is told that may be a pooler's, which takes no settings of a session and hands statements round to servers that did not
+/// prepare them (SQLSTATE 08P01, 42P05 and 26000).
+fn of_a_pooler(error: sqlx::Error) -> StoreError {
+    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code);
+    if !matches!(code.as_deref(), Some("08P01" | "42P05" | "26000")) {
+        return error.into();
+    }
+    let hint = "where database.url is a pooler's, set database.pooled = true and database.direct_url to the server itself";
+    StoreError::NotWritable(format!("{error}; {hint}").into())
 }
 
 /// Partitions are made and dropped by who owns their table: a role that may only write would have none after a year.
