@@ -10,6 +10,7 @@ crate::engines::on_both!(
     a_batch_answers_every_line_and_a_bad_one_fails_alone,
     gzip_and_zstd_bodies_are_the_same_cycle,
     a_cycle_and_its_samples_can_be_read_back_and_listed,
+    a_cycle_that_is_called_as_a_word_of_the_api_is_read_as_any_other,
     a_mes_asks_what_to_run_next,
     prometheus_sees_what_happened,
 );
@@ -172,6 +173,35 @@ async fn a_cycle_and_its_samples_can_be_read_back_and_listed() {
     assert_eq!(csv.text.matches("\r\n").count(), 26);
     assert!(csv.text.contains("\n2026-05-04T06:00:10.000000Z,"), "{}", csv.text);
     assert!(csv.text.lines().nth(1).unwrap().contains("rated_power,2800"), "{}", csv.text);
+}
+
+async fn a_cycle_that_is_called_as_a_word_of_the_api_is_read_as_any_other() {
+    let shop = Shop::open().await;
+    for id in ["batch", "batch2", "bat", "samples"] {
+        let mut cycle = sampled(1);
+        cycle["cycle_id"] = json!(id);
+        assert_eq!(shop.cycle("M1", &cycle).await.status, 201);
+        let path = format!("/v1/machines/M1/cycles/{id}");
+        let read = shop.get(&path).await;
+        assert_eq!((read.status, &read.body["cycle_id"]), (200, &json!(id)), "{}", read.text);
+        for beneath in ["samples", "course", "overrides"] {
+            let other = shop.get(&format!("/v1/machines/M1/cycles/c9/{beneath}")).await;
+            let read = shop.get(&format!("{path}/{beneath}")).await;
+            assert!(read.status == 200 || (read.status == 404 && beneath == "overrides"), "{}", read.text);
+            assert_eq!((other.status, &other.body["code"]), (404, &json!("not_found")), "{}", other.text);
+        }
+        let asked = shop.post(&format!("{path}/what-if"), &json!({"control": {}})).await;
+        assert_ne!((asked.status, &asked.body["code"]), (404, &json!("unknown_path")), "{}", asked.text);
+        assert_ne!(asked.status, 405, "{}", asked.text);
+    }
+    // Of another machine there is none, and what else stands at that address stays.
+    let none = shop.get("/v1/machines/M2/cycles/batch").await;
+    assert_eq!((none.status, &none.body["code"]), (404, &json!("not_found")), "{}", none.text);
+    let line = reported(2, 1000.0).to_string();
+    let batch = shop.post_raw("/v1/machines/M1/cycles/batch", "application/x-ndjson", line).await;
+    assert_eq!((batch.status, batch.text.lines().count()), (200, 1), "{}", batch.text);
+    let wrong = shop.put("/v1/machines/M1/cycles/batch", &json!({})).await;
+    assert_eq!((wrong.status, &wrong.headers["allow"]), (405, &"POST,GET,HEAD".parse().unwrap()));
 }
 
 async fn a_mes_asks_what_to_run_next() {
