@@ -11,6 +11,7 @@ crate::engines::on_both!(
     gzip_and_zstd_bodies_are_the_same_cycle,
     a_cycle_and_its_samples_can_be_read_back_and_listed,
     a_cycle_that_is_called_as_a_word_of_the_api_is_read_as_any_other,
+    a_mean_at_the_end_of_its_range_is_stored_as_it_is,
     a_mes_asks_what_to_run_next,
     prometheus_sees_what_happened,
 );
@@ -202,6 +203,38 @@ async fn a_cycle_that_is_called_as_a_word_of_the_api_is_read_as_any_other() {
     assert_eq!((batch.status, batch.text.lines().count()), (200, 1), "{}", batch.text);
     let wrong = shop.put("/v1/machines/M1/cycles/batch", &json!({})).await;
     assert_eq!((wrong.status, &wrong.headers["allow"]), (405, &"POST,GET,HEAD".parse().unwrap()));
+}
+
+async fn a_mean_at_the_end_of_its_range_is_stored_as_it_is() {
+    let shop = Shop::open().await;
+    // Sums of products with such times are rounded up.
+    let times = [json!([1e-6, 10]), json!([12.3, 20.3, 32.6, 40.37, 50.37])];
+    let ends = [
+        ("override_percent", "mean_override_percent", 1000.0),
+        ("override_percent", "mean_override_percent", 200.0),
+        ("operator_override_percent", "operator_override_percent", 1000.0),
+        ("spindle_load_percent", "mean_spindle_load_percent", -10_000.0),
+        ("feed_drive_load_percent", "mean_feed_drive_load_percent", 10_000.0),
+    ];
+    for (number, (times, (channel, mean, value))) in
+        (1..).zip(times.iter().flat_map(|times| ends.iter().map(move |end| (times, end))))
+    {
+        let values = vec![*value; times.as_array().unwrap().len()];
+        let cycle = json!({
+            "cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1", "started_at": at(number),
+            "samples": {"time_ms": times, *channel: values},
+        });
+        let answer = shop.cycle("M1", &cycle).await;
+        assert_eq!(answer.status, 201, "{cycle}: {}", answer.text);
+        assert_eq!(answer.body["summary"][*mean], json!(value), "{cycle}");
+    }
+    let fallen = json!({
+        "cycle_id": "fallen", "tool": "T1", "operation": "O1", "started_at": at(20),
+        "samples": {"period_ms": 10, "depth_mm": [0, -65_159.297_272_276_29, 100_000], "spindle_load_percent": [10, 6, 5]},
+    });
+    let answer = shop.cycle("M1", &fallen).await;
+    assert_eq!(answer.status, 201, "{}", answer.text);
+    assert_eq!(answer.body["summary"]["spindle_load_fall_depth_mm"], 100_000.0);
 }
 
 async fn a_mes_asks_what_to_run_next() {
