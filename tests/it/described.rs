@@ -30,8 +30,8 @@ pub(crate) fn holds(
     status: u16,
     answered: &Content<'_>,
 ) {
-    let Some(template) = template(path) else { return };
-    let Some(operation) = DOCUMENT["paths"][template].get(method.to_lowercase()) else { return };
+    let Some(template) = template(path, &method.to_lowercase()) else { return };
+    let operation = &DOCUMENT["paths"][template][method.to_lowercase()];
     let at = format!("/paths/{}/{}", escaped(template), method.to_lowercase());
     let status_told = operation["responses"].get(status.to_string());
     assert!(
@@ -85,12 +85,14 @@ fn validator(at: &str) -> Arc<Validator> {
     Arc::clone(known)
 }
 
-/// The described path that a path is one of; that with the most words of its own where there are several.
-fn template(path: &str) -> Option<&'static str> {
+/// The path described with a method that a path is one of; that with the most words of its own where there are several.
+fn template(path: &str, method: &str) -> Option<&'static str> {
     let parts: Vec<&str> = path.split('?').next()?.split('/').collect();
     DOCUMENT["paths"]
         .as_object()?
-        .keys()
+        .iter()
+        .filter(|(_, operations)| operations.get(method).is_some())
+        .map(|(template, _)| template)
         .filter(|template| {
             let own: Vec<&str> = template.split('/').collect();
             own.len() == parts.len()

@@ -8,6 +8,7 @@ mod demoted;
 mod feed_profiles;
 mod full_disk;
 mod killed;
+mod large_bodies;
 mod listening;
 mod lists;
 mod matrix;

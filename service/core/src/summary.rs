@@ -357,6 +357,11 @@ impl SampleClock {
     }
 
     /// Means of columns weighted by time; `None` for one that was not sampled, and where no time passes.
+    ///
+    /// Each is held between the smallest and the largest value of its column, out of which only rounding takes it: the mean of a
+    /// constant 200 % is 200 %, and what is valid by each sample is valid by its mean. Of `n` samples it is taken beyond one of
+    /// the two by some `n`·2⁻⁵³ of that value: summaries of before, whose means were not held, are the same within what they are
+    /// verified to, and their version stays.
     #[expect(clippy::cast_precision_loss, reason = "sample counts are far below 2^53")]
     fn means<const N: usize>(&self, columns: [Option<&[f64]>; N]) -> [Option<f64>; N] {
         let Some(&sampled) = columns.iter().flatten().next() else { return [None; N] };
@@ -371,8 +376,11 @@ impl SampleClock {
                 (scan::sums(weighed.each_ref().map(Vec::as_slice)), widths.iter().sum())
             }
         };
-        let mean = |which: usize| (total > 0.0).then(|| sums[which] / total);
-        std::array::from_fn(|which| columns[which].and_then(|_| mean(which)))
+        let mean = |which: usize, column: &[f64]| {
+            let (least, most) = scan::span(column);
+            (total > 0.0).then(|| (sums[which] / total).max(least).min(most))
+        };
+        std::array::from_fn(|which| columns[which].and_then(|column| mean(which, column)))
     }
 }
 

@@ -7,5 +7,6 @@ pub mod content;
 pub mod intake;
 mod number;
 mod pulse;
+pub mod room;
 pub(crate) mod scan;
 pub mod writer;

@@ -10,6 +10,8 @@ crate::engines::on_both!(
     a_batch_answers_every_line_and_a_bad_one_fails_alone,
     gzip_and_zstd_bodies_are_the_same_cycle,
     a_cycle_and_its_samples_can_be_read_back_and_listed,
+    a_cycle_that_is_called_as_a_word_of_the_api_is_read_as_any_other,
+    a_mean_at_the_end_of_its_range_is_stored_as_it_is,
     a_mes_asks_what_to_run_next,
     prometheus_sees_what_happened,
 );
@@ -172,6 +174,67 @@ async fn a_cycle_and_its_samples_can_be_read_back_and_listed() {
     assert_eq!(csv.text.matches("\r\n").count(), 26);
     assert!(csv.text.contains("\n2026-05-04T06:00:10.000000Z,"), "{}", csv.text);
     assert!(csv.text.lines().nth(1).unwrap().contains("rated_power,2800"), "{}", csv.text);
+}
+
+async fn a_cycle_that_is_called_as_a_word_of_the_api_is_read_as_any_other() {
+    let shop = Shop::open().await;
+    for id in ["batch", "batch2", "bat", "samples"] {
+        let mut cycle = sampled(1);
+        cycle["cycle_id"] = json!(id);
+        assert_eq!(shop.cycle("M1", &cycle).await.status, 201);
+        let path = format!("/v1/machines/M1/cycles/{id}");
+        let read = shop.get(&path).await;
+        assert_eq!((read.status, &read.body["cycle_id"]), (200, &json!(id)), "{}", read.text);
+        for beneath in ["samples", "course", "overrides"] {
+            let other = shop.get(&format!("/v1/machines/M1/cycles/c9/{beneath}")).await;
+            let read = shop.get(&format!("{path}/{beneath}")).await;
+            assert!(read.status == 200 || (read.status == 404 && beneath == "overrides"), "{}", read.text);
+            assert_eq!((other.status, &other.body["code"]), (404, &json!("not_found")), "{}", other.text);
+        }
+        let asked = shop.post(&format!("{path}/what-if"), &json!({"control": {}})).await;
+        assert_ne!((asked.status, &asked.body["code"]), (404, &json!("unknown_path")), "{}", asked.text);
+        assert_ne!(asked.status, 405, "{}", asked.text);
+    }
+    // Of another machine there is none, and what else stands at that address stays.
+    let none = shop.get("/v1/machines/M2/cycles/batch").await;
+    assert_eq!((none.status, &none.body["code"]), (404, &json!("not_found")), "{}", none.text);
+    let line = reported(2, 1000.0).to_string();
+    let batch = shop.post_raw("/v1/machines/M1/cycles/batch", "application/x-ndjson", line).await;
+    assert_eq!((batch.status, batch.text.lines().count()), (200, 1), "{}", batch.text);
+    let wrong = shop.put("/v1/machines/M1/cycles/batch", &json!({})).await;
+    assert_eq!((wrong.status, &wrong.headers["allow"]), (405, &"POST,GET,HEAD".parse().unwrap()));
+}
+
+async fn a_mean_at_the_end_of_its_range_is_stored_as_it_is() {
+    let shop = Shop::open().await;
+    // Sums of products with such times are rounded up.
+    let times = [json!([1e-6, 10]), json!([12.3, 20.3, 32.6, 40.37, 50.37])];
+    let ends = [
+        ("override_percent", "mean_override_percent", 1000.0),
+        ("override_percent", "mean_override_percent", 200.0),
+        ("operator_override_percent", "operator_override_percent", 1000.0),
+        ("spindle_load_percent", "mean_spindle_load_percent", -10_000.0),
+        ("feed_drive_load_percent", "mean_feed_drive_load_percent", 10_000.0),
+    ];
+    for (number, (times, (channel, mean, value))) in
+        (1..).zip(times.iter().flat_map(|times| ends.iter().map(move |end| (times, end))))
+    {
+        let values = vec![*value; times.as_array().unwrap().len()];
+        let cycle = json!({
+            "cycle_id": format!("c{number}"), "tool": "T1", "operation": "O1", "started_at": at(number),
+            "samples": {"time_ms": times, *channel: values},
+        });
+        let answer = shop.cycle("M1", &cycle).await;
+        assert_eq!(answer.status, 201, "{cycle}: {}", answer.text);
+        assert_eq!(answer.body["summary"][*mean], json!(value), "{cycle}");
+    }
+    let fallen = json!({
+        "cycle_id": "fallen", "tool": "T1", "operation": "O1", "started_at": at(20),
+        "samples": {"period_ms": 10, "depth_mm": [0, -65_159.297_272_276_29, 100_000], "spindle_load_percent": [10, 6, 5]},
+    });
+    let answer = shop.cycle("M1", &fallen).await;
+    assert_eq!(answer.status, 201, "{}", answer.text);
+    assert_eq!(answer.body["summary"]["spindle_load_fall_depth_mm"], 100_000.0);
 }
 
 async fn a_mes_asks_what_to_run_next() {

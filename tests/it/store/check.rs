@@ -1,6 +1,9 @@
 //! What a check finds of summaries, and that wear is never folded over what it doubts.
 
-use super::given::{Given, Run, at, commit, differing, engineer, event, machine, operation, shop, stories};
+use super::given::{
+    Given, Run, at, commit, differing, engineer, event, machine, new_cycle, operation, shop, stories,
+};
+use feedwright_core::cycle::{Channel, Cycle, CycleDraft, Samples, TimeBase};
 use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::RecommendSettings;
@@ -15,6 +18,7 @@ use std::collections::BTreeSet;
 
 stories!(with tables:
     a_summary_that_is_not_its_cycles_is_named_with_its_columns,
+    a_mean_that_rounding_took_out_of_its_samples_is_sound,
     a_number_that_is_not_finite_is_named_like_any_other,
     what_changed_since_is_no_fault_and_what_rests_on_samples_is_held_all_the_same,
     whatever_clock_registered_an_operation_its_cycles_are_sound,
@@ -184,6 +188,28 @@ async fn a_summary_that_is_not_its_cycles_is_named_with_its_columns(given: &Give
     let found = checked(&*store).await;
     let [("summary", "M1/c00008", detail)] = told(&found)[..] else { panic!("{:?}", found.faults) };
     assert!(detail.contains("duration_ms is 1 instead of 2000"), "{detail}");
+}
+
+/// As an earlier version stored it, which held no mean within its samples.
+async fn a_mean_that_rounding_took_out_of_its_samples_is_sound(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let draft = Run::nth(1).draft();
+    let time_ms = vec![12.3, 20.3, 32.6, 40.37, 50.37];
+    let columns =
+        vec![(Channel::OverridePercent, vec![200.0; 5]), (Channel::SpindleLoadPercent, vec![0.1; 5])];
+    let samples = Samples::new(TimeBase::Stamps { time_ms }, columns, 100).unwrap();
+    let mut cycle = new_cycle(Cycle::new(CycleDraft { samples: Some(samples), ..draft }).unwrap());
+    let means = [&mut cycle.summary.mean_override_percent, &mut cycle.summary.mean_spindle_load_percent];
+    for (mean, value) in means.into_iter().zip([200.0_f64, 0.1]) {
+        assert_eq!(*mean, Some(value));
+        *mean = Some(value.next_up());
+    }
+    for outcome in store.commit_cycles(vec![cycle], at(100_000), RecommendSettings::default()).await {
+        outcome.unwrap();
+    }
+    let clean = checked(&*store).await;
+    assert_eq!((clean.checked, clean.unverified, told(&clean)), (1, 0, vec![]));
 }
 
 async fn a_number_that_is_not_finite_is_named_like_any_other(given: &Given) {

@@ -2,6 +2,7 @@
 
 use super::scan;
 use crate::cycle::{Channel, Flag, Flags, Samples};
+use crate::invalid::Range;
 
 /// A largest value with where and when it was reached first.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -96,7 +97,10 @@ pub(super) fn fall_depth(samples: &Samples) -> Option<f64> {
     let after = before + 1;
     // Between two samples the depth of the crossing is interpolated, else the feed would quantise it.
     let share = (load[before] - level) / (load[before] - load[after]);
-    Some(depth[before] + share * (depth[after] - depth[before]))
+    // Rounding takes it beyond both depths by some last bits, and beyond what a depth may be where one of them is at that end.
+    // Held to that end alone: near depth 0 those bits are many parts of it, and summaries of before were not held at all.
+    let Range { min, max, .. } = Channel::DepthMm.range();
+    Some((depth[before] + share * (depth[after] - depth[before])).clamp(min, max))
 }
 
 pub(super) fn flags(samples: &Samples) -> Flags {

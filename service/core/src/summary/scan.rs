@@ -26,6 +26,27 @@ fn larger(most: f64, value: f64) -> f64 {
     if value > most { value } else { most }
 }
 
+/// As [`larger`].
+fn smaller(least: f64, value: f64) -> f64 {
+    if value < least { value } else { least }
+}
+
+/// The smallest and the largest value; ∞ and −∞ where there is none.
+pub(super) fn span(values: &[f64]) -> (f64, f64) {
+    let (rows, rest) = values.as_chunks::<LANES>();
+    let (mut least, mut most) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+    for row in rows {
+        for ((least, most), &value) in least.iter_mut().zip(&mut most).zip(row) {
+            *least = smaller(*least, value);
+            *most = larger(*most, value);
+        }
+    }
+    (
+        least.iter().chain(rest).copied().fold(f64::INFINITY, smaller),
+        most.iter().chain(rest).copied().fold(f64::NEG_INFINITY, larger),
+    )
+}
+
 /// Whether any value passes. It looks at all of them.
 pub(super) fn any(values: &[f64], test: impl Fn(f64) -> bool) -> bool {
     values.iter().fold(false, |any, value| any | test(*value))
@@ -60,7 +81,7 @@ pub(super) fn sums<const N: usize>(columns: [&[f64]; N]) -> [f64; N] {
 
 #[cfg(test)]
 mod tests {
-    use super::{any, first, largest, last, sums};
+    use super::{any, first, largest, last, span, sums};
     use proptest::prelude::{Just, Strategy, prop_assert_eq, prop_oneof, proptest};
 
     fn values() -> impl Strategy<Value = Vec<f64>> {
@@ -77,6 +98,9 @@ mod tests {
             let bits = |value: f64| (value + 0.0).to_bits();
             let plain = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             prop_assert_eq!(bits(largest(&values)), bits(plain));
+            let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+            let (smallest, most) = span(&values);
+            prop_assert_eq!((bits(smallest), bits(most)), (bits(least), bits(plain)));
             prop_assert_eq!(any(&values, passes), values.iter().any(|value| passes(*value)));
             prop_assert_eq!(first(&values, passes), values.iter().position(|value| passes(*value)));
             prop_assert_eq!(last(&values, passes), values.iter().rposition(|value| passes(*value)));

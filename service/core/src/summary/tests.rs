@@ -4,7 +4,7 @@ use super::*;
 use crate::cycle::CycleDraft;
 use crate::ids::{CycleId, MachineId, OperationId, ToolId};
 use crate::machine::{FeedDriveRating, FeedLimits, FittedLine, LoadReference, SpindleRating};
-use proptest::prelude::{prop_assert_eq, proptest};
+use proptest::prelude::{Strategy, prop_assert, prop_assert_eq, prop_oneof, proptest};
 
 const N: usize = 400;
 
@@ -325,7 +325,67 @@ fn the_course_of_an_energy_ends_at_the_whole() {
     assert_eq!(energy_course(samples, None, context, EnergyBasis::Reported), None);
 }
 
+#[test]
+fn what_rounding_would_take_out_of_its_range_stays_in_it() {
+    let of_override = |time_ms: Vec<f64>, percent: f64| {
+        let column = vec![percent; time_ms.len()];
+        let cycle = cycle(TimeBase::Stamps { time_ms }, vec![(Channel::OverridePercent, column)]);
+        told(&cycle, &machine(LoadReference::Unknown), None).mean_override_percent
+    };
+    assert_eq!(of_override(vec![1e-6, 10.0], 1000.0), Some(1000.0));
+    // Its sums make 200.00000000000003 of it.
+    assert_eq!(of_override(vec![12.3, 20.3, 32.6, 40.37, 50.37], 200.0), Some(200.0));
+    let fallen = every_10_ms(vec![
+        (Channel::DepthMm, vec![0.0, -65_159.297_272_276_29, 100_000.0]),
+        (Channel::SpindleLoadPercent, vec![10.0, 6.0, 5.0]),
+    ]);
+    let fallen = told(&fallen, &machine(LoadReference::Unknown), None).spindle_load_fall_depth_mm;
+    assert_eq!(fallen, Some(100_000.0));
+}
+
+/// Loads as they are, as they may be at the most, and the same ones again and again.
+fn loads() -> impl Strategy<Value = Vec<f64>> {
+    let load =
+        || prop_oneof![-20.0..150.0_f64, proptest::sample::select(vec![-1e4, 0.0, 1e-300, 0.1, 200.0, 1e4])];
+    let same = (load(), 1..200_usize).prop_map(|(load, count)| vec![load; count]);
+    prop_oneof![same, proptest::collection::vec(load(), 1..200)]
+}
+
 proptest! {
+    /// What is stored was not held: it has to be the same within what the store verifies summaries to, 1e-9 of itself.
+    #[test]
+    fn a_mean_is_the_plain_one_held_within_its_column(
+        loads in loads(),
+        steps in proptest::collection::vec(prop_oneof![0.0..30.0_f64, proptest::sample::select(vec![0.0, 1e-6, 7.77, 12.3, 4e5])], 200),
+        stamped in proptest::bool::ANY,
+    ) {
+        let mut now = 0.0;
+        let time = match stamped {
+            true => TimeBase::Stamps { time_ms: steps.iter().take(loads.len()).map(|step| { now += step; now }).collect() },
+            false => TimeBase::Period { period_ms: 7.0 },
+        };
+        let cycle = cycle(time, vec![(Channel::SpindleLoadPercent, loads.clone())]);
+        let clock = SampleClock::of(cycle.samples.as_ref().unwrap());
+        // As it was summed up before it was held.
+        let widths = match &clock.widths_ms {
+            Widths::Even(_) => vec![1.0; loads.len()],
+            Widths::Each(widths) => widths.clone(),
+        };
+        let total: f64 = widths.iter().sum();
+        let plain = loads.iter().zip(&widths).map(|(load, width)| load * width).sum::<f64>() / total;
+        let found = told(&cycle, &machine(LoadReference::Unknown), None).mean_spindle_load_percent;
+        prop_assert_eq!(found.is_some(), total > 0.0);
+        if let Some(found) = found {
+            let least = loads.iter().copied().fold(f64::INFINITY, f64::min);
+            let most = loads.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            prop_assert!((least..=most).contains(&found));
+            prop_assert!((found - plain).abs() <= 1e-9 * found.abs().min(plain.abs()), "{found} is not {plain}");
+            if (least..=most).contains(&plain) {
+                prop_assert_eq!(found.to_bits(), (plain + 0.0).to_bits());
+            }
+        }
+    }
+
     /// Energies are compared over years: how they are summed up must not move a digit of them.
     #[test]
     fn energies_are_those_of_plain_loops_to_the_last_bit(

@@ -7,7 +7,7 @@ use crate::server::BodyTooSlow;
 use axum::body::BodyDataStream;
 use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
 use axum::extract::{FromRequest, Request};
-use bytes::{Bytes, BytesMut};
+use bytes::Bytes;
 use futures_util::StreamExt;
 use http::{HeaderMap, StatusCode, header};
 use hyper::body::Body as _;
@@ -72,7 +72,7 @@ pub async fn read_within<S: Send + Sync>(
         return Ok(Unpacked { bytes: read(request, state).await?, place });
     }
     let mut body = request.into_body().into_data_stream();
-    let (mut bytes, mut place) = (BytesMut::new(), room.growing(most));
+    let (mut bytes, mut place) = (Vec::new(), room.growing());
     while let Some(data) = body.next().await {
         let data = data.map_err(|error| match found::<BodyTooSlow>(&error) {
             true => too_slow(),
@@ -86,10 +86,14 @@ pub async fn read_within<S: Send + Sync>(
             drop((bytes, place));
             return Err(passed_by(body).await);
         }
+        // Memory as large as its place and no larger; what is small, and has none, grows as it likes.
+        if bytes.capacity() < place.bytes() {
+            bytes.reserve_exact(place.bytes() - bytes.len());
+        }
         bytes.extend_from_slice(&data);
     }
     let place = place.ended(bytes.len());
-    Ok(Unpacked { bytes: bytes.freeze(), place })
+    Ok(Unpacked { bytes: bytes.into_boxed_slice().into(), place })
 }
 
 /// Lets the rest of a body go by unread, so that whoever sends it gets to know why: 503.

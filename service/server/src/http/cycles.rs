@@ -176,6 +176,8 @@ fn none_of(results: &[Result<Accepted, Problem>]) -> Option<Problem> {
 }
 
 /// One stored cycle with its summary.
+///
+/// One whose id is `batch` is read at the address to which batches are posted.
 #[utoipa::path(
     get, path = "/v1/machines/{machine}/cycles/{cycle_id}", tag = "cycles",
     params(("machine" = String, Path, description = "Its machine"), ("cycle_id" = String, Path, description = "Its id")),

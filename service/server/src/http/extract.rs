@@ -9,6 +9,7 @@ use feedwright_core::invalid::Violation;
 use http::request::Parts;
 use serde::de::DeserializeOwned;
 use std::error::Error;
+use std::sync::Arc;
 
 /// An identifier that stands in the path under its own name.
 pub trait InPath: Sized {
@@ -69,6 +70,15 @@ impl InPath for String {
     }
 }
 
+/// An identifier that is not a parameter of the matched path but a fixed part of it.
+#[derive(Debug, Clone)]
+pub struct WordAsId {
+    /// The parameter's name.
+    pub name: Arc<str>,
+    /// The identifier.
+    pub word: &'static str,
+}
+
 /// One identifier of the path; a handler may take several of different types.
 #[derive(Debug)]
 pub struct PathId<T>(pub T);
@@ -81,7 +91,9 @@ impl<T: InPath, S: Send + Sync> FromRequestParts<S> for PathId<T> {
             .await
             .map_err(|_| Problem::bad_request("invalid_path", "the path is not UTF-8"))?;
         let text = params.iter().find(|(name, _)| *name == T::NAME).map(|(_, text)| text);
-        let text = text.ok_or_else(|| Problem::internal(format!("the path has no {}", T::NAME)))?;
+        let word = || parts.extensions.get::<WordAsId>().filter(|id| *id.name == *T::NAME).map(|id| id.word);
+        let text =
+            text.or_else(word).ok_or_else(|| Problem::internal(format!("the path has no {}", T::NAME)))?;
         let id = T::read(text);
         id.map(Self).map_err(|violation| {
             let detail = violation.to_string();

@@ -7,6 +7,7 @@ use super::{
     stream, summaries, tokens, tool_events, tools, turning, viewer, wear, what_if,
 };
 use crate::auth::{Trust, authorise};
+use crate::http::extract::WordAsId;
 use crate::http::negotiate::prefers_pages;
 use crate::http::problem::Problem;
 use crate::state::AppState;
@@ -14,7 +15,7 @@ use crate::ui;
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use axum::routing::{MethodRouter, get};
-use axum::{Router, response::IntoResponse, response::Response};
+use axum::{Extension, Router, response::IntoResponse, response::Response};
 use feedwright_store::Role;
 use http::{HeaderMap, Method, StatusCode, Uri};
 use std::collections::HashMap;
@@ -73,6 +74,8 @@ pub struct Route {
     /// Makes its description, unless it is a page. All of them together are megabytes, and the code that makes them is as
     /// large again: who only serves touches neither.
     describe: Option<Describe>,
+    /// A word that is a fixed part of another route where this one has an id.
+    word: Option<&'static str>,
     handler: MethodRouter<AppState>,
 }
 
@@ -97,6 +100,7 @@ macro_rules! route {
                 trust: Trust::Known,
                 body: BodyLimit::Registration,
                 describe: Some(describe),
+                word: None,
                 handler: methods
                     .iter()
                     .fold(handler, |all, method| all.on(method.to_method_filter(), $module::$handler)),
@@ -115,6 +119,7 @@ impl Route {
             trust: Trust::Known,
             body: BodyLimit::Registration,
             describe: None,
+            word: None,
             handler,
         }
     }
@@ -130,6 +135,20 @@ impl Route {
     #[must_use]
     fn in_an_outage(self) -> Self {
         Self { trust: Trust::Lately, ..self }
+    }
+
+    /// Answers also for the id that is this word, where the path of another route ends in it: what was stored under that id could not
+    /// be read. The id is the last part of its path.
+    #[must_use]
+    fn also_named(self, word: &'static str) -> Self {
+        Self { word: Some(word), ..self }
+    }
+
+    /// Where it answers beside its own path, and the id that is the word there.
+    fn beside(&self) -> Option<(String, WordAsId)> {
+        let (word, (above, id)) = (self.word?, self.path.rsplit_once('/')?);
+        let name = id.strip_prefix('{')?.strip_suffix('}')?.into();
+        Some((format!("{above}/{word}"), WordAsId { name, word }))
     }
 
     /// The method.
@@ -221,7 +240,7 @@ pub fn table() -> Vec<Route> {
         route!(openapi::document, Access::Open),
         route!(cycles::post_cycle, OWN).takes_cycles(),
         route!(cycles::post_batch, OWN).takes_cycles(),
-        route!(cycles::get_cycle, READ_OR_OWN),
+        route!(cycles::get_cycle, READ_OR_OWN).also_named("batch"),
         route!(samples::get_samples, READ_OR_OWN),
         route!(cycles::list_cycles, READ),
         route!(summaries::get_summaries, READ),
@@ -337,7 +356,7 @@ pub fn router(state: AppState) -> Router {
     let limits = state.config.limits;
     let mut router = Router::new();
     for route in table() {
-        let what = changes(&route);
+        let (what, beside) = (changes(&route), route.beside());
         let Route { method, path, access, trust, body, mut handler, .. } = route;
         let limit = match body {
             BodyLimit::Registration => limits.registration_bytes,
@@ -352,6 +371,9 @@ pub fn router(state: AppState) -> Router {
         }
         // Layers run from the last to the first: nobody's body is read before their token.
         let handler = handler.route_layer(DefaultBodyLimit::max(limit)).route_layer(guard);
+        if let Some((path, id)) = beside {
+            router = router.route(&path, handler.clone().route_layer(Extension(id)));
+        }
         router = router.route(&path, handler);
     }
     router
@@ -393,6 +415,7 @@ async fn wrong_method(method: Method) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::http::dto::feed_profile::profile_id;
 
     #[test]
     fn what_changes_advice_is_told_and_what_machines_post_or_viewers_compute_is_not() {
@@ -413,5 +436,25 @@ mod tests {
         let of_profiles = table.iter().filter(|route| changes(route) == Some("feed-profiles"));
         let paths: Vec<_> = of_profiles.map(|route| route.path.rsplit('/').next().unwrap()).collect();
         assert!(paths.contains(&"activate") && paths.contains(&"rollback"), "{paths:?}");
+    }
+
+    #[test]
+    fn no_fixed_part_of_a_path_hides_what_is_stored_under_that_id() {
+        let table: Vec<_> = table().into_iter().filter(Route::is_described).collect();
+        for route in &table {
+            for other in table.iter().filter(|other| other.path != route.path) {
+                let parts = || route.path.split('/').zip(other.path.split('/'));
+                let is_same_length = route.path.split('/').count() == other.path.split('/').count();
+                let words: Vec<_> = parts().filter(|(part, word)| part != word).collect();
+                let is_word = |(part, word): &(&str, &str)| part.starts_with('{') && !word.starts_with('{');
+                if !is_same_length || !words.iter().all(is_word) {
+                    continue;
+                }
+                let [(part, word)] = words[..] else { panic!("{} and {}", route.path, other.path) };
+                let is_answered = route.beside().is_some_and(|(path, _)| path == other.path);
+                let is_refused = part == "{profile}" && profile_id("profile", word).is_err();
+                assert!(is_answered || is_refused, "{} hides {} {}", other.path, route.method, route.path);
+            }
+        }
     }
 }

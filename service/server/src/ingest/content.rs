@@ -1,11 +1,8 @@
 //! What a body may take: bounds on what is decompressed, and on all large bodies together.
 
+use super::room::{Growing, Place, SMALL_BYTES, Share};
 use bytes::Bytes;
 use std::io::{Read, Write};
-use std::sync::Arc;
-use std::time::Duration;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::timeout;
 
 /// How a body is compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,15 +41,6 @@ pub enum ContentError {
     Busy,
 }
 
-/// Bodies up to this need no room of their own, bytes.
-const SMALL_BYTES: usize = 256 * 1024;
-/// Of a body that does not tell its length this much is asked for first, bytes; most are smaller.
-const MEDIUM_BYTES: usize = 4 * 1024 * 1024;
-/// How long a large one waits for its room.
-const PATIENCE: Duration = Duration::from_secs(10);
-/// Room is counted by so many bytes.
-const UNIT: usize = 1024;
-
 /// Room for large bodies, which all of them together do not exceed: each may be a thousand times what was sent, and a shop's
 /// machines may all come back at once.
 #[derive(Debug)]
@@ -63,17 +51,6 @@ pub struct Room {
     unpacked: Share,
 }
 
-#[derive(Debug)]
-struct Share {
-    free: Arc<Semaphore>,
-    units: u32,
-    patience: Duration,
-}
-
-/// What of the room a body takes, given back where this is dropped: with the body itself.
-#[derive(Debug)]
-pub struct Place(OwnedSemaphorePermit);
-
 /// A body as it is read, with what it takes of the room where it is large.
 #[derive(Debug)]
 pub struct Unpacked {
@@ -83,66 +60,10 @@ pub struct Unpacked {
     pub place: Option<Place>,
 }
 
-/// The place of a body that does not tell its length, which grows with it.
-#[derive(Debug)]
-pub struct Growing<'a> {
-    room: &'a Room,
-    most: usize,
-    place: Option<Place>,
-}
-
-impl Growing<'_> {
-    /// Makes room for so many bytes in all, at most as many as it may become.
-    pub async fn grow_to(&mut self, bytes: usize) -> Result<(), ContentError> {
-        if bytes <= SMALL_BYTES || self.place.as_ref().is_some_and(|place| bytes <= place.bytes()) {
-            return Ok(());
-        }
-        let wanted = if bytes <= MEDIUM_BYTES { MEDIUM_BYTES.min(self.most) } else { self.most };
-        match &mut self.place {
-            None => self.place = Some(self.room.sent.place(wanted).await?),
-            Some(place) => {
-                let more = self.room.sent.place(wanted.saturating_sub(place.bytes())).await?;
-                place.0.merge(more.0);
-            }
-        }
-        Ok(())
-    }
-
-    /// The place of a body that has come in.
-    pub fn ended(mut self, bytes: usize) -> Option<Place> {
-        if let Some(Place(place)) = &mut self.place {
-            drop(place.split(place.num_permits().saturating_sub(bytes.div_ceil(UNIT))));
-        }
-        self.place
-    }
-}
-
-impl Place {
-    fn bytes(&self) -> usize {
-        self.0.num_permits() * UNIT
-    }
-}
-
-impl Share {
-    fn new(bytes: usize) -> Self {
-        let units = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX).clamp(1, MOST_UNITS);
-        Self { free: Arc::new(Semaphore::new(units as usize)), units, patience: PATIENCE }
-    }
-
-    /// A place for so many bytes; whoever is larger than all of it has all of it.
-    async fn place(&self, bytes: usize) -> Result<Place, ContentError> {
-        let units = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX).min(self.units);
-        match timeout(self.patience, Arc::clone(&self.free).acquire_many_owned(units)).await {
-            Ok(Ok(place)) => Ok(Place(place)),
-            Ok(Err(_)) | Err(_) => Err(ContentError::Busy),
-        }
-    }
-}
-
 impl Room {
-    /// For so many bytes as they are sent, and as many that are decompressed.
-    pub fn new(bytes: usize) -> Self {
-        Self { sent: Share::new(bytes), unpacked: Share::new(bytes) }
+    /// For so many bytes as they are sent, of which a body is `largest` at the most, and as many that are decompressed.
+    pub fn new(bytes: usize, largest: usize) -> Self {
+        Self { sent: Share::new(bytes, largest), unpacked: Share::new(bytes, bytes) }
     }
 
     /// A place for a body that tells its length; none where it needs none.
@@ -150,9 +71,9 @@ impl Room {
         if bytes <= SMALL_BYTES { Ok(None) } else { self.sent.place(bytes).await.map(Some) }
     }
 
-    /// That of one that does not, and is of `most` bytes at the most.
-    pub const fn growing(&self, most: usize) -> Growing<'_> {
-        Growing { room: self, most, place: None }
+    /// That of one that does not.
+    pub const fn growing(&self) -> Growing<'_> {
+        self.sent.growing()
     }
 
     /// As [`decompress`], off the threads that serve connections. What proves to be large is measured before it is kept, and waits
@@ -189,9 +110,6 @@ async fn aside<T: Send + 'static>(
     // It is cancelled only where the process ends.
     tokio::task::spawn_blocking(work).await.unwrap_or(Err(ContentError::Busy))
 }
-
-/// No semaphore counts more.
-const MOST_UNITS: u32 = u32::MAX >> 3;
 
 /// What comes out of `bytes`, read one after the other.
 fn reader(encoding: Encoding, bytes: &[u8]) -> Result<Box<dyn Read + '_>, ContentError> {
@@ -236,7 +154,9 @@ fn copy(
 
 #[cfg(test)]
 mod tests {
+    use super::super::room::UNIT;
     use super::*;
+    use std::time::Duration;
 
     fn gzip(bytes: &[u8]) -> Vec<u8> {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
@@ -265,7 +185,7 @@ mod tests {
     }
 
     fn impatient(bytes: usize) -> Room {
-        let share = || Share { patience: Duration::from_millis(5), ..Share::new(bytes) };
+        let share = || Share::new(bytes, bytes).with_patience(Duration::from_millis(5));
         Room { sent: share(), unpacked: share() }
     }
 
@@ -277,7 +197,7 @@ mod tests {
             room.unpack(Encoding::Gzip, packed, 1 << 20).await
         };
         let large = unpack(700 * UNIT).await.unwrap();
-        assert_eq!(room.unpacked.free.available_permits(), 1024 - 700, "what it takes is kept");
+        assert_eq!(room.unpacked.free(), 1024 - 700, "what it takes is kept");
         assert_eq!(unpack(400 * UNIT).await.unwrap_err(), ContentError::Busy);
         let other = unpack(SMALL_BYTES + 1).await.unwrap();
         let small = unpack(SMALL_BYTES).await.unwrap();
@@ -287,10 +207,10 @@ mod tests {
         assert!(room.place(SMALL_BYTES).await.unwrap().is_none());
         drop((large, other, sent));
         assert_eq!(unpack(2 << 20).await.unwrap_err(), ContentError::TooLarge);
-        assert_eq!(room.unpacked.free.available_permits(), 1 << 10, "refused ones keep none");
+        assert_eq!(room.unpacked.free(), 1 << 10, "refused ones keep none");
         assert_eq!(unpack(1 << 20).await.unwrap().bytes.len(), 1 << 20);
         let all = room.place(usize::MAX).await.unwrap().unwrap();
-        assert_eq!((all.bytes(), room.sent.free.available_permits()), (1 << 20, 0), "more than there is");
+        assert_eq!((all.bytes(), room.sent.free()), (1 << 20, 0), "more than there is");
     }
 
     #[tokio::test]
@@ -307,27 +227,6 @@ mod tests {
         for _ in &held {
             assert!(room.unpack(Encoding::Gzip, packed.clone(), 8 << 20).await.is_ok());
         }
-    }
-
-    #[tokio::test]
-    async fn a_place_grows_with_a_body_that_does_not_tell_its_length() {
-        let room = impatient(8 << 20);
-        let mut place = room.growing(6 << 20);
-        place.grow_to(SMALL_BYTES).await.unwrap();
-        assert_eq!(room.sent.free.available_permits(), 8 << 10);
-        for (bytes, left) in
-            [(SMALL_BYTES + 1, 4 << 10), (MEDIUM_BYTES, 4 << 10), (MEDIUM_BYTES + 1, 2 << 10)]
-        {
-            place.grow_to(bytes).await.unwrap();
-            assert_eq!(room.sent.free.available_permits(), left, "{bytes}");
-        }
-        let mut other = room.growing(6 << 20);
-        assert_eq!(other.grow_to(SMALL_BYTES + 1).await.unwrap_err(), ContentError::Busy);
-        let ended = place.ended(5 << 20).unwrap();
-        assert_eq!((ended.bytes(), room.sent.free.available_permits()), (5 << 20, 3 << 10));
-        drop(ended);
-        assert_eq!(room.sent.free.available_permits(), 8 << 10);
-        assert!(room.growing(6 << 20).ended(10).is_none());
     }
 
     #[test]

@@ -206,8 +206,8 @@ impl CycleIntake {
             preparing: Semaphore::new(BATCHES_PREPARED),
             settling: Mutex::new(()),
             comparing: Arc::new(Semaphore::new(COMPARED)),
-            singles: Room::new(config.limits.room_bytes()),
-            batches: Room::new(config.limits.room_bytes()),
+            singles: Room::new(config.limits.room_bytes(), config.limits.body_bytes),
+            batches: Room::new(config.limits.room_bytes(), config.limits.body_bytes),
             habits: Habits::default(),
             pulse: Pulse::of(store.clone()),
         }

@@ -617,6 +617,13 @@ impl CycleWithSamples {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::record::EncodedCycle;
+    use feedwright_core::cycle::{Channel, DURATION_RANGE, TimeBase};
+    use feedwright_core::invalid::Range;
+    use feedwright_core::machine::{FeedDriveRating, FeedLimits, LoadReference, Machine, SpindleRating};
+    use feedwright_core::summary::{Context, summarise};
+    use proptest::prelude::{prop_assert, prop_oneof, proptest};
+    use std::sync::Arc;
 
     macro_rules! list_ranges {
         ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
@@ -656,6 +663,83 @@ pub(crate) mod tests {
         assert!(same(0.0, 0.0) && same(-3.5, -3.5) && same(866.81, 866.81 * (1.0 + 1e-10)));
         let others = [866.82, 0.0, -866.81, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
         assert!(others.iter().all(|other| !same(866.81, *other) && !same(*other, 866.81)));
+    }
+
+    /// Values as a channel may have at the most, and between.
+    fn extreme(range: Range) -> impl proptest::strategy::Strategy<Value = f64> {
+        let Range { min, max, .. } = range;
+        let ends =
+            vec![min, max, max.next_down(), 0.0, 1e-300_f64.max(min), max / 3.0, f64::midpoint(min, max)];
+        prop_oneof![proptest::sample::select(ends), min..=max]
+    }
+
+    proptest! {
+        #[test]
+        fn what_a_valid_cycle_amounts_to_is_in_range(
+            len in 1..40_usize,
+            constant in proptest::bool::ANY,
+            columns in Channel::ALL.iter().map(|channel| {
+                (proptest::bool::ANY, proptest::collection::vec(extreme(channel.range()), 40))
+            }).collect::<Vec<_>>(),
+            mut stamps in proptest::collection::vec(
+                prop_oneof![0.0..1e4_f64, extreme(DURATION_RANGE), proptest::sample::select(vec![0.0, 1e-6, 10.0])],
+                40,
+            ),
+            period_ms in proptest::option::of(0.01..1e4_f64),
+            rated in proptest::option::of(proptest::sample::select(vec![1.0, 7000.0, 1e7])),
+            reference in proptest::sample::select(LoadReference::ALL.to_vec()),
+        ) {
+            stamps.truncate(len);
+            stamps.sort_by(f64::total_cmp);
+            let time = period_ms.map_or(TimeBase::Stamps { time_ms: stamps }, |period_ms| TimeBase::Period { period_ms });
+            let columns: Vec<_> = Channel::ALL
+                .iter()
+                .zip(columns)
+                .filter(|(channel, (is_sampled, _))| *is_sampled || **channel == Channel::OverridePercent)
+                .map(|(channel, (_, values))| {
+                    (*channel, if constant { vec![values[0]; len] } else { values[..len].to_vec() })
+                })
+                .collect();
+            let cycle = Cycle::new(CycleDraft {
+                machine: "M1".try_into().unwrap(),
+                id: "c1".try_into().unwrap(),
+                tool: "T1".try_into().unwrap(),
+                operation: "O1".try_into().unwrap(),
+                started_at: Timestamp::from_micros(0),
+                seq: None,
+                process: None,
+                strategy: None,
+                law_version: None,
+                profile: None,
+                recommendation: None,
+                reference: None,
+                spindle_speed_rpm: Some(1e6),
+                outcome: Outcome::Completed,
+                samples: Some(Samples::new(time, columns, 40).unwrap()),
+                reported: Reported::default(),
+            })
+            .unwrap();
+            let machine = Machine {
+                id: "M1".try_into().unwrap(),
+                name: "M1".to_owned(),
+                control: "linuxcnc".to_owned(),
+                ipo_period_ms: 10.0,
+                spindle: SpindleRating { reference, rated_power_watts: rated, base_speed_rpm: rated },
+                feed_drive: FeedDriveRating { reference, rated_thrust_newtons: rated },
+                limits: FeedLimits::new(1.0, 1000.0, 5.0, 200.0).unwrap(),
+            };
+            let summary = summarise(&cycle, Context { machine: &machine, calibration: None, operation: None });
+            let new = NewCycle {
+                cycle: Arc::new(cycle),
+                received_at: Timestamp::from_micros(0),
+                encoded: EncodedCycle { hash: [0; 32], samples: None },
+                summary,
+                generation: None,
+                cut_short: false,
+            };
+            let row = CycleRow::of(&new, &new.summary).unwrap().in_range();
+            prop_assert!(row.is_ok(), "{:?}", row.err());
+        }
     }
 
     #[test]
