@@ -641,6 +641,7 @@ impl CycleWithSamples {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use feedwright_core::summary::MOST_JOULES;
 
     macro_rules! list_ranges {
         ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
@@ -650,6 +651,19 @@ pub(crate) mod tests {
         };
     }
     cycle_columns!(list_ranges);
+
+    #[test]
+    fn every_energy_that_is_told_can_be_stored() {
+        let told: Vec<_> = RANGES
+            .iter()
+            .filter(|(column, _, _)| column.ends_with("_joules") && !column.starts_with("reported_"))
+            .collect();
+        assert_eq!(told.len(), 12);
+        for (column, least, most) in told {
+            let ends = [least, most].map(|end| end.replace(' ', "").parse::<f64>().unwrap().to_bits());
+            assert_eq!(ends, [-MOST_JOULES, MOST_JOULES].map(f64::to_bits), "{column}");
+        }
+    }
 
     /// The next number above and below.
     trait Beside: Sized {
