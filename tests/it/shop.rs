@@ -106,8 +106,9 @@ impl Shop {
 
     /// Flags a stored cycle as one of which the server kept a part, as a stream's is that is too long.
     pub(crate) async fn cut_short(&self, cycle: &str) {
-        let flag = feedwright_core::cycle::Flag::CutShort as u32;
-        let sql = format!("UPDATE cycles SET flags = flags + {flag} WHERE cycle_id = '{cycle}'");
+        use feedwright_core::cycle::Flag;
+        let flags = Flag::CutShort as u32 | Flag::Incomplete as u32;
+        let sql = format!("UPDATE cycles SET flags = flags | {flags} WHERE cycle_id = '{cycle}'");
         assert_eq!(self.tables(&sql).await, 1);
     }
 

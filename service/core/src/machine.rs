@@ -16,6 +16,15 @@ pub const SPEED_RANGE: Range = Range::new(0.0, 1_000_000.0, "rpm");
 /// Interpolator cycles.
 pub const IPO_RANGE: Range = Range::new(0.01, 10_000.0, "ms");
 
+/// Slopes of fitted lines, N or N·m per percent.
+pub const SLOPE_RANGE: Range = Range::new(-1_000_000.0, 1_000_000.0, "(N/% or N·m/%)");
+/// Intercepts of fitted lines, N or N·m.
+pub const INTERCEPT_RANGE: Range = Range::new(-10_000_000.0, 10_000_000.0, "(N or N·m)");
+/// Spreads of what fitted lines leave, N or N·m; not negative.
+pub const SPREAD_RANGE: Range = Range::new(0.0, 10_000_000.0, "(N or N·m)");
+/// Shares of the variance that fitted lines explain.
+pub const R_SQUARED_RANGE: Range = Range::new(0.0, 1.0, "");
+
 /// What a load in percent refers to. "% of a rating" means nothing without it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LoadReference {
@@ -213,6 +222,18 @@ pub struct FittedLine {
 }
 
 impl FittedLine {
+    /// Holds what makes the line against what can be stored of one; `name` is where it stands in the input.
+    pub fn collect(&self, name: &str, wrong: &mut Vec<Violation>) {
+        for (field, range, value) in [
+            ("slope", SLOPE_RANGE, self.slope),
+            ("intercept", INTERCEPT_RANGE, self.intercept),
+            ("r_squared", R_SQUARED_RANGE, self.r_squared),
+            ("residual_spread", SPREAD_RANGE, self.residual_spread),
+        ] {
+            range.collect(&format!("{name}.{field}"), value, wrong);
+        }
+    }
+
     /// The value at `load_percent`, or `None` more than a tenth of the fitted span beyond its upper end.
     ///
     /// Below the fitted range the line runs on to no load and never below zero: an idling drive neither

@@ -11,7 +11,7 @@ mod scan;
 pub use course::energy_course;
 pub(crate) use digest::relation_config;
 pub use digest::{DIGEST_DEPTH_MM, DepthDigest, MOST_DIGEST_BINS, MOST_DIGEST_BYTES, way_in_contact};
-pub use energy::{Energy, EnergyBasis, IdlePower};
+pub use energy::{Energy, EnergyBasis, IdlePower, MOST_JOULES};
 pub use loads::{Peak, PeakShift};
 pub(crate) use loads::{median, median_in_place};
 
@@ -217,6 +217,7 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
     }
     let mut flags = loads::flags(samples);
     flags.insert_if(told.is_beyond_calibration, Flag::BeyondCalibration);
+    flags.insert_if(told.is_implausible, Flag::ImplausibleEnergy);
     flags.insert_if(clock.has_gaps(), Flag::Gaps);
     // Of a channel that is not sampled, what the control reports is all there is.
     let reported = &cycle.reported;

@@ -668,6 +668,9 @@ pub struct Doubt {
     /// Of some of whose cycles nothing says any more whether they are what was taken in: their samples were dropped or are damaged,
     /// or what they were summarised by was changed since.
     pub unproven: BTreeSet<(MachineId, ToolId)>,
+    /// Whether nothing but their flag says which cycles were cut short: where a cache has left out more or fewer of them than are
+    /// flagged, nothing says which is right.
+    pub cut_short: bool,
 }
 
 /// Which caches of wear are folded again where they differ from their fold.

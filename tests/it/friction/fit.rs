@@ -5,7 +5,10 @@ use crate::shop::{Shop, at};
 use feedwright_core::friction::twin::PaperStrategies;
 use serde_json::{Value, json};
 
-crate::engines::on_both!(cycles_whose_samples_are_gone_are_passed_over_and_damaged_ones_are_named);
+crate::engines::on_both!(
+    cycles_whose_samples_are_gone_are_passed_over_and_damaged_ones_are_named,
+    a_line_that_cannot_be_stored_is_none,
+);
 
 const PATH: &str = "/v1/machines/F1/calibrations/fit";
 
@@ -72,6 +75,38 @@ async fn what_makes_no_line_is_refused_and_only_engineers_fit() {
     assert_eq!(shop.send_as(request, &viewer).await.status, 403);
     let request = shop.client.post(shop.url("/v1/friction/simulate")).json(&json!({}));
     assert_eq!(shop.send_as(request, &viewer).await.status, 200, "a viewer may compute");
+}
+
+/// Of loads that hardly differ: the dry run says what the database would refuse.
+async fn a_line_that_cannot_be_stored_is_none() {
+    let shop = Shop::open().await;
+    model_machine(&shop).await;
+    let column = |value: &dyn Fn(f64) -> f64| (0..40).map(|k| value(f64::from(k))).collect::<Vec<f64>>();
+    let body = json!({
+        "cycle_id": "steep", "tool": "T1", "operation": "O1", "started_at": at(1), "spindle_speed_rpm": 2000,
+        "samples": {
+            "period_ms": 10,
+            "depth_mm": column(&|k| 0.1 * k),
+            "feed_drive_load_percent": column(&|k| 10.0 + k),
+            "thrust_newtons": column(&|k| 500.0 + 20.0 * k),
+            "spindle_load_percent": column(&|k| 10.0 + 1e-7 * k),
+            "torque_newton_metres": column(&|k| 1.0 + k),
+        },
+    });
+    let posted = shop.cycle("F1", &body).await;
+    assert_eq!(posted.status, 201, "{}", posted.text);
+    for (request, status) in [(json!({"dry_run": true}), 200), (json!({}), 201)] {
+        let fitted = shop.post(PATH, &request).await;
+        assert_eq!(fitted.status, status, "{}", fitted.text);
+        assert_eq!(fitted.body["thrust"]["outcome"], "fitted", "{}", fitted.text);
+        let torque = &fitted.body["torque"];
+        assert_eq!((&torque["outcome"], &torque["line"]), (&json!("none"), &Value::Null), "{torque}");
+        let reason = torque["reason"].as_str().unwrap();
+        assert!(
+            reason.starts_with("line.slope: must be within -1000000 to 1000000 (N/% or N·m/%)"),
+            "{reason}"
+        );
+    }
 }
 
 async fn cycles_whose_samples_are_gone_are_passed_over_and_damaged_ones_are_named() {

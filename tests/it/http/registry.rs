@@ -10,6 +10,8 @@ crate::engines::on_both!(
     a_change_names_the_version_it_is_based_on,
     a_reset_needs_a_reason_and_goes_into_the_audit,
     fitted_lines_get_versions,
+    fitted_lines_may_be_as_large_as_can_be_stored,
+    a_cycle_of_more_energy_than_any_is_kept_without_it,
     a_machine_without_overloads_has_nothing_to_acknowledge,
 );
 
@@ -163,6 +165,87 @@ async fn fitted_lines_get_versions() {
     assert_eq!(listed["items"][1]["thrust"], line);
     let unknown = app.post("/v1/machines/M9/calibrations", json!({"thrust": line})).await;
     assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+}
+
+/// What the API takes of a line the tables take, and what they do not it tells with its path.
+async fn fitted_lines_may_be_as_large_as_can_be_stored() {
+    let app = App::registered().await;
+    let usual = json!({"slope": 20.0, "intercept": -50.0, "min_percent": 5.0, "max_percent": 45.0,
+                       "r_squared": 0.99, "residual_spread": 5.0});
+    let path = "/v1/machines/M1/calibrations";
+    let document = app.get("/openapi.json").await.json();
+    let properties = &document["components"]["schemas"]["LineBody"]["properties"];
+    for (field, least, most) in [
+        ("slope", None, 1e6),
+        ("intercept", Some(-1e7), 1e7),
+        ("r_squared", Some(0.0), 1.0),
+        ("residual_spread", Some(0.0), 1e7),
+        ("min_percent", Some(-400.0), 44.0),
+        ("max_percent", Some(6.0), 400.0),
+    ] {
+        for name in ["thrust", "torque"] {
+            let with = |value: f64| {
+                let mut line = usual.clone();
+                line[field] = json!(value);
+                json!({name: line})
+            };
+            for end in least.into_iter().chain([most]) {
+                let taken = app.post(path, with(end)).await;
+                assert_eq!(taken.status, StatusCode::CREATED, "{name}.{field} {end}: {taken:?}");
+            }
+            if field.ends_with("_percent") {
+                continue;
+            }
+            for beyond in least.map(|least| least - 0.001).into_iter().chain([most + 0.001]) {
+                let refused = app.post(path, with(beyond)).await;
+                let errors = refused.errors();
+                let told: Vec<_> = errors.iter().map(|error| (error.0.as_str(), error.1.as_str())).collect();
+                assert_eq!(told, [(format!("{name}.{field}").as_str(), "out_of_range")], "{beyond}");
+            }
+        }
+        if !field.ends_with("_percent") {
+            assert_eq!(properties[field]["maximum"].as_f64(), Some(most), "{field}");
+            let floor = if least.is_some() { "minimum" } else { "exclusiveMinimum" };
+            assert_eq!(properties[field][floor].as_f64(), Some(least.unwrap_or(0.0)), "{field}");
+        }
+    }
+}
+
+/// Whatever lines a machine was given, what it measured is kept.
+async fn a_cycle_of_more_energy_than_any_is_kept_without_it() {
+    const CYCLES: &str = "/v1/machines/M1/cycles";
+    let app = App::registered().await;
+    let line = json!({"slope": 1e6, "intercept": 1e7, "min_percent": -400.0, "max_percent": 400.0,
+                      "r_squared": 0.99, "residual_spread": 5.0});
+    let added = app.post("/v1/machines/M1/calibrations", json!({"thrust": line, "torque": line})).await;
+    assert_eq!(added.status, StatusCode::CREATED);
+    let cycle = json!({
+        "cycle_id": "a-day", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T06:00:00Z",
+        "spindle_speed_rpm": 1e6,
+        "samples": {"time_ms": [0, 1, 43_200_000, 86_400_000], "depth_mm": [0, 1, 2, 3],
+                    "spindle_load_percent": [399, 399, 399, 399], "feed_drive_load_percent": [399, 399, 399, 399],
+                    "spindle_speed_rpm": [1e6, 1e6, 1e6, 1e6]},
+    });
+    // Half of the samples a gap away: not even then.
+    let long = {
+        let mut long = cycle.clone();
+        long["cycle_id"] = json!("long");
+        long["samples"]["time_ms"] = json!([0, 28_800_000, 57_600_000, 86_400_000]);
+        long
+    };
+    for body in [cycle, long.clone()] {
+        let stored = app.call(Role::Machine, "POST", CYCLES, &[], Some(body)).await;
+        assert_eq!(stored.status, StatusCode::CREATED, "{stored:?}");
+    }
+    let known = app.call(Role::Machine, "POST", CYCLES, &[], Some(long)).await;
+    assert_eq!(known.status, StatusCode::OK, "{known:?}");
+    let summary = &known.json()["summary"];
+    let flags: Vec<_> =
+        summary["flags"].as_array().unwrap().iter().filter_map(|flag| flag.as_str()).collect();
+    assert!(flags.contains(&"implausible_energy"), "{summary}");
+    let bases: Vec<_> = summary["energy"].as_array().unwrap().iter().map(|energy| &energy["basis"]).collect();
+    assert!(!bases.contains(&&json!("calibrated")), "{summary}");
+    assert!(app.state.store.check_cycles(None, 10).await.unwrap().faults.is_empty());
 }
 
 async fn a_machine_without_overloads_has_nothing_to_acknowledge() {

@@ -3,7 +3,7 @@
 use super::given::{
     Given, Run, at, commit, differing, engineer, event, machine, new_cycle, operation, shop, stories,
 };
-use feedwright_core::cycle::{Channel, Cycle, CycleDraft, Samples, TimeBase};
+use feedwright_core::cycle::{Channel, Cycle, CycleDraft, Flag, Samples, TimeBase};
 use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::RecommendSettings;
@@ -25,6 +25,8 @@ stories!(with tables:
     wear_is_not_folded_over_doubtful_cycles,
     a_cache_is_kept_that_alone_knows_of_a_cycle,
     wear_is_not_folded_over_cycles_that_nothing_vouches_for,
+    whatever_wear_reads_of_a_cycle_is_held_against_what_was_taken_in,
+    a_flag_that_says_what_was_cut_off_is_not_taken_for_truth,
     a_fold_that_is_made_anew_is_not_taken_for_the_one_remembered,
     a_course_that_cannot_be_read_is_named_and_the_rest_is_checked,
     a_course_that_cannot_be_read_costs_its_cycle_alone,
@@ -580,6 +582,164 @@ async fn wear_is_not_folded_over_cycles_that_nothing_vouches_for(given: &Given) 
         assert_eq!((found.faults.len(), found.checked), (7, 8), "{found:?}");
         assert!(found.faults.iter().all(|fault| fault.detail.contains("cannot be read: column reason")));
     }
+}
+
+/// Bits of a number the other way round, in the words of either engine.
+fn flipped(column: &str, bits: u32) -> String {
+    format!("{column} = ({column} | {bits}) - ({column} & {bits})")
+}
+
+/// Every column, and every flag, that wear reads of a cycle: one that another hand changed is a fault of its cycle, or of its key, or
+/// makes no difference to wear. Never is wear folded over it.
+async fn whatever_wear_reads_of_a_cycle_is_held_against_what_was_taken_in(given: &Given) {
+    let store = given.store();
+    eight(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    let good = given.wear_states().await;
+    let source = include_str!("../../../service/store/src/engine/wear.rs");
+    let (_, columns) = source.split_once("macro_rules! facts_columns").unwrap();
+    let (columns, _) = columns.split_once("o.baseline_cycles").unwrap();
+    let columns: BTreeSet<&str> = columns
+        .split("c.")
+        .skip(1)
+        .map(|rest| rest.split(|c: char| c != '_' && !c.is_ascii_alphanumeric()).next().unwrap())
+        .collect();
+    assert!(
+        columns.len() > 25 && columns.contains("flags") && columns.contains("recommendation_id"),
+        "{columns:?}"
+    );
+    // Their receipt, which wear does not read, names the cycles: one with samples, and one without.
+    for (seconds, cycle) in [(1800, "c00003"), (4800, "c00008")] {
+        let here = format!("received_at_us = {}", at(seconds).plus_millis(3000).micros());
+        let mut changes = Vec::new();
+        for column in &columns {
+            let kept = given.kept_in(column);
+            match *column {
+                "machine_id" => changes.push("machine_id = 'M2'".to_owned()),
+                "cycle_id" | "operation_id" | "law_version" | "recommendation_id" => {
+                    changes.push(format!("{column} = 'another.ref'"));
+                }
+                "started_at_us" | "energy_scale" => changes.push(flipped(column, 1 << 20)),
+                "seq" => changes.extend(["seq = seq + 1".to_owned(), "seq = NULL".to_owned()]),
+                "strategy" => {
+                    changes.extend(["strategy = 'f_const'".to_owned(), "strategy = NULL".to_owned()]);
+                }
+                "profile_id" | "profile_version" => {
+                    changes.push("profile_id = 'P1', profile_version = 1".to_owned());
+                }
+                "coverage" => changes.push("coverage = 0.5".to_owned()),
+                "depth_digest" => {
+                    let other = if cycle == "c00003" { "'c00001'" } else { "'c00007'" };
+                    changes.push(format!(
+                        "depth_digest = (SELECT o.depth_digest FROM cycles o WHERE o.cycle_id = {other})"
+                    ));
+                    changes.push("depth_digest = NULL".to_owned());
+                }
+                "flags" => {
+                    changes.extend((0..32).map(|bit| flipped("flags", 1 << bit)));
+                    changes.push(flipped("flags", Flag::CutShort as u32 | Flag::Incomplete as u32));
+                    changes.push(flipped("flags", Flag::ReferenceCycle as u32 | Flag::NoReferenceCycle as u32));
+                }
+                _ => changes.extend([
+                    format!(
+                        "{kept} = CASE WHEN {column} IS NULL THEN 1.0 ELSE {column} * 1.0001 END,
+                         quantities = quantities + CASE WHEN {column} IS NULL THEN 1 ELSE 0 END"
+                    ),
+                    format!(
+                        "{kept} = NULL, quantities = quantities - CASE WHEN {column} IS NULL THEN 0 ELSE 1 END"
+                    ),
+                ]),
+            }
+        }
+        let mut written: BTreeSet<String> = columns.iter().map(|column| given.kept_in(column)).collect();
+        written.insert("quantities".to_owned());
+        let written = written.into_iter().collect::<Vec<_>>().join(", ");
+        given
+            .raw(AssertSqlSafe(format!("CREATE TABLE kept AS SELECT {written} FROM cycles WHERE {here}")))
+            .await
+            .unwrap();
+        for change in changes {
+            let sql = format!("UPDATE cycles SET {change} WHERE {here}");
+            assert_eq!(given.raw(AssertSqlSafe(sql)).await.unwrap(), 1, "{change}");
+            let found = checked(&*store).await;
+            let wear = store.check_wear(Repair::AllBut(&found.doubt)).await.unwrap();
+            assert_eq!(given.wear_states().await, good, "{cycle}, {change}: wear was folded over it");
+            let is_left = !wear.different.is_empty() && wear.different.iter().all(|wear| wear.left.is_some());
+            let makes_none = wear.different.is_empty() && wear.unreadable.is_empty();
+            assert!(!found.faults.is_empty() || is_left || makes_none, "{cycle}, {change}: {wear:?}");
+            let back = format!("UPDATE cycles SET ({written}) = (SELECT {written} FROM kept) WHERE {here}");
+            given.raw(AssertSqlSafe(back)).await.unwrap();
+        }
+        given.raw("DROP TABLE kept").await.unwrap();
+        assert_eq!(told(&checked(&*store).await), [], "{cycle}");
+        assert_eq!(store.check_wear(Repair::No).await.unwrap().different, [], "{cycle}");
+    }
+}
+
+/// What a stream cut off is in no sample and no hash: the flag alone says so, beside the one that goes with it.
+async fn a_flag_that_says_what_was_cut_off_is_not_taken_for_truth(given: &Given) {
+    const BOTH: u32 = Flag::CutShort as u32 | Flag::Incomplete as u32;
+    let store = given.store();
+    shop(&*store).await;
+    store.put_tool(super::given::tool("T2"), Precondition::Unstated, &engineer(), at(0)).await.unwrap();
+    let cut = |n: u32| NewCycle {
+        cut_short: n == 4,
+        ..Run { seconds: i64::from(n) * 600, ..Run::nth(n) }.new_cycle()
+    };
+    let mut group: Vec<NewCycle> = (1..=8).map(cut).collect();
+    group.extend(
+        (11..=18)
+            .map(|n| Run { seconds: i64::from(n) * 600, tool: "T2".to_owned(), ..Run::nth(n) }.new_cycle()),
+    );
+    for outcome in store.commit_cycles(group, at(100_000), RecommendSettings::default()).await {
+        assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+    }
+    let good = given.wear_states().await;
+    let flip = async |cycle: &str, bits: u32| {
+        let sql = format!("UPDATE cycles SET {} WHERE cycle_id = '{cycle}'", flipped("flags", bits));
+        assert_eq!(given.raw(AssertSqlSafe(sql)).await.unwrap(), 1);
+    };
+    let clean = checked(&*store).await;
+    assert_eq!((told(&clean), clean.unverified), (vec![], 0));
+    assert_eq!(
+        clean.doubt.unproven,
+        BTreeSet::from([("M1".try_into().unwrap(), "T1".try_into().unwrap())]),
+        "nothing else says that the fourth is a part"
+    );
+    assert_eq!(store.check_wear(Repair::AllBut(&clean.doubt)).await.unwrap().different, []);
+
+    // One flag without the other is none that was ever set; both, or neither, may have been.
+    let stories = [
+        ("c00013", Flag::CutShort as u32, "T2", Left::Doubtful),
+        ("c00004", Flag::CutShort as u32, "T1", Left::Doubtful),
+        ("c00004", Flag::Incomplete as u32, "T1", Left::Unasked),
+        ("c00013", Flag::Incomplete as u32, "T2", Left::Unasked),
+        ("c00013", BOTH, "T2", Left::Unproven),
+        ("c00004", BOTH, "T1", Left::Unproven),
+    ];
+    for (cycle, bits, tool, left) in stories {
+        flip(cycle, bits).await;
+        let found = checked(&*store).await;
+        let faults = told_keys(&found);
+        let key = format!("M1/{cycle}");
+        let expected: &[_] = if bits == BOTH { &[] } else { &[("summary", key.as_str())] };
+        assert_eq!(faults, expected, "{cycle} {bits}");
+        let wear = store.check_wear(Repair::AllBut(&found.doubt)).await.unwrap();
+        assert_eq!(given.wear_states().await, good, "{cycle} {bits}");
+        if left == Left::Unasked {
+            assert_eq!(wear.different, [], "wear does not go by the other flag");
+        } else {
+            assert_eq!((differing(&wear), wear.different[0].left), (vec![("M1", tool)], Some(left)));
+        }
+        flip(cycle, bits).await;
+    }
+
+    // Whoever asks for it has wear folded by what is stored.
+    flip("c00013", BOTH).await;
+    let doubt = checked(&*store).await.doubt;
+    let asked_for = Doubt { unproven: BTreeSet::new(), cut_short: false, ..doubt };
+    let wear = store.check_wear(Repair::AllBut(&asked_for)).await.unwrap();
+    assert!(wear.different.iter().any(|wear| wear.tool.as_str() == "T2" && wear.left.is_none()), "{wear:?}");
 }
 
 /// Of one tool, in the order of their machines.

@@ -117,9 +117,17 @@ impl Given {
 
     /// Where a number of `cycles` is written: SQLite reads some out of columns that keep them shorter.
     pub(crate) fn kept_in(&self, column: &str) -> String {
-        let is_shorter =
-            ["rated_power_joules", "reported_energy_joules", "max_depth_mm", "max_spindle_load_depth_mm"]
-                .contains(&column);
+        let is_shorter = [
+            "dynamometer_joules",
+            "calibrated_joules",
+            "measured_power_joules",
+            "rated_power_joules",
+            "reported_energy_joules",
+            "max_depth_mm",
+            "max_spindle_load_depth_mm",
+            "spindle_load_fall_depth_mm",
+        ]
+        .contains(&column);
         let ending = if is_shorter && !self.is_postgres() { "_stored" } else { "" };
         format!("{column}{ending}")
     }

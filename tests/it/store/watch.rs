@@ -1,11 +1,13 @@
 //! The watch: who is silent, how full the quarantine is, and what Grafana reads.
 
-use super::given::{Given, Run, at, engineer, machine, shop, stored, stories};
+use super::given::{Given, Run, at, engineer, machine, new_cycle, operation, shop, stored, stories};
+use feedwright_core::cycle::{Channel, Cycle, CycleDraft, Samples, TimeBase};
 use feedwright_core::ids::MachineId;
+use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::units::Timestamp;
 use feedwright_store::{
-    Alarm, AlarmFilter, AlarmKind, OpenAlarms, Page, Precondition, QuarantineBounds, QuarantineEntry, Store,
-    WatchSettings,
+    Alarm, AlarmFilter, AlarmKind, Committed, OpenAlarms, Page, Precondition, QuarantineBounds,
+    QuarantineEntry, Store, WatchSettings,
 };
 use sqlx::{Connection, PgConnection};
 use std::collections::BTreeMap;
@@ -274,6 +276,84 @@ async fn the_views_for_dashboards_tell_what_is_stored() {
         .await
         .unwrap();
     assert_eq!(waiting, 1);
+    conn.close().await.unwrap();
+    drop(store);
+    given.done().await;
+}
+
+/// The lines that a panel of a dashboard draws over everything that is stored, with how many values each has.
+async fn lines(conn: &mut PgConnection, dashboard: &str, title: &str) -> BTreeMap<String, i64> {
+    let path = format!("{}/../deploy/grafana/dashboards/{dashboard}.json", env!("CARGO_MANIFEST_DIR"));
+    let dashboard: serde_json::Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    let panels = dashboard["panels"].as_array().unwrap();
+    let panel = panels.iter().find(|panel| panel["title"] == title).expect("a panel of that title");
+    let [target] = panel["targets"].as_array().unwrap().as_slice() else { panic!("one query: {panel}") };
+    let sql = target["rawSql"].as_str().unwrap();
+    let sql = sql
+        .replace("${tool:sqlstring}", "'T1'")
+        .replace("${machine:sqlstring}", "'M1'")
+        .replace("$__unixEpochFrom()", &(at(0).micros() / 1_000_000).to_string())
+        .replace("$__unixEpochTo()", &(at(100_000).micros() / 1_000_000).to_string());
+    let sql = format!("SELECT metric, COUNT(*) FROM ({sql}) AS panel GROUP BY metric");
+    let rows: Vec<(String, i64)> = sqlx::query_as(sqlx::AssertSqlSafe(sql)).fetch_all(conn).await.unwrap();
+    rows.into_iter().collect()
+}
+
+/// A line of a dashboard has energies of one machine, operation, tool and basis, with idle power in them or out of them, as
+/// those that `/v1/series` answers.
+#[tokio::test]
+async fn dashboards_draw_only_like_with_like() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    store.put_operation(operation("O2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    // As a control that reports joules, one that samples its loads, and one that samples power, from contact on or from before.
+    let power = |depth: Option<f64>| {
+        let mut columns = vec![(Channel::SpindlePowerWatts, (0..20).map(|k| 900.0 + f64::from(k)).collect())];
+        columns.extend(
+            depth.map(|first| (Channel::DepthMm, (0..20).map(|k| first + 0.25 * f64::from(k)).collect())),
+        );
+        Some(Samples::new(TimeBase::Period { period_ms: 100.0 }, columns, 100).unwrap())
+    };
+    let mut group = Vec::new();
+    let mut n = 0;
+    for machine in ["M1", "M2"] {
+        for operation in ["O1", "O2"] {
+            for kind in [0, 1, 2, 3, 0, 1, 2, 3] {
+                n += 1;
+                let run = Run { machine, operation, sampled: kind != 0, ..Run::nth(n) };
+                let draft = match kind {
+                    2 => CycleDraft { samples: power(None), ..run.draft() },
+                    3 => CycleDraft { samples: power(Some(-3.0)), ..run.draft() },
+                    _ => run.draft(),
+                };
+                group.push(new_cycle(Cycle::new(draft).unwrap()));
+            }
+        }
+    }
+    for outcome in store.commit_cycles(group, at(100_000), RecommendSettings::default()).await {
+        assert!(matches!(outcome, Ok(Committed::Stored(_))), "{outcome:?}");
+    }
+    let bases = ["reported", "rated_power", "measured_power", "measured_power without idle power"];
+    let mut conn = PgConnection::connect(&given.address()).await.unwrap();
+    let of_tool: BTreeMap<String, i64> = ["M1", "M2"]
+        .iter()
+        .flat_map(|machine| ["O1", "O2"].map(|operation| format!("{machine} · {operation}")))
+        .flat_map(|of| bases.map(|basis| (format!("{of} · {basis}"), 2)))
+        .collect();
+    assert_eq!(lines(&mut conn, "tool-life", "Energy per cycle").await, of_tool);
+    let of_machine: BTreeMap<String, i64> = ["O1", "O2"]
+        .iter()
+        .flat_map(|operation| bases.map(|basis| (format!("{operation} · T1 · {basis}"), 2)))
+        .collect();
+    assert_eq!(lines(&mut conn, "cycle-history", "Energy").await, of_machine);
+    let by_both = ["M1 · O1", "M1 · O2", "M2 · O1", "M2 · O2"].map(|of| (of.to_owned(), 8));
+    for title in ["Highest loads", "Duration"] {
+        assert_eq!(lines(&mut conn, "tool-life", title).await, BTreeMap::from(by_both.clone()), "{title}");
+    }
     conn.close().await.unwrap();
     drop(store);
     given.done().await;

@@ -61,6 +61,8 @@ flags! {
     NoReferenceCycle = 16, "no_reference_cycle";
     /// The server kept only a part of it: it had more samples or lasted longer than is kept, or its end never came in.
     CutShort = 17, "cut_short";
+    /// An energy of it is larger than any machine could have spent: it is not told on that basis.
+    ImplausibleEnergy = 18, "implausible_energy";
 }
 
 /// A set of quality flags.

@@ -85,6 +85,12 @@ impl Energy {
         }
     }
 
+    /// Whether the whole and its parts are energies that a machine could have spent.
+    fn is_plausible(&self) -> bool {
+        let parts = [Some(self.total_joules), self.spindle_joules, self.feed_drive_joules];
+        parts.into_iter().flatten().all(|joules| joules.abs() <= MOST_JOULES)
+    }
+
     fn of_parts(basis: EnergyBasis, spindle: f64, feed_drive: Option<f64>, idle: IdlePower) -> Self {
         Self {
             basis,
@@ -95,6 +101,9 @@ impl Energy {
         }
     }
 }
+
+/// Largest energy that is told of a cycle, up or down, J: no machine in a hundred years needs as much.
+pub const MOST_JOULES: f64 = 1e18;
 
 /// Samples before contact that idle power needs: fewer are still spinning up.
 const IDLE_SAMPLES: usize = 5;
@@ -108,10 +117,16 @@ pub(super) struct Told {
     pub(super) best_by_sample: Option<Vec<f64>>,
     /// Whether fitted lines were asked beyond their range.
     pub(super) is_beyond_calibration: bool,
+    /// Whether an energy is larger than any that is told, so that its basis was passed over.
+    pub(super) is_implausible: bool,
 }
 
 impl Told {
     fn add(&mut self, energy: Energy, by_sample: impl FnOnce() -> Option<Vec<f64>>) {
+        if !energy.is_plausible() {
+            self.is_implausible = true;
+            return;
+        }
         if self.energies.is_empty() {
             self.best_by_sample = by_sample();
         }

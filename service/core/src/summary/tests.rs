@@ -202,6 +202,53 @@ fn fitted_lines_are_not_asked_beyond_their_range() {
 }
 
 #[test]
+fn an_energy_that_no_machine_could_have_spent_is_not_told() {
+    // The largest line that can be stored, at the fastest speed, for a day.
+    let line = |slope| {
+        Some(FittedLine {
+            slope,
+            intercept: 0.0,
+            min_percent: -400.0,
+            max_percent: 400.0,
+            r_squared: 0.99,
+            residual_spread: 1.0,
+        })
+    };
+    let known = machine(LoadReference::RatedPower);
+    let a_day = cycle(
+        TimeBase::Stamps { time_ms: vec![0.0, 28_800_000.0, 57_600_000.0, 86_400_000.0] },
+        vec![
+            (Channel::SpindleLoadPercent, vec![399.0; 4]),
+            (Channel::FeedDriveLoadPercent, vec![20.0; 4]),
+            (Channel::SpindleSpeedRpm, vec![1e6; 4]),
+            (Channel::DepthMm, vec![0.0, 1.0, 2.0, 3.0]),
+        ],
+    );
+    let sane = told(&a_day, &known, Some(&Calibration { version: 1, thrust: line(50.0), torque: line(0.1) }));
+    assert!(!sane.flags.contains(Flag::ImplausibleEnergy));
+    assert_eq!(sane.best_energy().unwrap().basis, EnergyBasis::Calibrated);
+    let calibration = Calibration { version: 1, thrust: line(50.0), torque: line(1e6) };
+    let summary = told(&a_day, &known, Some(&calibration));
+    assert!(summary.flags.contains(Flag::ImplausibleEnergy) && !summary.flags.contains(Flag::NoEnergy));
+    let told: Vec<_> = summary.energy.iter().map(|energy| energy.basis).collect();
+    assert_eq!(told, [EnergyBasis::RatedPower], "the next best stands in for it");
+    assert_eq!(summary.energy, sane.energy[1..]);
+    let parts =
+        |energy: &Energy| [Some(energy.total_joules), energy.spindle_joules, energy.feed_drive_joules];
+    assert!(summary.energy.iter().flat_map(parts).flatten().all(|joules| joules.abs() <= MOST_JOULES));
+    let alone = super::summarise(
+        &a_day,
+        Context {
+            machine: &machine(LoadReference::Unknown),
+            calibration: Some(&calibration),
+            operation: None,
+        },
+    );
+    assert!(alone.energy.is_empty() && alone.flags.contains(Flag::NoEnergy) && alone.digest.is_none());
+    assert!(alone.flags.contains(Flag::ImplausibleEnergy));
+}
+
+#[test]
 fn gaps_carry_no_energy_and_lower_the_coverage() {
     let time = |gap: f64| (0..100).map(|k| 10.0 * k as f64 + if k >= 50 { gap } else { 0.0 }).collect();
     let of = |gap: f64| {

@@ -25,7 +25,8 @@ pub struct Arguments {
     #[arg(long)]
     repair: bool,
     /// With `--repair`: folds wear also over cycles of which nothing says whether they are what was taken in, by what is stored of
-    /// them: their samples were dropped or are damaged, or machine, operation or rules were changed since.
+    /// them: their samples were dropped or are damaged, machine, operation or rules were changed since, or nothing but a flag
+    /// says whether they were cut short.
     #[arg(long, requires = "repair")]
     unproven: bool,
     /// Checks this backup instead of the configured database, in a copy of it.
@@ -112,6 +113,7 @@ async fn check(store: &Arc<dyn Store>, engine: &Engine, asked: Asked) -> anyhow:
         doubt.tools.extend(page.doubt.tools);
         if !asked.unproven {
             doubt.unproven.extend(page.doubt.unproven);
+            doubt.cut_short |= page.doubt.cut_short;
         }
         for fault in page.faults {
             faults += 1;

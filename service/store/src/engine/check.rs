@@ -9,7 +9,7 @@ use crate::record::{DifferingWear, Doubt, Left};
 use crate::rows::{count, id};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
-use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold};
+use feedwright_core::wear::{Exclusion, FOLD_VERSION, OrderKey, ToolFold};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -192,7 +192,12 @@ pub(super) async fn tool(
             let is_fold = believed.is_some_and(|state| *state == walk.fold().to_bytes());
             let missing = if is_fold { 0 } else { counted.saturating_sub(folded) };
             let missing = u64::try_from(missing).unwrap_or(0);
-            let left = left(doubt, (machine, tool), missing, believed.is_some() && !is_fold);
+            let believed = believed.filter(|_| !is_fold);
+            let as_cut = |fold: &ToolFold| fold.verdict().excluded[Exclusion::CutShort as usize];
+            let cut_otherwise = believed
+                .and_then(|state| ToolFold::from_bytes(state))
+                .is_some_and(|cached| as_cut(&cached) != as_cut(walk.fold()));
+            let left = left(doubt, (machine, tool), missing, (believed.is_some(), cut_otherwise));
             different.push(DifferingWear { machine: machine.clone(), tool: tool.clone(), missing, left });
         }
     }
@@ -209,12 +214,13 @@ pub(super) async fn tool(
 
 /// Why a cache that differs is not folded again. One that has counted more cycles than there are is the last that knows of
 /// them: a cycle is never taken away, and never becomes another tool's.
-/// What is not `believed` says nothing that could be lost.
+/// What is not `believed` says nothing that could be lost. One that has left out others as cut short than are flagged so may have
+/// known it better.
 fn left(
     doubt: Option<&Doubt>,
     (machine, tool): (&MachineId, &ToolId),
     missing: u64,
-    believed: bool,
+    (believed, cut_otherwise): (bool, bool),
 ) -> Option<Left> {
     let Some(doubt) = doubt else { return Some(Left::Unasked) };
     match () {
@@ -222,6 +228,7 @@ fn left(
         () if !believed => None,
         () if doubt.tools.contains(tool) => Some(Left::Doubtful),
         () if doubt.unproven.contains(&(machine.clone(), tool.clone())) => Some(Left::Unproven),
+        () if doubt.cut_short && cut_otherwise => Some(Left::Unproven),
         () => None,
     }
 }

@@ -12,7 +12,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::record::{CheckPage, EncodedCycle, NewCycle, StoreFault};
 use crate::rows::{CycleRow, cycle_columns, id};
 use context::Contexts;
-use feedwright_core::cycle::Cycle;
+use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::summary::{Context, SUMMARY_VERSION, is_summarised_alike, summarise};
 use feedwright_core::units::Timestamp;
@@ -42,6 +42,8 @@ pub(super) async fn page(
         .fetch_all(&mut *conn)
         .await?;
     let mut page = CheckPage { checked: rows.len() as u64, ..CheckPage::default() };
+    // Neither hash nor samples tell of what was cut off.
+    page.doubt.cut_short = true;
     let mut contexts = Contexts::default();
     for row in &mut rows {
         let key = format!("{}/{}", row.machine_id, row.cycle_id);
@@ -50,6 +52,9 @@ pub(super) async fn page(
         let of = move || {
             Ok::<_, StoreError>((id::<MachineId>("machine_id", &of.0)?, id::<ToolId>("tool_id", &of.1)?))
         };
+        if row.rests_on_cut_short() {
+            page.doubt.unproven.extend(of());
+        }
         let mut fault = |kind, detail: String| {
             // Lost samples leave what was made of them, and nothing that it could be held against.
             if kind == "samples" {
@@ -65,6 +70,12 @@ pub(super) async fn page(
             fault("cycle", "its key is no identifier".to_owned());
             continue;
         };
+        if row.is_flagged(Flag::CutShort) && !row.is_flagged(Flag::Incomplete) {
+            fault(
+                "summary",
+                "it is flagged cut_short, and not incomplete, as what was cut short is".to_owned(),
+            );
+        }
         let block = match dialect::block_as_told(conn, &machine, &cycle).await {
             Err(StoreError::Damaged { what }) => {
                 fault("samples", what);
@@ -127,6 +138,7 @@ pub(super) async fn page(
         };
         match summary(conn, &mut contexts, row, (cycle, hash)).await {
             Ok(Summary::Holds) => {}
+            Ok(Summary::Unproven) => page.doubt.unproven.extend(of()),
             Ok(Summary::Unverified) => {
                 page.unverified += 1;
                 page.doubt.unproven.extend(of());
@@ -150,6 +162,8 @@ enum Summary {
     Holds,
     /// Other rules, or another machine or operation, than when it was made: only what rests on the samples alone was held.
     Unverified,
+    /// It is, but for a flag that nothing says anything of.
+    Unproven,
     Differs(String),
 }
 
@@ -189,5 +203,10 @@ async fn summary(
         let told = told.collect::<Vec<_>>().join(", ");
         return Ok(Summary::Differs(format!("it is not what the cycle amounts to: {told}")));
     }
-    Ok(if same { Summary::Holds } else { Summary::Unverified })
+    let is_unproven = row.may_be_cut_unsaid() && !again.is_flagged(Flag::Incomplete);
+    Ok(match () {
+        () if !same => Summary::Unverified,
+        () if is_unproven => Summary::Unproven,
+        () => Summary::Holds,
+    })
 }

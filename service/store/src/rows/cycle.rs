@@ -167,8 +167,8 @@ macro_rules! define_quantities {
 }
 cycle_columns!(define_quantities);
 
-/// The flags that samples alone decide.
-const OF_SAMPLES: [Flag; 9] = [
+/// The flags that the cycle alone decides.
+const OF_CYCLE: [Flag; 11] = [
     Flag::FeedHold,
     Flag::OverrideZero,
     Flag::NegativeLoad,
@@ -178,7 +178,12 @@ const OF_SAMPLES: [Flag; 9] = [
     Flag::Gaps,
     Flag::Aborted,
     Flag::ClockSuspect,
+    Flag::ReferenceCycle,
+    Flag::NoReferenceCycle,
 ];
+
+/// The last version of summaries before which cycles that were cut short were flagged incomplete alone.
+const LAST_INCOMPLETE_ALONE: i64 = 4;
 
 /// A column of a summary that is not what the cycle amounts to.
 #[derive(Debug)]
@@ -537,6 +542,24 @@ impl CycleRow {
         })
     }
 
+    /// Whether that flag of it is set.
+    pub(crate) const fn is_flagged(&self, flag: Flag) -> bool {
+        self.flags & flag as i64 != 0
+    }
+
+    /// Whether it may be a part that an earlier version flagged incomplete alone.
+    pub(crate) const fn may_be_cut_unsaid(&self) -> bool {
+        self.summary_version <= LAST_INCOMPLETE_ALONE
+            && self.is_flagged(Flag::Incomplete)
+            && !self.is_flagged(Flag::CutShort)
+    }
+
+    /// Whether wear leaves it out for a flag that nothing else says anything of: neither hash nor samples tell what was cut off.
+    /// Of what was aborted, which the hash holds, it makes no difference.
+    pub(crate) const fn rests_on_cut_short(&self) -> bool {
+        self.is_flagged(Flag::CutShort) && !self.is_flagged(Flag::Aborted)
+    }
+
     /// Holds the summary against one made again of the same cycle: what differs, with its column. Unless `same_context`,
     /// only what rests on the samples alone is held. Sums of an earlier build may differ in their last bits.
     pub(crate) fn differing(&mut self, again: &mut Self, same_context: bool) -> Vec<Difference> {
@@ -568,12 +591,13 @@ impl CycleRow {
                 differ(name, text(stored), text(anew));
             }
         }
-        // What was cut off and a tool that was not registered are not seen in the samples. Cycles that an earlier version cut
-        // short are flagged incomplete alone.
-        let unseen =
-            Flag::ToolUnregistered as i64 | Flag::CutShort as i64 | (self.flags & Flag::Incomplete as i64);
+        // What was cut off and a tool that was not registered are not seen in the samples.
+        let mut unseen = Flag::ToolUnregistered as i64 | Flag::CutShort as i64;
+        if self.is_flagged(Flag::CutShort) || self.may_be_cut_unsaid() {
+            unseen |= self.flags & Flag::Incomplete as i64;
+        }
         let held =
-            if same_context { !unseen } else { OF_SAMPLES.iter().fold(0, |bits, flag| bits | *flag as i64) };
+            if same_context { !unseen } else { OF_CYCLE.iter().fold(0, |bits, flag| bits | *flag as i64) };
         if (self.flags ^ again.flags) & held != 0 {
             differ("flags", self.flags.to_string(), again.flags.to_string());
         }
@@ -621,7 +645,7 @@ pub(crate) mod tests {
     use feedwright_core::cycle::{Channel, DURATION_RANGE, TimeBase};
     use feedwright_core::invalid::Range;
     use feedwright_core::machine::{FeedDriveRating, FeedLimits, LoadReference, Machine, SpindleRating};
-    use feedwright_core::summary::{Context, summarise};
+    use feedwright_core::summary::{Context, MOST_JOULES, summarise};
     use proptest::prelude::{prop_assert, prop_oneof, proptest};
     use std::sync::Arc;
 
@@ -633,6 +657,19 @@ pub(crate) mod tests {
         };
     }
     cycle_columns!(list_ranges);
+
+    #[test]
+    fn every_energy_that_is_told_can_be_stored() {
+        let told: Vec<_> = RANGES
+            .iter()
+            .filter(|(column, _, _)| column.ends_with("_joules") && !column.starts_with("reported_"))
+            .collect();
+        assert_eq!(told.len(), 12);
+        for (column, least, most) in told {
+            let ends = [least, most].map(|end| end.replace(' ', "").parse::<f64>().unwrap().to_bits());
+            assert_eq!(ends, [-MOST_JOULES, MOST_JOULES].map(f64::to_bits), "{column}");
+        }
+    }
 
     /// The next number above and below.
     trait Beside: Sized {

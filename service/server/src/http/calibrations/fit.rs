@@ -190,11 +190,16 @@ fn line(
         let text = || format!("R² is {:.2}, at least {LEAST_R_SQUARED} is needed", line.r_squared);
         if explains { Ok(line) } else { Err(text()) }
     });
+    let fitted = fitted.and_then(|line| {
+        let body = FittedLineBody::from(&line);
+        let line = FittedLine::from(&body);
+        // Loads that hardly differ make lines that no machine has.
+        let mut wrong = Vec::new();
+        line.collect("line", &mut wrong);
+        wrong.first().map_or(Ok((body, line)), |wrong| Err(format!("{}: {}", wrong.path, wrong.message)))
+    });
     match fitted {
-        Ok(line) => {
-            let body = FittedLineBody::from(&line);
-            (LineFit { outcome: "fitted", line: Some(body), reason: None }, Some((&body).into()))
-        }
+        Ok((body, line)) => (LineFit { outcome: "fitted", line: Some(body), reason: None }, Some(line)),
         Err(reason) => {
             let outcome = if before.is_some() { "carried_over" } else { "none" };
             (LineFit { outcome, line: None, reason: Some(reason) }, before)

@@ -7,15 +7,8 @@ use feedwright_core::units::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Slopes, intercepts and residuals of lines that a machine tool could have.
-const LINE_RANGE: Range = Range::new(-1e9, 1e9, "(N or N·m)");
-/// Residuals are not negative.
-const SPREAD_RANGE: Range = Range::new(0.0, 1e9, "(N or N·m)");
 /// Loads that a line may be fitted over.
 const LOAD_RANGE: Range = Range::new(-400.0, 400.0, "%");
-/// Coefficients of determination.
-const R_SQUARED_RANGE: Range = Range::new(0.0, 1.0, "");
-
 /// Fitted lines: at least one of them.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -32,37 +25,45 @@ pub struct CalibrationBody {
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LineBody {
-    /// Rise per percent of load, N/% or N·m/%.
+    /// Rise per percent of load, N/% or N·m/%: above 0, up to 1000000.
+    #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
     pub slope: f64,
-    /// Value at no load, N or N·m.
+    /// Value at no load, N or N·m: −10000000 to 10000000.
+    #[schema(minimum = -10_000_000, maximum = 10_000_000)]
     pub intercept: f64,
-    /// Lowest load seen when fitting, %.
+    /// Lowest load seen when fitting, %: −400 to 400 where it is posted.
     pub min_percent: f64,
-    /// Highest load seen when fitting, %.
+    /// Highest load seen when fitting, %: −400 to 400 where it is posted, and above the lowest.
     pub max_percent: f64,
     /// Coefficient of determination, 0 to 1.
+    #[schema(minimum = 0, maximum = 1)]
     pub r_squared: f64,
-    /// Robust standard deviation of the residuals, N or N·m.
+    /// Robust standard deviation of the residuals, N or N·m: 0 to 10000000.
+    #[schema(minimum = 0, maximum = 10_000_000)]
     pub residual_spread: f64,
 }
 
 impl LineBody {
     fn check(self, name: &str, wrong: &mut Vec<Violation>) -> FittedLine {
-        for (field, range, value) in [
-            ("slope", LINE_RANGE, self.slope),
-            ("intercept", LINE_RANGE, self.intercept),
-            ("min_percent", LOAD_RANGE, self.min_percent),
-            ("max_percent", LOAD_RANGE, self.max_percent),
-            ("r_squared", R_SQUARED_RANGE, self.r_squared),
-            ("residual_spread", SPREAD_RANGE, self.residual_spread),
-        ] {
-            range.collect(&format!("{name}.{field}"), value, wrong);
+        let Self { slope, intercept, min_percent, max_percent, r_squared, residual_spread } = self;
+        // Adding zero turns −0.0 into 0.0, so that equal content has equal bits on both databases.
+        let line = FittedLine {
+            slope,
+            intercept: intercept + 0.0,
+            min_percent: min_percent + 0.0,
+            max_percent: max_percent + 0.0,
+            r_squared: r_squared + 0.0,
+            residual_spread: residual_spread + 0.0,
+        };
+        line.collect(name, wrong);
+        for (field, value) in [("min_percent", min_percent), ("max_percent", max_percent)] {
+            LOAD_RANGE.collect(&format!("{name}.{field}"), value, wrong);
         }
-        if self.min_percent >= self.max_percent {
+        if min_percent >= max_percent {
             let path = format!("{name}.max_percent");
             wrong.push(Violation::new(path, "empty_range", "must be above min_percent"));
         }
-        if self.slope <= 0.0 {
+        if slope <= 0.0 {
             let path = format!("{name}.slope");
             wrong.push(Violation::new(
                 path,
@@ -70,16 +71,7 @@ impl LineBody {
                 "must be above 0: a drive pushes harder under load",
             ));
         }
-        let Self { slope, intercept, min_percent, max_percent, r_squared, residual_spread } = self;
-        // Adding zero turns −0.0 into 0.0, so that equal content has equal bits on both databases.
-        FittedLine {
-            slope,
-            intercept: intercept + 0.0,
-            min_percent: min_percent + 0.0,
-            max_percent: max_percent + 0.0,
-            r_squared: r_squared + 0.0,
-            residual_spread: residual_spread + 0.0,
-        }
+        line
     }
 }
 
