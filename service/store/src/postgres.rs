@@ -522,6 +522,25 @@ impl Inner {
         }
     }
 
+    /// Whether one of the server's processes is in a transaction; also where it does not say.
+    async fn is_in_change(&self, process: i32) -> bool {
+        let asked = async {
+            let mut conn = self.direct.connect().await?;
+            let found = sqlx::query_scalar(
+                "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
+                     WHERE pid = $1 AND (xact_start IS NOT NULL OR state IS NULL OR state = 'disabled'))",
+            );
+            let found: bool = found.bind(process).fetch_one(&mut conn).await?;
+            conn.close().await?;
+            Ok::<_, sqlx::Error>(found)
+        };
+        match timeout(WORD, asked).await {
+            Ok(Ok(found)) => found,
+            Ok(Err(error)) => has_no_place(&error),
+            Err(_) => false,
+        }
+    }
+
     async fn transaction<T, F>(&self, locks: &Locks, work: F, commits: oneshot::Sender<()>) -> StoreResult<T>
     where
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
@@ -548,33 +567,35 @@ impl Inner {
     /// A connection with a change begun on it, and its locks taken: that of the change before, where it still is good for one.
     async fn begun(&self, locks: &Locks) -> StoreResult<Warm> {
         let message = format!("{}{}; {}", self.begin(), dialect::locking(locks), open::GOOD);
-        if let Some(Warm { lent, since }) = self.kept() {
-            match self.begins(lent, &message).await {
+        // A pooler hands a change to any of the server's processes, so that nobody could ask for its.
+        let kept = if self.pooled { self.warm().await } else { self.kept() };
+        if let Some(Warm { lent, since }) = kept {
+            match self.begins(lent, &message, true).await {
                 Ok(lent) => return Ok(Warm { lent, since }),
                 Err(Unbegun::Locked(error)) => return Err(error.into()),
                 // The pool may have a better one.
                 Err(Unbegun::Lost(_)) => {}
             }
         }
-        match self.begins(self.lent().await?, &message).await {
+        match self.begins(self.lent().await?, &message, false).await {
             Ok(lent) => Ok(Warm { lent, since: Instant::now() }),
             Err(Unbegun::Locked(error)) => Err(error.into()),
             Err(Unbegun::Lost(error)) => Err(error),
         }
     }
 
-    /// Begins a change on a connection, which goes where it cannot.
-    async fn begins(&self, mut lent: Lent, message: &str) -> Result<Lent, Unbegun> {
-        let asked = Instant::now();
+    /// Begins a change on a connection, which goes where it cannot; one that was kept may lead nowhere since, which those of the pool
+    /// have just been asked.
+    async fn begins(&self, mut lent: Lent, message: &str, was_kept: bool) -> Result<Lent, Unbegun> {
+        let process = lent.process().filter(|_| was_kept && !self.pooled);
         let answer = {
             let mut beginning = pin!(lent.begin_change(message.to_owned()));
-            match timeout(self.pool.options().get_acquire_timeout() / 2, &mut beginning).await {
-                Ok(answer) => Some(answer),
+            let at_once = self.pool.options().get_acquire_timeout() / 2;
+            match (timeout(at_once, &mut beginning).await, process) {
+                (Ok(answer), _) => Some(answer),
                 // It waits for a lock, or leads nowhere.
-                Err(_) => match self.sees(asked.elapsed()).await {
-                    Seen::AtWork | Seen::Hidden => self.answered(beginning).await,
-                    Seen::Idle | Seen::Nothing => None,
-                },
+                (Err(_), Some(process)) if !self.is_in_change(process).await => None,
+                (Err(_), _) => self.answered(beginning).await,
             }
         };
         let lost = match answer {

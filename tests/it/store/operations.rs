@@ -397,6 +397,8 @@ async fn a_server_that_demands_tls_is_reached_and_held_against_its_certificate()
     let nowhere =
         told(open(&format!("{}?sslmode=verify-full&sslrootcert=/nowhere.pem", cluster.url())).await);
     assert!(nowhere.contains("`sslrootcert` names /nowhere.pem, which cannot be read"), "{nowhere}");
+    let unread = told(open(&format!("{}?sslmode=disable&sslrootcert=/nowhere.pem", cluster.url())).await);
+    assert!(unread.contains("no encryption"), "{unread}");
     let foreign = told(open(&root("other.pem", &other)).await);
     assert!(foreign.contains("InvalidCertificate"), "{foreign}");
 

@@ -201,7 +201,8 @@ impl ToolFold {
             Some(every) => age <= every + every / LATE_REFERENCE.0 + LATE_REFERENCE.1,
             None => age <= OLD_REFERENCE.max(4 * u64::from(self.window)),
         };
-        let window = last(&memory.references, self.window);
+        let since = memory.references.partition_point(|(worked, _)| *worked <= self.gap_ended);
+        let window = last(&memory.references[since..], self.window);
         if !fresh || window.len() < FEWEST_REFERENCES {
             return None;
         }

@@ -2,13 +2,14 @@
 
 use super::basis::{CompensatedRatio, FeedMemory, KEPT_RATIOS};
 use super::facts::OrderKey;
-use super::fold::{FOLD_VERSION, LAST_EXCLUDED, LEAST_RATIOS, MAX_KEYS, ToolFold};
+use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold};
 use super::key::{Baseline, Change, KeyState, Measured, Usual};
 use super::trend::{Told, TrendPoints};
 use super::verdict::{BaselineKey, Exclusion};
 use crate::cycle::ProfileVersion;
 use crate::friction::relation::Relation;
 use crate::ids::{CycleId, MachineId, OperationId, ProfileId};
+use crate::operation::WINDOW_CYCLES;
 use crate::summary::{DepthDigest, EnergyBasis, relation_config};
 use crate::units::{Strategy, Timestamp};
 
@@ -324,6 +325,7 @@ fields!(ToolFold {
     worked,
     known_worked,
     since_gap,
+    gap_ended,
     counted,
     last_counted,
     last_counted_us,
@@ -368,7 +370,8 @@ impl ToolFold {
             && fold.last_counted <= fold.cycles
             && fold.worked <= fold.cycles
             && fold.known_worked <= fold.cycles
-            && fold.since_gap.as_ref().is_none_or(|since| since.len() < LEAST_RATIOS)
+            && fold.since_gap.as_ref().is_none_or(|since| since.len() <= *WINDOW_CYCLES.end() as usize)
+            && fold.gap_ended <= fold.cycles
             && fold.feeds.last_reference.is_none_or(|number| number <= fold.cycles)
             && fold.feeds.references.len() <= KEPT_RATIOS
             && fold.feeds.compensated.len() <= KEPT_RATIOS;

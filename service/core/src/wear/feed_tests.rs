@@ -108,6 +108,49 @@ fn says(verdict: &Verdict, code: &str) -> bool {
 }
 
 #[test]
+fn after_long_unmeasured_work_reference_cycles_of_before_call_no_tool_good() {
+    const SCATTER: [f64; 6] = [0.96, 1.03, 1.0, 1.04, 0.97, 1.01];
+    let ramp = |depth: f64| REFERENCE_MM_MIN + 15.0 * depth;
+    let reference = (Strategy::FConst, hole(|_| REFERENCE_MM_MIN, 0.0));
+    let (usual, worn) = ((Strategy::FLin, hole(ramp, 0.0)), (Strategy::FLin, hole(ramp, 0.12)));
+    let run = |life: &mut Life, (strategy, profile): &(Strategy, DepthProfile), is_measured: bool| {
+        let scatter = SCATTER[life.number as usize % SCATTER.len()];
+        life.with(Some(*strategy), profile, |cycle| {
+            cycle.energy = cycle
+                .energy
+                .filter(|_| is_measured)
+                .map(|(basis, idle, joules)| (basis, idle, joules * scatter));
+        })
+    };
+    let by_references = |verdict: &Verdict| {
+        let decides = verdict.level.as_ref().and_then(|level| level.decides);
+        (verdict.state, decides) == (ToolState::Good, Some(LevelBasis::ReferenceCycles))
+    };
+    for every in [50, 200] {
+        let mut life = Life::new(Some(every));
+        for n in 0..60 {
+            run(&mut life, if n < 9 || n % 10 == 0 { &reference } else { &usual }, true);
+        }
+        assert!(by_references(&life.fold.verdict()), "{every}");
+        for _ in 0..25 {
+            run(&mut life, &usual, false);
+        }
+        let (before, number) = (life.fold.clone(), life.number);
+        let states: Vec<_> = (0..16).map(|_| run(&mut life, &worn, true).state).collect();
+        assert!(!states.contains(&ToolState::Good), "{every}: {states:?}");
+        assert_eq!(states.last(), Some(&ToolState::Worn), "{every}: {states:?}");
+        assert_eq!(ToolFold::from_bytes(&life.fold.to_bytes()).unwrap(), life.fold, "as it is stored");
+        // Those that are run from then on decide again.
+        let mut looked = Life { fold: before, number, ..Life::new(Some(every)) };
+        for _ in 0..5 {
+            run(&mut looked, &reference, true);
+        }
+        let verdict = run(&mut looked, &usual, true);
+        assert!(by_references(&verdict), "{every}: {verdict:?}");
+    }
+}
+
+#[test]
 fn at_one_feed_the_ratio_as_run_decides_and_the_compensated_one_agrees() {
     let mut life = Life::new(Some(50));
     for k in 0..30 {

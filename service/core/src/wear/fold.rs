@@ -101,9 +101,11 @@ pub struct ToolFold {
     pub(super) worked: u64,
     /// How many of these there were when one was counted last, or somebody confirmed what had been seen.
     pub(super) known_worked: u64,
-    /// What was counted of a complete baseline since the level was not known for long, while that is too little for a window of its own:
-    /// ratios that decide, oldest first.
+    /// What was counted of a complete baseline since the level was not known for long, while most of the window is of before: ratios as
+    /// run or compensated, the larger ones, oldest first.
     pub(super) since_gap: Option<Vec<f64>>,
+    /// How many cycles may have worn the tool when that ended last: reference cycles of before decide nothing any more.
+    pub(super) gap_ended: u64,
     pub(super) counted: u64,
     pub(super) last_counted: u64,
     pub(super) last_counted_us: Option<i64>,
@@ -142,6 +144,7 @@ impl Default for ToolFold {
             worked: 0,
             known_worked: 0,
             since_gap: None,
+            gap_ended: 0,
             counted: 0,
             last_counted: 0,
             last_counted_us: None,
@@ -161,6 +164,11 @@ impl Default for ToolFold {
             feeds: FeedMemory::default(),
         }
     }
+}
+
+/// Whether the middle of ratios is that of a tool that is not near its limit.
+fn are_usual(ratios: &[f64]) -> bool {
+    ratios.is_empty() || median(ratios) < WARNING_LEVEL - ROUNDING
 }
 
 impl ToolFold {
@@ -207,6 +215,7 @@ impl ToolFold {
         self.answered_at = (!announced).then_some(self.cycles);
         self.known_worked = self.worked;
         self.since_gap = None;
+        self.gap_ended = 0;
         self.settle_suspects();
     }
 
@@ -541,32 +550,38 @@ impl ToolFold {
         }
     }
 
-    /// Whether the level is known with this ratio. After long work that nobody knows the window is still that of before: until it holds
-    /// enough of after, one ratio that may be of a worn tool leaves open which.
+    /// Whether the level is known with this ratio. After long work that nobody knows most of the window is of before: until it is of
+    /// after, ratios that may be of a worn tool leave open which.
     fn is_known_by(&mut self, ratio: f64) -> bool {
-        let usual = |since: &Vec<f64>| since.iter().all(|ratio| *ratio < WARNING_LEVEL - ROUNDING);
         if self.unknown_for().is_some() {
             // Another gap, unless it is the one that is not over.
-            let goes_on = self.since_gap.take().filter(|since| !usual(since));
+            let goes_on = self.since_gap.take().filter(|since| !are_usual(since));
+            if goes_on.is_none() {
+                self.gap_ended = self.worked - 1;
+            }
             self.since_gap = Some(goes_on.unwrap_or_default());
         }
+        let needed = self.needed_since_gap();
         let Some(since) = &mut self.since_gap else { return true };
         since.push(ratio);
-        let is_enough = since.len() >= LEAST_RATIOS.min(self.window as usize);
-        let is_known = is_enough || usual(since);
+        let is_enough = since.len() >= needed;
+        let is_known = is_enough || are_usual(since);
         if is_enough {
             self.since_gap = None;
         }
         is_known
     }
 
-    /// The largest ratio since the level was not known for long, and how many there are of so many that are needed; `None` where they
+    /// As many cycles have most of the window, whose median is of them then.
+    fn needed_since_gap(&self) -> usize {
+        self.window as usize / 2 + 1
+    }
+
+    /// The middle of the ratios since the level was not known for long, how many there are, and how many are needed; `None` where they
     /// leave nothing open.
     pub(super) fn unclear_since_gap(&self) -> Option<(f64, usize, usize)> {
         let since = self.since_gap.as_ref()?;
-        let largest = since.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let needed = LEAST_RATIOS.min(self.window as usize);
-        (largest >= WARNING_LEVEL - ROUNDING).then_some((largest, since.len(), needed))
+        (!are_usual(since)).then(|| (median(since), since.len(), self.needed_since_gap()))
     }
 
     /// A tool is worn no less than by what this baseline shows, though nobody knows by how much more.

@@ -186,11 +186,11 @@ impl ToolFold {
             return ToolState::Unknown;
         }
         if !key.after_gap
-            && let Some((largest, have, need)) = self.unclear_since_gap()
+            && let Some((middle, have, need)) = self.unclear_since_gap()
         {
-            let percent = 100.0 * (largest - 1.0);
+            let percent = 100.0 * (middle - 1.0);
             let why = format!(
-                "after long work that nobody measured energy is up to {percent:+.1} %: {have} of {need} cycles that tell"
+                "after long work that nobody measured energy is {percent:+.1} %: {have} of {need} cycles that tell"
             );
             say("level_outdated", why);
             return ToolState::Unknown;

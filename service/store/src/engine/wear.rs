@@ -537,12 +537,15 @@ async fn save_checkpoint(conn: &mut Conn, tool: &ToolId, of: Of<'_>, walk: &Walk
             machine,
         ),
         Of::All => (
-            "INSERT INTO tool_checkpoints (last_machine_id, tool_id, folded, fold_version, last_started_at_us,
+            concat!(
+                "INSERT INTO tool_checkpoints (last_machine_id, tool_id, folded, fold_version, last_started_at_us,
                  last_seq, last_cycle_id, state)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
-             ON CONFLICT (tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
+             SELECT $1, $2, $3, $4, $5, $6, $7, $8 WHERE ",
+                dialect::at_one_moment!(),
+                " ON CONFLICT (tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
                  last_started_at_us = excluded.last_started_at_us, last_machine_id = excluded.last_machine_id,
-                 last_seq = excluded.last_seq, last_cycle_id = excluded.last_cycle_id, state = excluded.state",
+                 last_seq = excluded.last_seq, last_cycle_id = excluded.last_cycle_id, state = excluded.state"
+            ),
             &last.machine,
         ),
     };
@@ -634,13 +637,15 @@ pub(super) async fn checkpoint_before(
                AND machine_id = $6
              ORDER BY folded DESC LIMIT 1"
         }
-        Of::All => {
+        Of::All => concat!(
             "SELECT folded, fold_version, last_machine_id, last_started_at_us, last_seq, last_cycle_id, state
              FROM tool_checkpoints
-             WHERE tool_id = $1
+             WHERE ",
+            dialect::at_one_moment!(),
+            " AND tool_id = $1
                AND (last_started_at_us, last_machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($2, $3, $4, $5)
              ORDER BY folded DESC LIMIT 1"
-        }
+        ),
     };
     let mut query = sqlx::query_as::<Db, CheckpointRow>(sql)
         .bind(tool.as_str())

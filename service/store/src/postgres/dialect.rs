@@ -203,6 +203,15 @@ pub(super) const WEAR_OF_TOOL_LOCKED: &str =
     "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
      WHERE tool_id = $1 ORDER BY machine_id";
 
+/// Whether what is read of several machines is of one moment. Where Citus distributes the database, a worker may show a commit later
+/// than it was told: a state over all machines would have left out what then comes before it.
+macro_rules! at_one_moment {
+    () => {
+        "to_regclass('pg_dist_partition') IS NULL"
+    };
+}
+pub(super) use at_one_moment;
+
 /// Which server answers: one that has taken over was started at another time, as is one that was started again. Anybody may ask that,
 /// of any server, also of one that only reads.
 macro_rules! server {

@@ -2,7 +2,7 @@
 
 use super::{Conn, Db, open};
 use sqlx::pool::PoolConnection;
-use sqlx::{AssertSqlSafe, Executor, PgPool};
+use sqlx::{AssertSqlSafe, Executor, PgPool, Row};
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 use tokio::runtime::Handle;
@@ -14,6 +14,8 @@ use tokio::time::timeout;
 pub(super) struct Lent {
     /// There until it is given back or lost.
     conn: Option<PoolConnection<Db>>,
+    /// The server's process that had its last change.
+    process: Option<i32>,
     /// Whether a transaction was begun on it and is not committed: it is rolled back when it is given back.
     begun: bool,
     /// How long the server may take for taking it back.
@@ -22,7 +24,7 @@ pub(super) struct Lent {
 
 impl Lent {
     pub(super) async fn of(pool: &PgPool, patience: Duration) -> Result<Self, sqlx::Error> {
-        Ok(Self { conn: Some(pool.acquire().await?), begun: false, patience })
+        Ok(Self { conn: Some(pool.acquire().await?), process: None, begun: false, patience })
     }
 
     /// Begins what is rolled back when it is given back.
@@ -41,7 +43,14 @@ impl Lent {
         self.begun = true;
         // Text of this crate's, and numbers.
         let answers = sqlx::raw_sql(AssertSqlSafe(message)).fetch_all(&mut **self).await?;
-        open::is_good(answers.last().ok_or(sqlx::Error::RowNotFound)?)
+        let last = answers.last().ok_or(sqlx::Error::RowNotFound)?;
+        self.process = last.try_get("process")?;
+        open::is_good(last)
+    }
+
+    /// The server's process that had its last change; the one that has it, where no pooler chooses.
+    pub(super) const fn process(&self) -> Option<i32> {
+        self.process
     }
 
     /// Commits what was begun by [`Lent::begin_change`]. In a transaction that failed the first statement of the message fails

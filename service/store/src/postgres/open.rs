@@ -68,9 +68,6 @@ pub(super) const NOT_USABLE: &str = "the server is in recovery, read-only, or do
 impl PostgresStore {
     /// Connects to the database at `url`, refuses one that cannot be written durably, and migrates it under a lock.
     pub async fn open(url: &str, options: PostgresOptions) -> StoreResult<Self> {
-        if let Some(why) = [url].into_iter().chain(options.direct.as_deref()).find_map(unreadable_file) {
-            return Err(StoreError::NotWritable(why.into()));
-        }
         let direct: PgConnectOptions = options.direct.as_deref().unwrap_or(url).parse()?;
         let first = async {
             let mut first = direct.clone().application_name("feedwright migrations").connect().await?;
@@ -81,7 +78,7 @@ impl PostgresStore {
         };
         // Whoever starts servers finds out that an address leads nowhere, as behind a firewall.
         let mut migrating = match timeout(options.lost_after, first).await {
-            Ok(first) => first?,
+            Ok(first) => first.map_err(|error| of_a_file(options.direct.as_deref().unwrap_or(url), error))?,
             Err(_) => return Err(StoreError::Unavailable("the database says nothing".into())),
         };
         let direct_database = database_of(&mut migrating).await?;
@@ -124,7 +121,7 @@ impl PostgresStore {
             })
             .connect_with(connect)
             .await
-            .map_err(|error| if pooled { error.into() } else { of_a_pooler(error) })?;
+            .map_err(|error| if pooled { of_a_file(url, error.into()) } else { of_a_pooler(error) })?;
         // In a transaction, as a pooler bears it.
         let inner = Inner {
             pool,
@@ -165,8 +162,8 @@ macro_rules! good {
     };
 }
 
-/// Asks for [`is_good`] and nothing else.
-pub(super) const GOOD: &str = concat!("SELECT ", good!());
+/// Asks for [`is_good`], and which of the server's processes answers.
+pub(super) const GOOD: &str = concat!("SELECT pg_backend_pid() AS process, ", good!());
 
 /// Whether the server that has answered takes writes and keeps them; where not, why is logged.
 pub(super) fn is_good(row: &PgRow) -> Result<bool, sqlx::Error> {
@@ -195,6 +192,15 @@ pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
         tracing::error!("a connection came back inside an open transaction and is closed");
     }
     Ok(is_good(&row)? && outside)
+}
+
+/// What an address is told that nobody connects by and that names a file which cannot be read. Whether it is read, the address and the
+/// server decide.
+fn of_a_file(url: &str, error: StoreError) -> StoreError {
+    match unreadable_file(url) {
+        Some(why) => StoreError::Unavailable(format!("{error}; {why}").into()),
+        None => error,
+    }
 }
 
 /// What an address is told that may be a pooler's, which takes no settings of a session and hands statements round to servers that did not
