@@ -6,7 +6,7 @@ use crate::error::StoreResult;
 use crate::history::Walk;
 use crate::locks::Locks;
 use crate::record::{DifferingWear, Doubt, Left};
-use crate::rows::{count, id};
+use crate::rows::{FactsRow, count, id};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{Exclusion, FOLD_VERSION, OrderKey, ToolFold};
@@ -107,6 +107,12 @@ fn last_of(order: &OrderKey) -> StoreResult<Last> {
     Ok((order.started_at.micros(), seq, order.cycle.as_str().to_owned()))
 }
 
+/// Folds a cycle in that can be read. The fold leaves out what cannot: what it amounts to says nothing of what is stored then.
+fn step(walk: &mut Walk<'_>, row: &FactsRow) -> StoreResult<()> {
+    let folded = row.readable().and_then(|()| walk.step(row));
+    folded.map_err(|error| error.of_cycle(&row.machine_id, &row.cycle_id))
+}
+
 /// Compares one tool's caches with its fold, checkpoints included. Returns the rows compared and those that differ. Where they
 /// are to be folded again, which is told by what is in doubt, also those of another version; all of the tool's or none.
 pub(super) async fn tool(
@@ -146,9 +152,7 @@ pub(super) async fn tool(
             break;
         }
         for row in &page {
-            row.readable()
-                .and_then(|()| walk.step(row))
-                .map_err(|error| error.of_cycle(&row.machine_id, &row.cycle_id))?;
+            step(&mut walk, row)?;
             let found = walk.at_checkpoint().then(|| count("folded", walk.folded())).transpose()?;
             if let Some((machine, found)) = found.and_then(|folded| overall.remove(&folded)) {
                 overall_same &= walk.fold().last().is_some_and(|last| last.machine == machine)
@@ -168,10 +172,7 @@ pub(super) async fn tool(
                 break;
             }
             for row in &page {
-                // The fold leaves out what cannot be read: what it amounts to says nothing of what is stored then.
-                row.readable()
-                    .and_then(|()| walk.step(row))
-                    .map_err(|error| error.of_cycle(&row.machine_id, &row.cycle_id))?;
+                step(&mut walk, row)?;
                 if walk.at_checkpoint() {
                     let found = checkpoints.remove(&(machine.clone(), count("folded", walk.folded())?));
                     same &= checkpoint_holds(found.as_ref(), walk.fold())?;

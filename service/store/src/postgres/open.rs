@@ -8,6 +8,7 @@ use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::postgres::{PgConnectOptions, PgPoolOptions, PgRow};
 use sqlx::{ConnectOptions, Connection, Row};
+use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
@@ -194,11 +195,12 @@ pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
     Ok(is_good(&row)? && outside)
 }
 
-/// What an address is told that nobody connects by and that names a file which cannot be read. Whether it is read, the address and the
-/// server decide.
+/// What an address is told that nobody connects by, as a file that it names cannot be read. Whether it is read, address and server decide.
 fn of_a_file(url: &str, error: StoreError) -> StoreError {
-    match unreadable_file(url) {
-        Some(why) => StoreError::Unavailable(format!("{error}; {why}").into()),
+    let StoreError::Unavailable(source) = &error else { return error };
+    let Some(sqlx::Error::Io(of_a_read)) = source.downcast_ref() else { return error };
+    match unreadable_file(url).filter(|_| of_a_read.kind() != ErrorKind::ConnectionRefused) {
+        Some(why) => StoreError::Unavailable(why.into()),
         None => error,
     }
 }
