@@ -198,8 +198,9 @@ pub(super) async fn usable(conn: &mut Conn) -> Result<bool, sqlx::Error> {
 /// What an address is told that nobody connects by, as a file that it names cannot be read. Whether it is read, address and server decide.
 fn of_a_file(url: &str, error: StoreError) -> StoreError {
     let StoreError::Unavailable(source) = &error else { return error };
-    let Some(sqlx::Error::Io(of_a_read)) = source.downcast_ref() else { return error };
-    match unreadable_file(url).filter(|_| of_a_read.kind() != ErrorKind::ConnectionRefused) {
+    let Some(sqlx::Error::Io(cause)) = source.downcast_ref() else { return error };
+    let is_of_a_file = matches!(cause.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied);
+    match unreadable_file(url).filter(|_| is_of_a_file) {
         Some(why) => StoreError::Unavailable(why.into()),
         None => error,
     }
