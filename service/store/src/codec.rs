@@ -13,7 +13,7 @@
 //! `option` = 0 or 1 followed by the value:
 //!
 //! ```text
-//! "feedwright cycle content v2\n"
+//! "feedwright cycle content v3\n"
 //! text machine   text cycle   text tool   text operation
 //! i64 started_at µs           option u64 seq
 //! option text process         option text strategy          option text law version
@@ -28,15 +28,16 @@
 //! column:
 //!   u8 form 0..=9, u8 width, per value m as a signed integer of that width: the first of 2, 4 and 8 bytes that holds each
 //!   u8 form 255, per value u64 bits
+//! zeros, up to the next power of two of bytes from 1,025 bytes on, up to the next 16,384 bytes from 16,385 on
 //! ```
 //!
-//! Version 1 begins with `v1` and has no width: per value i64 m. What was stored under it keeps it; the same content again
-//! is known by either.
+//! Version 2 begins with `v2` and has no zeros; version 1 begins with `v1`, and has no zeros and no width: per value i64 m. What was
+//! stored under them keeps them; the same content again is known by any.
 //!
-//! # Block format v5
+//! # Block format v6
 //!
 //! ```text
-//! "FB"  u8 version = 5
+//! "FB"  u8 version = 6
 //! varint samples per column       1 ..= the reader's limit
 //! u8 number of blocks             1 ..= 17
 //! u8 0, f64 bits of the period    or  u8 1: the first block holds the times
@@ -74,6 +75,10 @@
 //! * of another column, with a factor f: `f m`, m being the integer of the column that has the guide for its code, which may be any
 //!   before it in: torque, torque of the spindle's motor, spindle power, spindle current, spindle load; or in: thrust, torque of the feed
 //!   drive's motor, feed-drive power, feed-drive current, feed-drive load.
+//!
+//! # Block format v5
+//!
+//! It is still read. It differs from version 6 in its version, and in how the mean of residuals follows them, see `noise.rs`.
 //!
 //! # Block format v4
 //!

@@ -6,7 +6,7 @@
 use super::{Context, SampleClock, scan};
 use crate::cycle::{Channel, Cycle, Flag, Flags, Samples};
 use crate::friction::relation::{DepthBin, DepthProfile, RelationConfig, RelationParams};
-use crate::friction::stages::{Stage, StageConfig, StageDetector, StageSample};
+use crate::friction::stages::{StageConfig, StageDetector};
 use crate::units::Process;
 
 /// Depth that a digest may cover, mm, in bins of one millimetre; bushings are shorter than their tools' 40 mm.
@@ -88,19 +88,7 @@ pub(super) fn of(
 /// where the feed drive's load was not sampled, or does not show it.
 fn breakthrough_mm(samples: &Samples, end: usize) -> Option<f64> {
     let (depth, thrust) = (samples.column(Channel::DepthMm)?, samples.column(Channel::FeedDriveLoadPercent)?);
-    let spindle = samples.column(Channel::SpindleLoadPercent);
-    let (config, mut detector) = (StageConfig::default(), StageDetector::new());
-    for index in 0..=end {
-        let sample = StageSample {
-            depth_mm: depth[index],
-            feed_drive_percent: thrust[index],
-            spindle_percent: spindle.map_or(0.0, |load| load[index]),
-        };
-        if !matches!(detector.step(&config, &sample), Stage::Air | Stage::A) {
-            break;
-        }
-    }
-    let found = detector.stages();
+    let found = StageDetector::new().seek_opening(&StageConfig::default(), &depth[..=end], thrust);
     let (contact, opened) = (found.contact?.depth_mm, found.breakthrough?.depth_mm);
     // Where the loads show no contact near the surface, as in a thin sheet among noise, what falls off later is another
     // stage's load.

@@ -5,7 +5,7 @@
 //! prints ratios; behind `tests/postgres` it also fills rows of PostgreSQL and reads cycles out of them. With `-- --postgres`,
 //! behind `tests/postgres`, Feedwright keeps its cycles in that server: its processor time counts as Feedwright's does.
 //! `-- --weekend` replays 96,000 cycles of 200 machines while others post live; `-- --growth 10000000` tells what so
-//! many cycles do to the cost of the next one; `-- --stages` tells what each step of a post costs by itself;
+//! many cycles do to the cost of the next one; `-- --stages` tells what each step of a post costs by itself, or those with `-- --stages PART` in their names;
 //! `-- --bytes` tells where the bytes of a file go, and `-- --blocks` what samples of many cycles in one block would save.
 //! It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
 
@@ -96,8 +96,8 @@ fn main() {
     if given("--blocks").is_some() {
         return blocks::measure();
     }
-    if given("--stages").is_some() {
-        return stages::measure();
+    if let Some(at) = given("--stages") {
+        return stages::measure(arguments.get(at + 1).map_or("", String::as_str));
     }
     if given("--bytes").is_some() {
         return runtime.block_on(bytes::tell());

@@ -14,8 +14,8 @@ const CYCLES: usize = 1000;
 /// Rounds, the best of which counts: what is slower was disturbed.
 const ROUNDS: usize = 7;
 
-/// Measures every step and prints it, in µs a cycle.
-pub(crate) fn measure() {
+/// Measures every step whose name has `part` in it and prints it, in µs a cycle.
+pub(crate) fn measure(part: &str) {
     let cycles = data::cycles(CYCLES);
     let values: usize = cycles.iter().map(Cycle::values).sum();
     println!("{CYCLES} cycles of {} values on average, µs a cycle, best of {ROUNDS}", values / CYCLES);
@@ -31,31 +31,36 @@ pub(crate) fn measure() {
     let machine = machine();
     let context = Context { machine: &machine, calibration: None, operation: None };
     let encoded: Vec<_> = decoded.iter().map(codec::encode).collect();
-    tell("JSON to a cycle", |index| drop(black_box(read(index, &bodies[index]))));
-    tell("JSON to a cycle, by serde", |index| {
+    let tell = |what: &str, step: &dyn Fn(usize)| {
+        if what.contains(part) {
+            tell(what, step);
+        }
+    };
+    tell("JSON to a cycle", &|index| drop(black_box(read(index, &bodies[index]))));
+    tell("JSON to a cycle, by serde", &|index| {
         let machine = cycles[index].machine.as_str().try_into().expect("an id");
         drop(black_box(body::decode_by_serde(&machine, &bodies[index], 10_000, now)));
     });
-    tell("frame to a cycle", |index| drop(black_box(read(index, &frames[index]))));
-    tell("summary with its digest", |index| drop(black_box(summarise(&decoded[index], context))));
-    tell("content hash", |index| {
+    tell("frame to a cycle", &|index| drop(black_box(read(index, &frames[index]))));
+    tell("summary with its digest", &|index| drop(black_box(summarise(&decoded[index], context))));
+    tell("content hash", &|index| {
         black_box(codec::content_hash(&decoded[index]));
     });
-    tell("content hash and block", |index| drop(black_box(codec::encode(&decoded[index]))));
+    tell("content hash and block", &|index| drop(black_box(codec::encode(&decoded[index]))));
     let habits = codec::Habits::default();
-    tell("the same by habit", |index| drop(black_box(habits.encode(&decoded[index], places[index]))));
-    tell("block to samples", |index| {
+    tell("the same by habit", &|index| drop(black_box(habits.encode(&decoded[index], places[index]))));
+    tell("block to samples", &|index| {
         let block = encoded[index].samples.as_deref().expect("samples");
         drop(black_box(codec::decode_samples(block, 10_000)));
     });
-    tell("cycle to a frame", |index| drop(black_box(wire::encode(&decoded[index]))));
+    tell("cycle to a frame", &|index| drop(black_box(wire::encode(&decoded[index]))));
 }
 
-fn tell(what: &str, step: impl Fn(usize)) {
+fn tell(what: &str, step: &dyn Fn(usize)) {
     let mut best = f64::INFINITY;
     for _ in 0..ROUNDS {
         let begun = Instant::now();
-        (0..CYCLES).for_each(&step);
+        (0..CYCLES).for_each(step);
         best = best.min(begun.elapsed().as_secs_f64());
     }
     #[expect(clippy::cast_precision_loss, reason = "a figure for a table")]

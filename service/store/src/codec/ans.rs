@@ -19,44 +19,32 @@ const LOWEST: u32 = 1 << 15;
 const WORD: u32 = 16;
 /// Bytes of the states.
 const HEAD: usize = 8;
+/// Symbols that are written together, and read together.
+pub(super) const TOGETHER: usize = 8;
 /// Most bits that are one symbol.
 const AT_ONCE: u32 = BITS;
 
 /// A symbol's share, with what dividing by it takes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Symbol {
+    /// 2^64 by the share, rounded up.
+    inverse: u64,
     /// A state from here on would leave 31 bits.
     limit: u32,
-    inverse: u32,
     /// What a state grows by, besides its quotient times what the share leaves of 2^12.
     added: u16,
     complement: u16,
-    shift: u8,
 }
 
 impl Symbol {
-    /// Where none is yet.
-    pub(super) const NONE: Self = Self::new(0, WHOLE);
-
     /// A share of 1 to 2^12 that begins at `start`, both within 2^12.
-    #[expect(clippy::cast_possible_truncation, reason = "13 bits, a shift below 64, an inverse of 32 bits")]
+    #[expect(clippy::cast_possible_truncation, reason = "13 bits")]
     pub(super) const fn new(start: u32, share: u32) -> Self {
-        // x div 1 = x comes out one too small by the largest inverse, which what is added makes good.
-        let (inverse, shift, added) = if share == 1 {
-            (u32::MAX, 0, start + WHOLE - 1)
-        } else {
-            // Rounded up, it is exact for all that is below 2^31.
-            let shift = u32::BITS - (share - 1).leading_zeros();
-            let inverse = (1_u64 << (shift + 31)).div_ceil(share as u64);
-            (inverse as u32, shift - 1, start)
-        };
-        Self {
-            limit: share << (31 - BITS),
-            inverse,
-            added: added as u16,
-            complement: (WHOLE - share) as u16,
-            shift: (32 + shift) as u8,
-        }
+        // Rounded up, it is exact for all that is below 2^31. By the largest one x div 1 = x comes out one too small, which
+        // what is added makes good.
+        let (inverse, added) =
+            if share == 1 { (u64::MAX, start + WHOLE - 1) } else { (u64::MAX / share as u64 + 1, start) };
+        Self { inverse, limit: share << (31 - BITS), added: added as u16, complement: (WHOLE - share) as u16 }
     }
 
     /// The lowest `count` bits of `value`, 1 to 12, each as likely 0 as 1.
@@ -96,29 +84,48 @@ impl Writer {
         Self { states: [LOWEST; 2], words: Vec::with_capacity(words) }
     }
 
-    /// Writes symbols before those that were written. A function of its own, so that all it goes by is in registers.
-    #[inline(never)]
+    /// Writes symbols before those that were written.
     pub(super) fn put_before(&mut self, symbols: &[Symbol]) {
-        let begins = self.words.len();
-        // Each of them writes a word at the most, and one more that does not count.
-        self.words.resize(begins + symbols.len() + 1, 0);
-        let (words, mut at) = (&mut self.words[begins..], 0);
-        let [mut a, mut b] = self.states;
-        let (first, pairs) = symbols.as_rchunks::<2>();
-        for [earlier, later] in pairs.iter().rev() {
-            let (room, _) = words[at..].split_at_mut(2);
-            let (is_word, is_another);
-            (a, is_word) = put(a, *later, &mut room[0]);
-            (b, is_another) = put(b, *earlier, &mut room[usize::from(is_word)]);
-            at += usize::from(is_word) + usize::from(is_another);
+        for symbol in symbols.iter().rev() {
+            let [state, other] = self.states;
+            let mut word = 0;
+            let (state, is_word) = put(state, symbol, &mut word);
+            self.states = [other, state];
+            if is_word {
+                self.words.push(word);
+            }
         }
-        for symbol in first {
-            let (state, is_word) = put(a, *symbol, &mut words[at]);
-            (a, b) = (b, state);
-            at += usize::from(is_word);
+    }
+
+    /// Writes eights of symbols, the last one first, before those that were written, as long as there are some; says how many they
+    /// were. To be called where nothing else is done, so that all it goes by is in registers.
+    #[inline(always)]
+    pub(super) fn put_eights_before<'s>(
+        &mut self,
+        mut eights: impl ExactSizeIterator<Item = Option<[&'s Symbol; TOGETHER]>>,
+    ) -> usize {
+        let begins = self.words.len();
+        // Each symbol writes a word at the most, and one more that does not count.
+        self.words.resize(begins + TOGETHER * eights.len(), 0);
+        let (words, mut at, mut count) = (&mut self.words[begins..], 0, 0);
+        let [mut a, mut b] = self.states;
+        while let Some(Some(eight)) = eights.next() {
+            let Some(room) = words[at..].first_chunk_mut::<TOGETHER>() else { break };
+            let (pairs, _) = eight.as_chunks();
+            let mut written = 0;
+            for [earlier, later] in pairs.iter().rev() {
+                let (is_word, is_another);
+                (a, is_word) = put(a, later, &mut room[written % TOGETHER]);
+                written += usize::from(is_word);
+                (b, is_another) = put(b, earlier, &mut room[written % TOGETHER]);
+                written += usize::from(is_another);
+            }
+            at += written;
+            count += 1;
         }
         self.states = [a, b];
         self.words.truncate(begins + at);
+        count
     }
 
     /// Bytes that [`Writer::finish`] appends.
@@ -138,12 +145,12 @@ impl Writer {
 /// is could not be foretold.
 #[inline(always)]
 #[expect(clippy::cast_possible_truncation, reason = "the lower half of a state, and quotients of 32 bits")]
-fn put(state: u32, symbol: Symbol, word: &mut u16) -> (u32, bool) {
+fn put(state: u32, symbol: &Symbol, word: &mut u16) -> (u32, bool) {
     let is_full = state >= symbol.limit;
     *word = state as u16;
     let state = select_unpredictable(is_full, state >> WORD, state);
-    let quotient = (u64::from(state) * u64::from(symbol.inverse)) >> (symbol.shift & 63);
-    (state + u32::from(symbol.added) + quotient as u32 * u32::from(symbol.complement), is_full)
+    let quotient = ((u128::from(state) * u128::from(symbol.inverse)) >> 64) as u32;
+    (state + u32::from(symbol.added) + quotient * u32::from(symbol.complement), is_full)
 }
 
 /// Reads what a [`Writer`] wrote.
@@ -227,66 +234,66 @@ mod tests {
     }
 
     proptest! {
-        #[test]
-        fn a_symbol_is_written_as_by_division(
-            state in prop_oneof![LOWEST..1 << 31, Just(LOWEST), Just((1 << 31) - 1)],
-            share in prop_oneof![1..=WHOLE, 1..=4_u32, Just(WHOLE)],
-            part in 0.0..1.0,
-        ) {
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2^12")]
-            let start = (f64::from(WHOLE - share) * part) as u32;
-            let (mut plain, mut word) = (Vec::new(), 0);
-            let expected = plainly(state, (start, share), &mut plain);
-            let is_word = !plain.is_empty();
-            prop_assert_eq!(put(state, Symbol::new(start, share), &mut word), (expected, is_word));
-            prop_assert!(plain.iter().all(|plain| *plain == word));
-            prop_assert!((LOWEST..1 << 31).contains(&expected));
-        }
-
-        #[test]
-        fn what_is_written_comes_back(
-            shares in shares(),
-            columns in prop::collection::vec(prop::collection::vec(any::<prop::sample::Index>(), 0..60), 0..4),
-            plain in any::<u64>(),
-            count in 0_u32..=64,
-            cut in any::<prop::sample::Index>(),
-        ) {
-            let value = if count == 0 { 0 } else { plain >> (64 - count) };
-            let mut writer = Writer::new(0);
-            for column in columns.iter().rev() {
-                let symbol = |index: &prop::sample::Index| {
-                    let (start, share) = *index.get(&shares);
-                    Symbol::new(start, share)
-                };
-                let mut symbols: Vec<Symbol> = column.iter().map(symbol).collect();
-                note_plain(&mut symbols, value, count);
-                writer.put_before(&symbols);
+            #[test]
+            fn a_symbol_is_written_as_by_division(
+                state in prop_oneof![LOWEST..1 << 31, Just(LOWEST), Just((1 << 31) - 1)],
+                share in prop_oneof![1..=WHOLE, 1..=4_u32, Just(WHOLE)],
+                part in 0.0..1.0,
+            ) {
+                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2^12")]
+                let start = (f64::from(WHOLE - share) * part) as u32;
+                let (mut plain, mut word) = (Vec::new(), 0);
+                let expected = plainly(state, (start, share), &mut plain);
+                let is_word = !plain.is_empty();
+                prop_assert_eq!(put(state, &Symbol::new(start, share), &mut word), (expected, is_word));
+                prop_assert!(plain.iter().all(|plain| *plain == word));
+                prop_assert!((LOWEST..1 << 31).contains(&expected));
             }
-            let (len, mut out) = (writer.len(), Vec::new());
-            writer.finish(&mut out);
-            prop_assert_eq!(out.len(), len);
-            let read = |bytes: &[u8]| {
-                let mut reader = Reader::new(bytes)?;
-                for column in &columns {
-                    for index in column {
+
+            #[test]
+            fn what_is_written_comes_back(
+                shares in shares(),
+                columns in prop::collection::vec(prop::collection::vec(any::<prop::sample::Index>(), 0..60), 0..4),
+                plain in any::<u64>(),
+                count in 0_u32..=64,
+                cut in any::<prop::sample::Index>(),
+            ) {
+                let value = if count == 0 { 0 } else { plain >> (64 - count) };
+    let mut writer = Writer::new(0);
+                for column in columns.iter().rev() {
+                    let symbol = |index: &prop::sample::Index| {
                         let (start, share) = *index.get(&shares);
-                        if !(start..start + share).contains(&reader.place()) {
+                        Symbol::new(start, share)
+                    };
+                    let mut symbols: Vec<Symbol> = column.iter().map(symbol).collect();
+                    note_plain(&mut symbols, value, count);
+                    writer.put_before(&symbols);
+                }
+                let (len, mut out) = (writer.len(), Vec::new());
+                writer.finish(&mut out);
+                prop_assert_eq!(out.len(), len);
+                let read = |bytes: &[u8]| {
+                    let mut reader = Reader::new(bytes)?;
+                    for column in &columns {
+                        for index in column {
+                            let (start, share) = *index.get(&shares);
+                            if !(start..start + share).contains(&reader.place()) {
+                                return None;
+                            }
+                            reader.take(start, share)?;
+                        }
+                        if reader.take_plain(count)? != value {
                             return None;
                         }
-                        reader.take(start, share)?;
                     }
-                    if reader.take_plain(count)? != value {
-                        return None;
-                    }
-                }
-                reader.is_at_end().then_some(())
-            };
-            prop_assert!(read(&out).is_some());
-            let cut = cut.index(out.len());
-            prop_assert!(read(&out[..cut]).is_none(), "cut at {}", cut);
-            prop_assert!(read(&[out.as_slice(), &[0]].concat()).is_none());
+                    reader.is_at_end().then_some(())
+                };
+                prop_assert!(read(&out).is_some());
+                let cut = cut.index(out.len());
+                prop_assert!(read(&out[..cut]).is_none(), "cut at {}", cut);
+                prop_assert!(read(&[out.as_slice(), &[0]].concat()).is_none());
+            }
         }
-    }
 
     #[test]
     fn states_that_no_writer_leaves_are_refused() {

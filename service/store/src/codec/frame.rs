@@ -1,10 +1,10 @@
-//! Block format: writing version 5, and reading all versions, which trusts nothing.
+//! Block format: writing version 6, and reading all versions, which trusts nothing.
 
 use super::column::{Column, Columns, MAX_SCALE, Time};
 use super::guide::{self, Following, Guide, Guided, MOST_MEMORY};
 use super::habit::{Habit, Predicted, Usual};
 use super::input::{Input, MAX_VARINT, put_varint};
-use super::noise::{self, Law, NoiseReader};
+use super::noise::{self, Law, NoiseReader, StretchReader, StretchWriter};
 use super::predict::{Predictor, Residuals, tried, unzigzag, zigzag};
 use super::range::{RangeReader, Zeros};
 use super::rice::RiceReader;
@@ -18,6 +18,7 @@ const FIRST: u8 = 1;
 const THIRD: u8 = 3;
 const FOURTH: u8 = 4;
 const FIFTH: u8 = 5;
+const SIXTH: u8 = 6;
 /// In the byte that names a column's law: it follows a guide, so that the bits below are a memory and not a predictor.
 const GUIDED: u8 = 0x08;
 const EXACT: u8 = 15;
@@ -32,7 +33,7 @@ const LEVEL: i32 = 1;
 const RICE: u8 = 0;
 const RANGE: u8 = 0x10;
 
-/// Writes samples in block format v5.
+/// Writes samples in block format v6.
 pub fn encode_samples(samples: &Samples) -> Vec<u8> {
     encode_columns(&Columns::of(samples))
 }
@@ -84,7 +85,7 @@ pub(super) fn encode_by(columns: &Columns, habit: &mut Habit) -> Vec<u8> {
     let has_law = coded.iter().any(|(coded, _)| coded.is_some_and(|coded| coded.law.is_some()));
     let mut out = Vec::with_capacity(HEAD + COLUMN_HEAD * all.len() + residuals.coder.len() + CHECKSUM);
     out.extend_from_slice(&MAGIC);
-    out.push(FIFTH);
+    out.push(SIXTH);
     put_varint(&mut out, columns.len as u64);
     out.push(u8::try_from(all.len()).unwrap_or(u8::MAX));
     match &columns.time {
@@ -127,7 +128,7 @@ const COLUMN_HEAD: usize = 6 + 2 * MAX_VARINT;
 struct ResidualsWriter {
     coder: ans::Writer,
     of_column: Vec<i64>,
-    symbols: Vec<ans::Symbol>,
+    writer: StretchWriter,
 }
 
 /// How a decimal column is written, and its first value; no law where nothing is off its prediction.
@@ -159,7 +160,7 @@ impl Way {
 impl ResidualsWriter {
     fn new(values: usize) -> Self {
         // Most take a few bits.
-        Self { coder: ans::Writer::new(values / 4), of_column: Vec::new(), symbols: Vec::new() }
+        Self { coder: ans::Writer::new(values / 4), of_column: Vec::new(), writer: StretchWriter::default() }
     }
 
     /// Writes the residuals of a column of decimals; by the usual law where that is known, and the usual predictor where it has no
@@ -167,12 +168,12 @@ impl ResidualsWriter {
     fn code(&mut self, column: &Column, guided: Option<&Guided>, usual: Option<Usual>) -> Option<Coded> {
         let Column::Decimal { values, .. } = column else { return None };
         let &first = values.first()?;
-        let Self { coder, of_column, symbols } = self;
+        let Self { coder, of_column, writer } = self;
         let (way, residuals) = match guided {
             Some(guided) => (Way::Guided(guided.following), &guided.residuals),
             None => {
                 let predictor = match usual {
-                    Some(Usual { way: Way::Alone(predictor), settled: Some(_) }) => predictor,
+                    Some(Usual { way: Way::Alone(predictor), is_settled: true, .. }) => predictor,
                     _ => Predictor::best(values, tried(values.len())).0,
                 };
                 predictor.residuals(values, of_column);
@@ -183,10 +184,8 @@ impl ResidualsWriter {
             return Some(Coded { way, first, law: None });
         }
         let level = noise::first_level(residuals);
-        let law =
-            usual.and_then(|usual| usual.settled).unwrap_or_else(|| noise::fitting_law(residuals, level));
-        noise::note(symbols, residuals, law, level);
-        coder.put_before(symbols);
+        let law = usual.and_then(|usual| usual.law).unwrap_or_else(|| noise::fitting_law(residuals, level));
+        writer.put_before(coder, residuals, law, level);
         Some(Coded { way, first, law: Some((law, level)) })
     }
 }
@@ -232,7 +231,7 @@ fn planes(bits: &[u64]) -> Vec<u8> {
     out
 }
 
-/// Reads block formats v1 to v5. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
+/// Reads block formats v1 to v6. Refuses what is damaged, of another version, or above `max_samples`; allocates no more
 /// than that many values per channel whatever the bytes claim.
 pub fn decode_samples(bytes: &[u8], max_samples: usize) -> StoreResult<Samples> {
     decode_columns(bytes, max_samples)?.into_samples()
@@ -263,8 +262,8 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
         return Err("not a sample block");
     }
     let version = input.byte()?;
-    if !(FIRST..=FIFTH).contains(&version) {
-        return Err("not block format v1 to v5");
+    if !(FIRST..=SIXTH).contains(&version) {
+        return Err("not block format v1 to v6");
     }
     let len = input.length()?;
     if len == 0 || len > max_samples {
@@ -298,7 +297,7 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
     let mut coder = None;
     let time = match time {
         PendingTime::Period(bits) => Time::Period(bits),
-        PendingTime::Stamps(column) => Time::Stamps(column.read(&mut coder, &mut input, |_| None)?),
+        PendingTime::Stamps(column) => Time::Stamps(column.read(version, &mut coder, &mut input, |_| None)?),
     };
     let order = read_in_order(channels.len(), |at| channels[*at].1.guide());
     let (names, mut pending): (Vec<Channel>, Vec<_>) =
@@ -306,8 +305,10 @@ fn read_body(body: &[u8], max_samples: usize) -> Result<Columns, &'static str> {
     let mut read: Vec<Option<Column>> = names.iter().map(|_| None).collect();
     for at in order {
         let there = |wanted| read[names.iter().position(|name| *name == wanted)?].as_ref();
-        let column =
-            pending[at].take().map(|column| column.read(&mut coder, &mut input, there)).transpose()?;
+        let column = pending[at]
+            .take()
+            .map(|column| column.read(version, &mut coder, &mut input, there))
+            .transpose()?;
         read[at] = column;
     }
     let channels =
@@ -324,7 +325,7 @@ enum PendingTime {
     Stamps(Pending),
 }
 
-/// A column that is read, or of version 4 and 5 its head: its residuals stand behind all heads.
+/// A column that is read, or of version 4 to 6 its head: its residuals stand behind all heads.
 enum Pending {
     Whole(Column),
     Headed { scale: u8, coded: Coded, len: usize },
@@ -341,6 +342,7 @@ impl Pending {
     /// The column; `there` are those that it may follow.
     fn read<'a, 'c>(
         self,
+        version: u8,
         coder: &mut Option<ans::Reader<'a>>,
         input: &mut Input<'a>,
         there: impl Fn(Channel) -> Option<&'c Column>,
@@ -367,9 +369,14 @@ impl Pending {
                     Some(coder) => coder,
                     None => ans::Reader::new(std::mem::take(&mut input.0)).ok_or("residuals are missing")?,
                 };
-                let reader = NoiseReader::new(begun, law, level).ok_or("unknown mean")?;
-                let reader = coded.way.restore(&said, &mut values, reader).ok_or("a column ends early")?;
-                *coder = Some(reader.coder);
+                let read = if version >= SIXTH {
+                    let reader = StretchReader::new(begun, law, level).ok_or("unknown mean")?;
+                    coded.way.restore(&said, &mut values, reader).map(|reader| reader.coder)
+                } else {
+                    let reader = NoiseReader::new(begun, law, level).ok_or("unknown mean")?;
+                    coded.way.restore(&said, &mut values, reader).map(|reader| reader.coder)
+                };
+                *coder = Some(read.ok_or("a column ends early")?);
             }
         }
         Ok(Column::Decimal { scale, values })
@@ -391,7 +398,7 @@ impl Input<'_> {
         self.whole_column((version, form), len).map(Pending::Whole)
     }
 
-    /// How a decimal column of version 4 or 5 is written.
+    /// How a decimal column of version 4 to 6 is written.
     fn coded(&mut self, may_follow: Option<Channel>) -> Result<Coded, &'static str> {
         let coding = self.byte()?;
         let way = match may_follow.filter(|_| coding & GUIDED != 0) {

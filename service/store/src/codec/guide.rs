@@ -293,9 +293,9 @@ pub(super) fn choose(columns: &Columns, usual: impl Fn(Channel) -> Option<Usual>
         }
         let (values, scale) = followed.decimals().filter(|_| columns.len >= FEWEST)?;
         let may = || guides(*channel, (values, scale), &columns.time, column).into_iter().flatten();
-        if let Some(Usual { way: Way::Guided(before), settled }) = usual {
+        if let Some(Usual { way: Way::Guided(before), is_settled, .. }) = usual {
             // A way's factor is of this block's period and direction.
-            if settled.is_some() && !matches!(before.guide, Guide::Travel { .. }) {
+            if is_settled && !matches!(before.guide, Guide::Travel { .. }) {
                 let residuals = before.residuals_of(before.guide.says(column, scale)?, values)?;
                 return Some(Guided { following: before, residuals });
             }

@@ -124,9 +124,10 @@ pub(super) struct Predicted {
 pub(super) struct Usual {
     /// What it follows, or that it follows none.
     pub(super) way: Way,
-    /// Whether the rest holds too: by which predictor, or by what factor of its guide and how long that is remembered; and this
-    /// law.
-    pub(super) settled: Option<Law>,
+    /// By which law, where anything was off.
+    pub(super) law: Option<Law>,
+    /// Whether the rest holds too: by which predictor, or by what factor of its guide and how long that is remembered.
+    pub(super) is_settled: bool,
 }
 
 impl Habit {
@@ -141,7 +142,7 @@ impl Habit {
     pub(super) fn usual(&self, code: u8) -> Option<Usual> {
         let column = self.columns.iter().find(|column| column.code == code)?;
         let (way, law) = column.way?;
-        Some(Usual { way, settled: law.filter(|_| column.bits_a_value >= SETTLED_BITS) })
+        Some(Usual { way, law, is_settled: law.is_some() && column.bits_a_value >= SETTLED_BITS })
     }
 
     /// Follows a block whose columns were all looked at.

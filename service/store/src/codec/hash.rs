@@ -1,20 +1,23 @@
 //! The content hash, as the module above lays it out.
 //!
-//! The first version hashed each value of a column as eight bytes, most of them zeros. Cycles that were
-//! stored under it keep it: [`is_hash_of`] knows both.
+//! The first version hashed each value of a column as eight bytes, most of them zeros; the second did not fill its text up.
+//! Cycles that were stored under them keep them: [`is_hash_of`] knows all.
 
 use super::column::{Column, Columns, Time};
 use crate::record::ContentHash;
 use feedwright_core::cycle::Cycle;
+use std::cell::RefCell;
 use zerocopy::{Immutable, IntoBytes};
 
-/// How values of a column are hashed.
+/// How content is hashed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Version {
-    /// As eight bytes each.
+    /// Values as eight bytes each.
     First,
     /// Decimals by as many bytes each as the column needs.
     Second,
+    /// The same, filled up to a length that is hashed in fewer steps.
+    Third,
 }
 
 impl Version {
@@ -22,6 +25,7 @@ impl Version {
         match self {
             Self::First => b"feedwright cycle content v1\n",
             Self::Second => b"feedwright cycle content v2\n",
+            Self::Third => b"feedwright cycle content v3\n",
         }
     }
 }
@@ -34,17 +38,22 @@ pub fn content_hash(cycle: &Cycle) -> ContentHash {
 /// Whether a hash, of whichever version, is that of a cycle's content.
 pub fn is_hash_of(hash: &ContentHash, cycle: &Cycle) -> bool {
     let samples = cycle.samples.as_ref().map(Columns::of);
-    [Version::Second, Version::First]
+    [Version::Third, Version::Second, Version::First]
         .into_iter()
         .any(|version| of_version(version, cycle, samples.as_ref()) == *hash)
 }
 
 pub(super) fn of_parts(cycle: &Cycle, samples: Option<&Columns>) -> ContentHash {
-    of_version(Version::Second, cycle, samples)
+    of_version(Version::Third, cycle, samples)
+}
+
+thread_local! {
+    /// Where each thread puts the bytes that wait, at most [`WAITING`] and what fills them up.
+    static BUFFER: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
 }
 
 fn of_version(version: Version, cycle: &Cycle, samples: Option<&Columns>) -> ContentHash {
-    let mut hash = Hash { version, hasher: blake3::Hasher::new(), waiting: Vec::with_capacity(EXPECTED) };
+    let mut hash = Hash::new(version, BUFFER.take());
     hash.bytes(version.domain());
     hash.text(cycle.machine.as_str());
     hash.text(cycle.id.as_str());
@@ -77,14 +86,27 @@ fn of_version(version: Version, cycle: &Cycle, samples: Option<&Columns>) -> Con
         hash.text("reference");
         hash.bytes(&[u8::from(reference)]);
     }
-    hash.hasher.update(&hash.waiting);
-    *hash.hasher.finalize().as_bytes()
+    let (hash, buffer) = hash.finish();
+    BUFFER.replace(buffer);
+    hash
 }
 
 /// Bytes that are hashed together: blake3 is several times faster on long input.
 const WAITING: usize = 64 * 1024;
-/// Most cycles are less.
-const EXPECTED: usize = 16 * 1024;
+/// blake3's pieces, of which it takes a power of two at once as fast as one of them, up to so many.
+const PIECE: usize = 1024;
+const MOST_AT_ONCE: usize = 16 * PIECE;
+
+/// What a text of so many bytes is filled up to.
+const fn filled(len: usize) -> usize {
+    if len <= PIECE {
+        len
+    } else if len <= MOST_AT_ONCE {
+        len.next_power_of_two()
+    } else {
+        len.next_multiple_of(MOST_AT_ONCE)
+    }
+}
 
 struct Hash {
     version: Version,
@@ -93,6 +115,24 @@ struct Hash {
 }
 
 impl Hash {
+    /// With a buffer for what waits.
+    fn new(version: Version, mut waiting: Vec<u8>) -> Self {
+        waiting.clear();
+        Self { version, hasher: blake3::Hasher::new(), waiting }
+    }
+
+    /// The hash, and the buffer.
+    fn finish(mut self) -> (ContentHash, Vec<u8>) {
+        if self.version == Version::Third {
+            // Where a text ends is told by the texts themselves: zeros behind it are no other content.
+            let hashed = usize::try_from(self.hasher.count()).unwrap_or(usize::MAX - WAITING);
+            let len = hashed + self.waiting.len();
+            self.waiting.resize(self.waiting.len() + filled(len) - len, 0);
+        }
+        self.hasher.update(&self.waiting);
+        (*self.hasher.finalize().as_bytes(), self.waiting)
+    }
+
     fn bytes(&mut self, bytes: &[u8]) {
         self.make_room(bytes.len());
         self.waiting.extend_from_slice(bytes);
@@ -221,16 +261,18 @@ mod tests {
     fn hashes_are_fixed_for_ever() {
         let first = "ecbe8c11a8700ff4d815cb9e00debebce332c7f461033abbcf0b938c18bb7ddd";
         let second = "26520291cead1adda260f676ef212c4a2c515c047a709d2ede3cc60447e2ea99";
+        let third = "60ff9a05145ab7d2a4a5a704eb6bf463e895197db89b5cb7d95c1d0fdfad6e50";
         let columns = cycle().samples.as_ref().map(Columns::of);
         assert_eq!(hex(&of_version(Version::First, &cycle(), columns.as_ref())), first);
-        assert_eq!(hex(&content_hash(&cycle())), second);
+        assert_eq!(hex(&of_version(Version::Second, &cycle(), columns.as_ref())), second);
+        assert_eq!(hex(&content_hash(&cycle())), third);
     }
 
     #[test]
-    fn a_hash_of_either_version_is_known_and_no_other() {
+    fn a_hash_of_any_version_is_known_and_no_other() {
         let cycle = cycle();
         let columns = cycle.samples.as_ref().map(Columns::of);
-        for version in [Version::First, Version::Second] {
+        for version in [Version::First, Version::Second, Version::Third] {
             let mut hash = of_version(version, &cycle, columns.as_ref());
             assert!(is_hash_of(&hash, &cycle), "{version:?}");
             hash[31] ^= 1;
@@ -249,8 +291,7 @@ mod tests {
             }
         }
         let bytes = |values: &[i64]| {
-            let mut hash =
-                Hash { version: Version::Second, hasher: blake3::Hasher::new(), waiting: Vec::new() };
+            let mut hash = Hash::new(Version::Second, Vec::new());
             hash.column(&Column::Decimal { scale: 3, values: values.to_vec() });
             hash.waiting
         };
@@ -263,13 +304,32 @@ mod tests {
     fn what_waits_is_hashed_when_it_is_too_much() {
         for count in [WAITING / 2 - 1, WAITING / 2, WAITING / 2 + 1, 3 * WAITING] {
             let values: Vec<i64> = (0..count).map(|at| i64::try_from(at % 1000).unwrap() - 500).collect();
-            let mut hash =
-                Hash { version: Version::Second, hasher: blake3::Hasher::new(), waiting: Vec::new() };
+            let mut hash = Hash::new(Version::Second, Vec::new());
             hash.column(&Column::Decimal { scale: 0, values: values.clone() });
-            hash.hasher.update(&hash.waiting);
             let narrow = |value: &i64| i16::try_from(*value).unwrap().to_le_bytes();
             let plain: Vec<u8> = [0, 2].into_iter().chain(values.iter().flat_map(narrow)).collect();
-            assert_eq!(hash.hasher.finalize(), blake3::hash(&plain), "{count}");
+            assert_eq!(hash.finish().0, *blake3::hash(&plain).as_bytes(), "{count}");
+        }
+    }
+
+    #[test]
+    fn a_text_is_filled_up_with_zeros() {
+        for (len, full) in [
+            (0, 0),
+            (1024, 1024),
+            (1025, 2048),
+            (2048, 2048),
+            (5000, 8192),
+            (16_384, 16_384),
+            (16_385, 32_768),
+            (WAITING, WAITING),
+            (WAITING + 1, 81_920),
+        ] {
+            let mut hash = Hash::new(Version::Third, vec![9; 3]);
+            let mut text = vec![7; len];
+            text.chunks(1000).for_each(|bytes| hash.bytes(bytes));
+            text.resize(full, 0);
+            assert_eq!(hash.finish().0, *blake3::hash(&text).as_bytes(), "{len}");
         }
     }
 
@@ -280,18 +340,13 @@ mod tests {
                 let (bytes, words) = (vec![7; before], (0..count as u64).collect::<Vec<_>>());
                 let words: Vec<u64> =
                     words.iter().map(|word| word.wrapping_mul(0x9E37_79B9_7F4A_7C15)).collect();
-                let version = Version::First;
-                let mut hash = Hash { version, hasher: blake3::Hasher::new(), waiting: Vec::new() };
+                let mut hash = Hash::new(Version::First, Vec::new());
                 hash.bytes(&bytes);
                 hash.words(&words, u64::to_le);
-                hash.hasher.update(&hash.waiting);
                 let plain: Vec<u8> =
                     bytes.into_iter().chain(words.iter().flat_map(|word| word.to_le_bytes())).collect();
-                assert_eq!(
-                    hash.hasher.finalize(),
-                    blake3::hash(&plain),
-                    "{count} words after {before} bytes"
-                );
+                let hash = hash.finish().0;
+                assert_eq!(hash, *blake3::hash(&plain).as_bytes(), "{count} words after {before} bytes");
             }
         }
     }

@@ -2,10 +2,16 @@
 //! whose mean size follows the column, as codes of lossless images do (LOCO-I, Weinberger et al., 2000). A Rice code, which
 //! suits a Laplace distribution of certain means, takes a twentieth more.
 //!
-//! The mean size is kept in 1/2^8: `sum`, its 16-fold, becomes `sum − sum / 16 + 2^8 |residual|`, quotients rounded down and
-//! sizes counted as 2^48 at the most. The *level* of an integer v > 0 is `4 n + q`, with 2^n its highest bit and q the two
-//! bits below. A residual goes by the table for the level of `sum / 16`, rounded down, its lowest bit set, as `sum` was before
-//! the residual before it: so a reader need not wait for the one to look for the other. There are forty tables of each distribution, for the levels 4 to 43, which are means of 2^−7 to 8; less takes the first. Where the level is
+//! The mean size m is kept in 1/2^8, sizes counted as 2^48 at the most and quotients rounded down. The *level* of an integer v > 0 is
+//! `4 n + q`, with 2^n its highest bit and q the two bits below. Of a mean, with its lowest bit set, it says by which table a residual
+//! goes. A column begins with a mean of its first level, 2^n (4 + q) / 4.
+//!
+//! * Block format v6: eight residuals go by the same mean, the last ones of a column too where they are fewer; behind them m
+//!   becomes `(m + 2^8 s / 8) / 2`, s being the sum of their sizes.
+//! * Block formats v4 and v5: `sum`, which begins as 16 m, becomes `sum − sum / 16 + 2^8 |residual|` with each; m is `sum / 16`, as
+//!   `sum` was before the residual before it.
+//!
+//! There are forty tables of each distribution, for the levels 4 to 43, which are means of 2^−7 to 8; less takes the first. Where the level is
 //! 40 + 4k to 43 + 4k, the lowest k bits of a residual are written plainly, behind the rest of it, which goes by the table for 4k
 //! less.
 //!
@@ -15,18 +21,23 @@
 //! w(x) / Σ w · 4094 + 1/2, rounded down, for each x but 0, and for 0 what is left. Behind an escape stands how many bits the
 //! residual has, zig-zag, in seven bits, and what is below the highest of them.
 
+mod singly;
+mod stretches;
+
 use super::ans::{self, BITS, Symbol};
-use super::predict::{Residuals, unzigzag, zigzag};
+use super::predict::{unzigzag, zigzag};
+pub(super) use singly::NoiseReader;
 use std::sync::LazyLock;
+use stretches::{Mean, STRETCH};
+pub(super) use stretches::{StretchReader, StretchWriter};
 
 /// Levels that have a table, those below [`FIRST_LEVEL`] that of this one.
 const LEVELS: usize = 44;
 const FIRST_LEVEL: usize = 4;
 /// Means of less are of a level that has one.
 const MEANS: u64 = 1 << (LEVELS / 4);
-/// The mean is in 1/2^8, and its sum is 2^4 as much.
+/// A mean is in 1/2^8.
 const FRACTION: u32 = 8;
-const MEMORY: u32 = 4;
 /// What a residual counts at the most.
 const MOST_COUNTED: u64 = 1 << 48;
 /// No mean is of a higher level.
@@ -42,8 +53,10 @@ const PARTS: usize = (WHOLE >> PART) as usize;
 /// No table has more symbols.
 const MOST_SYMBOLS: usize = 256;
 
-/// Residuals that a distribution is chosen by, and that the first mean is of.
-const TRIED: usize = 32;
+/// Residuals that the first mean is of.
+const FIRST: usize = 32;
+/// Residuals that a distribution is chosen by.
+const TRIED: usize = 64;
 
 /// How residuals are distributed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,28 +108,24 @@ impl Law {
 /// The tables of a law.
 #[derive(Debug)]
 struct Tables {
-    of_level: [Table; LEVELS],
-    /// The same by the mean itself, which saves looking for its level.
-    of_mean: Box<[Table]>,
+    tables: [Table; TABLES],
     /// The symbols of all tables.
     symbols: Box<[Symbol]>,
     /// What each table is read by.
     places: Box<[Places; TABLES]>,
-    /// The number of the table for a mean.
+    /// The number of the table for a mean: it saves looking for its level.
     number_of_mean: Box<[u8]>,
 }
 
 /// How many they are, rounded up to what no number of six bits is beyond.
 const TABLES: usize = 64;
 
-/// Where a table's symbols are.
+/// Where a table's symbols are, the escape behind those of residuals.
 #[derive(Debug, Clone, Copy)]
 struct Table {
-    /// That of the residual 0.
-    middle: u32,
+    first: u32,
+    /// The largest residual that has one.
     reach: u32,
-    /// Its number.
-    number: u8,
 }
 
 /// Where the shares of a table's symbols lie. Numbers of symbols are bytes, and there is an entry for every byte.
@@ -201,57 +210,35 @@ fn shares(law: Law, level: usize) -> Vec<u32> {
 }
 
 impl Tables {
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "shares of 2^12, and fewer than 256 symbols of a table"
-    )]
+    #[expect(clippy::cast_possible_truncation, reason = "fewer than 2^12 symbols, fewer than 64 tables")]
     fn of(law: Law) -> Self {
         let mut symbols = Vec::new();
         let mut places = Box::new([const { Places::NONE }; TABLES]);
-        let tables: Vec<Table> = (FIRST_LEVEL..LEVELS)
-            .map(|level| {
-                let shares = shares(law, level);
-                let number = level - FIRST_LEVEL;
-                let reach = (shares.len() / 2 - 1) as u32;
-                let table = Table { middle: symbols.len() as u32 + reach, reach, number: number as u8 };
-                let starts =
-                    shares.iter().scan(0, |start, share| Some(std::mem::replace(start, *start + share)));
-                symbols.extend(starts.zip(&shares).map(|(start, share)| Symbol::new(start, *share)));
-                places[number] = Places::of(&shares);
-                table
-            })
-            .collect();
-        let of_level: [Table; LEVELS] =
-            std::array::from_fn(|level| tables[level.saturating_sub(FIRST_LEVEL)]);
-        let of_mean: Box<[Table]> = (0..MEANS).map(|mean| of_level[level(mean | 1) as usize]).collect();
-        Self {
-            of_level,
-            number_of_mean: of_mean.iter().map(|table| table.number).collect(),
-            of_mean,
-            symbols: symbols.into(),
-            places,
+        let mut tables = [Table { first: 0, reach: 0 }; TABLES];
+        for ((level, places), table) in (FIRST_LEVEL..LEVELS).zip(&mut *places).zip(&mut tables) {
+            let shares = shares(law, level);
+            *table = Table { first: symbols.len() as u32, reach: (shares.len() / 2 - 1) as u32 };
+            let starts = shares.iter().scan(0, |start, share| Some(std::mem::replace(start, *start + share)));
+            symbols.extend(starts.zip(&shares).map(|(start, share)| Symbol::new(start, *share)));
+            *places = Places::of(&shares);
         }
+        let number = |mean: u64| (level(mean | 1) as usize).saturating_sub(FIRST_LEVEL) as u8;
+        Self { tables, symbols: symbols.into(), places, number_of_mean: (0..MEANS).map(number).collect() }
     }
 
-    /// The table for a mean, where none of the lowest bits are plain.
+    /// The number of the table for a mean, and how many of a residual's lowest bits are plain.
     #[inline(always)]
-    fn of_mean(&self, mean: u64) -> Option<Table> {
-        self.of_mean.get(usize::try_from(mean).ok()?).copied()
+    fn by_mean(&self, mean: u64) -> (u8, u32) {
+        let number = usize::try_from(mean).ok().and_then(|mean| self.number_of_mean.get(mean));
+        number.map_or_else(|| large(mean), |number| (*number, 0))
     }
 
-    /// A table's symbol for a residual; `None` where that escapes.
+    /// A table's symbols: those of the residuals from the smallest to the largest, and the escape.
     #[inline(always)]
-    fn symbol(&self, table: Table, residual: i64) -> Option<Symbol> {
-        if residual.unsigned_abs() > u64::from(table.reach) {
-            return None;
-        }
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "one of the table's")]
-        self.symbols.get((i64::from(table.middle) + residual) as usize).copied()
-    }
-
-    /// That for what escapes.
-    fn escape(&self, table: Table) -> Symbol {
-        self.symbols[(table.middle + table.reach + 1) as usize]
+    fn symbols(&self, number: u8) -> (&[Symbol], i64) {
+        let Table { first, reach } = self.tables[usize::from(number) % TABLES];
+        let of_table = self.symbols.get(first as usize..).and_then(|from| from.get(..2 * reach as usize + 2));
+        (of_table.unwrap_or_default(), i64::from(reach))
     }
 
     /// Where a table's shares lie.
@@ -259,6 +246,25 @@ impl Tables {
     fn places(&self, number: u8) -> &Places {
         &self.places[usize::from(number) % TABLES]
     }
+}
+
+/// As [`Tables::by_mean`], of a mean of more than the tables'.
+#[cold]
+#[expect(clippy::cast_possible_truncation, reason = "at most 256")]
+fn large(mean: u64) -> (u8, u32) {
+    let above = level(mean | 1) as usize - LEVELS;
+    ((LEVELS - 4 + above % 4 - FIRST_LEVEL) as u8, above as u32 / 4 + 1)
+}
+
+/// What a residual counts, of the mean size.
+#[inline(always)]
+fn counted(residual: i64) -> u64 {
+    residual.unsigned_abs().min(MOST_COUNTED)
+}
+
+/// The mean that a column begins with, of a level of at most [`MOST_LEVEL`], in 1/2^8.
+const fn first_mean(level: u8) -> u64 {
+    (4 + level as u64 % 4) << (level / 4) >> 2
 }
 
 /// The level of what is more than 0.
@@ -270,198 +276,69 @@ const fn level(value: u64) -> u32 {
     4 * highest + (value << 2 >> highest) as u32 - 4
 }
 
-/// How large residuals were of late.
-#[derive(Debug, Clone, Copy)]
-struct Scale {
-    sum: u64,
-    /// The mean for the next residual, before that of the residual before it.
-    mean: u64,
-}
-
-impl Scale {
-    /// From the level of the mean, at most [`MOST_LEVEL`].
-    const fn new(level: u8) -> Self {
-        let mean = (4 + level as u64 % 4) << (level / 4) >> 2;
-        Self { sum: mean << MEMORY, mean }
-    }
-
-    /// The table for the next residual, and how many of its lowest bits are plain.
-    #[inline(always)]
-    fn next(self, tables: &Tables) -> (Table, u32) {
-        match tables.of_mean(self.mean) {
-            Some(table) => (table, 0),
-            None => self.next_large(tables),
-        }
-    }
-
-    #[inline(never)]
-    fn next_large(self, tables: &Tables) -> (Table, u32) {
-        let above = level(self.mean | 1) as usize - LEVELS;
-        #[expect(clippy::cast_possible_truncation, reason = "at most 256")]
-        (tables.of_level[LEVELS - 4 + above % 4], above as u32 / 4 + 1)
-    }
-
-    #[inline(always)]
-    fn follow(&mut self, residual: i64) {
-        self.follow_small(residual.unsigned_abs().min(MOST_COUNTED));
-    }
-
-    /// By the size of a residual that is at most [`MOST_COUNTED`].
-    #[inline(always)]
-    const fn follow_small(&mut self, size: u64) {
-        self.mean = self.sum >> MEMORY;
-        self.sum = self.sum - self.mean + (size << FRACTION);
-    }
-}
-
 /// The level of the mean of the first residuals, which a column begins with.
 pub(super) fn first_level(residuals: &[i64]) -> u8 {
-    let few = &residuals[..residuals.len().min(TRIED)];
-    let sum: u64 = few.iter().map(|residual| residual.unsigned_abs().min(MOST_COUNTED) << FRACTION).sum();
+    let few = &residuals[..residuals.len().min(FIRST)];
+    let sum: u64 = few.iter().map(|residual| counted(*residual) << FRACTION).sum();
     u8::try_from(level((sum / few.len().max(1) as u64).max(1))).unwrap_or(MOST_LEVEL).min(MOST_LEVEL)
 }
 
 /// The law by which the first residuals take fewer bits; of the same the first.
 pub(super) fn fitting_law(residuals: &[i64], first_level: u8) -> Law {
-    let few = &residuals[..residuals.len().min(TRIED)];
     let (normal, laplace) = (Law::Normal.tables(), Law::Laplace.tables());
-    let mut scale = Scale::new(first_level);
+    let mut mean = Mean::of_level(first_level);
     let mut less = 0;
-    for &residual in few {
-        let share = |tables: &Tables| {
-            let (table, plain) = scale.next(tables);
-            tables.symbol(table, residual >> plain).unwrap_or_else(|| tables.escape(table)).share()
-        };
-        // In quarters of a bit.
-        less += i64::from(level(share(laplace).into())) - i64::from(level(share(normal).into()));
-        scale.follow(residual);
+    for stretch in residuals[..residuals.len().min(TRIED)].chunks(STRETCH) {
+        let (number, plain) = normal.by_mean(mean.get());
+        for residual in stretch {
+            let share = |tables: &Tables| {
+                let (symbols, reach) = tables.symbols(number);
+                let found = symbols[..symbols.len() - 1].get(place(residual >> plain, reach));
+                found.unwrap_or(&symbols[symbols.len() - 1]).share()
+            };
+            // In quarters of a bit.
+            less += i64::from(level(share(laplace).into())) - i64::from(level(share(normal).into()));
+        }
+        mean.follow(stretch);
     }
     if less > 0 { Law::Laplace } else { Law::Normal }
 }
 
-/// Notes residuals by a law, to be written, in place of what stood there.
-pub(super) fn note(symbols: &mut Vec<Symbol>, residuals: &[i64], law: Law, first_level: u8) {
-    let tables = law.tables();
-    symbols.resize(residuals.len(), Symbol::NONE);
-    let (noted, scale) = note_usual(symbols, residuals, tables, Scale::new(first_level));
-    symbols.truncate(noted);
-    note_rest(symbols, &residuals[noted..], tables, scale);
+/// The place of a residual's symbol in its table, or one that is beyond.
+#[inline(always)]
+#[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "what is beyond stays beyond")]
+const fn place(residual: i64, reach: i64) -> usize {
+    residual.wrapping_add(reach) as usize
 }
 
-/// Notes residuals as long as they are one symbol each, which those of most columns are to their ends. Says how many they
-/// were, and how large of late. A function of its own, so that all it goes by is in registers.
-#[inline(never)]
-fn note_usual(
-    symbols: &mut [Symbol],
-    residuals: &[i64],
-    tables: &Tables,
-    mut scale: Scale,
-) -> (usize, Scale) {
-    let mut noted = 0;
-    for (symbol, &residual) in symbols.iter_mut().zip(residuals) {
-        let Some(table) = tables.of_mean(scale.mean) else { break };
-        let Some(found) = tables.symbol(table, residual) else { break };
-        *symbol = found;
-        scale.follow_small(residual.unsigned_abs());
-        noted += 1;
-    }
-    (noted, scale)
-}
-
-#[inline(never)]
-fn note_rest(symbols: &mut Vec<Symbol>, residuals: &[i64], tables: &Tables, mut scale: Scale) {
-    symbols.reserve(residuals.len());
-    for &residual in residuals {
-        let (table, plain) = scale.next(tables);
-        match tables.symbol(table, residual >> plain) {
-            Some(symbol) => {
-                symbols.push(symbol);
-                ans::note_plain(symbols, residual.cast_unsigned(), plain);
-            }
-            None => note_escape(symbols, tables.escape(table), residual),
+/// Notes what stands for a residual, its lowest `plain` bits behind the rest.
+fn note(symbols: &mut Vec<Symbol>, of_table: (&[Symbol], i64), residual: i64, plain: u32) {
+    let (of_table, reach) = of_table;
+    let Some((escape, of_residuals)) = of_table.split_last() else { return };
+    match of_residuals.get(place(residual >> plain, reach)) {
+        Some(symbol) => {
+            symbols.push(*symbol);
+            ans::note_plain(symbols, residual.cast_unsigned(), plain);
         }
-        scale.follow(residual);
-    }
-}
-
-fn note_escape(symbols: &mut Vec<Symbol>, escape: Symbol, residual: i64) {
-    symbols.push(escape);
-    let residual = zigzag(residual);
-    let bits = u64::BITS - residual.leading_zeros();
-    ans::note_plain(symbols, u64::from(bits), COUNT);
-    ans::note_plain(symbols, residual, bits.saturating_sub(1));
-}
-
-/// Reads the residuals of one column.
-pub(super) struct NoiseReader<'a> {
-    /// Where the next column is read on.
-    pub(super) coder: ans::Reader<'a>,
-    tables: &'static Tables,
-    scale: Scale,
-}
-
-impl<'a> NoiseReader<'a> {
-    /// `None` where no column begins with such a mean.
-    pub(super) fn new(coder: ans::Reader<'a>, law: Law, first_level: u8) -> Option<Self> {
-        let scale = Scale::new(first_level.min(MOST_LEVEL));
-        (first_level <= MOST_LEVEL).then(|| Self { coder, tables: law.tables(), scale })
-    }
-
-    /// Reads residuals as long as they are one symbol each. Says how many they were. A function of its own, so that all it goes by
-    /// is in registers.
-    #[inline(never)]
-    fn read_usual(&mut self, residuals: &mut [i64]) -> usize {
-        let (tables, mut coder, mut scale) = (self.tables, self.coder, self.scale);
-        let mut read = 0;
-        for residual in residuals {
-            let mean = usize::try_from(scale.mean).unwrap_or(usize::MAX);
-            let Some(number) = tables.number_of_mean.get(mean) else { break };
-            let places = tables.places(*number);
-            let (symbol, start, share) = places.at(coder.place());
-            if symbol == places.escape || coder.take(start, share).is_none() {
-                break;
-            }
-            *residual = i64::from(symbol) - i64::from(places.middle);
-            scale.follow_small(residual.unsigned_abs());
-            read += 1;
-        }
-        (self.coder, self.scale) = (coder, scale);
-        read
-    }
-}
-
-impl Residuals for NoiseReader<'_> {
-    #[inline(never)]
-    fn next(&mut self) -> Option<i64> {
-        let (table, plain) = self.scale.next(self.tables);
-        let places = self.tables.places(table.number);
-        let (symbol, start, share) = places.at(self.coder.place());
-        self.coder.take(start, share)?;
-        let residual = if symbol == places.escape {
-            escaped(&mut self.coder)?
-        } else {
-            let rest = i64::from(symbol) - i64::from(places.middle);
-            rest << plain | self.coder.take_plain(plain)?.cast_signed()
-        };
-        self.scale.follow(residual);
-        Some(residual)
-    }
-
-    fn read(&mut self, mut residuals: &mut [i64]) -> Option<()> {
-        loop {
-            let usual = self.read_usual(residuals);
-            residuals = &mut residuals[usual..];
-            // What stopped it, and all that have plain bits besides.
-            loop {
-                let Some((residual, rest)) = residuals.split_first_mut() else { return Some(()) };
-                *residual = self.next()?;
-                residuals = rest;
-                if self.scale.mean < MEANS {
-                    break;
-                }
-            }
+        None => {
+            symbols.push(*escape);
+            let residual = zigzag(residual);
+            let bits = u64::BITS - residual.leading_zeros();
+            ans::note_plain(symbols, u64::from(bits), COUNT);
+            ans::note_plain(symbols, residual, bits.saturating_sub(1));
         }
     }
+}
+
+/// The next residual, by that table; `None` where it is damaged.
+fn taken(coder: &mut ans::Reader<'_>, places: &Places, plain: u32) -> Option<i64> {
+    let (symbol, start, share) = places.at(coder.place());
+    coder.take(start, share)?;
+    if symbol == places.escape {
+        return escaped(coder);
+    }
+    let rest = i64::from(symbol) - i64::from(places.middle);
+    Some(rest << plain | coder.take_plain(plain)?.cast_signed())
 }
 
 /// What stands behind an escape.
@@ -476,26 +353,22 @@ fn escaped(coder: &mut ans::Reader<'_>) -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::predict::Residuals;
     use proptest::prelude::*;
 
-    fn written(columns: &[(Vec<i64>, Law)]) -> (Vec<u8>, Vec<u8>) {
-        let mut writer = ans::Writer::new(0);
-        let level = |residuals: &[i64]| first_level(residuals);
-        for (residuals, law) in columns.iter().rev() {
-            let mut symbols = Vec::new();
-            note(&mut symbols, residuals, *law, level(residuals));
-            writer.put_before(&symbols);
-        }
-        let mut out = Vec::new();
-        writer.finish(&mut out);
-        (out, columns.iter().map(|(residuals, _)| level(residuals)).collect())
+    /// Writes the residuals of a column.
+    pub(super) type Write = fn(&mut ans::Writer, &[i64], Law, u8);
+    /// A column's reader, and where the next column is read on.
+    pub(super) trait Reads<'a>: Residuals + Sized {
+        fn of(coder: ans::Reader<'a>, law: Law, first_level: u8) -> Option<Self>;
+        fn coder(&self) -> ans::Reader<'a>;
     }
 
     fn residual() -> impl Strategy<Value = i64> {
         prop_oneof![6 => -3_i64..=3, 3 => -500_i64..500, 1 => any::<i64>(), 1 => Just(i64::MIN), 1 => Just(i64::MAX)]
     }
 
-    fn column() -> impl Strategy<Value = (Vec<i64>, Law)> {
+    pub(super) fn column() -> impl Strategy<Value = (Vec<i64>, Law)> {
         // Runs take the mean to where it stays.
         let run = (residual(), prop_oneof![1_usize..4, 1_usize..150]);
         let residuals = prop::collection::vec(run, 0..12)
@@ -503,45 +376,57 @@ mod tests {
         (residuals, prop::sample::select(Law::ALL.as_slice()))
     }
 
-    proptest! {
-        #[test]
-        fn what_is_noted_comes_back(columns in prop::collection::vec(column(), 1..4)) {
-            let (bytes, levels) = written(&columns);
-            let mut coder = ans::Reader::new(&bytes).unwrap();
-            for ((residuals, law), level) in columns.iter().zip(levels) {
-                let mut reader = NoiseReader::new(coder, *law, level).unwrap();
-                let mut together = vec![0; residuals.len()];
-                prop_assert_eq!(reader.read(&mut together), Some(()));
-                prop_assert_eq!(&together, residuals);
-                let mut one_by_one = NoiseReader::new(coder, *law, level).unwrap();
-                prop_assert!(residuals.iter().all(|residual| one_by_one.next() == Some(*residual)));
-                coder = reader.coder;
-                prop_assert_eq!(format!("{coder:?}"), format!("{:?}", one_by_one.coder));
+    /// Columns come back one behind the other, read together and one by one.
+    pub(super) fn comes_back<'a, R: Reads<'a>>(
+        write: Write,
+        columns: &[(Vec<i64>, Law)],
+        bytes: &'a mut Vec<u8>,
+    ) -> Result<(), TestCaseError> {
+        let mut writer = ans::Writer::new(0);
+        for (residuals, law) in columns.iter().rev() {
+            write(&mut writer, residuals, *law, first_level(residuals));
+        }
+        writer.finish(bytes);
+        let mut coder = ans::Reader::new(bytes).unwrap();
+        for (residuals, law) in columns {
+            let reader = || R::of(coder, *law, first_level(residuals)).unwrap();
+            let (mut at_once, mut one_by_one, mut in_parts) = (reader(), reader(), reader());
+            let mut together = vec![0; residuals.len()];
+            prop_assert_eq!(at_once.read(&mut together), Some(()));
+            prop_assert_eq!(&together, residuals);
+            prop_assert!(residuals.iter().all(|residual| one_by_one.next() == Some(*residual)));
+            let mut parts = vec![0; residuals.len()];
+            prop_assert!(parts.chunks_mut(13).all(|part| in_parts.read(part).is_some()));
+            prop_assert_eq!(&parts, residuals);
+            coder = at_once.coder();
+            for other in [one_by_one.coder(), in_parts.coder()] {
+                prop_assert_eq!(format!("{coder:?}"), format!("{other:?}"));
             }
-            prop_assert!(coder.is_at_end());
         }
+        prop_assert!(coder.is_at_end());
+        Ok(())
+    }
 
-        #[test]
-        fn whatever_stands_there_is_read_or_refused(
-            bytes in prop::collection::vec(any::<u8>(), 0..200),
-            law in prop::sample::select(Law::ALL.as_slice()),
-            level in any::<u8>(),
-        ) {
-            let Some(coder) = ans::Reader::new(&bytes) else { return Ok(()) };
-            let reader = NoiseReader::new(coder, law, level);
-            prop_assert_eq!(reader.is_some(), level <= MOST_LEVEL);
-            let Some(mut reader) = reader else { return Ok(()) };
-            // States alone go on for long where all is the likeliest symbol.
-            let found: Vec<i64> = std::iter::from_fn(|| reader.next()).take(1_000).collect();
-            // Whatever it was, it is a residual that can be written.
-            let (mut symbols, mut writer, mut out) = (Vec::new(), ans::Writer::new(0), Vec::new());
-            note(&mut symbols, &found, law, level);
-            writer.put_before(&symbols);
-            writer.finish(&mut out);
-            let mut reader = NoiseReader::new(ans::Reader::new(&out).unwrap(), law, level).unwrap();
-            prop_assert!(found.iter().all(|residual| reader.next() == Some(*residual)));
-            prop_assert!(reader.coder.is_at_end());
-        }
+    /// Whatever stands there is read or refused.
+    pub(super) fn is_read_or_refused<'a, R: Reads<'a>>(
+        write: Write,
+        (bytes, law, level): (&'a [u8], Law, u8),
+        again: &'a mut Vec<u8>,
+    ) -> Result<(), TestCaseError> {
+        let Some(coder) = ans::Reader::new(bytes) else { return Ok(()) };
+        let reader = R::of(coder, law, level);
+        prop_assert_eq!(reader.is_some(), level <= MOST_LEVEL);
+        let Some(mut reader) = reader else { return Ok(()) };
+        // States alone go on for long where all is the likeliest symbol.
+        let found: Vec<i64> = std::iter::from_fn(|| reader.next()).take(1_000).collect();
+        // Whatever it was, it is a residual that can be written.
+        let mut writer = ans::Writer::new(0);
+        write(&mut writer, &found, law, level);
+        writer.finish(again);
+        let mut reader = R::of(ans::Reader::new(again).unwrap(), law, level).unwrap();
+        prop_assert!(found.iter().all(|residual| reader.next() == Some(*residual)));
+        prop_assert!(reader.coder().is_at_end());
+        Ok(())
     }
 
     #[test]

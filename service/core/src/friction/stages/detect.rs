@@ -1,6 +1,6 @@
 //! The stage detector: state and step.
 
-use super::average::{Average, Row};
+use super::average::Average;
 use super::config::{StageConfig, StageParams};
 
 /// Weight of a new sample in the running idle load; about 50 samples of memory.
@@ -15,6 +15,9 @@ const STOPPING: f64 = 0.2;
 
 /// Way back that ends a hole, mm.
 const RETRACT_MM: f64 = 0.2;
+
+/// Loads are put on a common speed by no shorter way of a sample, mm.
+const LEAST_WAY_MM: f64 = 1e-6;
 
 /// One sample of a hole.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -198,17 +201,13 @@ impl StageDetector {
             self.stage = Stage::Done;
             return self.stage;
         }
-        let row = Row {
-            index,
-            depth_mm: sample.depth_mm,
-            way_mm,
-            feed_drive: sample.feed_drive_percent,
-            spindle: sample.spindle_percent,
-        };
+        let here = Mark { index, depth_mm: sample.depth_mm };
+        let row = [way_mm, sample.feed_drive_percent, sample.spindle_percent];
+        let smoothing = config.params().smoothing_samples;
         if self.stage == Stage::Air {
             self.deepest_mm = Some(sample.depth_mm);
-            self.seek_contact(config.params(), &row);
-            self.average.push(config.params().smoothing_samples, row);
+            self.seek_contact(config.params(), sample.feed_drive_percent, here);
+            self.average.push(smoothing, here, row);
             return self.stage;
         }
         // A tool that stands still or pecks says nothing new about the wall.
@@ -216,21 +215,62 @@ impl StageDetector {
             return self.stage;
         }
         self.deepest_mm = Some(sample.depth_mm);
-        self.average.push(config.params().smoothing_samples, row);
-        if let Some(mean) = self.average.mean(config.params().smoothing_samples) {
-            self.advance(config.params(), &mean);
+        self.average.push(smoothing, here, row);
+        if let Some((middle, mean)) = self.average.mean(smoothing) {
+            self.advance(config.params(), middle, mean);
         }
         self.stage
     }
 
-    fn seek_contact(&mut self, params: &StageParams, row: &Row) {
-        if self.idle_seen == 0 {
-            self.idle_mean = row.feed_drive;
+    /// The same as [`Self::step`] with the samples of a hole, one by one, as long as the sheet is not open: what the spindle's load
+    /// tells is left out, which is most of what is to be computed. To be asked of a detector that has seen nothing.
+    pub(crate) fn seek_opening(
+        mut self,
+        config: &StageConfig,
+        depth_mm: &[f64],
+        feed_drive: &[f64],
+    ) -> Stages {
+        let params = config.params();
+        let smoothing = params.smoothing_samples;
+        let mut deepest = None;
+        for (index, (&depth_mm, &feed_drive)) in depth_mm.iter().zip(feed_drive).enumerate() {
+            if !(depth_mm.is_finite() && feed_drive.is_finite()) {
+                continue;
+            }
+            let way_mm = depth_mm - *deepest.get_or_insert(depth_mm);
+            let here = Mark { index, depth_mm };
+            if self.stage == Stage::Air {
+                deepest = Some(depth_mm);
+                self.seek_contact(params, feed_drive, here);
+                self.average.push(smoothing, here, [way_mm, feed_drive]);
+                continue;
+            }
+            if way_mm < -RETRACT_MM {
+                break;
+            }
+            if way_mm <= 0.0 {
+                continue;
+            }
+            deepest = Some(depth_mm);
+            self.average.push(smoothing, here, [way_mm, feed_drive]);
+            if let Some((middle, [way_mm, feed_drive])) = self.average.mean(smoothing) {
+                let (_, thrust) = self.thrust(params, way_mm, feed_drive);
+                if self.opens(params, thrust, way_mm, middle) {
+                    break;
+                }
+            }
         }
-        let rise = row.feed_drive - self.idle_mean;
+        self.found
+    }
+
+    fn seek_contact(&mut self, params: &StageParams, feed_drive: f64, here: Mark) {
+        if self.idle_seen == 0 {
+            self.idle_mean = feed_drive;
+        }
+        let rise = feed_drive - self.idle_mean;
         let needed = params.contact_rise_points.max(params.contact_rise_deviations * self.idle_deviation);
         if self.idle_seen >= params.idle_samples && rise >= needed {
-            self.first_above.get_or_insert(Mark { index: row.index, depth_mm: row.depth_mm });
+            self.first_above.get_or_insert(here);
             self.above += 1;
             if self.above >= params.contact_samples {
                 self.stage = Stage::A;
@@ -250,26 +290,26 @@ impl StageDetector {
         self.idle_deviation += weight * (rise.abs() - self.idle_deviation);
     }
 
+    /// The thrust over idle, as it is and put on a common speed.
+    fn thrust(&self, params: &StageParams, way_mm: f64, feed_drive: f64) -> (f64, f64) {
+        let raw = (feed_drive - self.idle_mean).max(0.0);
+        (raw, raw / power(way_mm.max(LEAST_WAY_MM), params.thrust_feed_exponent))
+    }
+
     // Called from one place, where the mean is in registers: written to memory singly and read in pairs it is waited for.
     #[inline(always)]
-    fn advance(&mut self, params: &StageParams, mean: &Row) {
+    fn advance(&mut self, params: &StageParams, here: Mark, [way_mm, feed_drive, spindle]: [f64; 3]) {
         // The tool leaves no torque behind it: the lowest load since contact is the idling spindle's.
-        let spindle_idle = self.spindle_idle.map_or(mean.spindle, |idle| idle.min(mean.spindle));
+        let spindle_idle = self.spindle_idle.map_or(spindle, |idle| idle.min(spindle));
         self.spindle_idle = Some(spindle_idle);
-        let way = mean.way_mm.max(1e-6);
-        let raw_thrust = (mean.feed_drive - self.idle_mean).max(0.0);
-        let raw_torque = (mean.spindle - spindle_idle).max(0.0);
-        let loads = Loads {
-            thrust: raw_thrust / power(way, params.thrust_feed_exponent),
-            torque: raw_torque / power(way, params.torque_feed_exponent),
-            raw_thrust,
-            raw_torque,
-        };
+        let (raw_thrust, thrust) = self.thrust(params, way_mm, feed_drive);
+        let raw_torque = (spindle - spindle_idle).max(0.0);
+        let torque = raw_torque / power(way_mm.max(LEAST_WAY_MM), params.torque_feed_exponent);
+        let loads = Loads { thrust, torque, raw_thrust, raw_torque };
         self.high = self.high.zip(loads, f64::max);
-        let here = Mark { index: mean.index, depth_mm: mean.depth_mm };
         match self.stage {
-            Stage::A => self.in_a(params, &loads, mean.way_mm, here),
-            Stage::B => self.in_b(params, &loads, mean.way_mm, here),
+            Stage::A => self.in_a(params, &loads, way_mm, here),
+            Stage::B => self.in_b(params, &loads, way_mm, here),
             Stage::C => self.in_c(params, &loads, here),
             Stage::Air | Stage::D | Stage::Done => {}
         }
@@ -284,16 +324,24 @@ impl StageDetector {
 
     fn in_a(&mut self, params: &StageParams, loads: &Loads, way_mm: f64, here: Mark) {
         self.torque.raise(loads.torque, way_mm, here);
-        if self.thrust.raise(loads.thrust, way_mm, here) {
+        if self.opens(params, loads.thrust, way_mm, here) {
+            self.low = *loads;
+        }
+    }
+
+    /// Whether the thrust has fallen off for good, so that stage A has ended.
+    fn opens(&mut self, params: &StageParams, thrust: f64, way_mm: f64, here: Mark) -> bool {
+        if self.thrust.raise(thrust, way_mm, here) {
             self.pending = None;
         }
-        let fallen = loads.thrust <= (1.0 - params.breakthrough_fall) * self.thrust.value;
-        if self.is_confirmed(params, fallen && way_mm > STOPPING * self.thrust.way_mm, here) {
+        let fallen = thrust <= (1.0 - params.breakthrough_fall) * self.thrust.value;
+        let is_open = self.is_confirmed(params, fallen && way_mm > STOPPING * self.thrust.way_mm, here);
+        if is_open {
             self.found.thrust_maximum = self.thrust.mark;
             self.found.breakthrough = self.pending.take();
-            self.low = *loads;
             self.stage = Stage::B;
         }
+        is_open
     }
 
     fn in_b(&mut self, params: &StageParams, loads: &Loads, way_mm: f64, here: Mark) {

@@ -180,6 +180,40 @@ fn a_hole_in_two_parts_gives_the_stages_of_the_whole_and_bad_samples_are_skipped
     assert!((depth(broken.stages().falling_edge) - depth(whole.falling_edge)).abs() < 0.6);
 }
 
+/// What the whole detector tells of a hole up to where the sheet opens, and what is told without the spindle's load.
+fn openings(depth_mm: &[f64], feed_drive: &[f64], spindle: &[f64]) -> [Stages; 2] {
+    let config = StageConfig::default();
+    let found = find_stages(&config, depth_mm, feed_drive, spindle).unwrap();
+    let Stages { contact, thrust_maximum, breakthrough, .. } = found;
+    let up_to_it = Stages { contact, thrust_maximum, breakthrough, ..Stages::default() };
+    [up_to_it, StageDetector::new().seek_opening(&config, depth_mm, feed_drive)]
+}
+
+#[test]
+fn where_the_sheet_opens_is_told_without_the_spindle_s_load() {
+    let mut opened = 0;
+    for strategy in PaperStrategies::new().unwrap().all() {
+        for seed in 0..20 {
+            let samples = hole(|_| {}, strategy, f64::from(u32::try_from(seed).unwrap()) / 20.0, Some(seed));
+            let column = |of: fn(&CycleSample) -> f64| samples.iter().map(of).collect::<Vec<f64>>();
+            let (mut depth_mm, spindle) = (column(|s| s.depth_mm), column(|s| s.process.spindle_percent));
+            let mut feed_drive = column(|s| s.process.feed_drive_percent);
+            let [whole, alone] = openings(&depth_mm, &feed_drive, &spindle);
+            assert_eq!(whole, alone, "{}, seed {seed}", strategy.name);
+            opened += usize::from(alone.breakthrough.is_some());
+            // Standing still, going back a little, and what is no number.
+            for at in (20..depth_mm.len()).step_by(31) {
+                depth_mm[at] = depth_mm[at - 1] - 0.03 * f64::from(u32::try_from(at % 3).unwrap());
+            }
+            feed_drive[40] = f64::NAN;
+            depth_mm[60] = f64::INFINITY;
+            let [whole, alone] = openings(&depth_mm, &feed_drive, &spindle);
+            assert_eq!(whole, alone, "{}, seed {seed}, disturbed", strategy.name);
+        }
+    }
+    assert!(opened > 60, "{opened}");
+}
+
 #[test]
 fn drawing_back_ends_the_hole() {
     let samples = hole(|_| {}, &PaperStrategies::new().unwrap().constant, 0.0, None);
@@ -220,6 +254,30 @@ fn any_sample() -> impl proptest::strategy::Strategy<Value = StageSample> {
 }
 
 proptest! {
+    #[test]
+    fn whatever_comes_the_sheet_opens_where_the_whole_detector_says(
+        rows in proptest::collection::vec((-0.4..0.6_f64, -5.0..60.0_f64, 0.0..60.0_f64, 0..40_u8), 1..300),
+    ) {
+        let mut at = -3.0;
+        let mut column = [const { Vec::new() }; 3];
+        for (way, thrust, spindle, odd) in rows {
+            at += way;
+            // The whole detector passes over a sample whose spindle load is no number: here it is one.
+            let (depth_mm, thrust) = match odd {
+                0 => (f64::NAN, thrust),
+                1 => (at, f64::NEG_INFINITY),
+                // Idle for long, then in the work.
+                2..20 => (at, thrust / 40.0),
+                _ => (at, thrust),
+            };
+            for (column, value) in column.iter_mut().zip([depth_mm, thrust, spindle]) {
+                column.push(value);
+            }
+        }
+        let [whole, alone] = openings(&column[0], &column[1], &column[2]);
+        prop_assert_eq!(whole, alone);
+    }
+
     #[test]
     fn whatever_comes_stages_only_go_forward_and_nothing_is_before_contact(
         samples in proptest::collection::vec(any_sample(), 1..300),
