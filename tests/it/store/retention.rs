@@ -565,6 +565,40 @@ async fn postgres_deletes_nothing_by_a_decision_that_was_taken_back_meanwhile() 
     given.done().await;
 }
 
+/// The clock of a server tells what it likes: the database's counts.
+#[tokio::test]
+async fn postgres_goes_by_one_clock_whatever_that_of_a_server_tells() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    let now = given.numbers("SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000000 AS BIGINT)").await;
+    let now = (now[0] - at(0).micros()) / 1_000_000;
+    let server = given.server_of_its_own().await;
+    let mut all = Vec::new();
+    for (n, clock) in [(0, now - 20 * 366 * DAY), (10, now + 20 * 366 * DAY), (20, now)] {
+        // Two months are to go by a limit of one month: PostgreSQL drops by months.
+        for (n, age) in [(n, 62 + i64::from(n)), (n + 1, 63 + i64::from(n)), (n + 2, 20), (n + 3, 0)] {
+            let seconds = now - age * DAY;
+            store.make_room(at(seconds)).await.unwrap();
+            stored(&*store, &Run { seconds, ..Run::nth(n) }).await;
+        }
+        let dropped = run(&server, days(30), clock).await.1;
+        all.push(dropped.cycles);
+        let told = store.sample_drops(&"M1".try_into().unwrap()).await.unwrap();
+        let last = told.last().unwrap();
+        assert!(last.before <= at(now - 29 * DAY) && last.dropped_at < at(now + DAY), "{last:?}");
+    }
+    assert_eq!(all, [2, 2, 2]);
+    let whole = kept(&*store).await.into_iter().filter(|kept| *kept).count();
+    assert_eq!(whole, 6);
+    let audit = store.audit(Page { after: None, limit: 100 }).await.unwrap();
+    assert!(audit.iter().all(|entry| entry.action != "samples.drop_taken_back"));
+    server.close().await;
+    given.done().await;
+}
+
 #[tokio::test]
 async fn postgres_drops_a_partition_when_nothing_of_it_is_kept() {
     let Some(given) = Given::postgres().await else {

@@ -591,6 +591,8 @@ impl Store for Engine {
 
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>> {
         let (mut decided, mut after) = (Vec::new(), None);
+        let engine = self.clone();
+        let now = snapshot!(self, |conn| engine.common_time(conn, now).await)?;
         loop {
             let page = self.machines(Page { after: after.take(), limit: MACHINES_PAGE }).await?;
             for machine in &page {
@@ -615,7 +617,11 @@ impl Store for Engine {
     }
 
     async fn drop_partition(&self, now: Timestamp) -> StoreResult<Dropped> {
-        write!(self, |conn| retention::drop_partition(conn, now).await)
+        let engine = self.clone();
+        write!(self, |conn| {
+            let now = engine.common_time(conn, now).await?;
+            retention::drop_partition(conn, now).await
+        })
     }
 
     async fn drop_some(&self, most: u32) -> StoreResult<Dropped> {
