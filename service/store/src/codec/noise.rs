@@ -2,13 +2,13 @@
 //! whose mean size follows the column, as codes of lossless images do (LOCO-I, Weinberger et al., 2000). A Rice code, which
 //! suits a Laplace distribution of certain means, takes a twentieth more.
 //!
-//! The mean size m is kept in 1/2^8, sizes counted as 2^48 at the most and quotients rounded down. The *level* of an integer v > 0 is
+//! The mean size m is kept in 1/2^8, quotients rounded down. The *level* of an integer v > 0 is
 //! `4 n + q`, with 2^n its highest bit and q the two bits below. Of a mean, with its lowest bit set, it says by which table a residual
-//! goes. A column begins with a mean of its first level, 2^n (4 + q) / 4.
+//! goes. A column begins with a mean of its first level, 2^n (4 + q) / 4: that of its first 32 residuals, each counted as 2^48 at the most.
 //!
 //! * Block format v6: eight residuals go by the same mean, the last ones of a column too where they are fewer; behind them m
-//!   becomes `(m + 2^8 s / 8) / 2`, s being the sum of their sizes.
-//! * Block formats v4 and v5: `sum`, which begins as 16 m, becomes `sum − sum / 16 + 2^8 |residual|` with each; m is `sum / 16`, as
+//!   becomes `(m + 2^8 s / 8) / 2`, s being the sum of their sizes modulo 2^64, and 2^51 at the most.
+//! * Block formats v4 and v5: `sum`, which begins as 16 m, becomes `sum − sum / 16 + 2^8 |residual|` with each, which counts as 2^48 at the most; m is `sum / 16`, as
 //!   `sum` was before the residual before it.
 //!
 //! There are forty tables of each distribution, for the levels 4 to 43, which are means of 2^−7 to 8; less takes the first. Where the level is

@@ -1,13 +1,13 @@
 //! Residuals of block format v6: those of a stretch go by one table, for what those of the stretches before tell.
 
-use super::{
-    FRACTION, Law, MOST_COUNTED, MOST_LEVEL, Places, Tables, counted, first_mean, note, place, taken,
-};
+use super::{FRACTION, Law, MOST_COUNTED, MOST_LEVEL, Places, Tables, first_mean, note, place, taken};
 use crate::codec::ans::{self, Symbol};
 use crate::codec::predict::Residuals;
 
 /// Residuals that go by one table.
 pub(super) const STRETCH: usize = ans::TOGETHER;
+/// What a stretch counts at the most: as much as of residuals that each count as much as one does at the most.
+const MOST_SUM: u64 = MOST_COUNTED * STRETCH as u64;
 
 /// How large residuals are, in 1/2^8, as far as those before tell.
 #[derive(Debug, Clone, Copy)]
@@ -26,19 +26,14 @@ impl Mean {
     /// With one more stretch.
     #[inline(always)]
     pub(super) fn follow(&mut self, stretch: &[i64]) {
-        // One look for what counts less than its size, of all of them: an or, where a comparison each takes them one by one.
-        let (any, sum) = stretch.iter().fold((0, 0_u64), |(any, sum), residual| {
-            let size = residual.unsigned_abs();
-            (any | size, sum.wrapping_add(size))
-        });
-        let is_small = any < MOST_COUNTED;
-        self.follow_sum(if is_small { sum } else { stretch.iter().map(|residual| counted(*residual)).sum() });
+        let sum = stretch.iter().fold(0_u64, |sum, residual| sum.wrapping_add(residual.unsigned_abs()));
+        self.follow_sum(sum);
     }
 
-    /// By the sum of its sizes: it counts as much as all that came before.
+    /// By the sum of its sizes, which counts as much as all that came before.
     #[inline(always)]
-    const fn follow_sum(&mut self, sum: u64) {
-        self.0 = (self.0 + (sum << FRACTION) / STRETCH as u64) / 2;
+    fn follow_sum(&mut self, sum: u64) {
+        self.0 = (self.0 + (sum.min(MOST_SUM) << FRACTION) / STRETCH as u64) / 2;
     }
 }
 
@@ -169,7 +164,7 @@ impl Residuals for StretchReader<'_> {
     fn next(&mut self) -> Option<i64> {
         let (number, plain) = self.tables.by_mean(self.mean.get());
         let residual = taken(&mut self.coder, self.tables.places(number), plain)?;
-        self.sum += counted(residual);
+        self.sum = self.sum.wrapping_add(residual.unsigned_abs());
         self.read += 1;
         if self.read == STRETCH {
             self.mean.follow_sum(self.sum);
