@@ -244,20 +244,19 @@ impl Following {
     }
 
     /// The same, of what its guide says of the values; `None` where either is not below [`LIMIT`].
-    fn residuals_of(self, mut said: Vec<i64>, values: &[i64]) -> Option<Vec<i64>> {
-        let mut before = Off(off(*said.first()?, *values.first()?));
-        let mut all = beyond(said[0], values[0]);
-        for (places, memory) in self.counts(said.len().min(values.len())) {
-            for (said, value) in said[places.clone()].iter_mut().zip(&values[places]) {
-                all |= beyond(*said, *value);
-                let off = off(*said, *value);
-                *said = before.residual(off);
+    fn residuals_of(self, said: Vec<i64>, values: &[i64]) -> Option<Vec<i64>> {
+        // What no value waits for, of several at once; then what each waits for.
+        let mut residuals = offs(said, values)?;
+        let mut before = Off(*residuals.first()?);
+        for (places, memory) in self.counts(residuals.len()) {
+            for residual in &mut residuals[places] {
+                let off = *residual;
+                *residual = before.residual(off);
                 before.follow(off, memory);
             }
         }
-        let is_whole = all == 0 && said.len() == values.len();
-        said.remove(0);
-        is_whole.then_some(said)
+        residuals.remove(0);
+        Some(residuals)
     }
 
     /// Puts values back together behind the first; `None` where a residual is missing.
