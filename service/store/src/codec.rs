@@ -9,7 +9,7 @@
 //!
 //! # Content hash
 //!
-//! blake3 over the following, integers little-endian, `text` = length as u32 and then UTF-8, `float` = its bits as u64,
+//! blake3 over the following, integers little-endian, `text` = length as u32 and then UTF-8, `float` = its bits as u64 (those of 0 for −0),
 //! `option` = 0 or 1 followed by the value:
 //!
 //! ```text
@@ -25,10 +25,12 @@
 //!   u32 samples per column    u16 channels, and per channel in ascending code: u8 code, column
 //! where anything of a cut is reported:
 //!   text "cut"                5 × option float, in the order of the struct
+//! where its machine says whether it is a reference cycle:
+//!   text "reference"          u8 0 or 1
 //! column:
 //!   u8 form 0..=9, u8 width, per value m as a signed integer of that width: the first of 2, 4 and 8 bytes that holds each
 //!   u8 form 255, per value u64 bits
-//! zeros, up to the next power of two of bytes from 1,025 bytes on, up to the next 16,384 bytes from 16,385 on
+//! of 1,025 to 8,192 bytes: zeros, up to the next power of two
 //! ```
 //!
 //! Version 2 begins with `v2` and has no zeros; version 1 begins with `v1`, and has no zeros and no width: per value i64 m. What was
@@ -68,7 +70,7 @@
 //! ⌊log2(n + 1)⌋ for M as long as that is less. With P and O the integers of programmed feed and override at the same place,
 //! s_P and s_O their forms, `g` is
 //!
-//! * of an actual feed of form s, guide 0: `(P O f) >> 32`, not modulo 2^64 but its lowest 64 bits, f being 2^48 · 10^x to the nearest
+//! * of an actual feed of form s, guide 0: the lowest 64 bits of `(p f) >> 32`, p being `P O` modulo 2^64, signed, p f not modulo 2^64, and f 2^48 · 10^x to the nearest
 //!   integer for x = s − s_P − s_O − 2, −9 ≤ x ≤ 3
 //! * of a depth, guide 0 (of P O) or 3 (of the integers of the actual feed), with a factor f: `(f · sum) >> 8`, the sum being that of all
 //!   those integers up to here but the first

@@ -88,7 +88,7 @@ pub(super) fn of(
 /// where the feed drive's load was not sampled, or does not show it.
 fn breakthrough_mm(samples: &Samples, end: usize) -> Option<f64> {
     let (depth, thrust) = (samples.column(Channel::DepthMm)?, samples.column(Channel::FeedDriveLoadPercent)?);
-    let found = StageDetector::new().seek_opening(&StageConfig::default(), &depth[..=end], thrust);
+    let found = StageDetector::opening(&StageConfig::default(), &depth[..=end], thrust);
     let (contact, opened) = (found.contact?.depth_mm, found.breakthrough?.depth_mm);
     // Where the loads show no contact near the surface, as in a thin sheet among noise, what falls off later is another
     // stage's load.

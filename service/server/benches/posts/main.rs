@@ -97,7 +97,9 @@ fn main() {
         return blocks::measure();
     }
     if let Some(at) = given("--stages") {
-        return stages::measure(arguments.get(at + 1).map_or("", String::as_str));
+        // Cargo adds an option of its own behind those that it is given.
+        let part = arguments.get(at + 1).filter(|argument| !argument.starts_with("--"));
+        return stages::measure(part.map_or("", String::as_str));
     }
     if given("--bytes").is_some() {
         return runtime.block_on(bytes::tell());

@@ -2,6 +2,12 @@
 //! two states that take turns, and read from the first to the last. Where a symbol has a share f of 2^12 that begins at
 //! b, state x becomes (x div f) · 2^12 + b + x mod f; before it would leave 31 bits its lower 16 are written as a word.
 //!
+//! Who reads a state x finds the symbol whose share x mod 2^12 lies in, and x becomes f · (x div 2^12) + x mod 2^12 − b; where that is
+//! below 2^15 the next word is put behind it.
+//!
+//! Bits that are written plainly stand as symbols of twelve of them at the most, the lowest first: n bits of the value v are the
+//! symbol of the share 2^(12 − n) that begins at v · 2^(12 − n).
+//!
 //! ```text
 //! u32 state that is read first    u32 the other one
 //! words of 16 bits, in the order in which they are read
@@ -21,8 +27,8 @@ const WORD: u32 = 16;
 const HEAD: usize = 8;
 /// Symbols that are written together, and read together.
 pub(super) const TOGETHER: usize = 8;
-/// Most bits that are one symbol.
-const AT_ONCE: u32 = BITS;
+/// Most bits that are one symbol: the format's.
+const AT_ONCE: u32 = 12;
 
 /// A symbol's share, with what dividing by it takes.
 #[derive(Debug, Clone, Copy)]
@@ -105,13 +111,14 @@ impl Writer {
         mut eights: impl ExactSizeIterator<Item = Option<[&'s Symbol; TOGETHER]>>,
     ) -> usize {
         let begins = self.words.len();
-        // Each symbol writes a word at the most, and one more that does not count.
+        // Each symbol writes a word at the most; what is written over does not count.
         self.words.resize(begins + TOGETHER * eights.len(), 0);
         let (words, mut at, mut count) = (&mut self.words[begins..], 0, 0);
         let [mut a, mut b] = self.states;
         while let Some(Some(eight)) = eights.next() {
             let Some(room) = words[at..].first_chunk_mut::<TOGETHER>() else { break };
             let (pairs, _) = eight.as_chunks();
+            // The remainder is the place itself, of which the compiler then knows that it is within the room.
             let mut written = 0;
             for [earlier, later] in pairs.iter().rev() {
                 let (is_word, is_another);
@@ -234,66 +241,66 @@ mod tests {
     }
 
     proptest! {
-            #[test]
-            fn a_symbol_is_written_as_by_division(
-                state in prop_oneof![LOWEST..1 << 31, Just(LOWEST), Just((1 << 31) - 1)],
-                share in prop_oneof![1..=WHOLE, 1..=4_u32, Just(WHOLE)],
-                part in 0.0..1.0,
-            ) {
-                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2^12")]
-                let start = (f64::from(WHOLE - share) * part) as u32;
-                let (mut plain, mut word) = (Vec::new(), 0);
-                let expected = plainly(state, (start, share), &mut plain);
-                let is_word = !plain.is_empty();
-                prop_assert_eq!(put(state, &Symbol::new(start, share), &mut word), (expected, is_word));
-                prop_assert!(plain.iter().all(|plain| *plain == word));
-                prop_assert!((LOWEST..1 << 31).contains(&expected));
-            }
+        #[test]
+        fn a_symbol_is_written_as_by_division(
+            state in prop_oneof![LOWEST..1 << 31, Just(LOWEST), Just((1 << 31) - 1)],
+            share in prop_oneof![1..=WHOLE, 1..=4_u32, Just(WHOLE)],
+            part in 0.0..1.0,
+        ) {
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2^12")]
+            let start = (f64::from(WHOLE - share) * part) as u32;
+            let (mut plain, mut word) = (Vec::new(), 0);
+            let expected = plainly(state, (start, share), &mut plain);
+            let is_word = !plain.is_empty();
+            prop_assert_eq!(put(state, &Symbol::new(start, share), &mut word), (expected, is_word));
+            prop_assert!(plain.iter().all(|plain| *plain == word));
+            prop_assert!((LOWEST..1 << 31).contains(&expected));
+        }
 
-            #[test]
-            fn what_is_written_comes_back(
-                shares in shares(),
-                columns in prop::collection::vec(prop::collection::vec(any::<prop::sample::Index>(), 0..60), 0..4),
-                plain in any::<u64>(),
-                count in 0_u32..=64,
-                cut in any::<prop::sample::Index>(),
-            ) {
-                let value = if count == 0 { 0 } else { plain >> (64 - count) };
-    let mut writer = Writer::new(0);
-                for column in columns.iter().rev() {
-                    let symbol = |index: &prop::sample::Index| {
+        #[test]
+        fn what_is_written_comes_back(
+            shares in shares(),
+            columns in prop::collection::vec(prop::collection::vec(any::<prop::sample::Index>(), 0..60), 0..4),
+            plain in any::<u64>(),
+            count in 0_u32..=64,
+            cut in any::<prop::sample::Index>(),
+        ) {
+            let value = if count == 0 { 0 } else { plain >> (64 - count) };
+            let mut writer = Writer::new(0);
+            for column in columns.iter().rev() {
+                let symbol = |index: &prop::sample::Index| {
+                    let (start, share) = *index.get(&shares);
+                    Symbol::new(start, share)
+                };
+                let mut symbols: Vec<Symbol> = column.iter().map(symbol).collect();
+                note_plain(&mut symbols, value, count);
+                writer.put_before(&symbols);
+            }
+            let (len, mut out) = (writer.len(), Vec::new());
+            writer.finish(&mut out);
+            prop_assert_eq!(out.len(), len);
+            let read = |bytes: &[u8]| {
+                let mut reader = Reader::new(bytes)?;
+                for column in &columns {
+                    for index in column {
                         let (start, share) = *index.get(&shares);
-                        Symbol::new(start, share)
-                    };
-                    let mut symbols: Vec<Symbol> = column.iter().map(symbol).collect();
-                    note_plain(&mut symbols, value, count);
-                    writer.put_before(&symbols);
-                }
-                let (len, mut out) = (writer.len(), Vec::new());
-                writer.finish(&mut out);
-                prop_assert_eq!(out.len(), len);
-                let read = |bytes: &[u8]| {
-                    let mut reader = Reader::new(bytes)?;
-                    for column in &columns {
-                        for index in column {
-                            let (start, share) = *index.get(&shares);
-                            if !(start..start + share).contains(&reader.place()) {
-                                return None;
-                            }
-                            reader.take(start, share)?;
-                        }
-                        if reader.take_plain(count)? != value {
+                        if !(start..start + share).contains(&reader.place()) {
                             return None;
                         }
+                        reader.take(start, share)?;
                     }
-                    reader.is_at_end().then_some(())
-                };
-                prop_assert!(read(&out).is_some());
-                let cut = cut.index(out.len());
-                prop_assert!(read(&out[..cut]).is_none(), "cut at {}", cut);
-                prop_assert!(read(&[out.as_slice(), &[0]].concat()).is_none());
-            }
+                    if reader.take_plain(count)? != value {
+                        return None;
+                    }
+                }
+                reader.is_at_end().then_some(())
+            };
+            prop_assert!(read(&out).is_some());
+            let cut = cut.index(out.len());
+            prop_assert!(read(&out[..cut]).is_none(), "cut at {}", cut);
+            prop_assert!(read(&[out.as_slice(), &[0]].concat()).is_none());
         }
+    }
 
     #[test]
     fn states_that_no_writer_leaves_are_refused() {

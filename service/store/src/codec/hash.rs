@@ -7,6 +7,7 @@ use super::column::{Column, Columns, Time};
 use crate::record::ContentHash;
 use feedwright_core::cycle::Cycle;
 use std::cell::RefCell;
+use std::ops::RangeInclusive;
 use zerocopy::{Immutable, IntoBytes};
 
 /// How content is hashed.
@@ -93,19 +94,13 @@ fn of_version(version: Version, cycle: &Cycle, samples: Option<&Columns>) -> Con
 
 /// Bytes that are hashed together: blake3 is several times faster on long input.
 const WAITING: usize = 64 * 1024;
-/// blake3's pieces, of which it takes a power of two at once as fast as one of them, up to so many.
-const PIECE: usize = 1024;
-const MOST_AT_ONCE: usize = 16 * PIECE;
+/// Texts of so many bytes are filled up. blake3 takes pieces of 1,024 bytes several at once, a power of two of them: seven
+/// take three steps, and eight one. Of more pieces it depends on the processor.
+const FILLED: RangeInclusive<usize> = 1025..=8192;
 
 /// What a text of so many bytes is filled up to.
-const fn filled(len: usize) -> usize {
-    if len <= PIECE {
-        len
-    } else if len <= MOST_AT_ONCE {
-        len.next_power_of_two()
-    } else {
-        len.next_multiple_of(MOST_AT_ONCE)
-    }
+fn filled(len: usize) -> usize {
+    if FILLED.contains(&len) { len.next_power_of_two() } else { len }
 }
 
 struct Hash {
@@ -249,6 +244,7 @@ fn width(values: &[i64]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::super::frame::tests::cycle;
+    use super::super::guide::tests::drilled;
     use super::*;
     use feedwright_core::cycle::{Channel, Samples, TimeBase};
     use feedwright_core::units::Process;
@@ -266,6 +262,17 @@ mod tests {
         assert_eq!(hex(&of_version(Version::First, &cycle(), columns.as_ref())), first);
         assert_eq!(hex(&of_version(Version::Second, &cycle(), columns.as_ref())), second);
         assert_eq!(hex(&content_hash(&cycle())), third);
+        // Of a text that is filled up.
+        let columns = drilled(300, 7);
+        let [first, second, third] = [
+            "b6237c4809b419def9316705c63d0f93bb496ddf5f13fc157d24809654e93aba",
+            "e43d7ec8f0c2ece10f53cdc1b92684e9615221eb538e62dbf81d530d33c5fa69",
+            "d4b8b9409eed292048fecfbb1c424e0f60432cd1431dd15885d95ad8bda30892",
+        ];
+        for (version, fixed) in [(Version::First, first), (Version::Second, second), (Version::Third, third)]
+        {
+            assert_eq!(hex(&of_version(version, &cycle(), Some(&columns))), fixed, "{version:?}");
+        }
     }
 
     #[test]
@@ -320,10 +327,9 @@ mod tests {
             (1025, 2048),
             (2048, 2048),
             (5000, 8192),
-            (16_384, 16_384),
-            (16_385, 32_768),
-            (WAITING, WAITING),
-            (WAITING + 1, 81_920),
+            (8192, 8192),
+            (8193, 8193),
+            (WAITING + 1, WAITING + 1),
         ] {
             let mut hash = Hash::new(Version::Third, vec![9; 3]);
             let mut text = vec![7; len];

@@ -12,14 +12,15 @@
 //!   `sum` was before the residual before it.
 //!
 //! There are forty tables of each distribution, for the levels 4 to 43, which are means of 2^−7 to 8; less takes the first. Where the level is
-//! 40 + 4k to 43 + 4k, the lowest k bits of a residual are written plainly, behind the rest of it, which goes by the table for 4k
-//! less.
+//! 40 + 4k to 43 + 4k, the lowest k bits of a residual are written plainly (see `ans.rs`), behind the rest of it (divided by 2^k and rounded down), which goes
+//! by the table for 4k less. No column begins with a level above 227.
 //!
 //! A table is for the mean in the middle of its level, m = 2^(n − 8) (9 + 2q) / 8. Its symbols are −r to r, r being
 //! ⌊5 m⌋ + 4 (normal) or ⌊8 m⌋ + 4, and behind them the escape. With w(x) = p^(x²) (normal) or p^|x| (Laplace), where p, found
 //! by halving 0 to 1 sixty times, gives |x| the mean m over −r to r, the shares of 2^12 are 2 for the escape, the larger of 1 and
-//! w(x) / Σ w · 4094 + 1/2, rounded down, for each x but 0, and for 0 what is left. Behind an escape stands how many bits the
-//! residual has, zig-zag, in seven bits, and what is below the highest of them.
+//! w(x) / Σ w · 4094 + 1/2, rounded down, for each x but 0, and for 0 what is left. Behind an escape, which what is beyond
+//! r takes of the rest too, stands how many bits the whole residual has, zig-zag, in seven plain bits, and what is below the highest of them, plainly; no k bits
+//! behind that.
 
 mod singly;
 mod stretches;

@@ -122,12 +122,17 @@ fn power(base: f64, exponent: f64) -> f64 {
     }
 }
 
+/// A load as it would be at a common speed, of a sample that made so much way.
+fn on_common_speed(load: f64, way_mm: f64, exponent: f64) -> f64 {
+    load / power(way_mm.max(LEAST_WAY_MM), exponent)
+}
+
 /// Memory of the detector within one hole.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StageDetector {
     stage: Stage,
     found: Stages,
-    average: Average,
+    average: Average<3>,
     index: usize,
     idle_seen: u32,
     idle_mean: f64,
@@ -222,27 +227,22 @@ impl StageDetector {
         self.stage
     }
 
-    /// The same as [`Self::step`] with the samples of a hole, one by one, as long as the sheet is not open: what the spindle's load
-    /// tells is left out, which is most of what is to be computed. To be asked of a detector that has seen nothing.
-    pub(crate) fn seek_opening(
-        mut self,
-        config: &StageConfig,
-        depth_mm: &[f64],
-        feed_drive: &[f64],
-    ) -> Stages {
+    /// What a detector that takes the samples of a hole one by one has found when the sheet opens, or at their end. What the spindle's
+    /// load tells is left out, which is most of what is to be computed.
+    pub(crate) fn opening(config: &StageConfig, depth_mm: &[f64], feed_drive_percent: &[f64]) -> Stages {
         let params = config.params();
         let smoothing = params.smoothing_samples;
-        let mut deepest = None;
-        for (index, (&depth_mm, &feed_drive)) in depth_mm.iter().zip(feed_drive).enumerate() {
+        let (mut detector, mut average, mut deepest) = (Self::new(), Average::new(), None);
+        for (index, (&depth_mm, &feed_drive)) in depth_mm.iter().zip(feed_drive_percent).enumerate() {
             if !(depth_mm.is_finite() && feed_drive.is_finite()) {
                 continue;
             }
             let way_mm = depth_mm - *deepest.get_or_insert(depth_mm);
             let here = Mark { index, depth_mm };
-            if self.stage == Stage::Air {
+            if detector.stage == Stage::Air {
                 deepest = Some(depth_mm);
-                self.seek_contact(params, feed_drive, here);
-                self.average.push(smoothing, here, [way_mm, feed_drive]);
+                detector.seek_contact(params, feed_drive, here);
+                average.push(smoothing, here, [way_mm, feed_drive]);
                 continue;
             }
             if way_mm < -RETRACT_MM {
@@ -252,15 +252,16 @@ impl StageDetector {
                 continue;
             }
             deepest = Some(depth_mm);
-            self.average.push(smoothing, here, [way_mm, feed_drive]);
-            if let Some((middle, [way_mm, feed_drive])) = self.average.mean(smoothing) {
-                let (_, thrust) = self.thrust(params, way_mm, feed_drive);
-                if self.opens(params, thrust, way_mm, middle) {
+            average.push(smoothing, here, [way_mm, feed_drive]);
+            if let Some((middle, [way_mm, feed_drive])) = average.mean(smoothing) {
+                let thrust =
+                    on_common_speed(detector.over_idle(feed_drive), way_mm, params.thrust_feed_exponent);
+                if detector.end_a(params, thrust, way_mm, middle) {
                     break;
                 }
             }
         }
-        self.found
+        detector.found
     }
 
     fn seek_contact(&mut self, params: &StageParams, feed_drive: f64, here: Mark) {
@@ -290,10 +291,9 @@ impl StageDetector {
         self.idle_deviation += weight * (rise.abs() - self.idle_deviation);
     }
 
-    /// The thrust over idle, as it is and put on a common speed.
-    fn thrust(&self, params: &StageParams, way_mm: f64, feed_drive: f64) -> (f64, f64) {
-        let raw = (feed_drive - self.idle_mean).max(0.0);
-        (raw, raw / power(way_mm.max(LEAST_WAY_MM), params.thrust_feed_exponent))
+    /// The feed drive's load over its idle load.
+    fn over_idle(&self, feed_drive: f64) -> f64 {
+        (feed_drive - self.idle_mean).max(0.0)
     }
 
     // Called from one place, where the mean is in registers: written to memory singly and read in pairs it is waited for.
@@ -302,9 +302,9 @@ impl StageDetector {
         // The tool leaves no torque behind it: the lowest load since contact is the idling spindle's.
         let spindle_idle = self.spindle_idle.map_or(spindle, |idle| idle.min(spindle));
         self.spindle_idle = Some(spindle_idle);
-        let (raw_thrust, thrust) = self.thrust(params, way_mm, feed_drive);
-        let raw_torque = (spindle - spindle_idle).max(0.0);
-        let torque = raw_torque / power(way_mm.max(LEAST_WAY_MM), params.torque_feed_exponent);
+        let (raw_thrust, raw_torque) = (self.over_idle(feed_drive), (spindle - spindle_idle).max(0.0));
+        let thrust = on_common_speed(raw_thrust, way_mm, params.thrust_feed_exponent);
+        let torque = on_common_speed(raw_torque, way_mm, params.torque_feed_exponent);
         let loads = Loads { thrust, torque, raw_thrust, raw_torque };
         self.high = self.high.zip(loads, f64::max);
         match self.stage {
@@ -324,13 +324,13 @@ impl StageDetector {
 
     fn in_a(&mut self, params: &StageParams, loads: &Loads, way_mm: f64, here: Mark) {
         self.torque.raise(loads.torque, way_mm, here);
-        if self.opens(params, loads.thrust, way_mm, here) {
+        if self.end_a(params, loads.thrust, way_mm, here) {
             self.low = *loads;
         }
     }
 
-    /// Whether the thrust has fallen off for good, so that stage A has ended.
-    fn opens(&mut self, params: &StageParams, thrust: f64, way_mm: f64, here: Mark) -> bool {
+    /// Ends stage A where the thrust has fallen off for good, and says so.
+    fn end_a(&mut self, params: &StageParams, thrust: f64, way_mm: f64, here: Mark) -> bool {
         if self.thrust.raise(thrust, way_mm, here) {
             self.pending = None;
         }

@@ -7,7 +7,7 @@ use crate::friction::twin::{
     CycleSample, CycleSetup, PAPER_SPINDLE_RPM, PaperStrategies, Twin, TwinParams, paper_params,
     typical_noise,
 };
-use proptest::prelude::{Strategy as _, prop_assert, prop_assert_eq, prop_oneof, proptest};
+use proptest::prelude::{Just, Strategy as _, prop_assert, prop_assert_eq, prop_oneof, proptest};
 
 fn hole(
     change: impl FnOnce(&mut TwinParams),
@@ -181,12 +181,11 @@ fn a_hole_in_two_parts_gives_the_stages_of_the_whole_and_bad_samples_are_skipped
 }
 
 /// What the whole detector tells of a hole up to where the sheet opens, and what is told without the spindle's load.
-fn openings(depth_mm: &[f64], feed_drive: &[f64], spindle: &[f64]) -> [Stages; 2] {
-    let config = StageConfig::default();
-    let found = find_stages(&config, depth_mm, feed_drive, spindle).unwrap();
+fn openings(config: &StageConfig, depth_mm: &[f64], feed_drive: &[f64], spindle: &[f64]) -> [Stages; 2] {
+    let found = find_stages(config, depth_mm, feed_drive, spindle).unwrap();
     let Stages { contact, thrust_maximum, breakthrough, .. } = found;
     let up_to_it = Stages { contact, thrust_maximum, breakthrough, ..Stages::default() };
-    [up_to_it, StageDetector::new().seek_opening(&config, depth_mm, feed_drive)]
+    [up_to_it, StageDetector::opening(config, depth_mm, feed_drive)]
 }
 
 #[test]
@@ -198,7 +197,7 @@ fn where_the_sheet_opens_is_told_without_the_spindle_s_load() {
             let column = |of: fn(&CycleSample) -> f64| samples.iter().map(of).collect::<Vec<f64>>();
             let (mut depth_mm, spindle) = (column(|s| s.depth_mm), column(|s| s.process.spindle_percent));
             let mut feed_drive = column(|s| s.process.feed_drive_percent);
-            let [whole, alone] = openings(&depth_mm, &feed_drive, &spindle);
+            let [whole, alone] = openings(&StageConfig::default(), &depth_mm, &feed_drive, &spindle);
             assert_eq!(whole, alone, "{}, seed {seed}", strategy.name);
             opened += usize::from(alone.breakthrough.is_some());
             // Standing still, going back a little, and what is no number.
@@ -207,7 +206,7 @@ fn where_the_sheet_opens_is_told_without_the_spindle_s_load() {
             }
             feed_drive[40] = f64::NAN;
             depth_mm[60] = f64::INFINITY;
-            let [whole, alone] = openings(&depth_mm, &feed_drive, &spindle);
+            let [whole, alone] = openings(&StageConfig::default(), &depth_mm, &feed_drive, &spindle);
             assert_eq!(whole, alone, "{}, seed {seed}, disturbed", strategy.name);
         }
     }
@@ -254,27 +253,39 @@ fn any_sample() -> impl proptest::strategy::Strategy<Value = StageSample> {
 }
 
 proptest! {
+    /// Idle, a rise and a fall, as of a hole, with noise, ways back and what is no number among them.
     #[test]
     fn whatever_comes_the_sheet_opens_where_the_whole_detector_says(
-        rows in proptest::collection::vec((-0.4..0.6_f64, -5.0..60.0_f64, 0.0..60.0_f64, 0..40_u8), 1..300),
+        (idle, rise, fall) in (0_u32..60, 1_u32..60, 0_u32..60),
+        noise in proptest::collection::vec((-1.0..1.0_f64, -0.05..0.3_f64, 0.0..60.0_f64, 0..60_u8), 180),
+        (rough, highest) in (0.0..6.0_f64, 2.0..60.0_f64),
+        (half, feed_exponent, confirm_mm) in (0_usize..=15, prop_oneof![Just(0.5), Just(1.0), 0.0..1.0_f64], 0.0..0.6_f64),
     ) {
-        let mut at = -3.0;
-        let mut column = [const { Vec::new() }; 3];
-        for (way, thrust, spindle, odd) in rows {
+        let params = StageParams {
+            smoothing_samples: 2 * half + 1, thrust_feed_exponent: feed_exponent, confirm_mm, ..StageParams::default()
+        };
+        let config = StageConfig::new(params).unwrap();
+        let (mut at, mut columns) = (-3.0, [const { Vec::new() }; 3]);
+        for (index, (noise, way, spindle, odd)) in (0..idle + rise + fall).zip(noise) {
             at += way;
-            // The whole detector passes over a sample whose spindle load is no number: here it is one.
+            let course = match index {
+                index if index < idle => 0.0,
+                index if index < idle + rise => f64::from(index - idle) / f64::from(rise),
+                index => 1.0 - f64::from(index - idle - rise) / f64::from(fall),
+            };
+            let thrust = 5.0 + highest * course + rough * noise;
             let (depth_mm, thrust) = match odd {
                 0 => (f64::NAN, thrust),
                 1 => (at, f64::NEG_INFINITY),
-                // Idle for long, then in the work.
-                2..20 => (at, thrust / 40.0),
+                2 => (at - 0.25, thrust),
                 _ => (at, thrust),
             };
-            for (column, value) in column.iter_mut().zip([depth_mm, thrust, spindle]) {
+            // The whole detector passes over a sample whose spindle load is no number: here it is one.
+            for (column, value) in columns.iter_mut().zip([depth_mm, thrust, spindle]) {
                 column.push(value);
             }
         }
-        let [whole, alone] = openings(&column[0], &column[1], &column[2]);
+        let [whole, alone] = openings(&config, &columns[0], &columns[1], &columns[2]);
         prop_assert_eq!(whole, alone);
     }
 

@@ -4,8 +4,11 @@ use super::{FRACTION, Law, MOST_COUNTED, MOST_LEVEL, Places, Tables, first_mean,
 use crate::codec::ans::{self, Symbol};
 use crate::codec::predict::Residuals;
 
-/// Residuals that go by one table.
-pub(super) const STRETCH: usize = ans::TOGETHER;
+/// Residuals that go by one table: the format's.
+pub(super) const STRETCH: usize = 8;
+const _: () = assert!(STRETCH == ans::TOGETHER, "a stretch is written at once");
+/// Stretches that are written in one go.
+const PIECE: usize = 64;
 /// What a stretch counts at the most: as much as of residuals that each count as much as one does at the most.
 const MOST_SUM: u64 = MOST_COUNTED * STRETCH as u64;
 
@@ -70,26 +73,46 @@ impl StretchWriter {
         }
         let mut left = self.tables.len();
         while left > 0 {
-            left -= put_usual(coder, tables, &self.tables[..left], residuals);
-            // What stopped it: what escapes or has plain bits, and the end of the column.
-            if let Some(stretch) = left.checked_sub(1) {
-                left = stretch;
-                let (number, plain) = self.tables[stretch];
+            // So many at the most: each time room is made for all that may be written.
+            let piece = left.saturating_sub(PIECE)..left;
+            left -= put_usual(
+                coder,
+                tables,
+                &self.tables[piece.clone()],
+                stretches.get(piece).unwrap_or_default(),
+            );
+            // What stopped it: what escapes or has plain bits, which more of the same often stands before, and the end of the column.
+            while let Some(stretch) = left.checked_sub(1)
+                && let Some(&(number, plain)) = self.tables.get(stretch)
+                && (plain > 0 || stretch >= stretches.len() || !is_usual(tables, number, &stretches[stretch]))
+            {
                 self.symbols.clear();
                 for residual in residuals.chunks(STRETCH).nth(stretch).unwrap_or_default() {
                     note(&mut self.symbols, tables.symbols(number), *residual, plain.into());
                 }
                 coder.put_before(&self.symbols);
+                left = stretch;
             }
         }
     }
 }
 
+/// Whether each residual is one symbol of a table.
+fn is_usual(tables: &Tables, number: u8, stretch: &[i64; STRETCH]) -> bool {
+    let (_, reach) = tables.symbols(number);
+    stretch.iter().all(|residual| residual.unsigned_abs() <= reach.unsigned_abs())
+}
+
 /// Writes stretches, from the last one on, as long as each residual of them is one symbol; says how many. A function of its own,
 /// so that all it goes by is in registers.
 #[inline(never)]
-fn put_usual(coder: &mut ans::Writer, tables: &Tables, of: &[(u8, u8)], residuals: &[i64]) -> usize {
-    let (stretches, _) = residuals.as_chunks::<STRETCH>();
+fn put_usual(
+    coder: &mut ans::Writer,
+    tables: &Tables,
+    of: &[(u8, u8)],
+    stretches: &[[i64; STRETCH]],
+) -> usize {
+    // The end of a column is no whole stretch.
     if stretches.len() < of.len() {
         return 0;
     }
