@@ -83,7 +83,10 @@ fn quantile(sorted: &[f64], share: f64) -> f64 {
     let place = share * (sorted.len() - 1) as f64;
     let (below, part) = (place.floor() as usize, place.fract());
     let above = (below + 1).min(sorted.len() - 1);
-    sorted[below] + part * (sorted[above] - sorted[below])
+    let (below, above) = (sorted[below], sorted[above]);
+    let between = above - below;
+    // From the nearer of both, as numpy has it to the bit.
+    if part < 0.5 { below + between * part } else { above - between * (1.0 - part) }
 }
 
 #[cfg(test)]
@@ -99,6 +102,9 @@ mod tests {
         let spread = Spread::of(&mut [3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0]).unwrap();
         assert_eq!((spread.count, spread.mean, spread.min, spread.max), (8, 3.875, 1.0, 9.0));
         assert!((spread.p50 - 3.5).abs() < 1e-12 && (spread.p95 - 7.95).abs() < 1e-12, "{spread:?}");
+        // From the lower value it would be 1928.7199999999998.
+        let spread = Spread::of(&mut [1090.3, 1950.6, 1150.0, 1739.4, 1841.2]).unwrap();
+        assert_eq!([spread.p50, spread.p95].map(f64::to_bits), [1739.4, 1928.72].map(f64::to_bits));
         assert_eq!(Spread::of(&mut []), None);
         let one = Spread::of(&mut [7.0]).unwrap();
         assert_eq!((one.min, one.max, one.p50, one.p95), (7.0, 7.0, 7.0, 7.0));

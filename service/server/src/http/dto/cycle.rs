@@ -30,6 +30,7 @@ pub struct CyclePost {
     /// When it began, RFC 3339, by the machine's clock; at most 10 minutes ahead of the server's.
     started_at: String,
     /// The machine's own count.
+    #[schema(maximum = 9223372036854775807u64)]
     seq: Option<u64>,
     /// `friction`, `drilling`, `plunge`, `turning`, `vibratory` or `milling`; the operation's where it is left out; another one flags the cycle `contradictory`.
     process: Option<String>,
@@ -218,7 +219,7 @@ pub struct SummaryBody {
     pub version: u32,
     /// Number of samples; 0 where the control only reported.
     pub sample_count: u32,
-    /// Cycle time, ms.
+    /// Cycle time, ms: what the samples stand for, where there are any (docs/reading.md), else what the control reports.
     pub duration_ms: Option<f64>,
     /// Energy by basis, the one that wear compares first; empty where no joules can be told.
     pub energy: Vec<EnergyBody>,
@@ -246,7 +247,7 @@ pub struct SummaryBody {
     pub median_spindle_speed_rpm: Option<f64>,
     /// Depth at which the spindle load has fallen to half of its maximum, mm.
     pub spindle_load_fall_depth_mm: Option<f64>,
-    /// Share of the cycle's time that samples cover, 0 to 1.
+    /// Share of the time from the first sample to the last that is no gap, 0 to 1.
     pub coverage_ratio: f64,
     /// Of friction drilling, and of a cycle whose process is not known yet: what lies between contact and full depth.
     /// Null where depth or energy was not sampled.
