@@ -299,7 +299,7 @@ pub trait Store: Send + Sync + 'static {
     /// Decides for every machine which samples are to go; `otherwise` holds where a machine has no say of its own. What several
     /// servers write to goes by the time that they agree on, and not by `now`: what is dropped by a clock that was ahead is gone.
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>>;
-    /// Drops the oldest partition of which nothing is kept, where the engine has partitions.
+    /// Drops the oldest partition of which nothing is kept, where the engine has partitions; by the same time.
     ///
     /// # Errors
     ///

@@ -230,33 +230,18 @@ impl Following {
     }
 
     /// How far each value after the first is off what is expected, of how far each is off its guide.
-    fn residuals(self, offs: &[i64]) -> Vec<i64> {
-        let mut residuals = Vec::with_capacity(offs.len());
-        let mut before = Off(offs.first().copied().unwrap_or(0));
+    fn residuals(self, mut offs: Vec<i64>) -> Vec<i64> {
+        let Some(&first) = offs.first() else { return offs };
+        let mut before = Off(first);
         for (places, memory) in self.counts(offs.len()) {
-            residuals.extend(offs[places].iter().map(|off| {
-                let residual = before.residual(*off);
-                before.follow(*off, memory);
-                residual
-            }));
-        }
-        residuals
-    }
-
-    /// The same, of what its guide says of the values; `None` where either is not below [`LIMIT`].
-    fn residuals_of(self, said: Vec<i64>, values: &[i64]) -> Option<Vec<i64>> {
-        // What no value waits for, of several at once; then what each waits for.
-        let mut residuals = offs(said, values)?;
-        let mut before = Off(*residuals.first()?);
-        for (places, memory) in self.counts(residuals.len()) {
-            for residual in &mut residuals[places] {
-                let off = *residual;
-                *residual = before.residual(off);
+            for place in &mut offs[places] {
+                let off = *place;
+                *place = before.residual(off);
                 before.follow(off, memory);
             }
         }
-        residuals.remove(0);
-        Some(residuals)
+        offs.remove(0);
+        offs
     }
 
     /// Puts values back together behind the first; `None` where a residual is missing.
@@ -295,13 +280,13 @@ pub(super) fn choose(columns: &Columns, usual: impl Fn(Channel) -> Option<Usual>
         if let Some(Usual { way: Way::Guided(before), is_settled, .. }) = usual {
             // A way's factor is of this block's period and direction.
             if is_settled && !matches!(before.guide, Guide::Travel { .. }) {
-                let residuals = before.residuals_of(before.guide.says(column, scale)?, values)?;
-                return Some(Guided { following: before, residuals });
+                let offs = offs(before.guide.says(column, scale)?, values)?;
+                return Some(Guided { following: before, residuals: before.residuals(offs) });
             }
             let guide = may().find(|guide| guide.is_like(before.guide))?;
             let offs = offs(guide.says(column, scale)?, values)?;
             let following = Following { guide, memory: Walk::of(&offs).memory() };
-            return Some(Guided { following, residuals: following.residuals(&offs) });
+            return Some(Guided { following, residuals: following.residuals(offs) });
         }
         let known = may().filter_map(|guide| {
             let offs = offs(guide.says(column, scale)?, values)?;
@@ -310,7 +295,7 @@ pub(super) fn choose(columns: &Columns, usual: impl Fn(Channel) -> Option<Usual>
         });
         let (guide, offs, walk) = known.min_by(|(_, _, a), (_, _, b)| a.far.total_cmp(&b.far))?;
         let following = Following { guide, memory: walk.memory() };
-        let guided = Guided { following, residuals: following.residuals(&offs) };
+        let guided = Guided { following, residuals: following.residuals(offs) };
         guided.pays(values).then_some(guided)
     };
     columns.channels.iter().map(one).collect()
@@ -664,7 +649,7 @@ pub(super) mod tests {
             let (said, values): (Vec<i64>, Vec<i64>) = pairs.into_iter().unzip();
             let following = Following { guide: Guide::Command, memory };
             let offs = offs(said.clone(), &values);
-            let residuals = offs.as_ref().map_or_else(|| vec![1; values.len() - 1], |offs| following.residuals(offs));
+            let residuals = offs.clone().map_or_else(|| vec![1; values.len() - 1], |offs| following.residuals(offs));
             prop_assert_eq!(residuals.len(), values.len() - 1);
             let mut back = vec![0; values.len()];
             back[0] = values[0];

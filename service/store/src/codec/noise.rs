@@ -357,10 +357,9 @@ mod tests {
     use crate::codec::predict::Residuals;
     use proptest::prelude::*;
 
-    /// Writes the residuals of a column.
-    pub(super) type Write = fn(&mut ans::Writer, &[i64], Law, u8);
-    /// A column's reader, and where the next column is read on.
+    /// A column's reader, with what writes for it, and where the next column is read on.
     pub(super) trait Reads<'a>: Residuals + Sized {
+        fn write(coder: &mut ans::Writer, residuals: &[i64], law: Law, first_level: u8);
         fn of(coder: ans::Reader<'a>, law: Law, first_level: u8) -> Option<Self>;
         fn coder(&self) -> ans::Reader<'a>;
     }
@@ -369,7 +368,7 @@ mod tests {
         prop_oneof![6 => -3_i64..=3, 3 => -500_i64..500, 1 => any::<i64>(), 1 => Just(i64::MIN), 1 => Just(i64::MAX)]
     }
 
-    pub(super) fn column() -> impl Strategy<Value = (Vec<i64>, Law)> {
+    fn column() -> impl Strategy<Value = (Vec<i64>, Law)> {
         // Runs take the mean to where it stays.
         let run = (residual(), prop_oneof![1_usize..4, 1_usize..150]);
         let residuals = prop::collection::vec(run, 0..12)
@@ -378,14 +377,13 @@ mod tests {
     }
 
     /// Columns come back one behind the other, read together and one by one.
-    pub(super) fn comes_back<'a, R: Reads<'a>>(
-        write: Write,
+    fn comes_back<'a, R: Reads<'a>>(
         columns: &[(Vec<i64>, Law)],
         bytes: &'a mut Vec<u8>,
     ) -> Result<(), TestCaseError> {
         let mut writer = ans::Writer::new(0);
         for (residuals, law) in columns.iter().rev() {
-            write(&mut writer, residuals, *law, first_level(residuals));
+            R::write(&mut writer, residuals, *law, first_level(residuals));
         }
         writer.finish(bytes);
         let mut coder = ans::Reader::new(bytes).unwrap();
@@ -409,8 +407,7 @@ mod tests {
     }
 
     /// Whatever stands there is read or refused.
-    pub(super) fn is_read_or_refused<'a, R: Reads<'a>>(
-        write: Write,
+    fn is_read_or_refused<'a, R: Reads<'a>>(
         (bytes, law, level): (&'a [u8], Law, u8),
         again: &'a mut Vec<u8>,
     ) -> Result<(), TestCaseError> {
@@ -422,12 +419,30 @@ mod tests {
         let found: Vec<i64> = std::iter::from_fn(|| reader.next()).take(1_000).collect();
         // Whatever it was, it is a residual that can be written.
         let mut writer = ans::Writer::new(0);
-        write(&mut writer, &found, law, level);
+        R::write(&mut writer, &found, law, level);
         writer.finish(again);
         let mut reader = R::of(ans::Reader::new(again).unwrap(), law, level).unwrap();
         prop_assert!(found.iter().all(|residual| reader.next() == Some(*residual)));
         prop_assert!(reader.coder().is_at_end());
         Ok(())
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_comes_back(columns in prop::collection::vec(column(), 1..4)) {
+            comes_back::<StretchReader>(&columns, &mut Vec::new())?;
+            comes_back::<NoiseReader>(&columns, &mut Vec::new())?;
+        }
+
+        #[test]
+        fn whatever_stands_there_is_read_or_refused(
+            bytes in prop::collection::vec(any::<u8>(), 0..200),
+            law in prop::sample::select(Law::ALL.as_slice()),
+            level in any::<u8>(),
+        ) {
+            is_read_or_refused::<StretchReader>((&bytes, law, level), &mut Vec::new())?;
+            is_read_or_refused::<NoiseReader>((&bytes, law, level), &mut Vec::new())?;
+        }
     }
 
     #[test]

@@ -97,44 +97,27 @@ impl Residuals for NoiseReader<'_> {
 #[cfg(test)]
 mod tests {
     use super::super::note;
-    use super::super::tests::{Reads, column, comes_back, is_read_or_refused};
+    use super::super::tests::Reads;
     use super::*;
-    use proptest::prelude::*;
-
-    /// As it was written once.
-    fn write(coder: &mut ans::Writer, residuals: &[i64], law: Law, first_level: u8) {
-        let (tables, mut scale, mut symbols) = (law.tables(), Scale::new(first_level), Vec::new());
-        for residual in residuals {
-            let (number, plain) = tables.by_mean(scale.mean);
-            note(&mut symbols, tables.symbols(number), *residual, plain);
-            scale.follow(counted(*residual));
-        }
-        coder.put_before(&symbols);
-    }
 
     impl<'a> Reads<'a> for NoiseReader<'a> {
+        /// As it was written once.
+        fn write(coder: &mut ans::Writer, residuals: &[i64], law: Law, first_level: u8) {
+            let (tables, mut scale, mut symbols) = (law.tables(), Scale::new(first_level), Vec::new());
+            for residual in residuals {
+                let (number, plain) = tables.by_mean(scale.mean);
+                note(&mut symbols, tables.symbols(number), *residual, plain);
+                scale.follow(counted(*residual));
+            }
+            coder.put_before(&symbols);
+        }
+
         fn of(coder: ans::Reader<'a>, law: Law, first_level: u8) -> Option<Self> {
             Self::new(coder, law, first_level)
         }
 
         fn coder(&self) -> ans::Reader<'a> {
             self.coder
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn what_is_written_comes_back(columns in prop::collection::vec(column(), 1..4)) {
-            comes_back::<NoiseReader>(write, &columns, &mut Vec::new())?;
-        }
-
-        #[test]
-        fn whatever_stands_there_is_read_or_refused(
-            bytes in prop::collection::vec(any::<u8>(), 0..200),
-            law in prop::sample::select(Law::ALL.as_slice()),
-            level in any::<u8>(),
-        ) {
-            is_read_or_refused::<NoiseReader>(write, (&bytes, law, level), &mut Vec::new())?;
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Residuals of block format v6: those of a stretch go by one table, for what those of the stretches before tell.
 
-use super::{FRACTION, Law, MOST_COUNTED, MOST_LEVEL, Places, Tables, first_mean, note, place, taken};
+use super::{FRACTION, Law, MOST_COUNTED, MOST_LEVEL, Tables, first_mean, note, place, taken};
 use crate::codec::ans::{self, Symbol};
 use crate::codec::predict::Residuals;
 
@@ -117,12 +117,12 @@ fn put_usual(
         return 0;
     }
     coder.put_eights_before(of.iter().zip(stretches).rev().map(|((number, plain), stretch)| {
-        let (symbols, reach) = tables.symbols(*number);
-        let (escape, symbols) = symbols.split_last()?;
-        let mut found = [escape; STRETCH];
         if *plain > 0 {
             return None;
         }
+        let (symbols, reach) = tables.symbols(*number);
+        let (escape, symbols) = symbols.split_last()?;
+        let mut found = [escape; STRETCH];
         for (found, residual) in found.iter_mut().zip(stretch) {
             *found = symbols.get(place(*residual, reach))?;
         }
@@ -159,7 +159,7 @@ impl<'a> StretchReader<'a> {
             if plain > 0 {
                 break;
             }
-            let places: &Places = tables.places(number);
+            let places = tables.places(number);
             let (before, mut sum) = (coder, 0);
             let mut next = |residual: &mut i64| {
                 let (symbol, start, share) = places.at(coder.place());
@@ -218,15 +218,14 @@ impl Residuals for StretchReader<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{Reads, column, comes_back, is_read_or_refused};
+    use super::super::tests::Reads;
     use super::*;
-    use proptest::prelude::*;
-
-    fn write(coder: &mut ans::Writer, residuals: &[i64], law: Law, first_level: u8) {
-        StretchWriter::default().put_before(coder, residuals, law, first_level);
-    }
 
     impl<'a> Reads<'a> for StretchReader<'a> {
+        fn write(coder: &mut ans::Writer, residuals: &[i64], law: Law, first_level: u8) {
+            StretchWriter::default().put_before(coder, residuals, law, first_level);
+        }
+
         fn of(coder: ans::Reader<'a>, law: Law, first_level: u8) -> Option<Self> {
             Self::new(coder, law, first_level)
         }
@@ -236,29 +235,13 @@ mod tests {
         }
     }
 
-    proptest! {
-        #[test]
-        fn what_is_written_comes_back(columns in prop::collection::vec(column(), 1..4)) {
-            comes_back::<StretchReader>(write, &columns, &mut Vec::new())?;
-        }
-
-        #[test]
-        fn whatever_stands_there_is_read_or_refused(
-            bytes in prop::collection::vec(any::<u8>(), 0..200),
-            law in prop::sample::select(Law::ALL.as_slice()),
-            level in any::<u8>(),
-        ) {
-            is_read_or_refused::<StretchReader>(write, (&bytes, law, level), &mut Vec::new())?;
-        }
-    }
-
     /// By the definition, one symbol behind the other.
     #[test]
     fn usual_stretches_are_written_as_all_others() {
         let residuals: Vec<i64> = (0..203).map(|at| (at * at) % 7 - 3 + (at / 100) * (at % 5)).collect();
         let (mut quickly, mut plainly) = (ans::Writer::new(0), ans::Writer::new(0));
         let tables = Law::Normal.tables();
-        write(&mut quickly, &residuals, Law::Normal, 30);
+        StretchReader::write(&mut quickly, &residuals, Law::Normal, 30);
         let (mut symbols, mut mean) = (Vec::new(), Mean::of_level(30));
         for stretch in residuals.chunks(STRETCH) {
             let (number, plain) = tables.by_mean(mean.get());
