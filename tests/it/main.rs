@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of stories are part of the stories")]
 
 mod described;
+mod documents;
 mod engines;
 mod friction;
 mod fuzz;

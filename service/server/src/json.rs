@@ -151,7 +151,8 @@ fn in_words(sentence: &str) -> String {
         "u8" => (0, u8::MAX.into()),
         "u16" => (0, u16::MAX.into()),
         "u32" => (0, u32::MAX.into()),
-        "u64" | "usize" => (0, u64::MAX),
+        // How large it may be is the field's to say: of none it is as much as that.
+        "u64" | "usize" => return format!("{head}expected a whole number from 0 on"),
         "i8" => (i8::MIN.into(), i8::MAX.unsigned_abs().into()),
         "i16" => (i16::MIN.into(), i16::MAX.unsigned_abs().into()),
         "i32" => (i32::MIN.into(), i32::MAX.unsigned_abs().into()),

@@ -66,7 +66,7 @@ impl StoreError {
 
     /// Of a database that a later program has written.
     fn of_later_version(migration: i64) -> Self {
-        let what = "it was written by a later version of this program";
+        let what = "it was written by a later version of this program, or by another one";
         Self::Database(format!("{what}: its migration {migration} is not known here").into())
     }
 

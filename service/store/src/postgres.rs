@@ -15,7 +15,7 @@ mod notice;
 mod open;
 
 pub use address::unknown_parameter;
-pub(crate) use dialect::is_ours;
+pub(crate) use dialect::{is_ours, keep_partitions};
 pub(crate) use notice::LIVE;
 pub(crate) use open::MIGRATIONS;
 pub use open::{CommonClock, PostgresOptions};

@@ -40,6 +40,11 @@ async fn unknown_paths_and_methods_are_told_as_problems() {
     let answer = app.get("/v1/machines/%20").await;
     assert_eq!((answer.status, answer.code().as_str()), (StatusCode::BAD_REQUEST, "invalid_path"));
     assert_eq!(answer.errors(), [("machine".to_owned(), "invalid_id".to_owned())]);
+    for path in ["/v1/machines/%ff", "/v1/machines/M1/cycles/%e2%82", "/%80"] {
+        let answer = app.get(path).await;
+        assert_eq!((answer.status, answer.code().as_str()), (StatusCode::BAD_REQUEST, "invalid_path"));
+        assert!(answer.json()["detail"].as_str().unwrap().contains("UTF-8"), "{answer:?}");
+    }
     let answer = app.get("/v1/alarms?opened=true").await;
     assert_eq!((answer.status, answer.code().as_str()), (StatusCode::BAD_REQUEST, "invalid_query"));
     assert_eq!(answer.errors(), [("opened".to_owned(), "unknown_field".to_owned())]);
@@ -52,6 +57,8 @@ async fn unknown_paths_and_methods_are_told_as_problems() {
         let answer = app.get(&format!("/v1/{query}")).await;
         assert_eq!(answer.code(), "invalid_query", "{query}");
         assert_eq!(answer.errors(), [(name.to_owned(), code.to_owned())], "{query}");
+        let text = String::from_utf8_lossy(&answer.body);
+        assert!(!text.contains("digit") && !text.contains("literal"), "{text}");
     }
 }
 

@@ -144,6 +144,25 @@ async fn a_body_that_stalls_or_drips_is_answered_and_closed_in_time() {
     running.server.shutdown().await.unwrap();
 }
 
+/// RFC 9110, section 10.1.1: whoever asks before sending a body is not asked for one that is refused for its length.
+#[tokio::test]
+async fn who_asks_first_is_not_asked_for_a_body_that_is_too_large() {
+    let running = start(&[("server.body_stall_timeout_ms", "60000")]).await;
+    for (length, begins) in [(99_999_999_999_u64, "HTTP/1.1 413"), (2, "HTTP/1.1 100")] {
+        let mut stream = running.connect().await;
+        let head = format!(
+            "POST /v1/machines/M1/cycles HTTP/1.1\r\nhost: x\r\nauthorization: Bearer {}\r\n\
+             content-type: application/json\r\nexpect: 100-continue\r\ncontent-length: {length}\r\n\r\n",
+            running.token
+        );
+        stream.write_all(head.as_bytes()).await.unwrap();
+        let mut answer = [0; 12];
+        tokio::time::timeout(LONG, stream.read_exact(&mut answer)).await.expect("it is answered").unwrap();
+        assert_eq!(std::str::from_utf8(&answer), Ok(begins));
+    }
+    running.server.shutdown().await.unwrap();
+}
+
 #[tokio::test]
 async fn a_client_that_does_not_read_its_answers_is_dropped() {
     let running =

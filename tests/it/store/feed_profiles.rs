@@ -61,7 +61,7 @@ fn content(end_feed: f64, from_level: Option<f64>, to_level: f64) -> Profile {
     .unwrap()
 }
 
-fn new(end_feed: f64) -> NewProfileVersion {
+pub(super) fn new(end_feed: f64) -> NewProfileVersion {
     NewProfileVersion {
         content: content(end_feed, None, 1.07),
         source: ProfileSource::Drawn,

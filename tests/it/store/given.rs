@@ -91,12 +91,17 @@ impl Given {
 
     /// A database of its own on that server.
     pub(crate) async fn postgres() -> Option<Self> {
+        Self::postgres_made("").await
+    }
+
+    /// The same in a database that is made otherwise than usual.
+    pub(crate) async fn postgres_made(otherwise: &str) -> Option<Self> {
         let server = Self::server()?;
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let name = format!("story_{}_{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
         let mut admin = PgConnection::connect(&server).await.expect("the server of tests/postgres answers");
         let mut create = sqlx::QueryBuilder::<sqlx::Postgres>::new("CREATE DATABASE ");
-        create.push(&name);
+        create.push(&name).push(" ").push(otherwise);
         create.build().persistent(false).execute(&mut admin).await.expect("a fresh database");
         let (base, _) = server.rsplit_once('/').expect("an address ends in a database");
         // The stories bring the time, as they do to the other engine.

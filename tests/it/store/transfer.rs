@@ -1,7 +1,9 @@
 //! Whole databases: backed up under load, restored, copied from a cell to the plant and back.
 
-use super::feed_profiles::activated;
-use super::given::{Given, Run, WRONG_INDEX, at, commit, engineer, event, machine, shop, stored};
+use super::feed_profiles::{self, activated};
+use super::given::{Given, Run, WRONG_INDEX, at, commit, engineer, event, machine, new_cycle, shop, stored};
+use feedwright_core::cycle::{Cycle, CycleDraft};
+use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::units::Timestamp;
 use feedwright_store::transfer::{
@@ -9,9 +11,9 @@ use feedwright_store::transfer::{
     restore_to_postgres, restore_to_sqlite,
 };
 use feedwright_store::{
-    Actor, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, QuarantineBounds,
-    QuarantineEntry, Repair, Role, SampleRetention, SessionRecord, SqliteOptions, SqliteStore, Store,
-    TokenRecord, WatchSettings,
+    Actor, Committed, CycleFilter, CycleOverrides, NewProfileVersion, Page, PostgresOptions, PostgresStore,
+    Precondition, QuarantineBounds, QuarantineEntry, Repair, Role, SampleRetention, SessionRecord,
+    SqliteOptions, SqliteStore, Store, TokenRecord, WatchSettings,
 };
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, PgConnection};
@@ -677,4 +679,94 @@ async fn a_database_remembers_its_last_backup_and_what_is_restored_from_it_has_n
     assert_eq!(last_backup(&*other.store()).await, None);
     plant.done().await;
     other.done().await;
+}
+
+/// Texts of as many characters as the API takes, which stand for several bytes each.
+async fn wordy(store: &dyn Store) {
+    let (law, longest) = ("刃".repeat(Cycle::MAX_LAW_VERSION), "𝄞".repeat(63));
+    for (n, law) in [(1, &law), (2, &longest)] {
+        let cycle = Cycle::new(CycleDraft { law_version: Some(law.clone()), ..Run::nth(n).draft() }).unwrap();
+        let group = vec![new_cycle(cycle)];
+        let answers = store.commit_cycles(group, at(100), RecommendSettings::default()).await;
+        assert!(matches!(answers.as_slice(), [Ok(Committed::Stored(_))]), "{answers:?}");
+        let overrides = CycleOverrides {
+            machine: "M1".try_into().unwrap(),
+            cycle: Run::nth(n).id.as_str().try_into().unwrap(),
+            mode: "shadow".to_owned(),
+            law_version: law.clone(),
+            program_hash: None,
+            stored_at: at(1),
+            block: feedwright_store::codec::encode_overrides(&[(100.0, 1)]).unwrap(),
+        };
+        store.put_overrides(&overrides).await.unwrap();
+    }
+    let reasoned = NewProfileVersion { reason: "€".repeat(1000), ..feed_profiles::new(300.0) };
+    store.draft_profile(&"P1".try_into().unwrap(), reasoned, &engineer(), at(1)).await.unwrap();
+}
+
+/// A database in SQL_ASCII counts bytes where others count characters.
+#[tokio::test]
+async fn a_database_that_counts_bytes_takes_what_others_take() {
+    const BYTES: &str = "ENCODING SQL_ASCII LOCALE 'C' TEMPLATE template0";
+    let (Some(posted), Some(moved)) = (Given::postgres_made(BYTES).await, Given::postgres_made(BYTES).await)
+    else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    for store in [posted.store(), cell.store()] {
+        shop(&*store).await;
+        wordy(&*store).await;
+    }
+    copied(&Address::Sqlite(cell.file()), &Address::Postgres(moved.address())).await.unwrap();
+    assert_eq!(shown(&*moved.store()).await, shown(&*cell.store()).await);
+    for given in [posted, moved, cell] {
+        sound(&*given.store()).await;
+        given.done().await;
+    }
+}
+
+/// A partition is dropped whatever snapshots others have: a backup would be without what it held, and without the decision.
+#[tokio::test]
+async fn no_partition_goes_between_the_snapshot_of_a_backup_and_its_samples() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let store = plant.store();
+    store.make_room(at(0)).await.unwrap();
+    fill(&*store).await;
+    let mut server = PgConnection::connect(&plant.address()).await.unwrap();
+    let mut deciding = server.begin().await.unwrap();
+    // The backup has its snapshot when it comes to ask for decisions.
+    sqlx::raw_sql("LOCK TABLE sample_drops; SET LOCAL lock_timeout = '300ms'")
+        .execute(&mut *deciding)
+        .await
+        .unwrap();
+    let backup = folder.path().join("plant.backup");
+    let address = plant.address();
+    let making = back_up_postgres(&address, &backup, at(9));
+    let drop_beside = async {
+        let waits = "SELECT EXISTS (SELECT 1 FROM pg_locks
+                         WHERE relation = 'sample_drops'::regclass AND NOT granted)";
+        while !sqlx::query_scalar::<_, bool>(waits).fetch_one(&mut *deciding).await.unwrap() {}
+        sqlx::raw_sql(
+            "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
+             SELECT machine_id, 9000000000000000, 9000000000000000, 'age', 0, 0 FROM machines",
+        )
+        .execute(&mut *deciding)
+        .await
+        .unwrap();
+        let dropped = sqlx::query("SELECT * FROM cycle_samples_drop_partition(9000000000000000)")
+            .fetch_all(&mut *deciding)
+            .await;
+        deciding.rollback().await.unwrap();
+        let refused = dropped.expect_err("the backup keeps it");
+        let code = refused.as_database_error().and_then(sqlx::error::DatabaseError::code);
+        assert_eq!(code.as_deref(), Some("55P03"), "{refused:?}");
+    };
+    let (made, ()) = tokio::join!(making, drop_beside);
+    server.close().await.unwrap();
+    let sums = made.unwrap().tables;
+    assert!(sums.iter().any(|(table, sum)| table == "cycle_samples" && sum.rows == 64), "{sums:?}");
+    plant.done().await;
 }

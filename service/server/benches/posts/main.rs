@@ -101,10 +101,10 @@ fn main() {
         let part = arguments.get(at + 1).filter(|argument| !argument.starts_with("--"));
         return stages::measure(part.map_or("", String::as_str));
     }
-    if given("--bytes").is_some() {
-        return runtime.block_on(bytes::tell());
-    }
     let engine = given("--postgres").map_or(Engine::Sqlite, |_| Engine::Postgres);
+    if given("--bytes").is_some() {
+        return runtime.block_on(bytes::tell(engine));
+    }
     if given("--weekend").is_some() {
         return runtime.block_on(weekend::replay(engine));
     }

@@ -1,9 +1,11 @@
 //! Where a server of ours keeps what it is sent: a folder of its own, or a database of its own on the PostgreSQL server of
 //! `tests/postgres`.
 
+use super::bytes::Taken;
 use super::process::Running;
 use super::{data, rest};
-use sqlx::{AssertSqlSafe, Connection, Executor, PgConnection};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection};
 use tempfile::TempDir;
 
 /// What our server keeps its cycles in.
@@ -23,7 +25,25 @@ pub(crate) struct Ours {
 /// The name of the database; there is one at a time.
 const NAME: &str = "feedwright_bench";
 
+/// Bytes of tables, what they keep beside themselves, and indexes; partitions as what they are of, the catalogue as one.
+const TAKEN: &str = "
+    WITH there AS (
+        SELECT c.oid, c.relkind, coalesce(owner.oid, c.oid) AS of
+        FROM pg_class c LEFT JOIN pg_class owner ON owner.reltoastrelid = c.oid
+        WHERE (c.relkind IN ('r', 'i') AND c.relnamespace = 'public'::regnamespace)
+           OR (c.relkind = 't' AND owner.relnamespace = 'public'::regnamespace)),
+    sized AS (
+        SELECT coalesce(i.inhparent, there.of)::regclass::TEXT || CASE relkind WHEN 't' THEN ' (long values)' ELSE '' END AS name,
+               CASE relkind WHEN 't' THEN pg_total_relation_size(oid) ELSE pg_table_size(oid) - coalesce(
+                   (SELECT pg_total_relation_size(nullif(reltoastrelid, 0)) FROM pg_class WHERE oid = there.oid), 0) END AS bytes
+        FROM there LEFT JOIN pg_inherits i ON i.inhrelid = there.of),
+    named AS (SELECT name, SUM(bytes)::BIGINT AS bytes FROM sized GROUP BY name)
+    SELECT name, bytes FROM named
+    UNION ALL SELECT 'the catalogue', pg_database_size(current_database()) - SUM(bytes)::BIGINT FROM named
+    ORDER BY 2 DESC";
+
 struct Database {
+    address: String,
     server: PgConnection,
     /// The process whose children are the sessions.
     postmaster: u32,
@@ -64,6 +84,29 @@ impl Ours {
         spent + seconds_below(database.postmaster) - before
     }
 
+    /// Bytes of the blocks and of every table and index, largest first, after the server has ended.
+    pub(crate) async fn taken(self) -> (i64, Vec<Taken>) {
+        self.server.stop().await;
+        match self.database {
+            None => {
+                let file = self.dir.path().join("feedwright.sqlite3");
+                let file = SqliteConnectOptions::new().filename(file).read_only(true);
+                let mut conn = file.connect().await.expect("the file");
+                let taken: Vec<(String, i64, i64)> = sqlx::query_as(
+                    "SELECT name, SUM(pgsize), SUM(unused) FROM dbstat GROUP BY name ORDER BY SUM(pgsize) DESC",
+                )
+                .fetch_all(&mut conn)
+                .await
+                .expect("pages by table");
+                let blocks = sqlx::query_scalar("SELECT SUM(bytes) FROM cycle_samples");
+                let blocks = blocks.fetch_one(&mut conn).await.expect("blocks");
+                let taken = taken.into_iter().map(|(name, bytes, empty)| Taken { name, bytes, empty });
+                (blocks, taken.collect())
+            }
+            Some(database) => database.taken().await,
+        }
+    }
+
     /// Bytes that are kept after the server has ended. Of a database without its log, which is reused.
     pub(crate) async fn end(self) -> u64 {
         self.server.stop().await;
@@ -84,7 +127,24 @@ impl Database {
         }
         let postmaster = postmaster_of(&mut server).await;
         let (before, _) = address.rsplit_once('/').expect("a database");
-        (Self { server, postmaster }, format!("{before}/{NAME}"))
+        let address = format!("{before}/{NAME}");
+        (Self { address: address.clone(), server, postmaster }, address)
+    }
+
+    /// What each table and index takes, and how much less it takes when it is written anew.
+    async fn taken(self) -> (i64, Vec<Taken>) {
+        let mut conn = PgConnection::connect(&self.address).await.expect("the database");
+        let as_it_is: Vec<(String, i64)> = sqlx::query_as(TAKEN).fetch_all(&mut conn).await.expect("sizes");
+        let blocks = sqlx::query_scalar("SELECT SUM(length(block))::BIGINT FROM cycle_samples");
+        let blocks = blocks.fetch_one(&mut conn).await.expect("blocks");
+        conn.execute("VACUUM FULL").await.expect("written anew");
+        let anew: Vec<(String, i64)> = sqlx::query_as(TAKEN).fetch_all(&mut conn).await.expect("sizes");
+        conn.close().await.expect("an end");
+        self.remove().await;
+        let left = |name: &str| anew.iter().find(|(other, _)| other == name).map_or(0, |(_, bytes)| *bytes);
+        let taken =
+            as_it_is.into_iter().map(|(name, bytes)| Taken { empty: bytes - left(&name), name, bytes });
+        (blocks, taken.collect())
     }
 
     /// Removes it; says how many bytes it had.

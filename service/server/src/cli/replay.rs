@@ -70,7 +70,8 @@ fn parse_speed(text: &str) -> Result<Speed, String> {
 /// Runs the command.
 pub async fn run(args: Arguments) -> anyhow::Result<()> {
     let plan = read(&args)?;
-    let client = Client::new(&args.url, args.token, Duration::from_secs(args.patience_seconds))?;
+    let client = Client::new(&args.url, args.token, Duration::from_secs(args.patience_seconds))?
+        .telling(|line| eprintln!("{line}"));
     let state = args.state.unwrap_or_else(|| format!("feedwright-replay-{}.json", plan.name).into());
     let now_us = jiff::Timestamp::now().as_microsecond();
     let shift_us = shift::choose(args.start, &plan, client.base(), now_us, &state)?;

@@ -156,6 +156,10 @@ async fn accepted(response: Response) -> anyhow::Result<Response> {
         return Ok(response);
     }
     match response.json::<Refusal>().await {
+        // What is said of a field ends in its code.
+        Ok(Refusal { code, detail }) if detail.ends_with(&format!("({code})")) => {
+            bail!("the server refuses: {detail}")
+        }
         Ok(Refusal { code, detail }) => bail!("the server refuses: {detail} ({code})"),
         Err(_) => bail!("the server answers {status}"),
     }

@@ -27,12 +27,20 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
         if kind.as_deref() != Some("application/json") {
             return Err(unsupported("send the body as application/json"));
         }
-        if request.headers().contains_key(header::CONTENT_ENCODING) {
+        if !is_as_it_is(request.headers()) {
             return Err(unsupported("this body must not be compressed"));
         }
         let bytes = read(request, state).await?;
         parse(&bytes).map(Self)
     }
+}
+
+/// Whether a body is in no other coding than its own.
+fn is_as_it_is(headers: &HeaderMap) -> bool {
+    headers
+        .get_all(header::CONTENT_ENCODING)
+        .iter()
+        .all(|coding| coding.as_bytes().eq_ignore_ascii_case(b"identity"))
 }
 
 /// The media type of a body without its parameters, in lower case.
@@ -65,6 +73,10 @@ pub async fn read_within<S: Send + Sync>(
     let told = request.body().size_hint();
     // Known before anything of it is there, as mostly.
     if let Some(length) = told.exact().map(|length| usize::try_from(length).unwrap_or(usize::MAX)) {
+        // Whoever asks before sending it need not send it.
+        if length > most && request.headers().contains_key(header::EXPECT) {
+            return Err(too_large());
+        }
         // What is too large for the route is refused without a place.
         let Ok(place) = room.place(if length <= most { length } else { 0 }).await else {
             return Err(passed_by(request.into_body().into_data_stream()).await);

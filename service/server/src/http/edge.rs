@@ -47,7 +47,7 @@ pub(crate) async fn answer(State(state): State<AppState>, mut request: Request, 
         telemetry::adopt(&span, method.as_str(), route, request.headers());
     }
 
-    let response = match without_one_host(&request) {
+    let response = match without_one_host(&request).or_else(|| without_text(&request)) {
         Some(problem) => problem.into_response(),
         None => {
             let ran = AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await;
@@ -85,6 +85,12 @@ fn without_one_host(request: &Request) -> Option<Problem> {
         _ => "there is more than one header Host",
     };
     Some(Problem::bad_request("invalid_host", detail))
+}
+
+/// Refuses a path that is no text: no id can be read out of it.
+fn without_text(request: &Request) -> Option<Problem> {
+    let is_text = percent_encoding::percent_decode_str(request.uri().path()).decode_utf8().is_ok();
+    (!is_text).then(|| Problem::bad_request("invalid_path", "the path is not UTF-8"))
 }
 
 fn request_id(request: &Request) -> String {

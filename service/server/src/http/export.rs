@@ -13,6 +13,13 @@ use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use utoipa::ToSchema;
+
+/// A table as a file, which only a description speaks of.
+#[derive(ToSchema)]
+#[schema(value_type = String, format = Binary)]
+#[expect(dead_code, reason = "the schema of what is written piece by piece")]
+pub struct File(Vec<u8>);
 
 /// Tables and whole recordings that are held in memory at a time: each may be a cycle of the largest size.
 const MAX_LARGE: usize = 16;

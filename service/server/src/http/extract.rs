@@ -132,7 +132,21 @@ fn violation(rejection: &QueryRejection) -> Option<Violation> {
     if let Some((name, code)) = named_field(&sentence) {
         return Some(Violation::new(name, code, sentence.clone()));
     }
-    Some(Violation::new(error.path().to_string(), "invalid_value", sentence))
+    Some(Violation::new(error.path().to_string(), "invalid_value", in_words(sentence)))
+}
+
+/// What the standard library says of a number that it cannot read, in the words of those who send one.
+fn in_words(sentence: String) -> String {
+    let words = match sentence.as_str() {
+        "invalid digit found in string" | "cannot parse integer from empty string" => {
+            "expected a whole number from 0 on"
+        }
+        "invalid float literal" | "cannot parse float from empty string" => "expected a number",
+        "number too large to fit in target type" => "is too large",
+        "provided string was not `true` or `false`" => "expected true or false",
+        _ => return sentence,
+    };
+    words.to_owned()
 }
 
 /// Reads an identifier of the query: 400 with its name.

@@ -55,6 +55,7 @@ fn describe() -> Result<OpenApi, String> {
             // Handlers of different nouns share their names; paths are unique.
             operation.operation_id = Some(operation_id(method, &path));
             secure(operation, access);
+            describe_answers(operation);
         }
         add(&mut components, schemas, &mut shared);
         match paths.paths.get_mut(&path) {
@@ -82,6 +83,23 @@ fn add(components: &mut Components, schemas: Vec<(String, RefOr<Schema>)>, share
             shared.insert(name);
         } else {
             components.schemas.insert(name, schema);
+        }
+    }
+}
+
+/// Every answer is described, as OpenAPI wants it: those whose handler says nothing of them by what they are.
+fn describe_answers(operation: &mut Operation) {
+    for (status, response) in &mut operation.responses.responses {
+        if let RefOr::T(response) = response
+            && response.description.is_empty()
+        {
+            let usual = match status.as_str() {
+                "200" => "What was asked for",
+                "201" => "It was made",
+                "204" => "It was done; there is nothing to tell",
+                _ => "See its problem document",
+            };
+            response.description = usual.to_owned();
         }
     }
 }

@@ -79,7 +79,14 @@ async fn settle_alone(
         QuarantineAction::Reingest => {
             let repaired = if body.body.is_some() { "repaired and re-ingested" } else { "re-ingested" };
             let taken = body.body.map(Bytes::from).or_else(|| kept.map(Bytes::from)).ok_or_else(damaged)?;
-            let (cycle, answer) = state.intake.reingest(&entry, taken).await?;
+            let taken_in = state.intake.reingest(&entry, taken).await;
+            // What is told of a body is of the cycle's, and not of this request's.
+            let (cycle, answer) = taken_in.map_err(|problem| match problem.code {
+                "malformed_json" | "malformed_cycle" => {
+                    Problem { detail: format!("the cycle: {}", problem.detail).into(), ..problem }
+                }
+                _ => problem,
+            })?;
             // A repair may be another cycle than the one that came: whoever reads the audit has to find it.
             let how = format!("{repaired} as cycle {} of tool {}: {}", cycle.id, cycle.tool, body.reason);
             (how, Some(answer))

@@ -4,7 +4,7 @@ use super::columns;
 use super::decimal;
 use super::dto::cycle::{SamplesAnswer, SamplesBody};
 use super::dto::time;
-use super::export::{self, PIECE, Size, Turn};
+use super::export::{self, File, PIECE, Size, Turn};
 use super::extract::{PathId, Query};
 use super::negotiate::Accepts;
 use super::problem::{Problem, ProblemDocument};
@@ -58,7 +58,7 @@ pub(super) struct SamplesQuery {
     responses(
         (status = 200, description = "The samples", content(
             (SamplesAnswer = "application/json"), (String = "text/csv"),
-            (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
+            (File = "application/vnd.apache.arrow.stream"), (File = "application/vnd.apache.parquet"))),
         (status = 404, description = "There is no such cycle, or it came without samples", body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),
         (status = 410, description = "They were dropped by retention (`dropped_at` says when), or are missing (`samples_lost`)",

@@ -3,7 +3,7 @@
 use super::decimal;
 use super::dto::series::{BucketBody, BucketSeriesBody, OneSeriesBody, SeriesAnswer, SeriesBody};
 use super::dto::time;
-use super::export::{self, PIECE, Size};
+use super::export::{self, File, PIECE, Size};
 use super::extract::Query;
 use super::known::known;
 use super::negotiate::Accepts;
@@ -68,7 +68,7 @@ pub(super) struct SeriesQuery {
     responses(
         (status = 200, description = "The series", content(
             (SeriesAnswer = "application/json"), (String = "text/csv"),
-            (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
+            (File = "application/vnd.apache.arrow.stream"), (File = "application/vnd.apache.parquet"))),
         (status = 404, description = "Of that machine, tool or operation nothing is known",
             body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),

@@ -1,7 +1,7 @@
 //! Summaries of cycles as a table: a line per cycle with all that it amounted to.
 
 use super::dto::time;
-use super::export::{self, Size};
+use super::export::{self, File, Size};
 use super::extract::Query;
 use super::known::known;
 use super::negotiate::Accepts;
@@ -51,7 +51,7 @@ pub(super) struct SummariesQuery {
     responses(
         (status = 200, description = "The summaries", content(
             (Object = "application/json"), (String = "text/csv"),
-            (Vec<u8> = "application/vnd.apache.arrow.stream"), (Vec<u8> = "application/vnd.apache.parquet"))),
+            (File = "application/vnd.apache.arrow.stream"), (File = "application/vnd.apache.parquet"))),
         (status = 404, description = "Of that machine, tool or operation nothing is known",
             body = ProblemDocument<'static>),
         (status = 406, description = "No accepted media type is offered", body = ProblemDocument<'static>),

@@ -16,6 +16,9 @@ const FIRST_WAIT: Duration = Duration::from_millis(200);
 const LONGEST_WAIT: Duration = Duration::from_secs(15);
 /// Longest wait that is accepted when told: a longer one is asked about again.
 const LONGEST_TOLD_WAIT: Duration = Duration::from_secs(120);
+/// Who waits is told why when so long was waited, and again each time that so much more was.
+const TOLD_AFTER: Duration = Duration::from_secs(2);
+const TOLD_EVERY: Duration = Duration::from_secs(30);
 /// One request may take so long: a batch of a weekend is committed within it.
 const REQUEST_TIME: Duration = Duration::from_secs(60);
 
@@ -26,6 +29,15 @@ pub struct Client {
     base: String,
     token: Option<SecretString>,
     patience: Duration,
+    /// Takes a line on what is waited for.
+    told: fn(&str),
+}
+
+/// Why a request was not answered.
+struct Unanswered {
+    detail: String,
+    /// Whether it may be answered later.
+    may_pass: bool,
 }
 
 /// What the service answered.
@@ -70,12 +82,18 @@ impl Client {
         let http = crate::tls::client(&base).timeout(REQUEST_TIME).build().map_err(|error| {
             ReplayError::GivenUp { url: base.clone(), seconds: 0, detail: error.to_string() }
         })?;
-        Ok(Self { http, base, token, patience })
+        Ok(Self { http, base, token, patience, told: |_| () })
+    }
+
+    /// The same, that tells what it waits for.
+    #[must_use]
+    pub fn telling(self, told: fn(&str)) -> Self {
+        Self { told, ..self }
     }
 
     /// The same client with another token.
     pub fn with_token(&self, token: SecretString) -> Self {
-        Self { http: self.http.clone(), base: self.base.clone(), token: Some(token), patience: self.patience }
+        Self { token: Some(token), ..self.clone() }
     }
 
     /// The service's address.
@@ -115,7 +133,11 @@ impl Client {
         body: Option<(&str, String)>,
     ) -> Result<Answer, ReplayError> {
         let since = Instant::now();
-        let mut wait = FIRST_WAIT;
+        let (mut wait, mut telling) = (FIRST_WAIT, TOLD_AFTER);
+        let given_up = |detail| {
+            let (url, seconds) = (format!("{}{path}", self.base), since.elapsed().as_secs());
+            Err(ReplayError::GivenUp { url, seconds, detail })
+        };
         loop {
             let (told, detail) = match self.once(&method, path, body.as_ref()).await {
                 Ok(response) if !may_pass(response.status()) => match read(response).await {
@@ -124,14 +146,19 @@ impl Client {
                     Err(error) => (None, error),
                 },
                 Ok(response) => (told_wait(&response), response.status().to_string()),
-                Err(error) => (None, error),
+                Err(Unanswered { detail, may_pass: false }) => return given_up(detail),
+                Err(Unanswered { detail, .. }) => (None, detail),
             };
             let pause = told.unwrap_or(wait).min(LONGEST_TOLD_WAIT);
-            if since.elapsed() + pause > self.patience {
-                let seconds = since.elapsed().as_secs();
-                return Err(ReplayError::GivenUp { url: format!("{}{path}", self.base), seconds, detail });
+            let waited = since.elapsed();
+            if waited + pause > self.patience {
+                return given_up(detail);
             }
-            tracing::debug!(path, detail, "asking again");
+            if waited + pause >= telling {
+                let left = (self.patience - waited).as_secs();
+                (self.told)(&format!("{}{path}: {detail}; asking again for another {left} s", self.base));
+                telling = waited + pause + TOLD_EVERY;
+            }
             tokio::time::sleep(pause).await;
             wait = (wait * 2).min(LONGEST_WAIT);
         }
@@ -142,7 +169,7 @@ impl Client {
         method: &Method,
         path: &str,
         body: Option<&(&str, String)>,
-    ) -> Result<Response, String> {
+    ) -> Result<Response, Unanswered> {
         let mut request = self.http.request(method.clone(), format!("{}{path}", self.base));
         if let Some(token) = &self.token {
             request = request.header(AUTHORIZATION, format!("Bearer {}", token.expose_secret()));
@@ -150,7 +177,11 @@ impl Client {
         if let Some((kind, body)) = body {
             request = request.header(CONTENT_TYPE, *kind).body(body.clone());
         }
-        request.send().await.map_err(|error| causes(&error))
+        // What is no address, or none that is asked by HTTP, will not be one later.
+        request
+            .send()
+            .await
+            .map_err(|error| Unanswered { detail: causes(&error), may_pass: !error.is_builder() })
     }
 }
 

@@ -34,6 +34,7 @@ pub(super) async fn page(
     limit: u32,
     max_samples: usize,
 ) -> StoreResult<CheckPage> {
+    dialect::keep_partitions(conn).await?;
     let (machine, cycle) = after.map_or(("", ""), |(machine, cycle)| (machine.as_str(), cycle.as_str()));
     let mut rows: Vec<CycleRow> = sqlx::query_as::<Db, _>(cycle_columns!(select_sql))
         .bind(machine)

@@ -151,6 +151,13 @@ pub(super) async fn make_room(conn: &mut Conn, now: Timestamp) -> StoreResult<()
     Ok(())
 }
 
+/// Keeps every partition of the samples until the end of the transaction, of which this has to be the first statement: a partition is dropped
+/// whatever snapshots others have, whose cycles would be without the samples that it held, and without the decision that they go.
+pub(crate) async fn keep_partitions(conn: &mut Conn) -> Result<(), sqlx::Error> {
+    sqlx::raw_sql("LOCK TABLE cycle_samples IN ACCESS SHARE MODE").execute(conn).await?;
+    Ok(())
+}
+
 /// Whether the tables are those that the migrations make; the server checks its own files (`data_checksums`, `amcheck`).
 /// What follows reads whole tables, which takes longer than an answer may.
 pub(super) async fn integrity(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {

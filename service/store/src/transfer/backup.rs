@@ -203,7 +203,13 @@ fn settle(made: &File, from: &Path, to: &Path) -> Result<u64, TransferError> {
         ErrorKind::PermissionDenied => Ok(rustix::fs::syncfs(File::open(to)?)?),
         _ => Err(error),
     });
-    synced.map_err(|error| io(folder, "cannot be written", &error))?;
+    if let Err(error) = synced {
+        // A name that a loss of power may take away again is not left for one that stays.
+        if stands_under(made, to) {
+            discard_all(to, &[""]);
+        }
+        return Err(io(to, "cannot be made durable under its name", &error));
+    }
     Ok(bytes)
 }
 

@@ -3,7 +3,7 @@
 use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, quoted};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
-use crate::postgres::{LIVE, MIGRATIONS, is_ours};
+use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions};
 use async_trait::async_trait;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
 use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
@@ -12,12 +12,12 @@ use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
 /// shards is locked with each partition: four years at a time fit into what PostgreSQL has for locks.
 const MONTHS_AT_A_TIME: i32 = 48;
 const MONTH_US: i64 = 28 * 86_400_000_000;
+const UNDEFINED_TABLE: &str = "42P01";
 /// It idles while the other side is read, and reads whole tables, whatever limits a role has for its questions. The last setting
 /// is for Citus, as where the store begins to read.
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; SET LOCAL statement_timeout = 0; \
                               SET LOCAL idle_in_transaction_session_timeout = 0; \
                               SET LOCAL citus.max_adaptive_executor_pool_size = 1";
-
 pub(super) struct PostgresSide {
     conn: PgConnection,
     /// Columns that the database numbers itself, `(table, column)`.
@@ -182,7 +182,16 @@ impl Side for PostgresSide {
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {
         sqlx::raw_sql(BEGIN_SNAPSHOT).execute(&mut self.conn).await?;
-        Ok(())
+        // Before the first question, of which the snapshot is.
+        match keep_partitions(&mut self.conn).await {
+            // No database of this program's, or an empty one: what follows says so.
+            Err(sqlx::Error::Database(error)) if error.code().as_deref() == Some(UNDEFINED_TABLE) => {
+                sqlx::raw_sql("ROLLBACK").execute(&mut self.conn).await?;
+                sqlx::raw_sql(BEGIN_SNAPSHOT).execute(&mut self.conn).await?;
+                Ok(())
+            }
+            kept => Ok(kept?),
+        }
     }
 
     async fn rows(

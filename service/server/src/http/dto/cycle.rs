@@ -63,6 +63,7 @@ pub struct ProfilePost {
     /// Its id.
     id: String,
     /// Its version.
+    #[schema(format = Int64, maximum = 4_294_967_295_u32)]
     version: u32,
 }
 
@@ -247,7 +248,7 @@ pub struct SummaryBody {
     pub median_spindle_speed_rpm: Option<f64>,
     /// Depth at which the spindle load has fallen to half of its maximum, mm.
     pub spindle_load_fall_depth_mm: Option<f64>,
-    /// Share of the time from the first sample to the last that is no gap, 0 to 1.
+    /// Share of `duration_ms` that is no gap, 0 to 1.
     pub coverage_ratio: f64,
     /// Of friction drilling, and of a cycle whose process is not known yet: what lies between contact and full depth.
     /// Null where depth or energy was not sampled.
@@ -375,6 +376,7 @@ pub struct CycleBody {
     /// Feed profile.
     pub profile_id: Option<String>,
     /// Version of the feed profile.
+    #[schema(format = Int64, maximum = 4_294_967_295_u32)]
     pub profile_version: Option<u32>,
     /// The recommendation that it followed.
     pub recommendation_id: Option<String>,

@@ -34,8 +34,8 @@ pub struct OperationBody {
     /// Thickness of the work at the hole, mm.
     #[serde(default)]
     pub thickness_mm: Option<f64>,
-    /// Depth that a complete cycle reaches, mm. A cycle is held against the lesser of what is asked for now and what was when it
-    /// began: a deeper hole makes none of those before incomplete, and a depth that was declared too large is mended.
+    /// Depth that a complete cycle reaches, mm: with less than nine tenths of it a cycle is flagged `incomplete`. It is held against
+    /// the lesser of what is asked for now and what was when it began: a deeper hole makes none of those before incomplete, and a depth that was declared too large is mended.
     #[serde(default)]
     pub depth_mm: Option<f64>,
     /// Commanded spindle speed of cycles that name none, rpm: of those that begin from now on. One that is told for the first time

@@ -59,3 +59,13 @@ async fn a_refusal_is_an_answer_and_not_repeated() {
     assert_eq!(answer.problem(), "conflict: other");
     assert_eq!(task.await.unwrap(), 1);
 }
+
+#[tokio::test]
+async fn what_is_no_address_is_not_waited_for() {
+    for address in ["ftp://127.0.0.1", "127.0.0.1:7878", ""] {
+        let client = Client::new(address, None, Duration::from_secs(600)).unwrap();
+        let asked = tokio::time::timeout(Duration::from_secs(30), client.get("/healthz")).await;
+        let said = asked.expect("it is told at once").unwrap_err().to_string();
+        assert!(said.contains("given up after 0 s"), "{said}");
+    }
+}
