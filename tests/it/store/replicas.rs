@@ -1,7 +1,9 @@
 //! Several servers on one PostgreSQL: what one stores, the others know.
 
-use super::given::{Given, Run, at, commit, engineer, event, machine, operation, shop, stored, tool};
-use feedwright_core::cycle::{Cycle, Flag};
+use super::given::{
+    Given, Run, at, commit, engineer, event, machine, new_cycle, operation, shop, stored, tool,
+};
+use feedwright_core::cycle::{Cycle, CycleDraft, Flag};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
@@ -87,6 +89,29 @@ async fn three_servers_take_the_same_cycles(options: &str) {
     for replica in &replicas {
         replica.close().await;
     }
+    given.done().await;
+}
+
+/// Every group of cycles writes folds anew: what stood beside their rows would be left behind each time, and read through an index.
+#[tokio::test]
+async fn folds_stand_in_their_rows() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = given.store();
+    shop(&*store).await;
+    // Each law has a baseline of its own.
+    for n in 1..=80 {
+        let run = Run { load: 30.0 + f64::from(n % 7) * 1.37, ..Run::nth(n) };
+        let law_version = Some(format!("law-{}", n % 16));
+        let cycle = new_cycle(Cycle::new(CycleDraft { law_version, ..run.draft() }).unwrap());
+        let answers = store.commit_cycles(vec![cycle], at(100_000), RecommendSettings::default()).await;
+        assert!(matches!(answers.as_slice(), [Ok(Committed::Stored(_))]), "{answers:?}");
+    }
+    let longest = given.numbers("SELECT MAX(length(state))::BIGINT FROM tool_wear").await;
+    assert!(longest[0] > 2_100, "{longest:?}: it would not have stood beside its row");
+    let beside = "SELECT pg_relation_size(reltoastrelid) FROM pg_class WHERE oid = 'tool_wear'::regclass";
+    assert_eq!(given.numbers(beside).await, [0]);
     given.done().await;
 }
 

@@ -1,7 +1,7 @@
 //! How the columns of a machine's blocks were predicted of late.
 //!
 //! What a column follows, and how it is predicted best, is seldom another from one cycle of an operation to the next, and
-//! finding it is a fifth of writing a block (docs/performance.md). So it is looked for twice, and where the same is found it is
+//! finding it is a fifth of writing a block (docs/performance-history.md). So it is looked for twice, and where the same is found it is
 //! gone by for the next blocks: until one of their columns takes clearly more than it did, or so many have come that it is time
 //! to look again. Any way to predict suits any values, so that a block which is written by habit is read as every other; at
 //! worst it is longer.

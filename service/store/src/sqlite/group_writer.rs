@@ -28,11 +28,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// What the writer of groups keeps of the file, in KiB below zero. Others come from the system's cache; twice and four times
-/// as much saved nothing that was seen, with 40 machines or 200 (docs/performance.md).
+/// as much saved nothing that was seen, with 40 machines or 200 (docs/performance-history.md).
 const CACHE: &str = "-1024";
 
 /// Groups of so many cycles are written in one transaction at most: half as many take more of the processor, twice as many no
-/// less (docs/performance.md).
+/// less (docs/performance-history.md).
 const MOST_CYCLES: usize = 256;
 
 /// A connection that writes groups. Whoever calls it waits for the disk.
@@ -86,7 +86,7 @@ impl GroupWriter {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let conn = Connection::open_with_flags(path, flags)?;
         conn.busy_timeout(patience)?;
-        // Rows are held against the same ranges when they are made, which takes far less (docs/performance.md). Columns keep
+        // Rows are held against the same ranges when they are made, which takes far less (docs/performance-history.md). Columns keep
         // their types, and what must be there.
         let own = [("synchronous", "FULL"), ("cache_size", CACHE), ("ignore_check_constraints", "ON")];
         for (name, value) in SETTINGS.into_iter().chain(own) {
