@@ -1,6 +1,6 @@
 //! What the documents say of numbers that stand in the code.
 
-use feedwright_core::cycle::{Channel, DURATION_RANGE, ENERGY_RANGE, ReportedCut};
+use feedwright_core::cycle::{Channel, Reported, ReportedCut};
 use feedwright_core::invalid::Range;
 
 /// The limits of a row that begins with these fields.
@@ -20,11 +20,8 @@ fn the_ranges_of_fields_are_those_that_are_held() {
         let fields = line.split('|').nth(1).unwrap().trim();
         assert_eq!(line, row(fields, channel.range()));
     }
-    let cut = ReportedCut::default();
-    let others = cut.fields().map(|(name, range, _)| (name, range));
-    for (name, range) in
-        [("energy_joules", ENERGY_RANGE), ("duration_ms", DURATION_RANGE)].into_iter().chain(others)
-    {
+    let (reported, cut) = (Reported::default().fields(), ReportedCut::default().fields());
+    for (name, range, _) in reported.into_iter().chain(cut) {
         let expected = row(&format!("`{name}`"), range);
         assert!(document.lines().any(|line| line == expected), "{expected}");
     }

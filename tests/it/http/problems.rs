@@ -9,6 +9,7 @@ use std::convert::Infallible;
 
 crate::engines::on_both!(
     unknown_paths_and_methods_are_told_as_problems,
+    a_body_that_is_told_not_to_be_compressed_is_read,
     a_body_is_refused_for_its_type_its_size_or_its_form,
     a_body_that_does_not_tell_its_length_has_the_same_bounds,
     each_bad_field_is_named_by_its_path,
@@ -59,6 +60,26 @@ async fn unknown_paths_and_methods_are_told_as_problems() {
         assert_eq!(answer.errors(), [(name.to_owned(), code.to_owned())], "{query}");
         let text = String::from_utf8_lossy(&answer.body);
         assert!(!text.contains("digit") && !text.contains("literal"), "{text}");
+    }
+}
+
+async fn a_body_that_is_told_not_to_be_compressed_is_read() {
+    let app = App::new().await;
+    for (codings, status) in [
+        (["identity"].as_slice(), StatusCode::CREATED),
+        (&["Identity"], StatusCode::OK),
+        (&[""], StatusCode::OK),
+        (&["identity", "identity"], StatusCode::UNSUPPORTED_MEDIA_TYPE),
+        (&["gzip"], StatusCode::UNSUPPORTED_MEDIA_TYPE),
+    ] {
+        let mut request = Request::put("/v1/machines/M1")
+            .header("authorization", format!("Bearer {}", app.token(Role::Admin)))
+            .header("content-type", "application/json");
+        for coding in codings {
+            request = request.header("content-encoding", *coding);
+        }
+        let answer = app.send(request.body(Body::from(machine().to_string())).unwrap()).await;
+        assert_eq!(answer.status, status, "{codings:?}: {answer:?}");
     }
 }
 

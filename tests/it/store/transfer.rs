@@ -725,9 +725,35 @@ async fn a_database_that_counts_bytes_takes_what_others_take() {
     }
 }
 
-/// A partition is dropped whatever snapshots others have: a backup would be without what it held, and without the decision.
+/// Waits until somebody waits for `table`, which the transaction has locked, and drops a partition of which nothing is to be kept then, as retention
+/// of another server does: how that is refused.
+async fn dropping_beside(
+    deciding: &mut sqlx::Transaction<'_, sqlx::Postgres>,
+    table: &'static str,
+) -> Option<String> {
+    let waits = "SELECT EXISTS (SELECT 1 FROM pg_locks WHERE relation = $1::regclass AND NOT granted)";
+    let somebody_waits = async {
+        let asked = || sqlx::query_scalar::<_, bool>(waits).bind(table);
+        while !asked().fetch_one(&mut **deciding).await.unwrap() {}
+    };
+    tokio::time::timeout(Duration::from_secs(60), somebody_waits).await.expect("somebody waits for it");
+    sqlx::raw_sql(
+        "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
+         SELECT machine_id, 9000000000000000, 9000000000000000, 'age', 0, 0 FROM machines",
+    )
+    .execute(&mut **deciding)
+    .await
+    .unwrap();
+    let dropped = sqlx::query("SELECT * FROM cycle_samples_drop_partition(9000000000000000)")
+        .fetch_all(&mut **deciding)
+        .await;
+    dropped.err()?.as_database_error()?.code().map(std::borrow::Cow::into_owned)
+}
+
+/// A partition is dropped whatever snapshots others have: a backup would be without what it held, and without the decision, and a check
+/// would find cycles that lost their samples.
 #[tokio::test]
-async fn no_partition_goes_between_the_snapshot_of_a_backup_and_its_samples() {
+async fn no_partition_goes_between_a_snapshot_and_its_samples() {
     let Some(plant) = Given::postgres().await else {
         return;
     };
@@ -736,37 +762,34 @@ async fn no_partition_goes_between_the_snapshot_of_a_backup_and_its_samples() {
     store.make_room(at(0)).await.unwrap();
     fill(&*store).await;
     let mut server = PgConnection::connect(&plant.address()).await.unwrap();
-    let mut deciding = server.begin().await.unwrap();
+    let (address, backup) = (plant.address(), folder.path().join("plant.backup"));
+
     // The backup has its snapshot when it comes to ask for decisions.
-    sqlx::raw_sql("LOCK TABLE sample_drops; SET LOCAL lock_timeout = '300ms'")
-        .execute(&mut *deciding)
-        .await
-        .unwrap();
-    let backup = folder.path().join("plant.backup");
-    let address = plant.address();
-    let making = back_up_postgres(&address, &backup, at(9));
-    let drop_beside = async {
-        let waits = "SELECT EXISTS (SELECT 1 FROM pg_locks
-                         WHERE relation = 'sample_drops'::regclass AND NOT granted)";
-        while !sqlx::query_scalar::<_, bool>(waits).fetch_one(&mut *deciding).await.unwrap() {}
-        sqlx::raw_sql(
-            "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
-             SELECT machine_id, 9000000000000000, 9000000000000000, 'age', 0, 0 FROM machines",
-        )
-        .execute(&mut *deciding)
-        .await
-        .unwrap();
-        let dropped = sqlx::query("SELECT * FROM cycle_samples_drop_partition(9000000000000000)")
-            .fetch_all(&mut *deciding)
-            .await;
+    let mut deciding = server.begin().await.unwrap();
+    let locked = "LOCK TABLE sample_drops; SET LOCAL lock_timeout = '300ms'";
+    sqlx::raw_sql(locked).execute(&mut *deciding).await.unwrap();
+    let beside = async {
+        let refused = dropping_beside(&mut deciding, "sample_drops").await;
         deciding.rollback().await.unwrap();
-        let refused = dropped.expect_err("the backup keeps it");
-        let code = refused.as_database_error().and_then(sqlx::error::DatabaseError::code);
-        assert_eq!(code.as_deref(), Some("55P03"), "{refused:?}");
+        refused
     };
-    let (made, ()) = tokio::join!(making, drop_beside);
-    server.close().await.unwrap();
+    let (made, refused) = tokio::join!(back_up_postgres(&address, &backup, at(9)), beside);
+    assert_eq!(refused.as_deref(), Some("55P03"), "the backup keeps it");
     let sums = made.unwrap().tables;
     assert!(sums.iter().any(|(table, sum)| table == "cycle_samples" && sum.rows == 64), "{sums:?}");
+
+    // And the check before it asks for cycles.
+    let mut deciding = server.begin().await.unwrap();
+    let locked = "LOCK TABLE cycles; SET LOCAL lock_timeout = '300ms'";
+    sqlx::raw_sql(locked).execute(&mut *deciding).await.unwrap();
+    let beside = async {
+        let refused = dropping_beside(&mut deciding, "cycles").await;
+        deciding.rollback().await.unwrap();
+        refused
+    };
+    let (page, refused) = tokio::join!(store.check_cycles(None, 1000), beside);
+    assert_eq!(refused.as_deref(), Some("55P03"), "the check keeps it");
+    assert_eq!(page.unwrap().faults, []);
+    server.close().await.unwrap();
     plant.done().await;
 }

@@ -1,7 +1,7 @@
 //! Reading bodies within their bounds, and JSON out of them with the path of what is wrong.
 
 use super::problem::Problem;
-use crate::ingest::content::{Room, Unpacked};
+use crate::ingest::content::{Encoding, Room, Unpacked};
 use crate::json::{self, Wrong};
 use crate::server::BodyTooSlow;
 use axum::body::BodyDataStream;
@@ -27,7 +27,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
         if kind.as_deref() != Some("application/json") {
             return Err(unsupported("send the body as application/json"));
         }
-        if !is_as_it_is(request.headers()) {
+        if encoding_of(request.headers()) != Some(Encoding::Identity) {
             return Err(unsupported("this body must not be compressed"));
         }
         let bytes = read(request, state).await?;
@@ -35,12 +35,14 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
     }
 }
 
-/// Whether a body is in no other coding than its own.
-fn is_as_it_is(headers: &HeaderMap) -> bool {
-    headers
-        .get_all(header::CONTENT_ENCODING)
-        .iter()
-        .all(|coding| coding.as_bytes().eq_ignore_ascii_case(b"identity"))
+/// How a body is compressed; `None` where that is not known. Several lines are one list, and none of several encodings is taken.
+pub fn encoding_of(headers: &HeaderMap) -> Option<Encoding> {
+    let mut given = headers.get_all(header::CONTENT_ENCODING).iter();
+    Encoding::parse(match (given.next(), given.next()) {
+        (Some(one), None) => Some(one.to_str().unwrap_or("?")),
+        (Some(_), Some(_)) => Some("?"),
+        (None, _) => None,
+    })
 }
 
 /// The media type of a body without its parameters, in lower case.

@@ -1,6 +1,6 @@
 //! Cycles: posted one by one or in batches, read, listed.
 
-use super::body::{media_type, no_room, read_within, unsupported};
+use super::body::{encoding_of, media_type, no_room, read_within, unsupported};
 use super::cursor::{List, Paging};
 use super::dto::cycle::{BatchOutcome, CycleAnswerBody, CycleBody, CyclePost};
 use super::extract::{PathId, Query};
@@ -293,7 +293,7 @@ async fn decoded_body(
     request: Request,
     kind: &'static str,
 ) -> Result<(Form, Unpacked), Problem> {
-    let (form, encoding) = encoding_of(request.headers(), kind)?;
+    let (form, encoding) = form_of(request.headers(), kind)?;
     let room = state.intake.room(kind == LINES);
     let read = read_within(request, state, room, state.config.limits.body_bytes).await?;
     let body = match encoding {
@@ -345,7 +345,7 @@ async fn unpacked(
     })
 }
 
-fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encoding), Problem> {
+fn form_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encoding), Problem> {
     let form = match (media_type(headers).as_deref(), kind) {
         (Some(wire::MEDIA_TYPE), _) => Form::Binary,
         (Some(given), wanted) if given == wanted => Form::Json,
@@ -359,14 +359,7 @@ fn encoding_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encodin
             ));
         }
     };
-    // Several lines are one list, and none of several encodings is taken.
-    let mut given = headers.get_all(header::CONTENT_ENCODING).iter();
-    let header = match (given.next(), given.next()) {
-        (Some(one), None) => Some(one.to_str().unwrap_or("?")),
-        (Some(_), Some(_)) => Some("?"),
-        (None, _) => None,
-    };
-    let encoding = Encoding::parse(header)
+    let encoding = encoding_of(headers)
         .ok_or_else(|| unsupported("the content encoding must be gzip or zstd, or none"))?;
     Ok((form, encoding))
 }

@@ -1,5 +1,6 @@
 //! The outermost layer: request id, log line, metrics, panics, and the rendering of problems.
 
+use super::extract::path_not_utf8;
 use super::problem::Problem;
 use crate::auth::Peer;
 use crate::state::AppState;
@@ -47,7 +48,7 @@ pub(crate) async fn answer(State(state): State<AppState>, mut request: Request, 
         telemetry::adopt(&span, method.as_str(), route, request.headers());
     }
 
-    let response = match without_one_host(&request).or_else(|| without_text(&request)) {
+    let response = match without_one_host(&request).or_else(|| with_path_not_utf8(&request)) {
         Some(problem) => problem.into_response(),
         None => {
             let ran = AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await;
@@ -87,10 +88,10 @@ fn without_one_host(request: &Request) -> Option<Problem> {
     Some(Problem::bad_request("invalid_host", detail))
 }
 
-/// Refuses a path that is no text: no id can be read out of it.
-fn without_text(request: &Request) -> Option<Problem> {
-    let is_text = percent_encoding::percent_decode_str(request.uri().path()).decode_utf8().is_ok();
-    (!is_text).then(|| Problem::bad_request("invalid_path", "the path is not UTF-8"))
+/// Refuses such a path before the router does, which has no words for it.
+fn with_path_not_utf8(request: &Request) -> Option<Problem> {
+    let is_utf8 = percent_encoding::percent_decode_str(request.uri().path()).decode_utf8().is_ok();
+    (!is_utf8).then(path_not_utf8)
 }
 
 fn request_id(request: &Request) -> String {

@@ -87,9 +87,7 @@ impl<T: InPath, S: Send + Sync> FromRequestParts<S> for PathId<T> {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
-        let params = RawPathParams::from_request_parts(parts, state)
-            .await
-            .map_err(|_| Problem::bad_request("invalid_path", "the path is not UTF-8"))?;
+        let params = RawPathParams::from_request_parts(parts, state).await.map_err(|_| path_not_utf8())?;
         let text = params.iter().find(|(name, _)| *name == T::NAME).map(|(_, text)| text);
         let word = || parts.extensions.get::<WordAsId>().filter(|id| *id.name == *T::NAME).map(|id| id.word);
         let text =
@@ -100,6 +98,11 @@ impl<T: InPath, S: Send + Sync> FromRequestParts<S> for PathId<T> {
             Problem { errors: vec![violation], ..Problem::bad_request("invalid_path", detail) }
         })
     }
+}
+
+/// 400: no id can be read out of the path.
+pub fn path_not_utf8() -> Problem {
+    Problem::bad_request("invalid_path", "the path is not UTF-8")
 }
 
 /// The query; its type denies unknown parameters.
@@ -132,14 +135,14 @@ fn violation(rejection: &QueryRejection) -> Option<Violation> {
     if let Some((name, code)) = named_field(&sentence) {
         return Some(Violation::new(name, code, sentence.clone()));
     }
-    Some(Violation::new(error.path().to_string(), "invalid_value", in_words(sentence)))
+    Some(Violation::new(error.path().to_string(), "invalid_value", number_in_words(sentence)))
 }
 
 /// What the standard library says of a number that it cannot read, in the words of those who send one.
-fn in_words(sentence: String) -> String {
+fn number_in_words(sentence: String) -> String {
     let words = match sentence.as_str() {
         "invalid digit found in string" | "cannot parse integer from empty string" => {
-            "expected a whole number from 0 on"
+            "expected a whole number"
         }
         "invalid float literal" | "cannot parse float from empty string" => "expected a number",
         "number too large to fit in target type" => "is too large",

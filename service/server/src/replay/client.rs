@@ -8,6 +8,7 @@ use reqwest::header::{AUTHORIZATION, CONTENT_TYPE, RETRY_AFTER};
 use reqwest::{Method, Response, StatusCode};
 use secrecy::{ExposeSecret, SecretString};
 use serde_json::Value;
+use std::pin::pin;
 use std::time::{Duration, Instant};
 
 /// First wait before a request is repeated; doubled each time.
@@ -19,6 +20,8 @@ const LONGEST_TOLD_WAIT: Duration = Duration::from_secs(120);
 /// Who waits is told why when so long was waited, and again each time that so much more was.
 const TOLD_AFTER: Duration = Duration::from_secs(2);
 const TOLD_EVERY: Duration = Duration::from_secs(30);
+/// A place that takes no connection for so long is one that does not answer.
+const CONNECT_TIME: Duration = Duration::from_secs(10);
 /// One request may take so long: a batch of a weekend is committed within it.
 const REQUEST_TIME: Duration = Duration::from_secs(60);
 
@@ -31,6 +34,8 @@ pub struct Client {
     patience: Duration,
     /// Takes a line on what is waited for.
     told: fn(&str),
+    /// When it is told first.
+    told_after: Duration,
 }
 
 /// Why a request was not answered.
@@ -79,10 +84,11 @@ impl Client {
     /// A client of the service at `base`; gives up when nothing was answered for `patience`.
     pub fn new(base: &str, token: Option<SecretString>, patience: Duration) -> Result<Self, ReplayError> {
         let base = base.trim_end_matches('/').to_owned();
-        let http = crate::tls::client(&base).timeout(REQUEST_TIME).build().map_err(|error| {
-            ReplayError::GivenUp { url: base.clone(), seconds: 0, detail: error.to_string() }
-        })?;
-        Ok(Self { http, base, token, patience, told: |_| () })
+        let http =
+            crate::tls::client(&base).timeout(REQUEST_TIME).connect_timeout(CONNECT_TIME).build().map_err(
+                |error| ReplayError::GivenUp { url: base.clone(), seconds: 0, detail: error.to_string() },
+            )?;
+        Ok(Self { http, base, token, patience, told: |_| (), told_after: TOLD_AFTER })
     }
 
     /// The same, that tells what it waits for.
@@ -133,13 +139,25 @@ impl Client {
         body: Option<(&str, String)>,
     ) -> Result<Answer, ReplayError> {
         let since = Instant::now();
-        let (mut wait, mut telling) = (FIRST_WAIT, TOLD_AFTER);
+        let (mut wait, mut telling) = (FIRST_WAIT, since + self.told_after);
+        let url = format!("{}{path}", without_password(&self.base));
         let given_up = |detail| {
-            let (url, seconds) = (format!("{}{path}", self.base), since.elapsed().as_secs());
-            Err(ReplayError::GivenUp { url, seconds, detail })
+            Err(ReplayError::GivenUp { url: url.clone(), seconds: since.elapsed().as_secs(), detail })
+        };
+        let tell = |why: &str| {
+            let left = self.patience.saturating_sub(since.elapsed()).as_secs();
+            (self.told)(&format!("{url}: {why}; waiting for another {left} s at the most"));
+            Instant::now() + TOLD_EVERY
         };
         loop {
-            let (told, detail) = match self.once(&method, path, body.as_ref()).await {
+            let mut asked = pin!(self.once(&method, path, body.as_ref()));
+            let answer = loop {
+                match tokio::time::timeout_at(telling.into(), &mut asked).await {
+                    Ok(answer) => break answer,
+                    Err(_) => telling = tell("no answer yet"),
+                }
+            };
+            let (told, detail) = match answer {
                 Ok(response) if !may_pass(response.status()) => match read(response).await {
                     Ok(answer) => return Ok(answer),
                     // The answer broke off: what was sent may be stored, and asking again tells.
@@ -150,14 +168,11 @@ impl Client {
                 Err(Unanswered { detail, .. }) => (None, detail),
             };
             let pause = told.unwrap_or(wait).min(LONGEST_TOLD_WAIT);
-            let waited = since.elapsed();
-            if waited + pause > self.patience {
+            if since.elapsed() + pause > self.patience {
                 return given_up(detail);
             }
-            if waited + pause >= telling {
-                let left = (self.patience - waited).as_secs();
-                (self.told)(&format!("{}{path}: {detail}; asking again for another {left} s", self.base));
-                telling = waited + pause + TOLD_EVERY;
+            if Instant::now() + pause >= telling {
+                telling = tell(&detail) + pause;
             }
             tokio::time::sleep(pause).await;
             wait = (wait * 2).min(LONGEST_WAIT);
@@ -188,6 +203,17 @@ impl Client {
 async fn read(response: Response) -> Result<Answer, String> {
     let status = response.status();
     response.text().await.map(|text| Answer { status, text }).map_err(|error| causes(&error))
+}
+
+/// An address as it may be shown: a password in it is nobody's who reads over a shoulder.
+fn without_password(address: &str) -> String {
+    if let Ok(mut url) = reqwest::Url::parse(address)
+        && url.password().is_some()
+        && url.set_password(None).is_ok()
+    {
+        return url.as_str().trim_end_matches('/').to_owned();
+    }
+    address.to_owned()
 }
 
 /// The error with what caused it: "error sending request" alone tells nobody that the port is closed.

@@ -168,7 +168,7 @@ impl Making {
         let made = self.file.try_clone().map_err(|error| io(to, "cannot be written", &error))?;
         let (from, name) = (self.path.clone(), to.to_owned());
         // On another thread: who is told to stop does not wait for the disk.
-        let settling = tokio::task::spawn_blocking(move || settle(&made, &from, &name));
+        let settling = tokio::task::spawn_blocking(move || settle(&made, &from, &name, sync_name));
         let bytes = settling.await.map_err(panicked)??;
         self.is_whole = true;
         Ok(bytes)
@@ -184,7 +184,12 @@ impl Drop for Making {
 }
 
 /// Makes a whole file durable under its name.
-fn settle(made: &File, from: &Path, to: &Path) -> Result<u64, TransferError> {
+fn settle(
+    made: &File,
+    from: &Path,
+    to: &Path,
+    sync_name: fn(&Path) -> std::io::Result<()>,
+) -> Result<u64, TransferError> {
     let unwritten = |error| io(to, "cannot be written", &error);
     // SQLite was told a name, and may have written elsewhere.
     if !stands_under(made, from) || head_of(made).map_err(unwritten)? != SQLITE {
@@ -195,22 +200,32 @@ fn settle(made: &File, from: &Path, to: &Path) -> Result<u64, TransferError> {
     // It took its time: a server may have made a database there meanwhile.
     absent(to)?;
     std::fs::rename(from, to).map_err(|error| io(to, "cannot be made", &error))?;
-    let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let synced = File::open(folder).and_then(|folder| folder.sync_all());
-    // A folder that may be written and not listed cannot be opened: with all of its file system the name is durable too.
-    #[cfg(target_os = "linux")]
-    let synced = synced.or_else(|error| match error.kind() {
-        ErrorKind::PermissionDenied => Ok(rustix::fs::syncfs(File::open(to)?)?),
-        _ => Err(error),
-    });
-    if let Err(error) = synced {
+    if let Err(error) = sync_name(to) {
         // A name that a loss of power may take away again is not left for one that stays.
-        if stands_under(made, to) {
-            discard_all(to, &[""]);
+        if stands_under(made, to)
+            && let Err(error) = std::fs::remove_file(to)
+        {
+            tracing::warn!(%error, file = %to.display(), "it stays under a name that is not durable");
         }
         return Err(io(to, "cannot be made durable under its name", &error));
     }
     Ok(bytes)
+}
+
+/// Makes the name of a file durable.
+fn sync_name(file: &Path) -> std::io::Result<()> {
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let synced = File::open(folder).and_then(|folder| folder.sync_all());
+    // A folder that may be written and not listed cannot be opened, and some file systems know no folder that is durable by itself: with all
+    // of its file system the name is durable too.
+    #[cfg(target_os = "linux")]
+    let synced = synced.or_else(|error| match error.kind() {
+        ErrorKind::PermissionDenied | ErrorKind::InvalidInput | ErrorKind::Unsupported => {
+            Ok(rustix::fs::syncfs(File::open(file)?)?)
+        }
+        _ => Err(error),
+    });
+    synced
 }
 
 /// Neither the file, nor what SQLite would take for the new file's own: the log of one that was there before would be
@@ -531,6 +546,21 @@ mod tests {
         let why = refused();
         assert!(why.contains("is in the way"), "{why}");
         assert_eq!(std::fs::read_to_string(&making).unwrap(), "something precious");
+    }
+
+    #[test]
+    fn a_file_whose_name_is_not_durable_is_in_nobody_s_way() {
+        let dir = tempfile::tempdir().unwrap();
+        let to = dir.path().join("night.backup");
+        let make = |sync_name: fn(&Path) -> std::io::Result<()>| {
+            let mut making = Making::begin(partial(&to), &to).unwrap();
+            std::io::Write::write_all(&mut making.file, &[SQLITE, b"whole"].concat()).unwrap();
+            settle(&making.file, &making.path, &to, sync_name)
+        };
+        let why = make(|_| Err(std::io::Error::other("worn out"))).unwrap_err().to_string();
+        assert!(why.contains("night.backup") && why.contains("worn out"), "{why}");
+        assert!(!to.exists());
+        assert_eq!(make(sync_name).unwrap(), std::fs::metadata(&to).unwrap().len());
     }
 
     #[cfg(unix)]

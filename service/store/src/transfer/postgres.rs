@@ -12,12 +12,14 @@ use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
 /// shards is locked with each partition: four years at a time fit into what PostgreSQL has for locks.
 const MONTHS_AT_A_TIME: i32 = 48;
 const MONTH_US: i64 = 28 * 86_400_000_000;
+/// What is told of a table that is not there (SQLSTATE).
 const UNDEFINED_TABLE: &str = "42P01";
 /// It idles while the other side is read, and reads whole tables, whatever limits a role has for its questions. The last setting
 /// is for Citus, as where the store begins to read.
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; SET LOCAL statement_timeout = 0; \
                               SET LOCAL idle_in_transaction_session_timeout = 0; \
                               SET LOCAL citus.max_adaptive_executor_pool_size = 1";
+
 pub(super) struct PostgresSide {
     conn: PgConnection,
     /// Columns that the database numbers itself, `(table, column)`.

@@ -69,3 +69,25 @@ async fn what_is_no_address_is_not_waited_for() {
         assert!(said.contains("given up after 0 s"), "{said}");
     }
 }
+
+#[tokio::test]
+async fn what_is_waited_for_is_told_while_nobody_answers_and_without_a_password() {
+    static TOLD: std::sync::Mutex<Vec<String>> = std::sync::Mutex::new(Vec::new());
+    // It takes the connection, and says nothing.
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = format!("http://somebody:secret@{}", listener.local_addr().unwrap());
+    let mut client = Client::new(&address, None, Duration::from_secs(600))
+        .unwrap()
+        .telling(|line| TOLD.lock().unwrap().push(line.to_owned()));
+    client.told_after = Duration::from_millis(20);
+    tokio::select! {
+        answer = client.get("/healthz") => panic!("{answer:?}"),
+        () = async {
+            while TOLD.lock().unwrap().is_empty() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        } => {}
+    }
+    let told = TOLD.lock().unwrap().join("\n");
+    assert!(told.contains("/healthz: no answer yet") && !told.contains("secret"), "{told}");
+}
