@@ -72,6 +72,28 @@ fn every_answer_is_described() {
     assert!(seen > 200, "{seen}");
 }
 
+#[test]
+fn every_number_fits_what_it_is_told_as() {
+    fn look(part: &Value, seen: &mut usize) {
+        if part["format"] == "int32" {
+            let within =
+                |limit: &Value| limit.as_f64().is_some_and(|limit| limit.abs() <= f64::from(i32::MAX));
+            assert!(within(&part["maximum"]) || part["minimum"] != 0, "{part}");
+        }
+        if part["format"] == "int64" && part["minimum"] == 0 {
+            *seen += 1;
+        }
+        match part {
+            Value::Object(parts) => parts.values().for_each(|part| look(part, seen)),
+            Value::Array(parts) => parts.iter().for_each(|part| look(part, seen)),
+            _ => {}
+        }
+    }
+    let mut seen = 0;
+    look(&serde_json::from_str(&json().unwrap()).unwrap(), &mut seen);
+    assert!(seen > 50, "{seen}");
+}
+
 fn collect(at: &Value, references: &mut Vec<String>, names: &mut Vec<String>) {
     match at {
         Value::Object(object) => {

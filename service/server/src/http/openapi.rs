@@ -1,6 +1,7 @@
 //! The description of the API, made from the table of routes.
 
 mod merge;
+mod unsigned;
 
 use super::problem::ProblemDocument;
 use super::routes::{Access, Description, descriptions};
@@ -56,6 +57,7 @@ fn describe() -> Result<OpenApi, String> {
             operation.operation_id = Some(operation_id(method, &path));
             secure(operation, access);
             describe_answers(operation);
+            unsigned::hold_those_of(operation);
         }
         add(&mut components, schemas, &mut shared);
         match paths.paths.get_mut(&path) {
@@ -69,6 +71,7 @@ fn describe() -> Result<OpenApi, String> {
         return Err(format!("several types are called {shared:?}: their names have to tell them apart"));
     }
     merge::merge(&mut components.schemas);
+    components.schemas.values_mut().for_each(unsigned::hold);
     let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).bearer_format("fwt").build();
     components.add_security_scheme("token", SecurityScheme::Http(bearer));
     let mut openapi = OpenApi::new(info, paths);

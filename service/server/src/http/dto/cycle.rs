@@ -63,7 +63,7 @@ pub struct ProfilePost {
     /// Its id.
     id: String,
     /// Its version.
-    #[schema(format = Int64, maximum = 4_294_967_295_u32)]
+    #[schema(maximum = 4_294_967_295_u32)]
     version: u32,
 }
 
@@ -376,7 +376,7 @@ pub struct CycleBody {
     /// Feed profile.
     pub profile_id: Option<String>,
     /// Version of the feed profile.
-    #[schema(format = Int64, maximum = 4_294_967_295_u32)]
+    #[schema(maximum = 4_294_967_295_u32)]
     pub profile_version: Option<u32>,
     /// The recommendation that it followed.
     pub recommendation_id: Option<String>,
