@@ -725,28 +725,35 @@ async fn a_database_that_counts_bytes_takes_what_others_take() {
     }
 }
 
-/// Waits until somebody waits for `table`, which the transaction has locked, and drops a partition of which nothing is to be kept then, as retention
-/// of another server does: how that is refused.
-async fn dropping_beside(
-    deciding: &mut sqlx::Transaction<'_, sqlx::Postgres>,
-    table: &'static str,
-) -> Option<String> {
+/// A transaction that has locked a table, and waits for others' locks no longer than a moment.
+async fn locking<'c>(server: &'c mut PgConnection, table: &str) -> sqlx::Transaction<'c, sqlx::Postgres> {
+    let mut locking = server.begin().await.unwrap();
+    let mut lock = sqlx::QueryBuilder::<sqlx::Postgres>::new("LOCK TABLE ");
+    lock.push(table).build().persistent(false).execute(&mut *locking).await.unwrap();
+    sqlx::query("SET LOCAL lock_timeout = '300ms'").execute(&mut *locking).await.unwrap();
+    locking
+}
+
+/// Waits until somebody waits for that table, and drops a partition of which nothing is to be kept then, as retention of another server does: how
+/// that is refused.
+async fn dropping_beside(mut deciding: sqlx::Transaction<'_, sqlx::Postgres>, table: &str) -> Option<String> {
     let waits = "SELECT EXISTS (SELECT 1 FROM pg_locks WHERE relation = $1::regclass AND NOT granted)";
     let somebody_waits = async {
         let asked = || sqlx::query_scalar::<_, bool>(waits).bind(table);
-        while !asked().fetch_one(&mut **deciding).await.unwrap() {}
+        while !asked().fetch_one(&mut *deciding).await.unwrap() {}
     };
     tokio::time::timeout(Duration::from_secs(60), somebody_waits).await.expect("somebody waits for it");
     sqlx::raw_sql(
         "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
          SELECT machine_id, 9000000000000000, 9000000000000000, 'age', 0, 0 FROM machines",
     )
-    .execute(&mut **deciding)
+    .execute(&mut *deciding)
     .await
     .unwrap();
     let dropped = sqlx::query("SELECT * FROM cycle_samples_drop_partition(9000000000000000)")
-        .fetch_all(&mut **deciding)
+        .fetch_all(&mut *deciding)
         .await;
+    deciding.rollback().await.unwrap();
     dropped.err()?.as_database_error()?.code().map(std::borrow::Cow::into_owned)
 }
 
@@ -765,29 +772,16 @@ async fn no_partition_goes_between_a_snapshot_and_its_samples() {
     let (address, backup) = (plant.address(), folder.path().join("plant.backup"));
 
     // The backup has its snapshot when it comes to ask for decisions.
-    let mut deciding = server.begin().await.unwrap();
-    let locked = "LOCK TABLE sample_drops; SET LOCAL lock_timeout = '300ms'";
-    sqlx::raw_sql(locked).execute(&mut *deciding).await.unwrap();
-    let beside = async {
-        let refused = dropping_beside(&mut deciding, "sample_drops").await;
-        deciding.rollback().await.unwrap();
-        refused
-    };
-    let (made, refused) = tokio::join!(back_up_postgres(&address, &backup, at(9)), beside);
+    let decisions = locking(&mut server, "sample_drops").await;
+    let making = back_up_postgres(&address, &backup, at(9));
+    let (made, refused) = tokio::join!(making, dropping_beside(decisions, "sample_drops"));
     assert_eq!(refused.as_deref(), Some("55P03"), "the backup keeps it");
     let sums = made.unwrap().tables;
     assert!(sums.iter().any(|(table, sum)| table == "cycle_samples" && sum.rows == 64), "{sums:?}");
 
     // And the check before it asks for cycles.
-    let mut deciding = server.begin().await.unwrap();
-    let locked = "LOCK TABLE cycles; SET LOCAL lock_timeout = '300ms'";
-    sqlx::raw_sql(locked).execute(&mut *deciding).await.unwrap();
-    let beside = async {
-        let refused = dropping_beside(&mut deciding, "cycles").await;
-        deciding.rollback().await.unwrap();
-        refused
-    };
-    let (page, refused) = tokio::join!(store.check_cycles(None, 1000), beside);
+    let cycles = locking(&mut server, "cycles").await;
+    let (page, refused) = tokio::join!(store.check_cycles(None, 1000), dropping_beside(cycles, "cycles"));
     assert_eq!(refused.as_deref(), Some("55P03"), "the check keeps it");
     assert_eq!(page.unwrap().faults, []);
     server.close().await.unwrap();

@@ -6,7 +6,7 @@
 //! behind `tests/postgres`, Feedwright keeps its cycles in that server: its processor time counts as Feedwright's does.
 //! `-- --weekend` replays 96,000 cycles of 200 machines while others post live; `-- --growth 10000000` tells what so
 //! many cycles do to the cost of the next one; `-- --stages` tells what each step of a post costs by itself, or those with `-- --stages PART` in their names;
-//! `-- --bytes` tells where the bytes of a file go, and `-- --blocks` what samples of many cycles in one block would save.
+//! `-- --bytes` tells where the bytes of a database go, with `-- --postgres` of that one, and `-- --blocks` what samples of many cycles in one block would save.
 //! It never judges: absolute figures of a shared machine are noise, ratios of one run are the result.
 
 mod blocks;

@@ -73,20 +73,18 @@ async fn what_is_no_address_is_not_waited_for() {
 #[tokio::test]
 async fn what_is_waited_for_is_told_while_nobody_answers_and_without_a_password() {
     static TOLD: std::sync::Mutex<Vec<String>> = std::sync::Mutex::new(Vec::new());
+    static TELLS: tokio::sync::Notify = tokio::sync::Notify::const_new();
     // It takes the connection, and says nothing.
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = format!("http://somebody:secret@{}", listener.local_addr().unwrap());
-    let mut client = Client::new(&address, None, Duration::from_secs(600))
-        .unwrap()
-        .telling(|line| TOLD.lock().unwrap().push(line.to_owned()));
+    let mut client = Client::new(&address, None, Duration::from_secs(600)).unwrap().telling(|line| {
+        TOLD.lock().unwrap().push(line.to_owned());
+        TELLS.notify_one();
+    });
     client.told_after = Duration::from_millis(20);
     tokio::select! {
         answer = client.get("/healthz") => panic!("{answer:?}"),
-        () = async {
-            while TOLD.lock().unwrap().is_empty() {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
-        } => {}
+        () = TELLS.notified() => {}
     }
     let told = TOLD.lock().unwrap().join("\n");
     assert!(told.contains("/healthz: no answer yet") && !told.contains("secret"), "{told}");
