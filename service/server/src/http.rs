@@ -56,6 +56,7 @@ mod tokens;
 mod tool_events;
 mod tools;
 mod turning;
+pub(crate) mod unsigned;
 mod value_series;
 mod viewer;
 mod what_if;

@@ -1,10 +1,10 @@
 //! The description of the API, made from the table of routes.
 
 mod merge;
-mod unsigned;
 
 use super::problem::ProblemDocument;
 use super::routes::{Access, Description, descriptions};
+use super::unsigned;
 use axum::response::{IntoResponse, Response};
 use http::header;
 use std::collections::BTreeSet;

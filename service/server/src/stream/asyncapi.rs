@@ -7,6 +7,7 @@ use super::message::{
     EndMessage, HeartbeatMessage, MonitorMessage, ResumeMessage, SamplesSchema, StartMessage,
     VibrationMessage,
 };
+use crate::http::unsigned;
 use serde_json::{Map, Value, json};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
@@ -21,7 +22,8 @@ impl Described {
         let mut nested: Vec<(String, RefOr<Schema>)> = Vec::new();
         T::schemas(&mut nested);
         nested.push((T::name().into_owned(), T::schema()));
-        for (name, schema) in nested {
+        for (name, mut schema) in nested {
+            unsigned::hold(&mut schema);
             self.schemas.insert(name, serde_json::to_value(schema).unwrap_or_default());
         }
         let payload = json!({"$ref": format!("#/components/schemas/{}", T::name())});

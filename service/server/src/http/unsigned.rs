@@ -28,7 +28,7 @@ const fn said_here<T>(part: &mut RefOr<T>) -> Option<&mut T> {
 }
 
 /// Of a type, and what it is made of.
-pub(super) fn hold(schema: &mut RefOr<Schema>) {
+pub(crate) fn hold(schema: &mut RefOr<Schema>) {
     let Some(schema) = said_here(schema) else { return };
     match schema {
         Schema::Object(object) => {
