@@ -50,4 +50,5 @@ COMMIT;
 -- local: sessions
 -- local: stream_leases
 -- local: last_backup
+-- local: retention_clock
 -- local: write_probe

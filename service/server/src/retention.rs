@@ -3,14 +3,20 @@
 
 use crate::state::AppState;
 use feedwright_store::{Dropped, StoreError, StoreResult};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// One part in so many of the time between two runs is what a run takes where whoever reads is in the way of dropping partitions.
 const SHARE_BESIDE_READERS: u32 = 2;
 
+/// So often samples age: a server that runs for a shorter time lets them age not at all.
+const AGING: Duration = Duration::from_secs(600);
+/// A clock that is so much ahead of how far samples have aged is told of.
+const FAR_AHEAD: Duration = Duration::from_secs(86_400);
+
 /// Runs until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
     let state = state.clone();
+    state.lifecycle.spawn(aging(state.clone()));
     state.lifecycle.clone().spawn(async move {
         let mut ticks = tokio::time::interval(state.config.retention.interval());
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -25,6 +31,43 @@ pub(crate) fn start(state: &AppState) {
             }
         }
     });
+}
+
+/// Lets samples age until the shutdown begins.
+async fn aging(state: AppState) {
+    let mut ticks = tokio::time::interval(AGING);
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    // How long no server ran is not known.
+    let (mut before, mut is_behind) = (state.clock.moment(), false);
+    loop {
+        tokio::select! {
+            _ = ticks.tick() => {}
+            () = state.lifecycle.stopping() => return,
+        }
+        let moment = state.clock.moment();
+        let now = state.clock.now();
+        match state.store.age_samples(now, moment.since(before)).await {
+            Ok(aged_to) => {
+                before = moment;
+                let behind = now.millis_since(aged_to);
+                let was_behind = std::mem::replace(&mut is_behind, behind > millis(FAR_AHEAD));
+                if is_behind && !was_behind {
+                    tracing::warn!(
+                        days = behind / millis(FAR_AHEAD),
+                        "no server ran for as long, or the clock has leapt ahead: what samples are kept for days stays longer, until that is caught up with"
+                    );
+                } else if was_behind && !is_behind {
+                    tracing::info!("samples are as old as the clock tells again");
+                }
+            }
+            // What has gone by counts the next time.
+            Err(error) => tracing::warn!(%error, "samples do not age until the next try"),
+        }
+    }
+}
+
+fn millis(of: Duration) -> i64 {
+    i64::try_from(of.as_millis()).unwrap_or(i64::MAX)
 }
 
 /// One run: everything that is to go by now goes, unless the shutdown begins.

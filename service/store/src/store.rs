@@ -298,7 +298,11 @@ pub trait Store: Send + Sync + 'static {
     ) -> StoreResult<BTreeMap<CycleId, SamplesGone>>;
     /// Decides for every machine which samples are to go; `otherwise` holds where a machine has no say of its own. What several
     /// servers write to goes by the time that they agree on, and not by `now`: what is dropped by a clock that was ahead is gone.
+    /// By age they go as far as [`Store::age_samples`] has let them age.
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>>;
+    /// Lets samples age up to now, but no faster than eight times what has `gone_by` since it was called last, by a clock that nobody sets:
+    /// one that leaps ahead would drop all that is kept by days. Says up to when they have aged.
+    async fn age_samples(&self, now: Timestamp, gone_by: Duration) -> StoreResult<Timestamp>;
     /// Drops the oldest partition of which nothing is kept, where the engine has partitions; by the same time.
     ///
     /// # Errors

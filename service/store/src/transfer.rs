@@ -25,10 +25,11 @@ use crate::error::{StoreError, StoreResult};
 use async_trait::async_trait;
 
 /// Tables that belong to the program and not to the data.
-const LEFT_OUT: [&str; 8] = [
+const LEFT_OUT: [&str; 9] = [
     "_sqlx_migrations",
     "write_probe",
     "last_backup",
+    "retention_clock",
     "backup_sums",
     "backup_made",
     "groups_journal",

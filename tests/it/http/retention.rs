@@ -1,10 +1,18 @@
 //! What retention drops is seen: by whoever reads the cycle, by whoever asks for the decisions, and by Prometheus.
 
 use super::app::{App, operation};
+use super::commands::Served;
+use crate::store::given::{Run, at, engineer, shop, stored, watched};
+use feedwright_core::ids::MachineId;
 use feedwright_server::retention;
-use feedwright_store::Role;
+use feedwright_store::{
+    CycleFilter, Page, Precondition, Role, SampleRetention, SqliteOptions, SqliteStore, Store,
+};
 use http::StatusCode;
 use serde_json::json;
+use sqlx::{ConnectOptions, Connection};
+use std::time::Duration;
+use tempfile::TempDir;
 
 crate::engines::on_both!(dropped_samples_are_gone_and_say_why_and_the_summary_stays);
 
@@ -97,4 +105,40 @@ async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
         json!({"filter": {"machine": "M1", "to": "2026-05-04T05:20:00Z"}, "question": {"control": {}}});
     let many = app.post("/v1/what-if", asked).await.json();
     assert_eq!((&many["considered"], &many["skipped"]), (&json!(4), &skipped), "{many}");
+}
+
+/// As after months in which no server ran, which looks the same.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_that_starts_by_a_clock_far_ahead_drops_nothing_for_its_age() {
+    let cell = TempDir::new().unwrap();
+    let data = cell.path().join("data");
+    std::fs::create_dir(&data).unwrap();
+    let file = data.join("feedwright.sqlite3");
+    let store = SqliteStore::open(&file, SqliteOptions::default()).await.unwrap();
+    shop(&store).await;
+    for n in 1..=3 {
+        stored(&store, &Run::nth(n)).await;
+    }
+    let machine: MachineId = "M1".try_into().unwrap();
+    // In January.
+    store.watch(vec![(machine.clone(), Duration::ZERO)], &watched(), at(3600)).await.unwrap();
+    let mut tables =
+        sqlx::sqlite::SqliteConnectOptions::new().filename(&file).read_only(true).connect().await.unwrap();
+    let bytes: i64 =
+        sqlx::query_scalar("SELECT SUM(bytes) FROM cycle_samples").fetch_one(&mut tables).await.unwrap();
+    tables.close().await.unwrap();
+    // All of them are older than a day, and the oldest is one too many.
+    let kept = SampleRetention { days: Some(1), bytes: Some(bytes.unsigned_abs() - 1) };
+    store.put_retention(&machine, kept, Precondition::Absent, &engineer(), at(3600)).await.unwrap();
+    store.close().await;
+
+    let served = Served::start(&cell, "samples are dropped");
+    let (log, well) = served.terminate();
+    assert!(well && log.contains("the clock has leapt ahead"), "{log}");
+    let store = SqliteStore::open(&file, SqliteOptions::default()).await.unwrap();
+    let filter = CycleFilter { machine: Some(machine.clone()), ..CycleFilter::default() };
+    let cycles = store.cycles(&filter, Page { after: None, limit: 10 }).await.unwrap();
+    let gone: Vec<bool> = cycles.iter().map(feedwright_store::StoredCycle::samples_are_gone).collect();
+    assert_eq!(gone, [true, false, false], "{:?}", store.sample_drops(&machine).await);
+    store.close().await;
 }

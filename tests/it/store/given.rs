@@ -8,8 +8,8 @@ use feedwright_core::summary::{Context, summarise};
 use feedwright_core::tool::{Tool, ToolEvent, ToolEventKind};
 use feedwright_core::units::{Process, Timestamp};
 use feedwright_store::{
-    Actor, Committed, CommonClock, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition, Role,
-    SqliteOptions, SqliteStore, Store, StoreResult, WearCheck, codec,
+    Actor, Committed, CommonClock, CycleAnswer, NewCycle, PostgresOptions, PostgresStore, Precondition,
+    QuarantineBounds, Role, SqliteOptions, SqliteStore, Store, StoreResult, WatchSettings, WearCheck, codec,
 };
 use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
 use std::sync::Arc;
@@ -260,6 +260,16 @@ impl Given {
 /// The clock of the stories: 2026-01-05T08:00:00Z and so many seconds.
 pub(crate) const fn at(seconds: i64) -> Timestamp {
     Timestamp::from_micros((1_767_600_000 + seconds) * 1_000_000)
+}
+
+/// What the watch goes by where a story is of something else.
+pub(crate) fn watched() -> WatchSettings {
+    WatchSettings {
+        silent_after_ms: None,
+        silent_after_ms_by_machine: std::collections::BTreeMap::new(),
+        quarantine: QuarantineBounds { entries: 10, bytes: 1000 },
+        quarantine_warning_ratio: 0.8,
+    }
 }
 
 pub(crate) fn engineer() -> Actor {

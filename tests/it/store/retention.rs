@@ -1,6 +1,6 @@
 //! Samples go when they are to go, and it is seen that they went; summaries stay.
 
-use super::given::{Given, Run, at, commit, engineer, shop, stored, stories};
+use super::given::{Given, Run, at, commit, engineer, shop, stored, stories, watched};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_store::{
     CycleFilter, DropReason, Dropped, PAST, Page, Precondition, PutOutcome, SampleRetention, SamplesGone,
@@ -14,6 +14,8 @@ use tokio::task::JoinHandle;
 stories!(
     without_a_limit_nothing_goes,
     by_age_the_old_ones_go,
+    by_a_clock_that_leaps_ahead_samples_age_as_fast_as_time_may_have_gone_by,
+    what_no_server_saw_go_by_is_caught_up_with,
     by_size_the_newest_stay,
     a_machine_has_a_say_of_its_own,
     what_is_said_has_versions,
@@ -103,6 +105,62 @@ async fn by_age_the_old_ones_go(store: Arc<dyn Store>) {
     assert_eq!(lines[0].subject, "machine/M1/samples");
     // A tool's wear does not need samples.
     assert_eq!(store.verdict(&"T1".try_into().unwrap()).await.unwrap().cycles, 10);
+}
+
+/// Lets samples age; says up to when they have, in seconds.
+async fn age(store: &dyn Store, seconds: i64, gone_by: Duration) -> i64 {
+    let aged_to = store.age_samples(at(seconds), gone_by).await.unwrap();
+    aged_to.millis_since(at(0)) / 1000
+}
+
+const HOUR: Duration = Duration::from_secs(3600);
+
+async fn by_a_clock_that_leaps_ahead_samples_age_as_fast_as_time_may_have_gone_by(store: Arc<dyn Store>) {
+    year(&*store).await;
+    let now = 200 * DAY;
+    assert_eq!(age(&*store, now, Duration::ZERO).await, now, "nothing was known before");
+    let (_, dropped) = run(&*store, days(100), now).await;
+    let before = kept(&*store).await;
+    assert!((3..=4).contains(&dropped.cycles), "{before:?}");
+
+    // Thirty years, between two runs.
+    let leapt = now + 11_000 * DAY;
+    assert_eq!(age(&*store, leapt, HOUR).await, now + 8 * 3600);
+    assert_eq!(run(&*store, days(100), leapt).await, (0, Dropped::default()));
+    assert_eq!(kept(&*store).await, before);
+    // Nor after a start by that clock.
+    assert_eq!(age(&*store, leapt, Duration::ZERO).await, now + 8 * 3600);
+    assert_eq!(run(&*store, days(100), leapt).await, (0, Dropped::default()));
+    // By bytes they go as ever: the newest stay.
+    let none = SampleRetention { days: None, bytes: Some(1) };
+    let newest = now - DAY;
+    assert_eq!(age(&*store, newest, HOUR).await, newest, "the earlier clock is believed");
+    assert_eq!(age(&*store, now + DAY, HOUR).await, newest + 8 * 3600);
+    assert_eq!(age(&*store, now + DAY, 24 * HOUR).await, now + DAY, "never beyond now");
+    let (decided, dropped) = run(&*store, none, 300 * DAY).await;
+    let left = before.iter().filter(|kept| **kept).count();
+    assert_eq!((decided, dropped.cycles), (1, left as u64));
+}
+
+async fn what_no_server_saw_go_by_is_caught_up_with(store: Arc<dyn Store>) {
+    year(&*store).await;
+    // Before the first run the last machine was heard of then, and the next server started nine weeks later.
+    store.watch(vec![("M1".try_into().unwrap(), Duration::ZERO)], &watched(), at(137 * DAY)).await.unwrap();
+    let now = 200 * DAY;
+    assert_eq!(
+        run(&*store, days(137), now).await,
+        (0, Dropped::default()),
+        "as old as when a machine was last heard of"
+    );
+    assert_eq!(age(&*store, now, Duration::ZERO).await, 137 * DAY);
+    assert_eq!(age(&*store, now + DAY, 24 * HOUR).await, 145 * DAY);
+    // A clock that is not set yet is no time to go on from.
+    assert!(age(&*store, -4_000 * DAY, HOUR).await < 0);
+    assert_eq!(age(&*store, now + DAY, Duration::ZERO).await, 145 * DAY);
+    assert_eq!(age(&*store, now + 8 * DAY, 7 * 24 * HOUR).await, 201 * DAY);
+    assert_eq!(age(&*store, now + 9 * DAY, 24 * HOUR).await, 209 * DAY);
+    let (_, dropped) = run(&*store, days(137), now + 9 * DAY).await;
+    assert!((2..=3).contains(&dropped.cycles), "{:?}", kept(&*store).await);
 }
 
 async fn by_size_the_newest_stay(store: Arc<dyn Store>) {

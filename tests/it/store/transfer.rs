@@ -1,7 +1,9 @@
 //! Whole databases: backed up under load, restored, copied from a cell to the plant and back.
 
 use super::feed_profiles::{self, activated};
-use super::given::{Given, Run, WRONG_INDEX, at, commit, engineer, event, machine, new_cycle, shop, stored};
+use super::given::{
+    Given, Run, WRONG_INDEX, at, commit, engineer, event, machine, new_cycle, shop, stored, watched,
+};
 use feedwright_core::cycle::{Cycle, CycleDraft};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
@@ -13,7 +15,7 @@ use feedwright_store::transfer::{
 use feedwright_store::{
     Actor, Committed, CycleFilter, CycleOverrides, NewProfileVersion, Page, PostgresOptions, PostgresStore,
     Precondition, QuarantineBounds, QuarantineEntry, Repair, Role, SampleRetention, SessionRecord,
-    SqliteOptions, SqliteStore, Store, TokenRecord, WatchSettings,
+    SqliteOptions, SqliteStore, Store, TokenRecord,
 };
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, PgConnection};
@@ -633,15 +635,6 @@ async fn a_backup_of_the_plant_restores_into_either_engine() {
     store.close().await;
     plant.done().await;
     other.done().await;
-}
-
-fn watched() -> WatchSettings {
-    WatchSettings {
-        silent_after_ms: None,
-        silent_after_ms_by_machine: std::collections::BTreeMap::new(),
-        quarantine: QuarantineBounds { entries: 10, bytes: 1000 },
-        quarantine_warning_ratio: 0.8,
-    }
 }
 
 async fn last_backup(store: &dyn Store) -> Option<Timestamp> {

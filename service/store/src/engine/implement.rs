@@ -589,10 +589,21 @@ impl Store for Engine {
         snapshot!(self, |conn| retention::gone::of(conn, &machine, &cycles).await)
     }
 
+    async fn age_samples(&self, now: Timestamp, gone_by: Duration) -> StoreResult<Timestamp> {
+        let engine = self.clone();
+        write!(self, |conn| {
+            let now = engine.common_time(conn, now).await?;
+            retention::age(conn, now, gone_by).await
+        })
+    }
+
     async fn decide_drops(&self, otherwise: SampleRetention, now: Timestamp) -> StoreResult<Vec<SampleDrop>> {
         let (mut decided, mut after) = (Vec::new(), None);
         let engine = self.clone();
-        let now = snapshot!(self, |conn| engine.common_time(conn, now).await)?;
+        let (now, aged_to) = snapshot!(self, |conn| {
+            let now = engine.common_time(conn, now).await?;
+            Ok((now, retention::aged_to(conn, now).await?.min(now)))
+        })?;
         loop {
             let page = self.machines(Page { after: after.take(), limit: MACHINES_PAGE }).await?;
             for machine in &page {
@@ -601,7 +612,7 @@ impl Store for Engine {
                 let horizon = snapshot!(self, |conn| {
                     let said = retention::get(conn, &id).await?;
                     let kept = said.map_or(otherwise, |said| said.value);
-                    retention::horizon(conn, &id, kept, now).await
+                    retention::horizon(conn, &id, kept, (now, aged_to)).await
                 })?;
                 let id = machine.value.id.clone();
                 if let Some((before, reason)) = horizon {

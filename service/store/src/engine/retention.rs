@@ -5,6 +5,7 @@ pub(super) mod gone;
 use super::{CLOCK_AHEAD_US, Conn, Db, audit, dialect, machines};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
+use crate::past;
 use crate::precondition;
 use crate::record::{
     Actor, DropReason, Dropped, Precondition, PutOutcome, Role, SampleDrop, SampleRetention, Versioned,
@@ -13,8 +14,11 @@ use crate::rows::{count, number, word};
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
 use serde_json::json;
+use std::time::Duration;
 
 const DAY_US: i64 = 86_400_000_000;
+/// So many times as fast as time goes by samples age at the most: one that runs for three hours a day keeps up.
+const AGES_FASTER: i64 = 8;
 /// Rows that are looked at a time when sizes are added up.
 const SIZES_PAGE: i64 = 2_000;
 /// So often in a row a decision is looked for that another server moves.
@@ -135,16 +139,48 @@ async fn dropped_before(conn: &mut Conn, machine: &str) -> StoreResult<i64> {
     Ok(before.unwrap_or(i64::MIN))
 }
 
-/// Up to where a machine's samples are to go, and why, where anything is to go.
+/// Up to when samples have aged, as far as that is kept; else when the last machine was heard of, or now.
+pub(super) async fn aged_to(conn: &mut Conn, now: Timestamp) -> StoreResult<Timestamp> {
+    let aged_to: Option<i64> = sqlx::query_scalar::<Db, _>(
+        "SELECT COALESCE((SELECT aged_to_us FROM retention_clock), (SELECT MAX(last_cycle_at_us) FROM machine_contacts))",
+    )
+    .fetch_one(&mut *conn)
+    .await?;
+    Ok(aged_to.map_or(now, Timestamp::from_micros))
+}
+
+/// Lets samples age up to now, or as far as they may when so much has `gone_by`; says up to when they have.
+///
+/// A clock that leaps ahead would drop within the hour what is kept by days. What lies behind a leap is caught up with, as it may also be a time in
+/// which no server ran.
+pub(super) async fn age(conn: &mut Conn, now: Timestamp, gone_by: Duration) -> StoreResult<Timestamp> {
+    dialect::lock(conn, &Locks::subject("retention_clock", "")).await?;
+    let before = aged_to(conn, now).await?.micros();
+    let by = i64::try_from(gone_by.as_micros()).unwrap_or(i64::MAX).saturating_mul(AGES_FASTER);
+    let aged_to = before.saturating_add(by).min(now.micros());
+    // From what a clock tells that is not set yet nobody goes on.
+    if past::may_be_right(now) {
+        sqlx::query::<Db>(
+            "INSERT INTO retention_clock (only_row, aged_to_us) VALUES (1, $1)
+             ON CONFLICT (only_row) DO UPDATE SET aged_to_us = excluded.aged_to_us",
+        )
+        .bind(aged_to)
+        .execute(&mut *conn)
+        .await?;
+    }
+    Ok(Timestamp::from_micros(aged_to))
+}
+
+/// Up to where a machine's samples are to go, and why, where anything is to go: by age those that are too old at `aged_to`.
 pub(super) async fn horizon(
     conn: &mut Conn,
     machine: &MachineId,
     retention: SampleRetention,
-    now: Timestamp,
+    (now, aged_to): (Timestamp, Timestamp),
 ) -> StoreResult<Option<(i64, DropReason)>> {
     let mut horizon = None;
     if let Some(days) = retention.days {
-        let age = now.micros().saturating_sub(DAY_US.saturating_mul(i64::from(days)));
+        let age = aged_to.micros().saturating_sub(DAY_US.saturating_mul(i64::from(days)));
         horizon = Some((dialect::age_horizon(conn, age).await?, DropReason::Age));
     }
     if let Some(most) = retention.bytes

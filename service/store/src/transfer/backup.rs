@@ -482,9 +482,11 @@ async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, Tran
         // Brings a backup of an older version up to this one's.
         let store = SqliteStore::open(at, SqliteOptions::default()).await?;
         store.close().await;
-        // The copy that it was before had backups; the database that it becomes has none yet.
+        // The copy that it was before had backups, and a clock; the database that it becomes has none yet.
         let mut side = SqliteSide::write(at).await?;
-        sqlx::query("DELETE FROM last_backup").execute(side.conn()).await?;
+        for statement in ["DELETE FROM last_backup", "DELETE FROM retention_clock"] {
+            sqlx::query(statement).execute(side.conn()).await?;
+        }
         Box::new(side).close().await;
         Ok(())
     }
