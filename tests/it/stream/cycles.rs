@@ -3,6 +3,7 @@
 use super::client::{Came, Machine, PATIENCE, codes, frame, posted};
 use crate::live::{Served, reader::Reader};
 use serde_json::{Value, json};
+use sqlx::{ConnectOptions, Connection};
 use tokio_tungstenite::tungstenite::Message;
 
 /// The law acts from the first sample, so that a story is short.
@@ -283,6 +284,96 @@ async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
     assert_eq!(status, 200);
     let freed = machine.ask(load(10, 5, 5.0)).await;
     assert!(freed["override_percent"].as_f64().unwrap() > 100.0, "{freed}");
+    served.server.shutdown().await.unwrap();
+}
+
+/// The alarms take nothing as long as that trigger is there, whoever writes them.
+const NO_ALARMS: &str =
+    "CREATE TRIGGER no_alarms BEFORE INSERT ON alarms BEGIN SELECT RAISE(ABORT, 'not now'); END";
+
+#[tokio::test]
+async fn an_overload_is_raised_when_the_database_is_there_again_and_no_cycle_starts_before() {
+    let dir = tempfile::TempDir::new().unwrap();
+    let settings = [&[NO_HEATING, ("stream.resume_ms", "1000")], &OVERLOADS[..]].concat();
+    let served = Served::start_in(dir.path(), None, &settings).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let file = dir.path().join("data/feedwright.sqlite3");
+    let mut tables = sqlx::sqlite::SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    sqlx::query(NO_ALARMS).execute(&mut tables).await.unwrap();
+
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    assert_eq!(machine.ask(load(0, 10, 90.0)).await["overload"], true);
+    machine.break_off();
+    // Nobody comes back to it: it is stored as incomplete, and forgotten here.
+    let begun = std::time::Instant::now();
+    while served.get("/v1/cycles?machine=M1").await["items"].as_array().unwrap().is_empty() {
+        assert!(begun.elapsed() < PATIENCE, "it is stored");
+        tokio::task::yield_now().await;
+    }
+    let mut machine = Machine::connect(&served, &token).await;
+    let refused = machine.start("c2", json!({})).await;
+    assert_eq!(refused["type"], "error", "{refused}");
+    assert_eq!(open_alarms(&served, 0).await, Vec::<Value>::new());
+
+    sqlx::query("DROP TRIGGER no_alarms").execute(&mut tables).await.unwrap();
+    tables.close().await.unwrap();
+    // By itself.
+    assert_eq!(open_alarms(&served, 1).await[0]["kind"], "overload");
+    let started = machine.start("c2", json!({})).await;
+    assert!(codes(&started["reasons"]).contains(&"overload_unacknowledged"), "{started}");
+    let held = machine.ask(load(0, 20, 5.0)).await;
+    assert!(held["override_percent"].as_f64().unwrap() <= 100.0, "{held}");
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn what_a_stored_cycle_was_answered_stands_whatever_comes_under_its_id() {
+    let (served, token) = shop(&[]).await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    machine.samples(0, 30).await;
+    assert_eq!(machine.end(30).await["status"], 201);
+    let kept = served.get("/v1/machines/M1/cycles/c1/overrides").await;
+    assert_eq!(kept["override_percent"].as_array().unwrap().len(), 30, "{kept}");
+    // A counter that has restarted: another content under the same id.
+    machine.start("c1", json!({})).await;
+    machine.samples(0, 12).await;
+    let refused = machine.end(12).await;
+    assert_eq!(
+        (&refused["type"], &refused["code"]),
+        (&json!("error"), &json!("cycle_conflict")),
+        "{refused}"
+    );
+    assert_eq!(served.get("/v1/machines/M1/cycles/c1/overrides").await, kept);
+    // And the same content once more, of which every sample is too old to be answered.
+    machine.start("c1", json!({"resend": true, "sent_at": "2026-05-04T06:00:05Z"})).await;
+    machine.samples(0, 30).await;
+    assert_eq!(machine.end(30).await["status"], 200);
+    assert_eq!(served.get("/v1/machines/M1/cycles/c1/overrides").await, kept);
+    served.server.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn cycles_that_are_refused_hold_nothing() {
+    let (served, token) =
+        shop(&[("stream.buffered_bytes", "1048576"), ("stream.samples_per_message", "4096")]).await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    machine.samples(0, 10).await;
+    assert_eq!(machine.end(10).await["status"], 201);
+    machine.break_off();
+    // Each holds some 100 kB until it ends.
+    for round in 0..16 {
+        let mut machine = Machine::connect(&served, &token).await;
+        let started = machine.start("c1", json!({})).await;
+        assert_eq!(started["type"], "started", "{round}: {started}");
+        machine.samples(0, 1200 + round).await;
+        let refused = machine.end(1200 + round).await;
+        assert_eq!(refused["code"], "cycle_conflict", "{round}: {refused}");
+        machine.break_off();
+    }
     served.server.shutdown().await.unwrap();
 }
 

@@ -171,6 +171,40 @@ async fn a_server_whose_clock_is_set_believes_in_a_lease_no_longer_than_the_data
     given.done().await;
 }
 
+/// Its clock is set by an hour in mid-cycle, either way: answers end when they end, and samples are as old as they are.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn answers_and_samples_go_by_the_time_that_passes_and_not_by_the_clock_that_is_set() {
+    let dir = tempfile::TempDir::new().unwrap();
+    let seconds = Arc::new(AtomicI64::new(0));
+    let clock = off(seconds.clone());
+    let served = Served::start_by(clock, dir.path(), None, &[("stream.heating_ms", "0")]).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    for (cycle, set) in [("c1", -3600), ("c2", 3600)] {
+        seconds.store(0, Ordering::Relaxed);
+        let mut machine = Machine::connect(&served, &token).await;
+        machine.start(cycle, json!({})).await;
+        machine.samples(0, 10).await;
+        seconds.store(set, Ordering::Relaxed);
+        let answer = machine.samples(10, 20).await;
+        assert_eq!((&answer["valid_for_ms"], &answer["quality"]), (&json!(500), &json!("good")), "{answer}");
+        assert!(answer["override_percent"].as_f64().unwrap() > 100.0, "{answer}");
+        // It ends while nothing new is sent.
+        let begun = Instant::now();
+        loop {
+            let heartbeat = machine.ask(json!({"type": "heartbeat"})).await;
+            let valid_for_ms = heartbeat["valid_for_ms"].as_i64().unwrap();
+            assert!((0..=500).contains(&valid_for_ms), "{heartbeat}");
+            if valid_for_ms == 0 {
+                break;
+            }
+            assert!(begun.elapsed() < PATIENCE, "{heartbeat}");
+        }
+        machine.break_off();
+    }
+    served.server.shutdown().await.unwrap();
+}
+
 #[test]
 fn the_checked_in_description_of_the_stream_is_fresh_and_whole() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../openapi/asyncapi.json");

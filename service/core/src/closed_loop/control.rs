@@ -148,6 +148,15 @@ impl Seen {
     }
 }
 
+/// A sample that comes so many periods after the one before it comes after a gap.
+const LONGEST_GAP_PERIODS: f64 = 2.5;
+
+/// The longest time, ms, between two samples of that period that is no gap.
+#[must_use]
+pub fn longest_gap_ms(period_ms: f64) -> f64 {
+    LONGEST_GAP_PERIODS * period_ms
+}
+
 /// The adaptive law with the program that it multiplies.
 #[derive(Debug, Clone)]
 pub struct FrictionLoop {
@@ -274,7 +283,7 @@ pub fn control(
             Heating::None
         },
         period_ms,
-        longest_gap_ms: 2.5 * period_ms,
+        longest_gap_ms: longest_gap_ms(period_ms),
         settling_samples: settings.settling_samples,
         overload: settings.overload,
     })?;
@@ -351,7 +360,7 @@ impl Control {
                 (friction.state.withhold(&friction.config, time_ms), LoopReasons::NONE, None)
             }
             Self::Plunge(plunge) => {
-                let (step, reasons) = plunge.withhold(age_ms);
+                let (step, reasons) = plunge.withhold(time_ms, age_ms);
                 (FeedOverride::NEUTRAL, reasons, Some(step))
             }
             Self::Neutral => (FeedOverride::NEUTRAL, LoopReasons::NONE, None),

@@ -184,8 +184,11 @@ impl RunningCycle {
         self.neutral.and(self.capped)
     }
 
-    /// Sets what makes the answers neutral for a time.
-    pub const fn set_passing(&mut self, reasons: LoopReasons) {
+    /// Sets what makes the answers neutral for a time, from now on.
+    pub fn set_passing(&mut self, reasons: LoopReasons) {
+        if self.passing.is_empty() && !reasons.is_empty() {
+            self.withhold(None, reasons);
+        }
         self.passing = reasons;
     }
 
@@ -202,9 +205,12 @@ impl RunningCycle {
         self.control.is_overloaded()
     }
 
-    /// What the cycle was begun with holds no more: neutral to its end, and never again more.
-    pub const fn outdate(&mut self) {
-        self.neutral.add(LoopReason::ChangedMeanwhile);
+    /// What the cycle was begun with holds no more: neutral from now on to its end, and never again more.
+    pub fn outdate(&mut self) {
+        if !self.neutral.contains(LoopReason::ChangedMeanwhile) {
+            self.neutral.add(LoopReason::ChangedMeanwhile);
+            self.withhold(None, self.neutral);
+        }
     }
 
     /// Takes some samples; what each is answered is added to `each`, in their order.

@@ -12,8 +12,9 @@
 use super::control::Seen;
 use super::reason::{LoopReason, LoopReasons};
 use crate::contact::{ContactDetector, ContactEvent, ContactSample, ContactSettings, Ignored, Phase};
-use crate::friction::law::Reason;
+use crate::friction::law::{Reason, time_is_bad};
 use crate::machine::FeedLimits;
+use std::collections::VecDeque;
 
 /// An axis reaches its feed well within this: where it seems to accelerate for longer, contact is not looked for, ms.
 const LONGEST_UNJUDGED_MS: f64 = 200.0;
@@ -89,8 +90,10 @@ pub struct PlungeLimits {
     pub allowed_bite_mm: f64,
     /// Time from a sample to the axis acting on its answer that is reckoned with, ms.
     pub answer_age_ms: f64,
-    /// Time between samples, ms.
+    /// Time between samples, ms; where they come further apart, the bite is reckoned with what passes between them.
     pub period_ms: f64,
+    /// A sample that comes so long after the one before it, ms, may not be judged.
+    pub longest_gap_ms: f64,
 }
 
 /// A plunge that runs.
@@ -102,6 +105,9 @@ pub struct PlungeLoop {
     phase: PlungePhase,
     /// Whether contact was found.
     in_work: bool,
+    /// Time of the last sample, ms, and between the last ones: as many as confirm a contact.
+    last_ms: Option<f64>,
+    steps_ms: VecDeque<f64>,
     /// Good samples still needed before it may be fast.
     settling: u32,
     settling_samples: u32,
@@ -124,6 +130,8 @@ impl PlungeLoop {
             detector: ContactDetector::new(detector),
             phase: PlungePhase::Work,
             in_work: false,
+            last_ms: None,
+            steps_ms: VecDeque::new(),
             settling: 0,
             settling_samples,
             unjudged: 0,
@@ -137,6 +145,8 @@ impl PlungeLoop {
     /// Judges one sample.
     pub fn step(&mut self, seen: &Seen) -> (PlungeStep, LoopReasons) {
         let mut reasons = LoopReasons::NONE;
+        let is_gap = time_is_bad(self.last_ms, self.limits.longest_gap_ms, seen.time_ms);
+        self.pass_time(seen.time_ms);
         let found = self.detector.step(ContactSample {
             position_mm: seen.depth_mm.unwrap_or(f64::NAN),
             feed_mm_min: seen.actual_mm_min.unwrap_or(f64::NAN),
@@ -150,11 +160,17 @@ impl PlungeLoop {
         } else {
             self.settling = self.settling.saturating_sub(1);
         }
+        if is_gap {
+            reasons = reasons.and(LoopReasons::of_law(Reason::Gap));
+            self.settling = self.settling_samples;
+        }
         self.unjudged = if found.ignored.is_some() { self.unjudged.saturating_add(1) } else { 0 };
-        let is_judged = f64::from(self.unjudged) * self.limits.period_ms <= LONGEST_UNJUDGED_MS;
+        let step_ms =
+            self.steps_ms.back().map_or(self.limits.period_ms, |step| step.max(self.limits.period_ms));
+        let is_judged = f64::from(self.unjudged) * step_ms <= LONGEST_UNJUDGED_MS;
         // Where no work was found as deep as the drill may bite, either there is none or it was missed.
         let is_expected_in_work = found.depth_mm.is_none_or(|depth| depth > self.limits.allowed_bite_mm);
-        self.drawn_back = found.is_drawn_back;
+        self.drawn_back = found.is_drawn_back && !is_gap;
         self.in_work = found.event == Some(ContactEvent::Contact) || found.phase == Phase::InWork;
         self.phase = match (found.event, found.phase) {
             (Some(ContactEvent::Contact), _) | (_, Phase::InWork) => PlungePhase::Work,
@@ -178,7 +194,10 @@ impl PlungeLoop {
     }
 
     /// Passes a sample that may not be judged: the working feed, and what bounds it.
-    pub fn withhold(&mut self, age_ms: f64) -> (PlungeStep, LoopReasons) {
+    pub fn withhold(&mut self, time_ms: Option<f64>, age_ms: f64) -> (PlungeStep, LoopReasons) {
+        if let Some(time_ms) = time_ms {
+            self.pass_time(time_ms);
+        }
         self.settling = self.settling_samples;
         self.drawn_back = false;
         if self.phase == PlungePhase::Approach {
@@ -188,9 +207,24 @@ impl PlungeLoop {
         (self.advice(age_ms, &mut reasons), reasons)
     }
 
+    /// Notes how long after the last one a sample was taken.
+    fn pass_time(&mut self, time_ms: f64) {
+        if !time_ms.is_finite() {
+            return;
+        }
+        if let Some(step_ms) = self.last_ms.map(|last| time_ms - last).filter(|step| *step > 0.0) {
+            if self.steps_ms.len() >= self.confirm_samples as usize {
+                self.steps_ms.pop_front();
+            }
+            self.steps_ms.push_back(step_ms);
+        }
+        self.last_ms = Some(time_ms);
+    }
+
     /// Seconds from contact to the axis acting on it.
     fn delay_s(&self, age_ms: f64) -> f64 {
-        let lag_ms = f64::from(self.confirm_samples) * self.limits.period_ms;
+        let told_ms = f64::from(self.confirm_samples) * self.limits.period_ms;
+        let lag_ms = told_ms.max(self.steps_ms.iter().sum());
         (lag_ms + age_ms.max(self.limits.answer_age_ms)) / 1000.0
     }
 

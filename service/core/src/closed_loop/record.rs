@@ -135,11 +135,11 @@ impl Record {
         self.held.get(Self::index(n)).is_some_and(|held| *held != Held::Nothing)
     }
 
-    /// Whether sample `i` of a batch is the one that is held under its number, bit for bit.
+    /// Whether sample `i` of a batch is the one that is held under its number, bit for bit but that −0.0 is 0.0.
     #[must_use]
     pub fn is_same(&self, batch: &Batch<'_>, i: usize) -> bool {
         let at = Self::index(batch.first + i as u64);
-        let same = |a: f64, b: f64| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
+        let same = |a: f64, b: f64| (a + 0.0).to_bits() == (b + 0.0).to_bits() || (a.is_nan() && b.is_nan());
         let times = match self.timing {
             Timing::Period { .. } => true,
             Timing::Stamps { .. } => {

@@ -2,7 +2,7 @@
 
 #![expect(clippy::float_cmp, reason = "neutral and the limits are exact values, not results of arithmetic")]
 
-use super::control::{LawSettings, Program, Seen, control};
+use super::control::{LawSettings, Program, Seen, control, longest_gap_ms};
 use super::monitor::Monitor;
 use super::plunge::{BoundedFeed, PlungeLimits, PlungeLoop, PlungePhase, PlungeStep};
 use super::profile::RunProfile;
@@ -122,6 +122,32 @@ fn plunge_limits(work: f64, least: f64, retract: f64, allowed_bite_mm: f64) -> P
         allowed_bite_mm,
         answer_age_ms: 20.0,
         period_ms: 10.0,
+        longest_gap_ms: longest_gap_ms(10.0),
+    }
+}
+
+/// A plunge whose samples are so far apart, ms.
+struct Plunging {
+    looped: PlungeLoop,
+    step_ms: f64,
+    time_ms: f64,
+}
+
+impl Plunging {
+    /// At the pace that its limits tell, as found by the usual detector; none where there is no such plunge.
+    fn of(limits: PlungeLimits) -> Option<Self> {
+        let detector = ContactSettings::new(ContactInput::DEFAULT).unwrap();
+        let looped = PlungeLoop::new(limits, detector, 4)?;
+        Some(Self { looped, step_ms: limits.period_ms, time_ms: 0.0 })
+    }
+
+    fn step(&mut self, seen: &Seen) -> (PlungeStep, LoopReasons) {
+        self.time_ms += self.step_ms;
+        self.looped.step(&Seen { time_ms: self.time_ms, ..*seen })
+    }
+
+    fn withhold(&mut self, age_ms: f64) -> (PlungeStep, LoopReasons) {
+        self.looped.withhold(None, age_ms)
     }
 }
 
@@ -566,8 +592,7 @@ fn a_heartbeat_in_a_plunge_says_why_as_the_sample_before_it_did() {
 /// A plunge at 500 mm/min in air, with a working feed of 150 mm/min; samples of depth, actual feed and load every 10 ms.
 fn plunged(samples: impl IntoIterator<Item = (f64, f64, f64)>) -> Vec<(f64, PlungeStep, LoopReasons)> {
     let limits = plunge_limits(150.0, 1.0, 3000.0, 0.5);
-    let mut plunge =
-        PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4).unwrap();
+    let mut plunge = Plunging::of(limits).unwrap();
     let each = samples.into_iter().map(|(depth_mm, feed, load)| {
         let (step, reasons) = plunge.step(&plunging(depth_mm, feed, load));
         (depth_mm, step, reasons)
@@ -755,18 +780,55 @@ fn an_overload_that_nobody_has_acknowledged_is_told_with_every_answer() {
 fn what_is_changed_while_a_cycle_runs_ends_its_law() {
     let mut cycle = running();
     drilled(&mut cycle, &[(1.0, 10.0); 10]);
+    assert!(cycle.standing(at(10)).ovr.percent() > 100.0);
     cycle.outdate();
+    // At once, for who asks without a sample too.
+    let standing = cycle.standing(at(10));
+    assert_eq!(
+        (standing.ovr.percent(), standing.reasons.contains(LoopReason::ChangedMeanwhile)),
+        (100.0, true)
+    );
     let (answer, _) = send(&mut cycle, at(10), 10, &[10.0]);
     assert_eq!(answer.ovr.percent(), 100.0);
     assert!(answer.reasons.contains(LoopReason::ChangedMeanwhile));
 }
 
 #[test]
+fn what_stands_only_for_a_time_is_neutral_at_once_and_no_longer() {
+    let mut cycle = running();
+    drilled(&mut cycle, &[(1.0, 10.0); 10]);
+    let before = cycle.standing(at(10)).ovr.percent();
+    assert!(before > 100.0);
+    cycle.set_passing(LoopReasons::of(LoopReason::LeaseUnknown));
+    let standing = cycle.standing(at(10));
+    assert_eq!((standing.ovr.percent(), standing.reasons.contains(LoopReason::LeaseUnknown)), (100.0, true));
+    cycle.set_passing(LoopReasons::NONE);
+    let (mut highest, mut n) = (0.0_f64, 10);
+    while n < 30 {
+        highest = send(&mut cycle, at(n), n, &[10.0]).0.ovr.percent();
+        n += 1;
+    }
+    assert!(highest > 100.0, "the law acts again");
+}
+
+#[test]
+fn a_repeat_of_minus_zero_is_the_same() {
+    let mut cycle = running();
+    let (first, _) = send(&mut cycle, at(0), 0, &[-0.0]);
+    let (again, _) = send(&mut cycle, at(1), 0, &[-0.0]);
+    assert!(
+        !again.reasons.contains(LoopReason::RepeatDiffers) && again.reasons.contains(LoopReason::Repeated)
+    );
+    assert_eq!(send(&mut cycle, at(1), 0, &[0.0]).0.reasons, again.reasons);
+    assert_eq!(again.ovr, first.ovr);
+    assert!(send(&mut cycle, at(1), 0, &[1.0]).0.reasons.contains(LoopReason::RepeatDiffers));
+}
+
+#[test]
 fn a_working_feed_that_bites_too_deep_is_run_in_the_work_only() {
     // 0.1 mm within 60 ms: 100 mm/min.
     let plunge = plunge_limits(120.0, 1.0, 3000.0, 0.1);
-    let mut plunge =
-        PlungeLoop::new(plunge, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4).unwrap();
+    let mut plunge = Plunging::of(plunge).unwrap();
     let seen = |depth_mm: f64, load: f64| plunging(depth_mm, 100.0, load);
     let mut phases = Vec::new();
     let mut check = |(step, reasons): (PlungeStep, LoopReasons)| {
@@ -793,12 +855,11 @@ fn a_working_feed_that_bites_too_deep_is_run_in_the_work_only() {
 
 #[test]
 fn where_the_slowest_feed_bites_too_deep_there_is_no_plunge() {
-    let detector = || ContactSettings::new(ContactInput::DEFAULT).unwrap();
     // 0.5 mm within 4 samples of 10 ms and 20 ms of age are 500 mm/min: the machine runs no slower than that, or faster.
-    assert!(PlungeLoop::new(plunge_limits(900.0, 500.0, 3000.0, 0.5), detector(), 4).is_some());
-    assert!(PlungeLoop::new(plunge_limits(900.0, 501.0, 3000.0, 0.5), detector(), 4).is_none());
+    assert!(Plunging::of(plunge_limits(900.0, 500.0, 3000.0, 0.5)).is_some());
+    assert!(Plunging::of(plunge_limits(900.0, 501.0, 3000.0, 0.5)).is_none());
     // Answers that come later than was reckoned with, for as long as they do.
-    let mut plunge = PlungeLoop::new(plunge_limits(450.0, 400.0, 3000.0, 0.5), detector(), 4).unwrap();
+    let mut plunge = Plunging::of(plunge_limits(450.0, 400.0, 3000.0, 0.5)).unwrap();
     let seen = |k: u32, age_ms: f64| Seen { age_ms, ..plunging(-10.0 + f64::from(k) * 0.1, 450.0, 3.0) };
     for k in 0..30 {
         plunge.step(&seen(k, 5.0));
@@ -824,19 +885,80 @@ fn where_the_slowest_feed_bites_too_deep_there_is_no_plunge() {
     assert_eq!(plunge.step(&seen(45, 5.0)).0.phase, PlungePhase::Approach, "in time again");
 }
 
+#[test]
+fn a_plunge_goes_by_the_time_that_its_samples_tell() {
+    let seen = |k: u32| plunging(-10.0 + f64::from(k) * 0.05, 400.0, 3.0);
+    let fast = || {
+        let mut plunge = Plunging::of(plunge_limits(450.0, 1.0, 3000.0, 0.5)).unwrap();
+        for k in 0..30 {
+            plunge.step(&seen(k));
+        }
+        assert_eq!(plunge.step(&seen(30)).0.phase, PlungePhase::Approach);
+        plunge
+    };
+    // Twice as far apart as was told, which is no gap yet: four samples take 80 ms, and 0.5 mm in 100 are 300 mm/min.
+    let mut plunge = fast();
+    plunge.step_ms = 20.0;
+    for k in 31..34 {
+        plunge.step(&seen(k));
+    }
+    let (slower, why) = plunge.step(&seen(34));
+    assert_eq!((slower.phase, why.quality()), (PlungePhase::Approach, Quality::Good));
+    assert!((slower.feed.mm_min() - 300.0).abs() < 1e-9 && (slower.bite_mm - 0.5).abs() < 1e-12);
+
+    // One that is late: it bites no deeper meanwhile, and is fast again once as many have come in time as confirm a contact.
+    let mut plunge = fast();
+    plunge.step_ms = 450.0;
+    let (late, why) = plunge.step(&seen(31));
+    assert_eq!(late.phase, PlungePhase::Work);
+    assert_eq!(why.codes().collect::<Vec<_>>(), ["bite_limited", "settling", "gap"]);
+    assert!(late.bite_mm <= 0.5 + 1e-12 && late.feed.mm_min() < 70.0, "{late:?}");
+    plunge.step_ms = 10.0;
+    for k in 32..35 {
+        let (step, why) = plunge.step(&seen(k));
+        assert_eq!(step.phase, PlungePhase::Work);
+        assert!(why.codes().any(|code| code == "settling"), "{why:?}");
+    }
+    assert!((plunge.step(&seen(35)).0.feed.mm_min() - 500.0).abs() < 1e-9);
+
+    // All of them ten times as far apart: never fast, and never deeper than is permitted.
+    let mut plunge = Plunging::of(plunge_limits(450.0, 1.0, 3000.0, 0.5)).unwrap();
+    plunge.step_ms = 100.0;
+    for k in 0..60 {
+        let (step, why) = plunge.step(&seen(k));
+        assert_eq!(step.phase, PlungePhase::Work);
+        assert!(k == 0 || why.codes().any(|code| code == "gap"), "{k}: {why:?}");
+        assert!(k < 4 || step.bite_mm <= 0.5 + 1e-12, "{k}: {step:?}");
+    }
+
+    // A time that stands still, runs back or was not sent.
+    for time_ms in [310.0, 300.0, -1.0, f64::NAN, f64::INFINITY] {
+        let mut plunge = fast();
+        let (step, why) = plunge.looped.step(&Seen { time_ms, ..seen(31) });
+        assert_eq!(step.phase, PlungePhase::Work, "{time_ms}");
+        assert!(why.codes().any(|code| code == "gap"), "{time_ms}: {why:?}");
+    }
+    // What may not be judged takes its time all the same.
+    let mut plunge = fast();
+    let (withheld, why) = plunge.looped.withhold(Some(760.0), 0.0);
+    assert!(withheld.bite_mm <= 0.5 + 1e-12, "{withheld:?}");
+    assert_eq!(why.codes().collect::<Vec<_>>(), ["bite_limited"]);
+}
+
 proptest! {
     /// Whatever comes, a feed of which it is not known to be in the work bites no deeper than is permitted, or says so.
     #[test]
     fn no_plunge_bites_deeper_than_is_permitted_without_saying_so(
         (work, least, bite_mm) in (1.0..900.0_f64, 1.0..600.0_f64, 0.05..2.0_f64),
-        samples in prop::collection::vec((-12.0..1.0_f64, 0.0..200.0_f64, 0..20_u32), 1..120)
+        samples in prop::collection::vec((-12.0..1.0_f64, 0.0..200.0_f64, 0..20_u32, 5.0..60.0_f64), 1..120)
     ) {
         let limits = plunge_limits(work.max(least), least, 3000.0, bite_mm);
-        let Some(mut plunge) = PlungeLoop::new(limits, ContactSettings::new(ContactInput::DEFAULT).unwrap(), 4) else {
+        let Some(mut plunge) = Plunging::of(limits) else {
             prop_assert!(least * 0.06 / 60.0 > bite_mm);
             return Ok(());
         };
-        for (depth_mm, age_ms, kind) in samples {
+        for (depth_mm, age_ms, kind, step_ms) in samples {
+            plunge.step_ms = step_ms;
             let (step, reasons) = if kind == 0 {
                 plunge.withhold(age_ms)
             } else {

@@ -188,6 +188,14 @@ impl CycleIntake {
         let settings = config.recommendation.settings();
         let (writer, writing) =
             writer::start(store.clone(), bounds, settings, clock.clone(), Arc::new(watch));
+        let ended = lifecycle.clone();
+        let writing = tokio::spawn(async move {
+            // Nobody would write any more, and everybody be told to try again.
+            if let Err(panicked) = writing.await {
+                tracing::error!(error = %panicked, "the writer ended abnormally");
+                ended.fail(&format!("the writer ended: {panicked}"));
+            }
+        });
         metrics.ingest_queue_capacity.set(i64::try_from(config.limits.queue_length).unwrap_or(i64::MAX));
         Self {
             store: store.clone(),

@@ -97,6 +97,8 @@ impl Acceptor {
         // be taken for one who does not read.
         #[cfg(any(target_os = "linux", target_os = "android"))]
         let _ = socket2::SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+        // Below TLS, which takes some of an answer before the client has read any of it.
+        let stream = TimedStream::new(stream, self.state.config.server.body_stall_timeout());
         let Some(tls) = tls else { return self.serve_http(stream, peer, router).await };
         let patience = self.state.config.tls.handshake_timeout();
         // The handshake has its connection's permit already: silent ones are as bounded as silent requests.
@@ -128,7 +130,7 @@ impl Acceptor {
             .timer(TokioTimer::new())
             .header_read_timeout(config.header_read_timeout())
             .max_buf_size(BUFFER)
-            .serve_connection(TokioIo::new(TimedStream::new(stream, stall)), service)
+            .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         let mut connection = pin!(connection);
         let ended = tokio::select! {

@@ -1,6 +1,8 @@
 //! One socket: a message at a time, answered before the next is read.
 
-use super::answer::{self, OverrideMessage, PlainMessage, ResumedMessage, StartedMessage, StoredMessage};
+use super::answer::{
+    self, OverrideMessage, PlainMessage, ResumedMessage, StandingPart, StartedMessage, StoredMessage,
+};
 use super::binary::{self, Frame};
 use super::cycle::{self, Checked, Ordered, StreamedCycle};
 use super::finish::{self, connection_gone, show};
@@ -10,6 +12,7 @@ use super::message::{
 use super::overload::{self, Overload};
 use super::slots::{Held, Ownership, Unnamed};
 use crate::auth::Caller;
+use crate::clock::Moment;
 use crate::http::dto::mirror::{To, violation};
 use crate::http::dto::time;
 use crate::http::problem::Problem;
@@ -249,8 +252,8 @@ impl Connection {
                 match incoming {
                     Incoming::Samples(message) => self.samples(now, &message),
                     Incoming::Start(message) => self.start(now, *message).await,
-                    Incoming::End(message) => self.end(now, *message).await,
-                    Incoming::Resume(message) => self.resume(now, &message),
+                    Incoming::End(message) => self.end(*message).await,
+                    Incoming::Resume(message) => self.resume(&message),
                     Incoming::Heartbeat(message) => self.heartbeat(now, message.n),
                     Incoming::Monitor(message) => Some(self.begin_monitor(now, *message)),
                     Incoming::Vibration(message) => Some(self.vibration(message)),
@@ -260,32 +263,33 @@ impl Connection {
                 if unreadable.begins {
                     self.ownership.held()?.leave(None);
                 }
-                self.fault(now, unreadable.n, &unreadable.violation)
+                self.fault(unreadable.n, &unreadable.violation)
             }
         }
     }
 
     /// A message that cannot be used: neutral where a cycle runs, and said.
-    fn fault(&mut self, now: Timestamp, re: Option<u32>, violation: &Violation) -> Option<Out> {
+    fn fault(&mut self, re: Option<u32>, violation: &Violation) -> Option<Out> {
         self.unreadable += 1;
         self.state.metrics.stream_refusal(violation.code);
         let n = self.number();
         let mut held = self.ownership.held()?;
         held.refuse();
+        let moment = self.state.clock.moment();
         let standing = held.cycle.as_mut().map(|cycle| {
-            let answer = cycle.running.fault(now, LoopReason::Malformed);
+            let answer = cycle.running.fault(cycle.time_at(moment), LoopReason::Malformed);
             answer::standing(cycle, &answer)
         });
         Some(Out::Text(answer::text(&answer::error(n, re, violation, standing))))
     }
 
     /// A refusal that says nothing about the cycle that runs.
-    fn refuse(&mut self, now: Timestamp, re: u32, problem: &Problem) -> Option<Out> {
+    fn refuse(&mut self, re: u32, problem: &Problem) -> Option<Out> {
         self.state.metrics.stream_refusal(problem.code);
         let n = self.number();
         let mut held = self.ownership.held()?;
         held.refuse();
-        let standing = held.cycle.as_ref().map(|cycle| answer::standing(cycle, &cycle.running.standing(now)));
+        let standing = standing(&self.state, &mut held);
         Some(Out::Text(answer::text(&answer::problem(n, Some(re), problem, standing))))
     }
 
@@ -298,7 +302,7 @@ impl Connection {
             .map_or_else(|| Err(no_cycle()), |cycle| cycle.order(message, most, &mut self.ordered));
         if let Err(violation) = fits {
             drop(held);
-            return self.fault(now, Some(re), &violation);
+            return self.fault(Some(re), &violation);
         }
         let ordered = (now, &self.ordered);
         let answered = judge(&self.state, &self.ownership, &mut held, ordered, &mut self.each)?;
@@ -323,7 +327,7 @@ impl Connection {
             Err(bad) => {
                 drop(held);
                 let violation = Violation::new("", "malformed_frame", bad.why);
-                return self.fault(now, bad.n, &violation);
+                return self.fault(bad.n, &violation);
             }
         };
         self.unreadable = 0;
@@ -335,7 +339,7 @@ impl Connection {
                 );
                 if let Err(violation) = fits {
                     drop(held);
-                    return self.fault(now, Some(re), &violation);
+                    return self.fault(Some(re), &violation);
                 }
                 let ordered = (now, &self.ordered);
                 let answered = judge(&self.state, &self.ownership, &mut held, ordered, &mut self.each)?;
@@ -350,7 +354,7 @@ impl Connection {
             Frame::Vibration { n: re, first, block } => {
                 drop(held);
                 let Some(monitor) = &mut self.monitor else {
-                    return self.fault(now, Some(re), &no_monitor());
+                    return self.fault(Some(re), &no_monitor());
                 };
                 let advice = monitor.take(first, &block);
                 let n = self.number();
@@ -362,18 +366,19 @@ impl Connection {
 
     async fn start(&mut self, now: Timestamp, message: StartMessage) -> Option<Out> {
         let (re, id) = (message.n, message.cycle_id.clone());
-        let begun = match cycle::check(message, now, &self.state.config.stream) {
+        let came = (now, self.state.clock.moment());
+        let begun = match cycle::check(message, came, &self.state.config.stream) {
             Ok(checked) => self.begin(checked).await,
             Err(violations) => Err(Problem::invalid(violations)),
         };
         if let Err(problem) = begun {
             self.ownership.held()?.leave(Some(&id));
-            return self.refuse(now, re, &problem);
+            return self.refuse(re, &problem);
         }
         let n = self.number();
         let held = self.ownership.held()?;
         let cycle = held.cycle.as_ref()?;
-        let mut standing = answer::standing(cycle, &cycle.running.standing(now));
+        let mut standing = answer::standing(cycle, &cycle.running.standing(came.0));
         standing.reasons.0 = standing.reasons.0.and(cycle.running.standing_reasons());
         if cycle.meta.resend {
             standing.reasons.0.add(LoopReason::Restarted);
@@ -411,7 +416,8 @@ impl Connection {
                 5,
             ));
         }
-        if let Some(overload) = overload {
+        // That of a cycle whose connection broke may be on its way yet.
+        for overload in overload.into_iter().chain(self.state.streams.unraised(machine)) {
             overload.raise(&self.state, machine).await?;
         }
         let begun = cycle::begin(&self.state, machine, checked).await?;
@@ -440,22 +446,22 @@ impl Connection {
         Ok(())
     }
 
-    fn resume(&mut self, now: Timestamp, message: &ResumeMessage) -> Option<Out> {
+    fn resume(&mut self, message: &ResumeMessage) -> Option<Out> {
         if let Err(violation) = CycleId::parse("cycle_id", &message.cycle_id) {
-            return self.fault(now, Some(message.n), &violation);
+            return self.fault(Some(message.n), &violation);
         }
         let n = self.number();
         let mut held = self.ownership.held()?;
         let running = held.cycle.as_ref().filter(|cycle| cycle.id.as_str() == message.cycle_id);
-        if let Some(cycle) = running {
+        if let Some(resume_from) = running.map(|cycle| cycle.running.record().first_missing()) {
             let text = answer::text(&ResumedMessage {
                 kind: "resumed",
                 n,
                 re: message.n,
-                cycle_id: cycle.id.as_str(),
-                resume_from: Some(cycle.running.record().first_missing()),
+                cycle_id: &message.cycle_id,
+                resume_from: Some(resume_from),
                 restart_from: None,
-                standing: Some(answer::standing(cycle, &cycle.running.standing(now))),
+                standing: standing(&self.state, &mut held),
             });
             held.unnamed = Unnamed::Running;
             drop(held);
@@ -491,20 +497,17 @@ impl Connection {
 
     fn heartbeat(&mut self, now: Timestamp, re: u32) -> Option<Out> {
         let n = self.number();
-        let held = self.ownership.held()?;
-        Some(Out::Text(match held.meant() {
-            Some(cycle) => answer::text(&OverrideMessage {
-                kind: "heartbeat",
-                n,
-                re: Some(re),
-                standing: answer::standing(cycle, &cycle.running.standing(now)),
-                each: None,
-            }),
+        let mut held = self.ownership.held()?;
+        let runs = held.meant().is_some();
+        Some(Out::Text(match standing(&self.state, &mut held).filter(|_| runs) {
+            Some(standing) => {
+                answer::text(&OverrideMessage { kind: "heartbeat", n, re: Some(re), standing, each: None })
+            }
             None => answer::text(&PlainMessage { kind: "heartbeat", n, re, at: time::show(now) }),
         }))
     }
 
-    async fn end(&mut self, now: Timestamp, message: EndMessage) -> Option<Out> {
+    async fn end(&mut self, message: EndMessage) -> Option<Out> {
         let re = message.n;
         // Whoever reads the answer finds every sample counted.
         self.count(0, None);
@@ -520,7 +523,7 @@ impl Connection {
                     answer,
                 })));
             }
-            Ending::Refused(problem) => return self.refuse(now, re, &problem),
+            Ending::Refused(problem) => return self.refuse(re, &problem),
         };
         let id = cycle.id.clone();
         let (state, machine) = (self.state.clone(), self.ownership.slot.machine.clone());
@@ -546,10 +549,12 @@ impl Connection {
                 })
             }
             Ok(Err(not_stored)) => {
-                if let (Some(mut held), Some(cycle)) = (self.ownership.held(), not_stored.cycle)
-                    && held.cycle.is_none()
-                {
-                    held.cycle = Some(cycle);
+                if let Some(mut held) = self.ownership.held() {
+                    if held.cycle.is_none() {
+                        held.cycle = not_stored.cycle;
+                    }
+                    // What is in quarantine holds nothing here any more.
+                    self.state.streams.charge(&mut held);
                 }
                 answer::text(&answer::problem(n, Some(re), &not_stored.problem, None))
             }
@@ -659,6 +664,25 @@ fn no_monitor() -> Violation {
     Violation::new("type", "no_monitor", "nothing is monitored: send monitor first")
 }
 
+/// Tells the running cycle whether its machine is known to be served by this server alone.
+fn note_lease(held: &mut Held, now: Moment) {
+    let passing = match held.is_leased(now) {
+        true => LoopReasons::NONE,
+        false => LoopReasons::of(LoopReason::LeaseUnknown),
+    };
+    if let Some(cycle) = &mut held.cycle {
+        cycle.running.set_passing(passing);
+    }
+}
+
+/// What is in force in the running cycle now.
+fn standing<'h>(state: &AppState, held: &'h mut Held) -> Option<StandingPart<'h>> {
+    let moment = state.clock.moment();
+    note_lease(held, moment);
+    let cycle = held.cycle.as_ref()?;
+    Some(answer::standing(cycle, &cycle.running.standing(cycle.time_at(moment))))
+}
+
 /// Passes samples to the running cycle, and tells of them whoever has to know.
 fn judge(
     state: &AppState,
@@ -667,17 +691,13 @@ fn judge(
     (now, ordered): (Timestamp, &Ordered),
     each: &mut Vec<SampleAdvice>,
 ) -> Option<Answer> {
-    let leased = held.is_leased(state.clock.moment());
+    let moment = state.clock.moment();
+    note_lease(held, moment);
     let cycle = held.cycle.as_mut()?;
-    cycle.running.set_passing(if leased {
-        LoopReasons::NONE
-    } else {
-        LoopReasons::of(LoopReason::LeaseUnknown)
-    });
     let Ordered { first, count, values, times_ms } = ordered;
     let batch = Batch { first: *first, count: *count, values, times_ms };
     each.clear();
-    let answered = cycle.running.take(now, &batch, each);
+    let answered = cycle.running.take(cycle.time_at(moment), &batch, each);
     let machine = &ownership.slot.machine;
     if cycle.running.is_overloaded()
         && !cycle.overload.as_ref().is_some_and(|overload| overload.is_the_cycles())

@@ -4,6 +4,7 @@ use super::binary::MOST_DECIMALS;
 use super::message::{ProgramMessage, SamplesMessage, StartMessage};
 use super::overload::Overload;
 use super::standing::{BegunWith, KnownTool};
+use crate::clock::Moment;
 use crate::config::StreamConfig;
 use crate::http::dto::{text, time};
 use crate::ingest::body::CLOCK_AHEAD_MS;
@@ -53,6 +54,8 @@ pub struct StreamedCycle {
     pub overload: Option<Arc<Overload>>,
     /// When its samples were shown last, µs.
     pub shown_us: i64,
+    /// When its start came, by the clock that is set now and then and by the one that never is.
+    came: (Timestamp, Moment),
     /// What it was begun with.
     pub begun_with: Arc<BegunWith>,
 }
@@ -67,6 +70,7 @@ pub struct Checked {
     decimals: Vec<u8>,
     timing: Timing,
     begun: Begun,
+    came_at: Moment,
     mode: Mode,
     program: Program,
     program_hash: Option<String>,
@@ -93,7 +97,7 @@ fn keep<T>(result: Result<T, Violation>, wrong: &mut Vec<Violation>) -> Option<T
 /// Checks the message that begins a cycle; every violation, not only the first.
 pub fn check(
     meta: StartMessage,
-    received_at: Timestamp,
+    (received_at, came_at): (Timestamp, Moment),
     config: &StreamConfig,
 ) -> Result<Checked, Vec<Violation>> {
     let mut wrong = Vec::new();
@@ -170,6 +174,7 @@ pub fn check(
                 decimals,
                 timing,
                 begun,
+                came_at,
                 mode,
                 program,
                 program_hash,
@@ -396,6 +401,7 @@ pub async fn begin(
         program_hash,
         overload,
         shown_us: i64::MIN,
+        came: (checked.begun.received_at, checked.came_at),
         begun_with,
     }))
 }
@@ -443,6 +449,7 @@ fn plunge_loop(
         allowed_bite_mm: latency.allowed_bite_mm,
         answer_age_ms: latency.answer_age_s * 1000.0,
         period_ms,
+        longest_gap_ms: control::longest_gap_ms(period_ms),
     };
     PlungeLoop::new(limits, detector, settling)
 }
@@ -461,6 +468,14 @@ pub struct Ordered {
 }
 
 impl StreamedCycle {
+    /// The time at that moment, as it went by since the start: where the clock is set meanwhile, no answer is valid for longer, and
+    /// no sample older.
+    pub fn time_at(&self, moment: Moment) -> Timestamp {
+        let (at, came) = self.came;
+        let micros = i64::try_from(moment.since(came).as_micros()).unwrap_or(i64::MAX);
+        Timestamp::from_micros(at.micros().saturating_add(micros))
+    }
+
     /// Orders the columns of a message; what does not fit the cycle is named.
     pub fn order(
         &self,

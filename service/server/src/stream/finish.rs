@@ -135,12 +135,17 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
     let slot = ownership.slot.clone();
     let Some((generation, cycle_left)) = state.streams.leave(ownership) else { return };
     let overload = slot.lock().cycle.as_ref().and_then(|cycle| cycle.overload.clone());
-    if let Some(overload) = overload
-        && let Err(error) = overload.raise(state, &slot.machine).await
-    {
-        tracing::warn!(machine = %slot.machine, %error, "an overload could not be raised");
+    let raised = match overload {
+        Some(overload) => overload.raise(state, &slot.machine).await,
+        None => Ok(()),
+    };
+    match raised {
+        Ok(()) => release(state, &slot, generation).await,
+        // It is tried again beside; at another server the next cycle would find no alarm meanwhile.
+        Err(error) => {
+            tracing::warn!(machine = %slot.machine, %error, "an overload could not be raised: the lease is kept");
+        }
     }
-    release(state, &slot, generation).await;
     if !cycle_left {
         show(state, &slot, MachineState::Disconnected);
         return;
@@ -155,7 +160,7 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
         }
         let Some(cycle) = waiting.streams.take_left(&ownership) else { return };
         show(&waiting, &slot, MachineState::Disconnected);
-        if went_elsewhere(&waiting, &slot, generation).await {
+        if went_elsewhere(&waiting, &slot).await {
             tracing::info!(machine = %slot.machine, cycle = %cycle.id, "the machine went on with another server");
             return;
         }
@@ -174,14 +179,15 @@ async fn release(state: &AppState, slot: &Arc<Slot>, generation: i64) {
 }
 
 /// Whether the machine has opened a stream at another server since: then it has sent the cycle there again.
-async fn went_elsewhere(state: &AppState, slot: &Arc<Slot>, generation: i64) -> bool {
+async fn went_elsewhere(state: &AppState, slot: &Arc<Slot>) -> bool {
+    let newest = slot.newest_taken();
     let (machine, holder) = (slot.machine.clone(), state.streams.holder().to_owned());
     let now = state.clock.now();
     let taken = state
         .commit(|store| async move { store.take_stream(&machine, &holder, false, Duration::ZERO, now).await })
         .await;
     match taken {
-        Ok(StreamLease::Taken { generation: next }) => next != generation + 1,
+        Ok(StreamLease::Taken { generation: next }) => next != newest + 1,
         Ok(StreamLease::Held { .. }) => true,
         Err(_) => false,
     }

@@ -1,6 +1,7 @@
 //! Before the upgrade: who may open a stream, and whether there is room.
 
 use super::connection::serve;
+use super::finish::connection_gone;
 use super::slots::Ownership;
 use super::{SUBPROTOCOL, leases};
 use crate::auth::Caller;
@@ -67,9 +68,16 @@ pub async fn open(
         return Err(held(Duration::from_millis(config.lease_ms)));
     }
     let (asked, now) = (state.clock.moment(), state.clock.now());
-    let (holder, wanted, lease) = (state.streams.holder().to_owned(), machine.clone(), config.lease());
+    let (streams, wanted, lease) = (state.streams.clone(), machine.clone(), config.lease());
     let taken = state
-        .commit(|store| async move { store.take_stream(&wanted, &holder, takeover, lease, now).await })
+        .commit(|store| async move {
+            let taken = store.take_stream(&wanted, streams.holder(), takeover, lease, now).await?;
+            // Whoever asked may be gone by now.
+            if let StreamLease::Taken { generation } = taken {
+                streams.took(&wanted, generation);
+            }
+            Ok(taken)
+        })
         .await?;
     let generation = match taken {
         StreamLease::Taken { generation } => generation,
@@ -91,7 +99,9 @@ pub async fn open(
         .on_failed_upgrade(move |error| {
             tracing::debug!(%error, "a stream was not upgraded");
             let (state, ownership) = failed;
-            state.streams.leave(&ownership);
+            // A cycle that was left there is waited for as after any connection.
+            let gone = state.clone();
+            state.lifecycle.spawn(async move { connection_gone(&gone, &ownership).await });
         })
         .on_upgrade(move |socket| async move {
             serve(state, caller, ownership, socket).await;

@@ -1,8 +1,8 @@
 //! An overload on its way from a running cycle to the list of alarms, and back once somebody has acknowledged it.
 //!
-//! It is raised beside the answers, as a commit must not hold up an override. What follows in the machine waits for
-//! it: the end of the cycle is not answered, no other cycle starts and the lease is not given back before it is
-//! committed. Otherwise the next cycle would find no alarm and raise the feed of a tool that nobody has looked at.
+//! It is raised beside the answers, as a commit must not hold up an override, and tried until it is committed, also where the
+//! cycle is left or its connection gone. What follows in the machine waits for it: the end of the cycle is not answered, no
+//! other cycle starts and the lease is not given back before it is committed. Otherwise the next cycle would find no alarm and raise the feed of a tool that nobody has looked at.
 //!
 //! Nor is a cycle freed by what is told of an alarm, which may be an earlier one and may come late: the list of alarms
 //! is asked whether one is open.
@@ -13,7 +13,12 @@ use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_store::StoreResult;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::OnceCell;
+
+/// How long after the first try to raise an overload the next one is made, and at the most.
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+const LONGEST_PAUSE: Duration = Duration::from_secs(15);
 
 /// An overload that holds a running cycle.
 #[derive(Debug)]
@@ -44,17 +49,34 @@ impl Overload {
         !self.before
     }
 
-    /// Raises it in a task of its own.
+    /// Raises it in a task of its own, which tries until it is committed, whatever becomes of the cycle.
     pub fn raise_beside(self: Arc<Self>, state: &AppState, machine: &MachineId) {
         let (raising, machine) = (state.clone(), machine.clone());
+        state.streams.raising(&machine, &self);
         state.lifecycle.spawn(async move {
-            match self.raise(&raising, &machine).await {
-                // It may have been acknowledged at another server, while nobody here could know that it was this one.
-                Ok(()) => settle(&raising, &machine).await,
-                Err(error) => {
-                    tracing::warn!(%machine, %error, "an overload could not be raised; its cycle's end tries again");
+            let mut pause = FIRST_PAUSE;
+            loop {
+                // The last try is made when the server stops.
+                let is_last = raising.lifecycle.is_stopping();
+                match self.raise(&raising, &machine).await {
+                    Ok(()) => break,
+                    Err(error) if is_last => {
+                        tracing::error!(%machine, %error, "an overload could not be raised before the shutdown");
+                        return;
+                    }
+                    Err(error) => {
+                        tracing::warn!(%machine, %error, "an overload could not be raised; it is tried again");
+                    }
                 }
+                tokio::select! {
+                    () = tokio::time::sleep(pause) => {}
+                    () = raising.lifecycle.stopping() => {}
+                }
+                pause = (2 * pause).min(LONGEST_PAUSE);
             }
+            raising.streams.raised(&machine, &self);
+            // It may have been acknowledged at another server, while nobody here could know that it was this one.
+            settle(&raising, &machine).await;
         });
     }
 

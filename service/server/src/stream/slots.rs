@@ -4,6 +4,7 @@
 //! last owns the slot; an older connection finds that out at its next step and leaves.
 
 use super::cycle::StreamedCycle;
+use super::overload::Overload;
 use crate::clock::Moment;
 use crate::config::StreamConfig;
 use feedwright_core::ids::{CycleId, MachineId};
@@ -22,6 +23,8 @@ pub struct Streams {
     slots: Mutex<HashMap<MachineId, Arc<Slot>>>,
     /// Bytes of samples held by running cycles.
     held_bytes: AtomicUsize,
+    /// Overloads of cycles that are not committed yet, the newest of each machine: no other cycle of it starts before.
+    overloads: Mutex<HashMap<MachineId, Arc<Overload>>>,
 }
 
 /// One machine's place.
@@ -44,6 +47,8 @@ pub struct Held {
     told_to_leave: bool,
     /// Generation of the lease.
     pub generation: i64,
+    /// The newest one that was taken for this server, also by who was gone before it was served.
+    taken: i64,
     /// The lease is this server's until then; `None` where it is not.
     leased_until: Option<Moment>,
     /// The cycle that runs.
@@ -113,6 +118,7 @@ impl Streams {
             places: Arc::new(Semaphore::new(config.max_connections)),
             slots: Mutex::default(),
             held_bytes: AtomicUsize::new(0),
+            overloads: Mutex::default(),
         })
     }
 
@@ -160,10 +166,41 @@ impl Streams {
             held.owner += 1;
             held.connected = true;
             held.generation = generation;
+            held.taken = held.taken.max(generation);
             held.leased_until = Some(leased_until);
             (held.owner, held.leave.clone())
         };
         Ownership { slot, owner, leave }
+    }
+
+    /// Notes that a lease of that generation was taken here, whoever it is for.
+    pub fn took(&self, machine: &MachineId, generation: i64) {
+        if let Some(slot) = self.slot(machine) {
+            let mut held = slot.lock();
+            held.taken = held.taken.max(generation);
+        }
+    }
+
+    fn overloads(&self) -> MutexGuard<'_, HashMap<MachineId, Arc<Overload>>> {
+        self.overloads.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// An overload of a machine is to be committed.
+    pub fn raising(&self, machine: &MachineId, overload: &Arc<Overload>) {
+        self.overloads().insert(machine.clone(), Arc::clone(overload));
+    }
+
+    /// It is.
+    pub fn raised(&self, machine: &MachineId, overload: &Arc<Overload>) {
+        let mut overloads = self.overloads();
+        if overloads.get(machine).is_some_and(|newest| Arc::ptr_eq(newest, overload)) {
+            overloads.remove(machine);
+        }
+    }
+
+    /// The overload of a machine that is to be committed yet, whatever became of its cycle.
+    pub fn unraised(&self, machine: &MachineId) -> Option<Arc<Overload>> {
+        self.overloads().get(machine).cloned()
     }
 
     /// Ends a connection's ownership. Returns the lease's generation and whether a cycle is left, where it still owned.
@@ -175,10 +212,11 @@ impl Streams {
         }
         held.connected = false;
         let left = (held.generation, held.cycle.is_some());
-        drop(held);
         if !left.1 {
+            self.held_bytes.fetch_sub(std::mem::take(&mut held.charged), Ordering::Relaxed);
             slots.remove(&ownership.slot.machine);
         }
+        drop(held);
         Some(left)
     }
 
@@ -242,6 +280,11 @@ impl Slot {
         held.told_to_leave = true;
         held.leave.cancel();
         true
+    }
+
+    /// The newest generation of its lease that was taken here.
+    pub fn newest_taken(&self) -> i64 {
+        self.lock().taken
     }
 
     /// Whether somebody is connected, with the lease of which generation.

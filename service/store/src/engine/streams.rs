@@ -103,8 +103,19 @@ pub(super) async fn release(
     Ok(())
 }
 
-/// Keeps what a cycle's samples were answered; sent again, the later answers stand.
+/// Keeps what a cycle's samples were answered, until the cycle is stored; sent again before, the later answers stand. What comes
+/// under the id of a stored cycle, be it refused or sent once more, says nothing of what that was answered.
 pub(super) async fn put_overrides(conn: &mut Conn, kept: &CycleOverrides) -> StoreResult<()> {
+    let is_stored: Option<i64> = sqlx::query_scalar::<Db, _>(
+        "SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2",
+    )
+    .bind(kept.machine.as_str())
+    .bind(kept.cycle.as_str())
+    .fetch_optional(&mut *conn)
+    .await?;
+    if is_stored.is_some() {
+        return Ok(());
+    }
     sqlx::query::<Db>(
         "INSERT INTO cycle_overrides (machine_id, cycle_id, mode, law_version, program_hash, stored_at_us, block)
          VALUES ($1, $2, $3, $4, $5, $6, $7)

@@ -32,4 +32,5 @@ mod tests;
 
 pub use config::{Heating, IMPLAUSIBLE_LOAD_PERCENT, LawConfig, LawParams, OverloadHold};
 pub use reason::{Reason, Reasons};
+pub(crate) use step::time_is_bad;
 pub use step::{Drive, LawSample, LawState, LawStep};

@@ -316,7 +316,7 @@ fn is_overload(params: &LawParams, load: f64) -> bool {
 }
 
 /// Time has to advance by no more than the longest gap; the first sample of a cycle has no step.
-fn time_is_bad(last_ms: Option<f64>, longest_gap_ms: f64, time_ms: f64) -> bool {
+pub(crate) fn time_is_bad(last_ms: Option<f64>, longest_gap_ms: f64, time_ms: f64) -> bool {
     if !time_ms.is_finite() {
         return true;
     }
