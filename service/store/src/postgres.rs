@@ -496,14 +496,14 @@ impl Inner {
 
     /// What the server is at of what began about so long ago: one by one they are not known from here.
     async fn sees(&self, since: Duration) -> Seen {
-        // Of other roles' connections neither is shown, nor where activities are not tracked. A pooler may name them otherwise.
+        // Not a backup, which is at work for hours. Of other roles' connections neither is shown, nor where activities are not tracked. A pooler may name them otherwise.
         const ASK: &str = "SELECT
                 COALESCE(bool_or(backend_type = 'client backend'
                     AND clock_timestamp() - xact_start >= make_interval(secs => $2)), false) AS at_work,
                 COALESCE(bool_or(state IS NULL OR state = 'disabled'), false) AS hidden
             FROM pg_stat_activity
             WHERE datname = current_database() AND pid <> pg_backend_pid()
-                AND ($1 OR application_name LIKE 'feedwright%')";
+                AND ($1 OR application_name = 'feedwright')";
         let _one = self.asking.lock().await;
         let asked = async {
             let mut conn = self.direct.connect().await?;

@@ -205,18 +205,9 @@ impl SqliteStore {
         let pass = self.inner.gate.enter().await?;
         let writing = Arc::clone(&self.inner.writing);
         let task = tokio::spawn(async move {
-            let mut writer = writing.hold().await?;
-            let conn = writing::open(&mut writer)?.asked();
-            let free: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
-            if free <= PAGES_KEPT_FREE {
-                return Ok(false);
-            }
-            sqlx::query("PRAGMA incremental_vacuum(64)").fetch_all(&mut *conn).await?;
-            let left: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&mut *conn).await?;
-            drop(writer);
+            let outcome = writing.give_back(PAGES_KEPT_FREE).await;
             drop(pass);
-            // A file that was made without incremental vacuum keeps its pages: they are used again.
-            Ok(left < free && left > PAGES_KEPT_FREE)
+            outcome
         });
         task.await.map_err(panicked)?
     }

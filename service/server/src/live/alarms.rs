@@ -59,7 +59,12 @@ async fn look(state: &AppState, shown: &mut Option<Shown>) -> StoreResult<()> {
     let fresh = since(state, after).await?;
     let newest = fresh.last().map_or(after, |alarm| alarm.id);
     if let Some(before) = shown {
-        tell(state, &before.open, &open, &fresh).await;
+        // Numbers are given before a commit: one that took longer brings an alarm that is older than the newest. Of more than are
+        // looked at it is not known which were there.
+        let is_late = |alarm: &&Alarm| alarm.id <= after && !before.open.contains_key(&alarm.id);
+        let late = open.values().filter(is_late).take_while(|_| before.open.len() < MOST);
+        let raised: Vec<Alarm> = late.chain(&fresh).cloned().collect();
+        tell(state, &before.open, &open, &raised).await;
     }
     open.extend(fresh.into_iter().filter(|alarm| alarm.cleared_at.is_none()).map(|alarm| (alarm.id, alarm)));
     *shown = Some(Shown { open, newest });

@@ -290,7 +290,9 @@ async fn count_all(
             None => ToolWear::load_locked(transaction.conn().await?, tool).await?,
         };
         let verdict = count_tool(transaction, &mut wear, machines).await?;
-        if anything_new {
+        let folds = wear.take_changed()?;
+        // Folds of earlier rules are made anew by a repeat too, and nobody comes to them later.
+        if anything_new || !folds.is_empty() {
             let open = match &mut wear.alarms {
                 Some(open) => open,
                 unknown => unknown.insert(alarms::open_of(transaction.conn().await?, tool).await?),
@@ -298,7 +300,7 @@ async fn count_all(
             alarms.extend(alarms::changes(tool, &verdict, open));
         }
         verdicts.insert(tool.clone(), Arc::new(verdict));
-        changed.extend(wear.take_changed()?);
+        changed.extend(folds);
         memory.keep(tool.clone(), wear);
     }
     for (new, placed) in group.iter().zip(placed) {

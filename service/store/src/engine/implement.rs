@@ -53,17 +53,41 @@ macro_rules! write {
     };
 }
 
-/// As `write!`, of what is registered: begins the next generation, and this server forgets the one before.
+/// As `write!`, of what is registered: begins the next generation, and this server forgets the one before. Where nothing
+/// was changed nobody has to forget anything.
 macro_rules! register {
     ($engine:ident, |$conn:ident| $body:expr) => {{
         let outcome = write!($engine, |$conn| {
             let outcome = $body?;
-            registry::changed($conn).await?;
+            if outcome.is_change() {
+                registry::changed($conn).await?;
+            }
             Ok(outcome)
         });
-        $engine.registry().forget();
+        // What it came to may not be known.
+        if !outcome.as_ref().is_ok_and(|outcome| !outcome.is_change()) {
+            $engine.registry().forget();
+        }
         outcome
     }};
+}
+
+/// What a change of what is registered came to.
+trait Registered {
+    /// Whether it changed anything.
+    fn is_change(&self) -> bool;
+}
+
+impl Registered for PutOutcome {
+    fn is_change(&self) -> bool {
+        !matches!(self, Self::Unchanged(_))
+    }
+}
+
+impl<T> Registered for Option<T> {
+    fn is_change(&self) -> bool {
+        self.is_some()
+    }
 }
 
 /// One statement that reads. Cancelled half-way it leaves a connection that may still be at work: only one that ended
@@ -611,12 +635,13 @@ impl Store for Engine {
                 self.take_back(&id, now).await?;
                 let horizon = snapshot!(self, |conn| {
                     let said = retention::get(conn, &id).await?;
-                    let kept = said.map_or(otherwise, |said| said.value);
-                    retention::horizon(conn, &id, kept, (now, aged_to)).await
+                    let kept = said.as_ref().map_or(otherwise, |said| said.value);
+                    let horizon = retention::horizon(conn, &id, kept, (now, aged_to)).await?;
+                    Ok(horizon.map(|horizon| (horizon, said.map(|said| said.version))))
                 })?;
                 let id = machine.value.id.clone();
-                if let Some((before, reason)) = horizon {
-                    let made = write!(self, |conn| retention::decide(conn, &id, before, reason, now).await)?;
+                if let Some((horizon, said)) = horizon {
+                    let made = write!(self, |conn| retention::decide(conn, &id, horizon, said, now).await)?;
                     decided.extend(made);
                 }
             }

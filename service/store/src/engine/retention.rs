@@ -246,14 +246,19 @@ async fn size_horizon(
     }
 }
 
-/// Keeps a decision, with its audit line. `None` where another server was faster.
+/// Keeps a decision by the version of what was `said` of the machine, with its audit line. `None` where another server was
+/// faster, or something else was said meanwhile: what was answered by then holds, and the next run goes by it.
 pub(super) async fn decide(
     conn: &mut Conn,
     machine: &MachineId,
-    before: i64,
-    reason: DropReason,
+    (before, reason): (i64, DropReason),
+    said: Option<u64>,
     now: Timestamp,
 ) -> StoreResult<Option<SampleDrop>> {
+    dialect::lock(conn, &Locks::subject("machine", machine.as_str())).await?;
+    if get(conn, machine).await?.map(|said| said.version) != said {
+        return Ok(None);
+    }
     dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
     if before <= dropped_before(conn, machine.as_str()).await? {
         return Ok(None);

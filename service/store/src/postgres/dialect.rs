@@ -228,13 +228,23 @@ macro_rules! server {
 }
 pub(super) use server;
 
-/// The generation of the registry, which server answers, whether the database is one that Citus distributes, and whether any feed
+/// Which database of which server answers, and which life of it: one that was dropped and made again from a dump, or whose tables were
+/// emptied, may come to generations and versions that it had before, of other rows.
+macro_rules! incarnation {
+    () => {
+        "hashtextextended(concat_ws(' ', pg_postmaster_start_time(),
+             (SELECT oid FROM pg_database WHERE datname = current_database()),
+             'registry_generation'::regclass::oid, pg_relation_filenode('registry_generation'::regclass)), 0)"
+    };
+}
+
+/// The generation of the registry, which database answers, whether the database is one that Citus distributes, and whether any feed
 /// profile is active, under empty names of a tool, and the versions of the folds of a list of tools. The tools' names are locked by then.
 pub(super) const HEADS: &str = concat!(
     "SELECT '' AS tool_id, '' AS machine_id, CAST(SUM(changes) AS BIGINT) AS version
      FROM registry_generation
      UNION ALL SELECT '', 'server', ",
-    server!(),
+    incarnation!(),
     " UNION ALL SELECT '', 'distributed', CASE WHEN to_regclass('pg_dist_partition') IS NULL THEN 0::BIGINT ELSE 1::BIGINT END
      UNION ALL SELECT '', 'profiles', CAST(COUNT(*) AS BIGINT)
      FROM (SELECT 1 FROM feed_profiles WHERE active_version IS NOT NULL LIMIT 1) AS active

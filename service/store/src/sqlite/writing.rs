@@ -152,6 +152,27 @@ impl Writing {
         outcome
     }
 
+    /// Gives some of the pages that nothing stands in back to the file system, where there are more than so many; says whether
+    /// there are more yet. A file that was made without incremental vacuum keeps them: they are used again.
+    pub(super) async fn give_back(self: &Arc<Self>, kept: i64) -> StoreResult<bool> {
+        const FREE: &str = "PRAGMA freelist_count";
+        let mut held = self.hold().await?;
+        let conn = open(&mut held)?.asked();
+        let vacuumed = async {
+            let free: i64 = sqlx::query_scalar(FREE).fetch_one(&mut *conn).await?;
+            if free <= kept {
+                return Ok(false);
+            }
+            sqlx::query("PRAGMA incremental_vacuum(64)").fetch_all(&mut *conn).await?;
+            let left: i64 = sqlx::query_scalar(FREE).fetch_one(&mut *conn).await?;
+            Ok(left < free && left > kept)
+        };
+        let outcome = vacuumed.await.and_then(|more| self.files.are_there().map(|()| more));
+        // What the disk refuses here it has refused.
+        self.heed(&outcome);
+        outcome
+    }
+
     /// Runs a group on the thread of the groups, in a task that nobody can cancel.
     pub(super) async fn write_group<T, F>(self: &Arc<Self>, pass: Pass, work: F) -> StoreResult<T>
     where

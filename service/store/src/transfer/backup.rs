@@ -195,6 +195,12 @@ fn settle(
     if !stands_under(made, from) || head_of(made).map_err(unwritten)? != SQLITE {
         return Err(file(to, "is not made: what was written is not there"));
     }
+    for log in ["-wal", "-journal"] {
+        // What stands in a log is not in the file.
+        if std::fs::metadata(beside(from, log)).is_ok_and(|log| log.len() > 0) {
+            return Err(file(to, "is not made: a part of it is in a log beside it"));
+        }
+    }
     made.sync_all().map_err(unwritten)?;
     let bytes = made.metadata().map_err(unwritten)?.len();
     // It took its time: a server may have made a database there meanwhile.
@@ -487,7 +493,12 @@ async fn stage(backup: &Path, at: &Path) -> Result<Vec<(String, TableSum)>, Tran
         for statement in ["DELETE FROM last_backup", "DELETE FROM retention_clock"] {
             sqlx::query(statement).execute(side.conn()).await?;
         }
+        // Closing says nothing of a log that could not be folded into the file, which alone is moved to its name.
+        let mode: String = sqlx::query_scalar("PRAGMA journal_mode = DELETE").fetch_one(side.conn()).await?;
         Box::new(side).close().await;
+        if mode != "delete" {
+            return Err(file(at, "is not made: its log cannot be folded into it"));
+        }
         Ok(())
     }
     .await;
