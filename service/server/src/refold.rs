@@ -1,4 +1,5 @@
-//! After an upgrade that changed the rules of wear: the folds that earlier rules made are made anew, once, in the background.
+//! After an upgrade that changed the rules of wear: the folds that earlier rules made are made anew in the background; again and again, as
+//! a server of before may run beside this one for a while, and write more of them.
 //!
 //! A tool that runs is folded again by its next cycle; one that lies idle would be folded over its whole history each time
 //! somebody asks for it. Each is made anew by itself, through the same writer and under the same lock as its cycles, and
@@ -17,35 +18,49 @@ const LEAST_PAUSE: Duration = Duration::from_millis(10);
 /// Pause before a tool is tried again where the database was away.
 const AWAY: Duration = Duration::from_secs(10);
 
-/// Goes once through the tools, until the shutdown begins.
+/// Between two rounds through the tools, of which all but the first find nothing where no server of before is left.
+const ROUNDS: Duration = Duration::from_secs(600);
+
+/// Goes through the tools, again and again, until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
     let state = state.clone();
     state.lifecycle.clone().spawn(async move {
-        let (mut after, mut made) = (None, 0_u64);
-        while !state.lifecycle.is_stopping() {
-            let begun = Instant::now();
-            let pause = match one(&state, after.as_ref()).await {
-                Ok(Some((tool, anew))) => {
-                    made += u64::from(anew);
-                    after = Some(tool);
-                    (begun.elapsed() * PAUSES).max(LEAST_PAUSE)
-                }
-                Ok(None) => break,
-                Err(error) => {
-                    tracing::warn!(%error, "folds of earlier rules are not made anew for now");
-                    AWAY
-                }
-            };
-            // Only the waiting is cut short, never a statement.
+        loop {
+            round(&state).await;
             tokio::select! {
-                () = tokio::time::sleep(pause) => {}
-                () = state.lifecycle.stopping() => break,
+                () = tokio::time::sleep(ROUNDS) => {}
+                () = state.lifecycle.stopping() => return,
             }
         }
-        if made > 0 {
-            tracing::info!(tools = made, "folds of earlier rules were made anew");
-        }
     });
+}
+
+/// Goes once through the tools, unless the shutdown begins.
+async fn round(state: &AppState) {
+    let (mut after, mut made) = (None, 0_u64);
+    while !state.lifecycle.is_stopping() {
+        let begun = Instant::now();
+        let pause = match one(state, after.as_ref()).await {
+            Ok(Some((tool, anew))) => {
+                made += u64::from(anew);
+                after = Some(tool);
+                (begun.elapsed() * PAUSES).max(LEAST_PAUSE)
+            }
+            Ok(None) => break,
+            Err(error) => {
+                tracing::warn!(%error, "folds of earlier rules are not made anew for now");
+                AWAY
+            }
+        };
+        // Only the waiting is cut short, never a statement.
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            () = state.lifecycle.stopping() => break,
+        }
+    }
+    if made > 0 {
+        tracing::info!(tools = made, "folds of earlier rules were made anew");
+    }
 }
 
 /// Makes the next tool's folds anew; says which it was, and whether there was anything to do. `None` behind the last.

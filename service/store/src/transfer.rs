@@ -54,7 +54,9 @@ pub enum TransferError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The two databases are of different versions of the program.
-    #[error("the schemas differ: {0}; start this version's server on each database once, which migrates it")]
+    #[error(
+        "the schemas differ: {0}; start this version's server on each database once, which migrates it, or use the version that made it, also for its backup"
+    )]
     Schema(String),
     /// The target holds something else already.
     #[error("the target is not empty and holds something else: {table} {key} {what}; nothing was written")]

@@ -5,6 +5,7 @@ use super::reader::Reader;
 use crate::store::given::Given;
 use crate::stream::client::Machine;
 use serde_json::json;
+use sqlx::{Connection, PgConnection};
 
 #[tokio::test]
 async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing_one() {
@@ -127,6 +128,35 @@ async fn what_one_server_stores_is_shown_by_another_on_the_same_database() {
     while reader.next_of("changed").await.data["what"] != "tools" {}
     there.server.shutdown().await.unwrap();
     here.server.shutdown().await.unwrap();
+    given.done().await;
+}
+
+/// Two transactions raise one each, and the one whose number came first ends last.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_alarm_that_is_committed_behind_a_newer_one_is_told_too() {
+    const RAISE: &str =
+        "INSERT INTO alarms (kind, machine_id, message, raised_at_us) VALUES ('overload', $1, 'late', 1)";
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let url = given.address();
+    let served = Served::start(&[("database.url", url.as_str())]).await;
+    served.with_a_shop().await;
+    let mut reader = Reader::open(&served, "", None).await;
+    assert_eq!(reader.next().await.unwrap().name, "state");
+    let mut slow = PgConnection::connect(&url).await.unwrap();
+    let mut held = slow.begin().await.unwrap();
+    sqlx::query(RAISE).bind("slow").execute(&mut *held).await.unwrap();
+    let mut quick = PgConnection::connect(&url).await.unwrap();
+    sqlx::query(RAISE).bind("quick").execute(&mut quick).await.unwrap();
+    let told = reader.next_of("alarm").await.data;
+    assert_eq!((&told["change"], &told["alarm"]["machine"]), (&json!("raised"), &json!("quick")), "{told}");
+    held.commit().await.unwrap();
+    let told = reader.next_of("alarm").await.data;
+    assert_eq!((&told["change"], &told["alarm"]["machine"]), (&json!("raised"), &json!("slow")), "{told}");
+    slow.close().await.unwrap();
+    quick.close().await.unwrap();
+    served.server.shutdown().await.unwrap();
     given.done().await;
 }
 

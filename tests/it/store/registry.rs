@@ -9,6 +9,7 @@ use std::time::Duration;
 stories!(
     what_is_put_is_found_again,
     a_change_needs_the_version_it_is_based_on,
+    what_changes_nothing_leaves_what_servers_remember,
     pages_go_by_bytes_not_by_language,
     calibrations_are_numbered,
     every_change_leaves_its_line,
@@ -36,6 +37,30 @@ async fn what_is_put_is_found_again(store: Arc<dyn Store>) {
     assert_eq!((around.machine, around.operation), (machine.clone(), Some(operation.clone())));
     assert_eq!((around.tool, around.calibration), (None, None));
     assert_eq!(store.surroundings(&"M9".try_into().unwrap(), &operation.id, &tool.id).await.unwrap(), None);
+}
+
+async fn what_changes_nothing_leaves_what_servers_remember(store: Arc<dyn Store>) {
+    let who = engineer();
+    let (machine, tool, operation) = (machine("M1"), tool("T1"), operation("O1"));
+    let generation = async || {
+        let around = store.recent_surroundings(&machine.id, &operation.id, &tool.id, at(1)).await.unwrap();
+        around.expect("it is registered").1
+    };
+    let put = async || {
+        let expects = Precondition::Unstated;
+        store.put_machine(machine.clone(), expects, &who, at(1)).await.unwrap();
+        store.put_tool(tool.clone(), expects, &who, at(1)).await.unwrap();
+        store.put_operation(operation.clone(), expects, &who, at(1)).await.unwrap()
+    };
+    assert_eq!(put().await, PutOutcome::Created);
+    let before = generation().await;
+    // As a script does that tells all it knows each morning.
+    assert_eq!(put().await, PutOutcome::Unchanged(1));
+    assert_eq!(store.revoke_tool_event(&tool.id, 9, &who, at(1)).await.unwrap(), None);
+    assert_eq!(generation().await, before);
+    let renamed = feedwright_core::machine::Machine { name: "another".to_owned(), ..machine.clone() };
+    store.put_machine(renamed, Precondition::Version(1), &who, at(2)).await.unwrap();
+    assert!(generation().await > before);
 }
 
 async fn a_change_needs_the_version_it_is_based_on(store: Arc<dyn Store>) {

@@ -10,8 +10,8 @@ use feedwright_core::tool::ToolEventKind;
 use feedwright_core::wear::{Exclusion, FOLD_VERSION, ToolState};
 use feedwright_store::transfer::{TableSum, back_up_postgres, back_up_sqlite, restore_to_sqlite};
 use feedwright_store::{
-    Committed, CycleFilter, Doubt, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Repair,
-    SqliteOptions, SqliteStore, Store,
+    AlarmFilter, Committed, CycleFilter, Doubt, NewCycle, Page, PostgresOptions, PostgresStore, Precondition,
+    Repair, SqliteOptions, SqliteStore, Store,
 };
 use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, SqliteConnection};
@@ -483,6 +483,19 @@ async fn folds_of_other_rules_are_folded_again(given: &Given) {
     let late = Run { seconds: 299 * 60 + 30, id: "late".to_owned(), sampled: false, ..Run::nth(303) };
     assert_eq!(stored(&*store, &late).await.verdict.counted, 269);
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+
+    // A repeat makes them anew too, and nobody comes to them later: an alarm of before that nothing speaks for any more is over.
+    store.close().await;
+    let earlier = format!("UPDATE tool_wear SET fold_version = {}", i32::from(FOLD_VERSION) - 1);
+    assert_eq!(given.raw(AssertSqlSafe(earlier)).await.unwrap(), 2);
+    const WORN: &str = "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us) VALUES ('worn', 'M1', 'T1', 'of before', 1)";
+    assert_eq!(given.raw(WORN).await.unwrap(), 1);
+    let store = open(given).await;
+    let again = store.commit_cycles(vec![new(302)], at(200_000), RecommendSettings::default()).await;
+    assert!(matches!(again[..], [Ok(Committed::Known(_))]), "{again:?}");
+    assert_eq!(store.next_outdated_fold(None).await.unwrap(), None);
+    let open_ones = AlarmFilter { open: Some(true), machine: None, tool: Some("T1".try_into().unwrap()) };
+    assert_eq!(store.alarms(&open_ones, Page { after: None, limit: 10 }).await.unwrap(), []);
 
     // A cycle that was cut short by the version before is flagged incomplete alone, and is no fault of its samples. Of a later
     // version none is.

@@ -5,15 +5,17 @@ use super::cursor::{List, Paging};
 use super::dto::quarantine::{
     QuarantineAction, QuarantineDetail, QuarantineQuery, QuarantineView, SettleBody, Settled,
 };
+use super::export::{self, Size};
 use super::extract::{PathId, Query, query_id};
 use super::problem::Problem;
 use crate::auth::Caller;
 use crate::state::AppState;
 use axum::extract::State;
+use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use feedwright_core::ids::MachineId;
 use feedwright_store::Actor;
-use http::StatusCode;
+use http::{StatusCode, header};
 
 /// Lists what could not be accepted, oldest first; what is settled only where it is asked for.
 #[utoipa::path(get, path = "/v1/quarantine", tag = "quarantine", params(QuarantineQuery),
@@ -30,16 +32,29 @@ pub(super) async fn list(
     Ok(axum::Json(paging.list(rows, |row| row.id.clone(), QuarantineView::from)))
 }
 
+/// Bytes of a body that is told of at once, beside others.
+const MOST_SMALL_BYTES: u64 = 1 << 20;
+
 /// Tells one entry, with its body as it came.
 #[utoipa::path(get, path = "/v1/quarantine/{id}", tag = "quarantine", params(("id" = String, Path)),
     responses((status = 200, body = QuarantineDetail)))]
 pub(super) async fn get(
     State(state): State<AppState>,
     PathId(id): PathId<String>,
-) -> Result<axum::Json<QuarantineDetail>, Problem> {
+) -> Result<Response, Problem> {
+    // A body may be the largest there is, and whoever reads it may be slow.
+    let turn = state.exports.turn(Size::Large).await?;
     let found = state.store.quarantine_entry(&id).await?;
     let found = found.ok_or_else(|| Problem::not_found("quarantine entry", &id))?;
-    Ok(axum::Json(found.into()))
+    if found.0.size <= MOST_SMALL_BYTES {
+        let turn = state.exports.suited(turn, Size::Small);
+        return Ok(export::held(axum::Json(QuarantineDetail::from(found)).into_response(), turn));
+    }
+    // Off the threads that serve connections: it takes as long as hundreds of posts.
+    let written = tokio::task::spawn_blocking(move || serde_json::to_vec(&QuarantineDetail::from(found)));
+    let written = written.await.map_err(|error| Problem::internal(error.to_string()))?;
+    let json = written.map_err(|error| Problem::internal(error.to_string()))?;
+    Ok(export::held(([(header::CONTENT_TYPE, "application/json")], json).into_response(), turn))
 }
 
 /// Settles an entry: discards it, or takes its body (repaired, where one is sent) in again.

@@ -160,12 +160,35 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
         }
         let Some(cycle) = waiting.streams.take_left(&ownership) else { return };
         show(&waiting, &slot, MachineState::Disconnected);
-        if went_elsewhere(&waiting, &slot).await {
+        if went_elsewhere(&waiting, &slot).await && comes_elsewhere(&waiting, &slot.machine, &cycle.id).await {
             tracing::info!(machine = %slot.machine, cycle = %cycle.id, "the machine went on with another server");
             return;
         }
         store_incomplete(&waiting, &slot.machine, cycle).await;
     });
+}
+
+/// Waits whether the whole cycle is stored by the server that its machine went on with, as long as a cycle may last: it may have
+/// begun another one there.
+async fn comes_elsewhere(state: &AppState, machine: &MachineId, id: &CycleId) -> bool {
+    let until = state.clock.moment().plus(Duration::from_millis(state.config.stream.cycle_time_ms));
+    loop {
+        match state.store.cycle(machine, id).await {
+            Ok(Some(_)) => return true,
+            Ok(None) => {}
+            Err(error) => {
+                tracing::warn!(%machine, cycle = %id, %error, "whether a cycle was stored is not known yet");
+            }
+        }
+        if state.clock.moment() >= until {
+            return false;
+        }
+        tokio::select! {
+            () = tokio::time::sleep(state.config.stream.resume()) => {}
+            // As far as anybody knows it is left.
+            () = state.lifecycle.stopping() => return false,
+        }
+    }
 }
 
 async fn release(state: &AppState, slot: &Arc<Slot>, generation: i64) {

@@ -576,6 +576,19 @@ mod tests {
         assert_eq!(make(sync_name).unwrap(), std::fs::metadata(&to).unwrap().len());
     }
 
+    #[test]
+    fn a_file_of_which_a_part_is_in_a_log_is_not_whole() {
+        let dir = tempfile::tempdir().unwrap();
+        let to = dir.path().join("cell.sqlite3");
+        for (log, bytes, is_whole) in [("-wal", 1, false), ("-journal", 1, false), ("-wal", 0, true)] {
+            let mut making = Making::begin(partial(&to), &to).unwrap();
+            std::io::Write::write_all(&mut making.file, &[SQLITE, b"a part"].concat()).unwrap();
+            std::fs::write(beside(&making.path, log), vec![1; bytes]).unwrap();
+            let made = settle(&making.file, &making.path, &to, sync_name);
+            assert_eq!((made.is_ok(), to.exists()), (is_whole, is_whole), "{log}: {made:?}");
+        }
+    }
+
     #[cfg(unix)]
     #[test]
     fn a_file_that_is_being_made_is_its_owner_s_whatever_stands_there() {
