@@ -15,6 +15,7 @@ use axum::extract::State;
 use feedwright_core::friction::whatif::RunFigures;
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::invalid::Violation;
+use feedwright_core::summary::median;
 use feedwright_store::{Page, StoredCycle};
 use http::StatusCode;
 use std::collections::BTreeMap;
@@ -225,9 +226,9 @@ impl Sum {
         }
     }
 
-    pub(super) fn answer(mut self, next: Option<String>) -> ManyAnswer {
-        let (duration_median, duration_largest) = spread(&mut self.duration_errors);
-        let (peak_spindle_median_points, peak_spindle_largest_points) = spread(&mut self.spindle_errors);
+    pub(super) fn answer(self, next: Option<String>) -> ManyAnswer {
+        let (duration_median, duration_largest) = spread(&self.duration_errors);
+        let (peak_spindle_median_points, peak_spindle_largest_points) = spread(&self.spindle_errors);
         ManyAnswer {
             considered: self.considered,
             predicted_cycles: u32::try_from(self.predicted.len()).unwrap_or(u32::MAX),
@@ -248,10 +249,9 @@ impl Sum {
 }
 
 /// Median and largest, where there are any.
-fn spread(values: &mut [f64]) -> (Option<f64>, Option<f64>) {
-    values.sort_by(f64::total_cmp);
-    let at = |index: usize| values.get(index).copied();
-    (at(values.len() / 2), at(values.len().saturating_sub(1)))
+fn spread(values: &[f64]) -> (Option<f64>, Option<f64>) {
+    let middle = (!values.is_empty()).then(|| median(values));
+    (middle, values.iter().copied().reduce(f64::max))
 }
 
 fn total(runs: &[RunFigures], tolerated_s: f64) -> SumBody {
@@ -272,5 +272,18 @@ fn total(runs: &[RunFigures], tolerated_s: f64) -> SumBody {
         overload_s: runs.iter().map(|run| run.overload_s).sum::<f64>() + 0.0,
         alarms,
         alarms_per_thousand: share(f64::from(alarms) * 1000.0, runs.len()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_an_even_number_of_errors_lies_between_the_two_in_the_middle() {
+        assert_eq!(spread(&[]), (None, None));
+        assert_eq!(spread(&[0.5]), (Some(0.5), Some(0.5)));
+        assert_eq!(spread(&[4.0, 1.0, 2.0]), (Some(2.0), Some(4.0)));
+        assert_eq!(spread(&[8.0, 1.0, 3.0, 2.0]), (Some(2.5), Some(8.0)));
     }
 }

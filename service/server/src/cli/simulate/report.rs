@@ -2,6 +2,7 @@
 
 use anyhow::{Context, ensure};
 use serde::Serialize;
+use feedwright_core::summary::median;
 use std::collections::BTreeMap;
 
 /// Counts over machines.
@@ -71,16 +72,15 @@ impl Report {
 
     /// What the tool changes that the server called amount to; `None` where it called none.
     pub(super) fn wear_at_change(&self) -> Option<WearAtChange> {
-        let mut wear = self.wear_at_change.clone();
-        wear.sort_by(f64::total_cmp);
+        let wear = &self.wear_at_change;
         let within = wear.iter().filter(|wear| (**wear - 1.0).abs() <= 0.15).count();
         #[expect(clippy::cast_precision_loss, reason = "a count of tools")]
         let within_15_percent = within as f64 / wear.len().max(1) as f64;
         Some(WearAtChange {
             tools: wear.len(),
-            lowest: *wear.first()?,
-            median: wear[wear.len() / 2],
-            highest: *wear.last()?,
+            lowest: wear.iter().copied().reduce(f64::min)?,
+            median: median(wear),
+            highest: wear.iter().copied().reduce(f64::max)?,
             within_15_percent,
         })
     }
@@ -110,5 +110,19 @@ impl Report {
         let wear_at_change = self.wear_at_change();
         let summary = Summary { report: self, wear_at_change, seconds, cycles_per_second };
         serde_json::to_string_pretty(&summary)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_two_changes_lies_between_them() {
+        let report = Report { wear_at_change: vec![1.2, 0.9], ..Report::default() };
+        let wear = report.wear_at_change().unwrap();
+        assert_eq!((wear.lowest, wear.median, wear.highest), (0.9, f64::midpoint(0.9, 1.2), 1.2));
+        assert!(report.check(0.06).is_ok() && report.check(0.04).is_err());
+        assert_eq!(Report::default().wear_at_change(), None);
     }
 }
