@@ -2,7 +2,7 @@
 
 use super::body::Json;
 use super::compute::{compute, on_thread, room};
-use super::dto::time;
+use super::cursor::{decode, encode};
 use super::dto::what_if::{
     ControlBody, ManyAnswer, ManyQuestion, ProfileChoice, SumBody, SumErrorBody, WhatIfAnswer, WhatIfQuestion,
 };
@@ -16,7 +16,7 @@ use feedwright_core::friction::whatif::RunFigures;
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::invalid::Violation;
 use feedwright_core::summary::median;
-use feedwright_store::{Page, StoredCycle};
+use feedwright_store::{CycleFilter, CycleKey, Page, StoredCycle};
 use http::StatusCode;
 use std::collections::BTreeMap;
 use tokio::sync::SemaphorePermit;
@@ -83,7 +83,6 @@ pub(super) async fn of_many(
         let text = "samples are told of one cycle at a time";
         return Err(Violation::new("question.samples", "not_of_many", text).into());
     }
-    let most = question.most()?;
     let filter = question.filter.to_filter("filter")?;
     if let (Some(operation), Some(profile)) = (&filter.operation, &asked.profile)
         && profile.content.operation() != operation
@@ -92,11 +91,31 @@ pub(super) async fn of_many(
         return Err(Violation::new("question.control.profile.id", "other_operation", text).into());
     }
     let room = room()?;
-    let mut rows = state.store.cycles(&filter, Page { after: None, limit: most + 1 }).await?;
-    let next = rows.get(most as usize).map(|row| time::show(row.cycle.started_at));
-    rows.truncate(most as usize);
+    let (rows, next) = page(&state, &filter, &question).await?;
     let sum = run_all(&state, &room, rows, &asked, idle, question.cycles).await?;
     Ok(axum::Json(sum.answer(next)))
+}
+
+/// The cycles that are looked at, and the cursor that goes on after them where there are more.
+async fn page(
+    state: &AppState,
+    filter: &CycleFilter,
+    question: &ManyQuestion,
+) -> Result<(Vec<StoredCycle>, Option<String>), Problem> {
+    let most = question.most()?;
+    let scope = format!("what-if {filter:?}");
+    let foreign = || {
+        let text = "is not one that was answered to a question with this filter";
+        Violation::new("continue_from", "invalid_cursor", text)
+    };
+    let after = question.continue_from.as_deref();
+    let after = after.map(|cursor| decode::<CycleKey>(&scope, cursor).ok_or_else(foreign)).transpose()?;
+    let mut rows = state.store.cycles(filter, Page { after, limit: most + 1 }).await?;
+    let more = rows.len() > most as usize;
+    rows.truncate(most as usize);
+    let key = |row: &StoredCycle| (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone());
+    let next = rows.last().filter(|_| more).map(|row| encode(&scope, &key(row)));
+    Ok((rows, next))
 }
 
 /// Looks up the stored profile that is asked about, where one is; `at` is the control's own path.
