@@ -1,8 +1,9 @@
 //! What became of a simulated shift.
 
+use crate::replay::refusals::Refusals;
 use anyhow::{Context, ensure};
-use serde::Serialize;
 use feedwright_core::summary::median;
+use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Counts over machines.
@@ -24,6 +25,9 @@ pub(super) struct Report {
     /// Wear over the limit's at each change for wear: 1 is +10 % at constant feed.
     #[serde(skip)]
     pub(super) wear_at_change: Vec<f64>,
+    /// Cycles that were to be taken and were not.
+    #[serde(skip)]
+    pub(super) refusals: Refusals,
 }
 
 /// Wear over the limit's at the tool changes that the server called: 1 is +10 % at constant feed.
@@ -52,6 +56,17 @@ impl Report {
         *self.outcomes.entry(outcome.into()).or_insert(0) += 1;
     }
 
+    /// Counts a cycle that was to be taken and was not.
+    pub(super) fn refuse(&mut self, outcome: &str, said: &str) {
+        self.count(outcome);
+        self.refusals.count(said);
+    }
+
+    /// Posts that were answered, also of bodies that were broken on purpose.
+    pub(super) fn posts(&self) -> u64 {
+        self.outcomes.values().sum()
+    }
+
     pub(super) fn plus(mut self, other: Self) -> Self {
         self.machines += other.machines;
         self.cycles += other.cycles;
@@ -67,6 +82,7 @@ impl Report {
             *self.tool_changes.entry(why).or_insert(0) += count;
         }
         self.wear_at_change.extend(other.wear_at_change);
+        self.refusals = self.refusals.plus(&other.refusals);
         self
     }
 
