@@ -22,6 +22,10 @@ import pyarrow.parquet
 # To the bit: what pandas 3 does by itself has to be asked of older ones.
 EXACT = {} if int(pd.__version__.split(".")[0]) >= 3 else {"float_precision": "round_trip"}
 JSON, CSV = "application/json", "text/csv"
+# As docs/reading.md says: an id of digits is no number, and NA is one like any other.
+TEXTS = ["machine", "cycle_machine", "cycle_id", "tool", "operation", "process", "strategy", "law_version", "profile_id",
+         "recommendation_id", "outcome", "energy_best_basis", "flags", "measure", "unit", "basis", "idle_power"]
+AS_IT_IS = {"dtype": dict.fromkeys(TEXTS, str), "keep_default_na": False, "na_values": [""]}
 ARROW, PARQUET = "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"
 
 
@@ -61,7 +65,7 @@ def frames(server, path):
     read = {}
     kind, body = server.ask(path, CSV)
     assert kind == CSV, kind
-    read["csv"] = pd.read_csv(io.BytesIO(body), **EXACT)
+    read["csv"] = pd.read_csv(io.BytesIO(body), **AS_IT_IS, **EXACT)
     kind, body = server.ask(path, ARROW)
     assert kind == ARROW, kind
     read["arrow"] = pa.ipc.open_stream(body).read_all()
@@ -90,7 +94,26 @@ def same(read, time):
             if field.type == pa.float64():
                 values = zip(frame[field.name], other[field.name].astype(float))
                 assert all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in values), (name, field.name)
+            if field.type == pa.string():
+                texts = [None if pd.isna(text) else text for text in other[field.name]]
+                assert texts == table[field.name].to_pylist(), (name, field.name, texts)
     return table
+
+
+def texts_come_as_they_are(server, machine):
+    """Ids and texts that a reader of CSV takes for a number, a truth, a formula or nothing."""
+    server.ask("/v1/machines/NA", body=machine, method="PUT")
+    texts = {"NA": "=1+1", "null": "+5", "nan": "-x", "007": "@a", "1e5": "1.10", "True": "NA", "None": "007", "inf": "1"}
+    for number, (odd, law) in enumerate(texts.items()):
+        server.ask("/v1/machines/NA/cycles", method="POST", body={
+            "cycle_id": odd, "tool": "007", "operation": "null", "started_at": f"2026-05-05T00:00:{number:02}Z",
+            "law_version": law, "reported": {"duration_ms": 1000}})
+    rows = same(frames(server, "/v1/summaries?machine=NA"), "started_at")
+    assert dict(zip(rows["cycle_id"].to_pylist(), rows["law_version"].to_pylist())) == texts
+    assert set(rows["tool"].to_pylist()) == {"007"} and set(rows["operation"].to_pylist()) == {"null"}
+    range_ = "from=2026-05-05T00:00:00Z&to=2026-05-05T01:00:00Z&bucket=1h"
+    series = same(frames(server, f"/v1/series?by=tool&measures=duration_ms&{range_}"), "time")
+    assert series["tool"].to_pylist() == ["007"], series
 
 
 def main():
@@ -98,12 +121,13 @@ def main():
     server = Server(sys.argv[1], folder)
     try:
         put = lambda path, body: server.ask(path, body=body, method="PUT")
-        put("/v1/machines/M1", {
+        machine = {
             "name": "Mill", "control": "sinumerik-840d", "ipo_period_ms": 10,
             "spindle": {"reference": "rated_power", "rated_power_watts": 7000},
             "feed_drive": {"reference": "unknown"},
             "limits": {"feed_min_mm_min": 1, "feed_max_mm_min": 5000, "override_min_percent": 5,
-                       "override_max_percent": 200}})
+                       "override_max_percent": 200}}
+        put("/v1/machines/M1", machine)
         put("/v1/tools/T1", {"name": "drill", "tool_type": "fd"})
         put("/v1/operations/O1", {"name": "bush", "process": "friction", "programmed_feed_mm_min": 140})
         loads = {}
@@ -138,6 +162,7 @@ def main():
                               "mean": hours.mean()}.items():
             for ours, theirs in zip(buckets[name].dropna(), figures.dropna()):
                 assert math.isclose(ours, theirs, rel_tol=1e-12), (name, ours, theirs)
+        texts_come_as_they_are(server, machine)
         try:
             server.ask("/v1/summaries", "text/html")
             raise AssertionError("text/html was answered")

@@ -12,8 +12,8 @@ pub use course::energy_course;
 pub(crate) use digest::relation_config;
 pub use digest::{DIGEST_DEPTH_MM, DepthDigest, MOST_DIGEST_BINS, MOST_DIGEST_BYTES, way_in_contact};
 pub use energy::{Energy, EnergyBasis, IdlePower, MOST_JOULES};
-pub use loads::{Peak, PeakShift};
-pub(crate) use loads::{median, median_in_place};
+pub(crate) use loads::median_in_place;
+pub use loads::{Peak, PeakShift, median};
 
 use crate::cycle::{Channel, Cycle, Flag, Flags, Outcome, Samples, TimeBase};
 use crate::machine::{Calibration, Machine};

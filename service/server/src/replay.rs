@@ -15,6 +15,7 @@ pub mod plan;
 pub mod progress;
 pub mod quantity;
 pub mod recordings;
+pub mod refusals;
 pub mod registration;
 pub mod report;
 pub mod run;
@@ -47,6 +48,18 @@ pub enum ReplayError {
         path: String,
         /// What is wrong.
         message: String,
+    },
+    /// Cycles were refused or put into quarantine.
+    #[error("{refused} of {posted} cycles were refused, {alike} of them as this one: {first}")]
+    NotTaken {
+        /// How many were not taken.
+        refused: u64,
+        /// How many were posted.
+        posted: u64,
+        /// How many of the refused had the commonest reason.
+        alike: u64,
+        /// What was said of the first of those.
+        first: String,
     },
     /// The service refuses in a way that every further cycle would meet too.
     #[error("{method} {path}: {status} {detail}")]

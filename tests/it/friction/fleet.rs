@@ -167,6 +167,53 @@ async fn broken_tools_are_noticed_and_thicker_sheets_are_no_wear() {
 }
 
 #[tokio::test]
+async fn a_shop_whose_cycles_are_refused_ends_in_an_error() {
+    let shop = Shop::open().await;
+    simulated(&shop, &["--machines", "2", "--cycles", "10", "--seed", "1"]).await;
+    // The same ids with other contents.
+    let other = simulate(&shop, &["--machines", "2", "--cycles", "10", "--seed", "2"]).await;
+    let told = String::from_utf8_lossy(&other.stderr);
+    assert!(!other.status.success(), "{told}");
+    assert!(told.contains("20 of 20 cycles were refused") && told.contains("cycle_conflict"), "{told}");
+    let report: Value = serde_json::from_slice(&other.stdout).unwrap();
+    assert_eq!(count(&report, "outcomes", "quarantined"), 20, "what became of them is printed all the same");
+}
+
+/// The tokens that simulated machines were given, by name.
+async fn tokens(shop: &Shop) -> Vec<Value> {
+    let answer = shop.get("/v1/tokens?limit=1000").await;
+    assert_eq!(answer.status, 200, "{}", answer.text);
+    let named = |token: &&Value| token["name"].as_str().is_some_and(|name| name.starts_with("simulation of"));
+    answer.body["items"].as_array().unwrap().iter().filter(named).cloned().collect()
+}
+
+/// Revokes a simulated machine's token as soon as it has one.
+async fn revoke(shop: &Shop, name: &str) {
+    for _ in 0..10_000 {
+        if let Some(token) = tokens(shop).await.iter().find(|token| token["name"] == name) {
+            let path = format!("/v1/tokens/{}", token["id"].as_str().unwrap());
+            let answer = shop.send(shop.client.delete(shop.url(&path))).await;
+            assert_eq!(answer.status, 200, "{}", answer.text);
+            return;
+        }
+    }
+    panic!("{name} was never made");
+}
+
+#[tokio::test]
+async fn where_one_machine_fails_no_token_of_the_others_stays_behind() {
+    let shop = Shop::open().await;
+    // Without its token the second machine wears its tool out unheard, and cannot ask what to run with the next.
+    let arguments = ["--machines", "2", "--cycles", "20000", "--life", "20"];
+    let (output, ()) = tokio::join!(simulate(&shop, &arguments), revoke(&shop, "simulation of sim-2"));
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && told.contains("sim-2 stops"), "{told}");
+    let tokens = tokens(&shop).await;
+    assert_eq!(tokens.len(), 2, "{tokens:?}");
+    assert!(tokens.iter().all(|token| token["revoked_at"].is_string()), "{tokens:?}");
+}
+
+#[tokio::test]
 async fn a_rate_is_kept() {
     let shop = Shop::open().await;
     let began = std::time::Instant::now();

@@ -115,13 +115,51 @@ async fn over_many_cycles_a_limit_is_tried_before_it_is_rolled_out() {
         assert_eq!(none.body[run]["overload_s"].to_string(), "0.0");
     }
     assert_eq!(none.body["model_error"]["duration_median"], json!(null));
-    // Bounded, and it says where to go on.
+    // Bounded, and it says so.
     let some = shop.post("/v1/what-if", &json!({"filter": {"machine": "F1"}, "most_cycles": 4})).await;
     assert_eq!((&some.body["considered"], &some.body["complete"]), (&json!(4), &json!(false)));
-    assert_eq!(some.body["continue_from"], at(5));
+    assert!(some.body["continue_from"].is_string(), "{}", some.text);
     assert_eq!(some.body["cycles"], Value::Null);
     let none = shop.post("/v1/what-if", &json!({"filter": {"machine": "nobody"}})).await;
     assert_eq!((none.status, &none.body["considered"]), (200, &json!(0)));
+}
+
+#[tokio::test]
+async fn a_question_goes_on_behind_the_last_cycle_also_among_those_of_one_time() {
+    let shop = shop_with_history().await;
+    let paper = PaperStrategies::new().unwrap();
+    for number in [10, 11] {
+        let mut cycle = drilled(number, &paper.adaptive, "f_ac", false);
+        cycle["started_at"] = json!(at(9));
+        let answer = shop.cycle("F1", &cycle).await;
+        assert_eq!(answer.status, 201, "{}", answer.text);
+    }
+    let mut ask = json!({"filter": {"machine": "F1"}, "most_cycles": 2, "cycles": true});
+    let mut seen = Vec::new();
+    for _ in 0..6 {
+        let page = shop.post("/v1/what-if", &ask).await;
+        assert_eq!(page.status, 200, "{}", page.text);
+        let cycles = page.body["cycles"].as_array().unwrap();
+        seen.extend(cycles.iter().map(|cycle| cycle["cycle_id"].as_str().unwrap().to_owned()));
+        assert_eq!(page.body["complete"], page.body["continue_from"].is_null(), "{}", page.text);
+        ask["continue_from"] = page.body["continue_from"].clone();
+    }
+    assert_eq!(seen, ["c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8", "c10", "c11", "c9"]);
+    assert_eq!(ask["continue_from"], Value::Null, "the last page is told as such");
+    // It belongs to its filter.
+    let first = shop.post("/v1/what-if", &json!({"filter": {"machine": "F1"}, "most_cycles": 2})).await;
+    for (filter, from) in
+        [(json!({}), first.body["continue_from"].clone()), (json!({"machine": "F1"}), json!(at(5)))]
+    {
+        let refused = shop.post("/v1/what-if", &json!({"filter": filter, "continue_from": from})).await;
+        assert_eq!(
+            (refused.status, &refused.body["code"]),
+            (422, &json!("invalid_cursor")),
+            "{}",
+            refused.text
+        );
+        assert_eq!(refused.body["errors"][0]["path"], "continue_from");
+    }
 }
 
 #[tokio::test]

@@ -238,3 +238,21 @@ fn the_description_of_the_api_is_printed() {
     let printed = succeed(feedwright(&dir, &["openapi"]).output().unwrap());
     assert_eq!(printed, feedwright_server::http::openapi::json().unwrap());
 }
+
+#[test]
+fn a_demo_that_ends_fails_where_its_cycles_were_refused() {
+    let dir = TempDir::new().unwrap();
+    let data = dir.path().join("demo");
+    let demo = || {
+        let mut command = Command::new(binary());
+        command.args(["demo", "--exit", "--port", "0", "--recording", "michigan-smart", "--dir"]).arg(&data);
+        command.output().unwrap()
+    };
+    succeed(demo());
+    // Without its shift the recording is another one under the same ids.
+    std::fs::remove_file(data.join("replay-michigan-smart.json")).unwrap();
+    let refused = demo();
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success(), "{said}");
+    assert!(said.contains("47 of 47 cycles were refused") && said.contains("cycle_conflict"), "{said}");
+}

@@ -9,6 +9,7 @@ use tower::ServiceExt;
 
 crate::engines::on_both!(
     samples_come_chosen_in_a_range_and_few_enough_for_a_screen,
+    a_bound_takes_the_sample_whose_time_is_the_same_number_but_for_rounding,
     samples_come_in_the_form_that_is_accepted,
     a_range_without_samples_is_an_empty_table,
     cycles_of_one_moment_stand_in_the_order_of_the_machines_count,
@@ -89,6 +90,24 @@ async fn samples_come_chosen_in_a_range_and_few_enough_for_a_screen() {
         rows["items"][1],
         json!({"time": "2026-05-04T05:00:00.520000Z", "time_ms": 20.0, "depth_mm": 0.01, "spindle_load_percent": 20.0})
     );
+}
+
+async fn a_bound_takes_the_sample_whose_time_is_the_same_number_but_for_rounding() {
+    let app = shop().await;
+    let samples = json!({"period_ms": 1.1, "spindle_load_percent": [20.0, 21.0, 22.0, 23.0]});
+    post(
+        &app,
+        json!({"cycle_id": "s1", "tool": "T1", "operation": "O1",
+        "started_at": "2026-05-04T05:00:00.5Z", "samples": samples}),
+    )
+    .await;
+    // Three times 1.1 is 3.3000000000000003.
+    for range in ["from_ms=3.3&to_ms=3.3", "from_ms=2.21&to_ms=3.3", "from_ms=3.3&to_ms=4.39"] {
+        let one = app.get(&format!("{SAMPLES}?{range}")).await.json();
+        assert_eq!(one["spindle_load_percent"], json!([22.0]), "{range}");
+    }
+    let beside = app.get(&format!("{SAMPLES}?from_ms=3.30000001&to_ms=4.39999999")).await.json();
+    assert_eq!(beside["spindle_load_percent"], json!([]), "what is another number is none of it");
 }
 
 async fn samples_come_in_the_form_that_is_accepted() {

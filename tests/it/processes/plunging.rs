@@ -62,6 +62,19 @@ async fn savings_follow_the_paper_and_recorded_cycles_show_the_real_ones() {
     }
     let answer = shop.get("/v1/plunge/recorded?operation=P1").await;
     assert!((answer.body["saved_s"].as_f64().unwrap() - 1.7).abs() < 1e-9, "{}", answer.text);
+    assert_eq!(answer.body["complete"], true);
+    // Of some only, it is the newest that are looked at.
+    let newest = shop.get("/v1/plunge/recorded?operation=P1&most_cycles=3").await.body;
+    assert_eq!(
+        (&newest["complete"], &newest["with_control"]["cycles"]),
+        (&json!(false), &json!(2)),
+        "{newest}"
+    );
+    assert!((newest["saved_s"].as_f64().unwrap() - 1.8).abs() < 1e-9, "8.2 s without, 6.4 s with: {newest}");
+    let all = shop.get("/v1/plunge/recorded?operation=P1&most_cycles=4").await;
+    assert_eq!(all.text, answer.text);
+    let none = shop.get("/v1/plunge/recorded?operation=P1&most_cycles=0").await;
+    assert_eq!((none.status, &none.body["errors"][0]["path"]), (422, &json!("most_cycles")), "{}", none.text);
     assert_eq!(shop.get("/v1/plunge/recorded?operation=P9").await.status, 404);
     // Of one that stopped half-way the length says nothing, whoever stopped it.
     for (number, outcome) in [(5, "completed"), (6, "aborted")] {

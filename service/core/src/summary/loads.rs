@@ -55,8 +55,11 @@ fn first_largest(values: &[f64]) -> Option<usize> {
 /// Values that are sorted without asking for memory: as many as a window of wear holds.
 const FEW: usize = 64;
 
-/// Median; the mean of the two middle values where their number is even. `values` must not be empty.
-pub(crate) fn median(values: &[f64]) -> f64 {
+/// Median; the mean of the two middle values where their number is even.
+///
+/// # Panics
+/// Where `values` is empty.
+pub fn median(values: &[f64]) -> f64 {
     if values.len() > FEW {
         return median_in_place(&mut values.to_vec());
     }

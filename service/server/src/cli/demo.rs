@@ -9,6 +9,7 @@ use crate::replay::client::Client;
 use crate::replay::fleet::MachineTokens;
 use crate::replay::progress::Progress;
 use crate::replay::recordings::{embedded, read_embedded};
+use crate::replay::refusals::Refusals;
 use crate::replay::run::{Options, run as post};
 use crate::replay::{Start, report, shift};
 use crate::server::{RunningServer, Server, StartError};
@@ -121,6 +122,7 @@ async fn fresh_token(store: &Arc<dyn Store>) -> anyhow::Result<SecretString> {
 /// Replays over HTTP, as from outside, and says what came of it.
 async fn tell(arguments: &Arguments, address: &str, token: SecretString) -> anyhow::Result<()> {
     let client = Client::new(address, Some(token.clone()), PATIENCE)?;
+    let (mut posted, mut refusals) = (0, Refusals::default());
     let names = if arguments.recording.is_empty() { embedded() } else { arguments.recording.clone() };
     for name in names {
         let plan = read_embedded(&name, None)?;
@@ -131,6 +133,8 @@ async fn tell(arguments: &Arguments, address: &str, token: SecretString) -> anyh
         let options = Options { shift_us, speed: None, batch: 1 };
         let mut progress = Progress::for_cycles(plan.cycles.len());
         let outcome = post(&plan, &client, MachineTokens::Make, options, &mut progress).await?;
+        posted += outcome.posted() as u64;
+        refusals = refusals.plus(&outcome.refusals);
         print(&report::summary(&plan, &outcome))?;
         print(&report::tools(&plan, &client).await?)?;
         print("\n")?;
@@ -140,8 +144,9 @@ async fn tell(arguments: &Arguments, address: &str, token: SecretString) -> anyh
         "Open {address}/docs for the API. This token may do everything here, until the demo is started again:\n\n    \
          {token}\n\n    curl -H 'Authorization: Bearer {token}' {address}/v1/tools/vicomtech-14/wear\n\n"
     ))?;
-    if !arguments.exit {
-        print("The service stays up; Ctrl-C ends it.\n")?;
+    if arguments.exit {
+        // Nobody stays to read what was said.
+        return Ok(refusals.check(posted)?);
     }
-    Ok(())
+    print("The service stays up; Ctrl-C ends it.\n")
 }

@@ -17,11 +17,12 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use feedwright_core::friction::twin::PaperStrategies;
 use feedwright_core::units::{Strategy, Timestamp};
-use futures_util::future::try_join_all;
+use futures_util::future::join_all;
 use machine::{Clients, Plan, SimulatedMachine};
 use report::Report;
 use secrecy::SecretString;
 use std::time::{Duration, Instant};
+use tokio_util::sync::CancellationToken;
 
 /// Most machines: each holds a connection, and a server has 512 unless configured.
 const MOST_MACHINES: u32 = 200;
@@ -101,14 +102,12 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
         None => crate::clock::Clock::system().now(),
     };
     let begin = until.plus_millis(-CADENCE_MS * i64::from(arguments.cycles - 1));
+    let plans = (1..=arguments.machines).map(|number| plan(&arguments, number, begin));
+    let plans = plans.collect::<anyhow::Result<Vec<Plan>>>()?;
     let begun = Instant::now();
-    let machines = (1..=arguments.machines).map(|number| {
-        let (office, plan) = (office.clone(), plan(&arguments, number, begin));
-        async move { drive(office, plan?).await }
-    });
-    let reports = try_join_all(machines).await?;
-    let report = reports.into_iter().fold(Report::default(), Report::plus);
+    let report = drive_all(&office, plans).await?;
     print(&format!("{}\n", report.json(begun.elapsed().as_secs_f64())?))?;
+    report.refusals.check(report.posts())?;
     arguments.tolerance.map_or(Ok(()), |tolerance| report.check(tolerance))
 }
 
@@ -139,15 +138,34 @@ fn plan(arguments: &Arguments, number: u32, begin: Timestamp) -> anyhow::Result<
     })
 }
 
-/// One machine's shift, with a token of its own that is revoked at its end.
-async fn drive(office: Client, plan: Plan) -> anyhow::Result<Report> {
+/// All machines side by side. Where one fails the others stop, and end as they do otherwise: a token that is left behind
+/// is one that nobody knows of.
+async fn drive_all(office: &Client, plans: Vec<Plan>) -> anyhow::Result<Report> {
+    let stop = CancellationToken::new();
+    let machines = plans.into_iter().map(|plan| async {
+        let report = drive(office.clone(), plan, &stop).await;
+        if report.is_err() {
+            stop.cancel();
+        }
+        report
+    });
+    let reports = join_all(machines).await.into_iter().collect::<anyhow::Result<Vec<Report>>>()?;
+    Ok(reports.into_iter().fold(Report::default(), Report::plus))
+}
+
+/// One machine's shift until it ends or is told to stop, with a token of its own that is revoked at its end.
+async fn drive(office: Client, plan: Plan, stop: &CancellationToken) -> anyhow::Result<Report> {
     let name = plan.name();
     let machine = SimulatedMachine::new(plan)?;
     machine.register(&office).await.with_context(|| format!("cannot register {name}"))?;
     let shop = Clients::enlist(office, &name).await?;
-    let report = shift(machine, &shop).await.with_context(|| format!("{name} stops"));
-    shop.dismiss().await?;
-    report
+    let report = tokio::select! {
+        report = shift(machine, &shop) => report.with_context(|| format!("{name} stops")),
+        () = stop.cancelled() => Ok(Report::default()),
+    };
+    let dismissed = shop.dismiss().await;
+    let report = report?;
+    dismissed.map(|()| report)
 }
 
 async fn shift(mut machine: SimulatedMachine, shop: &Clients) -> anyhow::Result<Report> {

@@ -3,12 +3,12 @@
 use super::body::Json;
 use super::dto::mirror::{To, WarningBody};
 use super::dto::plunge::{
-    PartSavingBody, PlungeFeedAnswer, PlungeFeedQuestion, PlungeSavingQuestion, Plunges, RecordedSavingBody,
-    RecordedTimesBody,
+    PartSavingBody, PlungeFeedAnswer, PlungeFeedQuestion, PlungeSavingQuestion, Plunges, RecordedQuery,
+    RecordedSavingBody, RecordedTimesBody,
 };
 use super::extract::Query;
 use super::library::material;
-use super::problem::Problem;
+use super::problem::{Problem, ProblemDocument};
 use crate::state::AppState;
 use axum::extract::State;
 use feedwright_core::cycle::Extent;
@@ -17,12 +17,7 @@ use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::plunge::{part_saving, plunge_feeds};
 use feedwright_core::units::Process;
-use feedwright_store::{CycleFilter, Page};
-use serde::Deserialize;
-use utoipa::IntoParams;
-
-/// Most recorded cycles that one answer looks at, the oldest first: a year of one operation on one machine.
-const MAX_RECORDED: u32 = 10_000;
+use feedwright_store::{CycleFilter, StoredCycle};
 
 fn whole(error: FieldError) -> Problem {
     super::dto::mirror::violation("", error).into()
@@ -55,40 +50,50 @@ pub(super) async fn saving(
     Ok(axum::Json(part_saving(&question.holes()?).map_err(whole)?.to()))
 }
 
-/// Which operation's cycles to compare.
-#[derive(Debug, Deserialize, IntoParams)]
-#[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-pub(super) struct RecordedQuery {
-    /// The operation.
-    operation: String,
-}
-
 /// The real saving: lengths of an operation's completed cycles tagged `plunge` against those tagged `drilling`.
 ///
-/// Looks at the first 10 000 cycles of the operation. A cycle without a tag counts as what its operation is.
+/// Looks at the newest cycles of the operation, 10 000 at the most; `complete` tells whether that is all of them. A cycle
+/// without a tag counts as what its operation is.
 #[utoipa::path(get, path = "/v1/plunge/recorded", tag = "plunge", params(RecordedQuery),
-    responses((status = 200, body = RecordedSavingBody)))]
+    responses((status = 200, body = RecordedSavingBody),
+        (status = 404, description = "There is no such operation", body = ProblemDocument<'static>),
+        (status = 422, description = "A parameter that is not accepted", body = ProblemDocument<'static>)))]
 pub(super) async fn recorded(
     State(state): State<AppState>,
     Query(query): Query<RecordedQuery>,
 ) -> Result<axum::Json<RecordedSavingBody>, Problem> {
+    let most = query.most()?;
     let id =
         OperationId::parse("operation", &query.operation).map_err(|bad: Violation| Problem::from(bad))?;
     let operation = state.store.operation(&id).await?;
     let operation = operation.ok_or_else(|| Problem::not_found("operation", id.as_str()))?.value;
     let filter = CycleFilter { operation: Some(id), ..CycleFilter::default() };
-    let rows = state.store.cycles(&filter, Page { after: None, limit: MAX_RECORDED }).await?;
+    let rows = state.store.last_cycles(&filter, most + 1).await?;
+    // The one too many is the oldest.
+    let older = rows.len().saturating_sub(most as usize);
+    let (with, without) = lengths(&rows[older..], operation.process);
+    let (with_control, without_control) = (RecordedTimesBody::of(&with), RecordedTimesBody::of(&without));
+    let saved_s = without_control.median_s.zip(with_control.median_s).map(|(without, with)| without - with);
+    let complete = older == 0;
+    Ok(axum::Json(RecordedSavingBody {
+        operation: query.operation,
+        complete,
+        with_control,
+        without_control,
+        saved_s,
+    }))
+}
+
+/// Lengths of whole cycles with control and without, ms.
+fn lengths(rows: &[StoredCycle], usual: Process) -> (Vec<f64>, Vec<f64>) {
     let (mut with, mut without) = (Vec::new(), Vec::new());
     for row in rows.iter().filter(|row| Extent::of(row.cycle.outcome, row.summary.flags) == Extent::Whole) {
-        let lengths = match row.cycle.process.unwrap_or(operation.process) {
+        let lengths = match row.cycle.process.unwrap_or(usual) {
             Process::Plunge => &mut with,
             Process::Drilling => &mut without,
             _ => continue,
         };
         lengths.extend(row.summary.duration_ms);
     }
-    let (with_control, without_control) = (RecordedTimesBody::of(with), RecordedTimesBody::of(without));
-    let saved_s = without_control.median_s.zip(with_control.median_s).map(|(without, with)| without - with);
-    Ok(axum::Json(RecordedSavingBody { operation: query.operation, with_control, without_control, saved_s }))
+    (with, without)
 }

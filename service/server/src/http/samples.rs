@@ -24,6 +24,9 @@ use utoipa::IntoParams;
 /// The same address answers in several forms.
 const VARIES: [(HeaderName, HeaderValue); 1] = [(header::VARY, HeaderValue::from_static("accept"))];
 
+/// Times that differ by no more than this share are the same number: a sample's time is its number times the period, rounded.
+const ROUNDING: f64 = 1e-12;
+
 /// Which samples of a cycle.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -31,7 +34,8 @@ const VARIES: [(HeaderName, HeaderValue); 1] = [(header::VARY, HeaderValue::from
 pub(super) struct SamplesQuery {
     /// Channels, separated by commas, as in `depth_mm,spindle_load_percent`; all where it is left out.
     channels: Option<String>,
-    /// Not before this time since the start of the cycle, ms.
+    /// Not before this time since the start of the cycle, ms; a bound of time takes a sample whose time is the same number
+    /// but for rounding.
     from_ms: Option<f64>,
     /// Not after this time, ms.
     to_ms: Option<f64>,
@@ -253,13 +257,10 @@ impl Wanted {
             let path = if self.depth_mm.0.is_some() { "from_depth_mm" } else { "to_depth_mm" };
             return Err(Violation::new(path, "channel_not_sampled", message).into());
         }
-        let within = |(from, to): (Option<f64>, Option<f64>), value: f64| {
-            from.is_none_or(|from| value >= from) && to.is_none_or(|to| value <= to)
-        };
         let mut rows: Vec<usize> = (0..samples.len())
             .filter(|&at| {
-                within(self.time_ms, samples.time_ms(at))
-                    && depth.is_none_or(|depth| within(self.depth_mm, depth[at]))
+                within(self.time_ms, ROUNDING, samples.time_ms(at))
+                    && depth.is_none_or(|depth| within(self.depth_mm, 0.0, depth[at]))
             })
             .collect();
         if let Some(points) = self.points {
@@ -283,6 +284,12 @@ impl Wanted {
         }
         Ok(Selected { channels, rows, whole: self.is_whole() })
     }
+}
+
+/// Whether a value lies in a range, ends included; a bound reaches as far as a share of itself beyond it.
+fn within((from, to): (Option<f64>, Option<f64>), share: f64, value: f64) -> bool {
+    from.is_none_or(|from| value >= from - share * from.abs())
+        && to.is_none_or(|to| value <= to + share * to.abs())
 }
 
 /// What is answered: places in the samples.

@@ -2,7 +2,7 @@
 
 use super::body::Json;
 use super::compute::{compute, on_thread, room};
-use super::dto::time;
+use super::cursor::{decode, encode};
 use super::dto::what_if::{
     ControlBody, ManyAnswer, ManyQuestion, ProfileChoice, SumBody, SumErrorBody, WhatIfAnswer, WhatIfQuestion,
 };
@@ -15,7 +15,8 @@ use axum::extract::State;
 use feedwright_core::friction::whatif::RunFigures;
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::invalid::Violation;
-use feedwright_store::{Page, StoredCycle};
+use feedwright_core::summary::median;
+use feedwright_store::{CycleFilter, CycleKey, Page, StoredCycle};
 use http::StatusCode;
 use std::collections::BTreeMap;
 use tokio::sync::SemaphorePermit;
@@ -82,7 +83,6 @@ pub(super) async fn of_many(
         let text = "samples are told of one cycle at a time";
         return Err(Violation::new("question.samples", "not_of_many", text).into());
     }
-    let most = question.most()?;
     let filter = question.filter.to_filter("filter")?;
     if let (Some(operation), Some(profile)) = (&filter.operation, &asked.profile)
         && profile.content.operation() != operation
@@ -91,11 +91,31 @@ pub(super) async fn of_many(
         return Err(Violation::new("question.control.profile.id", "other_operation", text).into());
     }
     let room = room()?;
-    let mut rows = state.store.cycles(&filter, Page { after: None, limit: most + 1 }).await?;
-    let next = rows.get(most as usize).map(|row| time::show(row.cycle.started_at));
-    rows.truncate(most as usize);
+    let (rows, next) = page(&state, &filter, &question).await?;
     let sum = run_all(&state, &room, rows, &asked, idle, question.cycles).await?;
     Ok(axum::Json(sum.answer(next)))
+}
+
+/// The cycles that are looked at, and the cursor that goes on after them where there are more.
+async fn page(
+    state: &AppState,
+    filter: &CycleFilter,
+    question: &ManyQuestion,
+) -> Result<(Vec<StoredCycle>, Option<String>), Problem> {
+    let most = question.most()?;
+    let scope = format!("what-if {filter:?}");
+    let foreign = || {
+        let text = "is not one that was answered to a question with this filter";
+        Violation::new("continue_from", "invalid_cursor", text)
+    };
+    let after = question.continue_from.as_deref();
+    let after = after.map(|cursor| decode::<CycleKey>(&scope, cursor).ok_or_else(foreign)).transpose()?;
+    let mut rows = state.store.cycles(filter, Page { after, limit: most + 1 }).await?;
+    let more = rows.len() > most as usize;
+    rows.truncate(most as usize);
+    let key = |row: &StoredCycle| (row.cycle.started_at, row.cycle.machine.clone(), row.cycle.id.clone());
+    let next = rows.last().filter(|_| more).map(|row| encode(&scope, &key(row)));
+    Ok((rows, next))
 }
 
 /// Looks up the stored profile that is asked about, where one is; `at` is the control's own path.
@@ -225,9 +245,9 @@ impl Sum {
         }
     }
 
-    pub(super) fn answer(mut self, next: Option<String>) -> ManyAnswer {
-        let (duration_median, duration_largest) = spread(&mut self.duration_errors);
-        let (peak_spindle_median_points, peak_spindle_largest_points) = spread(&mut self.spindle_errors);
+    pub(super) fn answer(self, next: Option<String>) -> ManyAnswer {
+        let (duration_median, duration_largest) = spread(&self.duration_errors);
+        let (peak_spindle_median_points, peak_spindle_largest_points) = spread(&self.spindle_errors);
         ManyAnswer {
             considered: self.considered,
             predicted_cycles: u32::try_from(self.predicted.len()).unwrap_or(u32::MAX),
@@ -248,10 +268,9 @@ impl Sum {
 }
 
 /// Median and largest, where there are any.
-fn spread(values: &mut [f64]) -> (Option<f64>, Option<f64>) {
-    values.sort_by(f64::total_cmp);
-    let at = |index: usize| values.get(index).copied();
-    (at(values.len() / 2), at(values.len().saturating_sub(1)))
+fn spread(values: &[f64]) -> (Option<f64>, Option<f64>) {
+    let middle = (!values.is_empty()).then(|| median(values));
+    (middle, values.iter().copied().reduce(f64::max))
 }
 
 fn total(runs: &[RunFigures], tolerated_s: f64) -> SumBody {
@@ -272,5 +291,18 @@ fn total(runs: &[RunFigures], tolerated_s: f64) -> SumBody {
         overload_s: runs.iter().map(|run| run.overload_s).sum::<f64>() + 0.0,
         alarms,
         alarms_per_thousand: share(f64::from(alarms) * 1000.0, runs.len()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_an_even_number_of_errors_lies_between_the_two_in_the_middle() {
+        assert_eq!(spread(&[]), (None, None));
+        assert_eq!(spread(&[0.5]), (Some(0.5), Some(0.5)));
+        assert_eq!(spread(&[4.0, 1.0, 2.0]), (Some(2.0), Some(4.0)));
+        assert_eq!(spread(&[8.0, 1.0, 3.0, 2.0]), (Some(2.5), Some(8.0)));
     }
 }

@@ -10,6 +10,7 @@ use super::template::{Template, Values, tidy};
 use super::timing::{Placed, Timeline};
 use feedwright_core::cycle::Channel;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
+use feedwright_core::summary::median;
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -209,7 +210,7 @@ impl Reader<'_> {
             None => None,
             Some(rule) => {
                 let speeds = numbers(table, &rule.column, piece, |cell| rule.value(cell))?;
-                Some(median(speeds))
+                Some(median(&speeds))
             }
         };
         let mut channels = Vec::new();
@@ -270,12 +271,6 @@ fn pick(table: &Table, piece: &Piece, rule: &ValueRule) -> Result<String, Replay
         Some(cell) => Ok(cell.clone()),
         None => Ok(tidy(table.cell(&rule.column, piece.rows.start)?)),
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let half = values.len() / 2;
-    if values.len() % 2 == 1 { values[half] } else { f64::midpoint(values[half - 1], values[half]) }
 }
 
 /// A quantity of a registration whose holes are filled first.

@@ -4,6 +4,7 @@ use super::client::{Answer, Client, describe};
 use super::fleet::{Fleet, MachineTokens};
 use super::plan::rfc3339;
 use super::progress::Progress;
+use super::refusals::Refusals;
 use super::{Plan, RecordedCycle, ReplayError};
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
@@ -36,6 +37,8 @@ pub struct Outcome {
     pub refused: usize,
     /// The first problems: the cycle and what was said.
     pub problems: Vec<(String, String)>,
+    /// Cycles that were put into quarantine or refused, by why.
+    pub refusals: Refusals,
     /// How long posting took.
     pub elapsed: Duration,
     /// What was answered to each new cycle that was posted alone, in order.
@@ -66,6 +69,7 @@ impl Outcome {
     }
 
     fn problem(&mut self, cycle: &str, said: String) {
+        self.refusals.count(&said);
         if self.problems.len() < KEPT_PROBLEMS {
             self.problems.push((cycle.to_owned(), said));
         }

@@ -7,7 +7,7 @@ use feedwright_core::friction::relation::FeedSource;
 use feedwright_core::friction::whatif::StoredCycle as CoreCycle;
 use feedwright_core::machine::Calibration;
 use feedwright_core::machine::{LoadReference, Machine};
-use feedwright_core::summary::{Context, way_in_contact};
+use feedwright_core::summary::{Context, median, way_in_contact};
 use feedwright_core::units::Strategy;
 use feedwright_store::CycleMeta;
 use std::f64::consts::TAU;
@@ -260,6 +260,9 @@ fn period_s(samples: &Samples) -> Result<f64, Unusable> {
         TimeBase::Period { period_ms } => Ok(period_ms * 1e-3),
         TimeBase::Stamps { time_ms } => {
             let steps: Vec<f64> = time_ms.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            if steps.is_empty() {
+                return Err(Unusable::UnevenTime);
+            }
             let usual = median(&steps);
             let even = usual > 0.0 && steps.iter().all(|step| (step - usual).abs() <= UNEVEN * usual);
             if even { Ok(usual * 1e-3) } else { Err(Unusable::UnevenTime) }
@@ -295,17 +298,6 @@ fn rated_torque_nm(
     match (rating.rated_power_watts, speed) {
         (Some(watts), Some(speed)) => (Some(watts / (TAU * speed / 60.0)), TorqueSource::Rated),
         _ => (None, TorqueSource::Unknown),
-    }
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let middle = sorted.len() / 2;
-    match sorted.len() {
-        0 => 0.0,
-        n if n.is_multiple_of(2) => f64::midpoint(sorted[middle - 1], sorted[middle]),
-        _ => sorted[middle],
     }
 }
 

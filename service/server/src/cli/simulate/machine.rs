@@ -3,7 +3,7 @@
 use super::fault::Fault;
 use super::report::Report;
 use crate::http::dto::time;
-use crate::replay::client::{Answer, Client};
+use crate::replay::client::{Answer, Client, describe};
 use anyhow::{Context, bail};
 use feedwright_core::friction::noise::Noise;
 use feedwright_core::friction::program::Strategy;
@@ -230,11 +230,11 @@ impl SimulatedMachine {
                 self.post(shop, body.replace(name, &format!("{name}NaN,")), report).await.map(drop)
             }
             Some(Fault::Duplicate) => {
-                self.post(shop, body.clone(), report).await?;
-                self.post(shop, body, report).await.map(drop)
+                self.deliver(shop, body.clone(), report).await?;
+                self.deliver(shop, body, report).await.map(drop)
             }
             _ => {
-                let answer = self.post(shop, body, report).await?.json();
+                let answer = self.deliver(shop, body, report).await?.json();
                 self.heed(&answer["recommendation"]);
                 self.react(shop, &answer["wear"]["state"], report).await
             }
@@ -322,6 +322,15 @@ impl SimulatedMachine {
         .to_string())
     }
 
+    /// Posts a body that is to be taken.
+    async fn deliver(&self, shop: &Clients, body: String, report: &mut Report) -> anyhow::Result<Answer> {
+        let answer = self.post(shop, body, report).await?;
+        if !answer.status.is_success() {
+            report.refusals.count(&answer.problem());
+        }
+        Ok(answer)
+    }
+
     async fn post(&self, shop: &Clients, body: String, report: &mut Report) -> anyhow::Result<Answer> {
         let path = format!("/v1/machines/{}/cycles", self.plan.name());
         let answer = shop.own.text(&path, body).await?;
@@ -340,12 +349,22 @@ impl SimulatedMachine {
         if self.held.is_empty() {
             return Ok(());
         }
-        let body = std::mem::take(&mut self.held).join("\n");
+        let held = std::mem::take(&mut self.held);
         let path = format!("/v1/machines/{}/cycles/batch", self.plan.name());
-        let answer = shop.own.lines(&path, body).await?;
+        let answer = shop.own.lines(&path, held.join("\n")).await?;
+        if !answer.status.is_success() {
+            held.iter().for_each(|_| report.refuse("refused", &answer.problem()));
+            return Ok(());
+        }
         for line in answer.text.lines() {
-            let outcome: Value = serde_json::from_str(line).unwrap_or(Value::Null);
-            report.count(outcome["outcome"].as_str().unwrap_or("refused"));
+            let line: Value = serde_json::from_str(line).unwrap_or(Value::Null);
+            match line["outcome"].as_str() {
+                Some(taken @ ("stored" | "known")) => report.count(taken),
+                other => {
+                    let said = line.get("problem").and_then(describe);
+                    report.refuse(other.unwrap_or("refused"), &said.unwrap_or_else(|| line.to_string()));
+                }
+            }
         }
         Ok(())
     }

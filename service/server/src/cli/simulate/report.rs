@@ -1,6 +1,8 @@
 //! What became of a simulated shift.
 
+use crate::replay::refusals::Refusals;
 use anyhow::{Context, ensure};
+use feedwright_core::summary::median;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -23,6 +25,9 @@ pub(super) struct Report {
     /// Wear over the limit's at each change for wear: 1 is +10 % at constant feed.
     #[serde(skip)]
     pub(super) wear_at_change: Vec<f64>,
+    /// Cycles that were to be taken and were not.
+    #[serde(skip)]
+    pub(super) refusals: Refusals,
 }
 
 /// Wear over the limit's at the tool changes that the server called: 1 is +10 % at constant feed.
@@ -51,6 +56,17 @@ impl Report {
         *self.outcomes.entry(outcome.into()).or_insert(0) += 1;
     }
 
+    /// Counts a cycle that was to be taken and was not.
+    pub(super) fn refuse(&mut self, outcome: &str, said: &str) {
+        self.count(outcome);
+        self.refusals.count(said);
+    }
+
+    /// Posts that were answered, also of bodies that were broken on purpose.
+    pub(super) fn posts(&self) -> u64 {
+        self.outcomes.values().sum()
+    }
+
     pub(super) fn plus(mut self, other: Self) -> Self {
         self.machines += other.machines;
         self.cycles += other.cycles;
@@ -66,21 +82,21 @@ impl Report {
             *self.tool_changes.entry(why).or_insert(0) += count;
         }
         self.wear_at_change.extend(other.wear_at_change);
+        self.refusals = self.refusals.plus(&other.refusals);
         self
     }
 
     /// What the tool changes that the server called amount to; `None` where it called none.
     pub(super) fn wear_at_change(&self) -> Option<WearAtChange> {
-        let mut wear = self.wear_at_change.clone();
-        wear.sort_by(f64::total_cmp);
+        let wear = &self.wear_at_change;
         let within = wear.iter().filter(|wear| (**wear - 1.0).abs() <= 0.15).count();
         #[expect(clippy::cast_precision_loss, reason = "a count of tools")]
         let within_15_percent = within as f64 / wear.len().max(1) as f64;
         Some(WearAtChange {
             tools: wear.len(),
-            lowest: *wear.first()?,
-            median: wear[wear.len() / 2],
-            highest: *wear.last()?,
+            lowest: wear.iter().copied().reduce(f64::min)?,
+            median: median(wear),
+            highest: wear.iter().copied().reduce(f64::max)?,
             within_15_percent,
         })
     }
@@ -110,5 +126,19 @@ impl Report {
         let wear_at_change = self.wear_at_change();
         let summary = Summary { report: self, wear_at_change, seconds, cycles_per_second };
         serde_json::to_string_pretty(&summary)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_two_changes_lies_between_them() {
+        let report = Report { wear_at_change: vec![1.2, 0.9], ..Report::default() };
+        let wear = report.wear_at_change().unwrap();
+        assert_eq!((wear.lowest, wear.median, wear.highest), (0.9, f64::midpoint(0.9, 1.2), 1.2));
+        assert!(report.check(0.06).is_ok() && report.check(0.04).is_err());
+        assert_eq!(Report::default().wear_at_change(), None);
     }
 }

@@ -8,8 +8,9 @@ use feedwright_core::plunge::{
     Drill, DrillInput, Hole, HoleInput, HoleSaving, LoopLatency, LoopLatencyInput, Machine, MachineInput,
     PartSaving, PlungeFeed, PlungeSetup,
 };
+use feedwright_core::summary::median;
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use utoipa::{IntoParams, ToSchema};
 
 mirror! {
     /// A drill of a tool table.
@@ -253,11 +254,39 @@ impl From<PlungeSetup> for PlungeSetupBody {
     }
 }
 
+/// Most recorded cycles that one answer looks at, and as many where no number is named: a year of one operation on one machine.
+pub const MOST_RECORDED: u32 = 10_000;
+
+/// Which operation's cycles to compare.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct RecordedQuery {
+    /// The operation.
+    pub operation: String,
+    /// Most cycles looked at, the newest, 1 to 10 000; as many as that where it is left out.
+    pub most_cycles: Option<u32>,
+}
+
+impl RecordedQuery {
+    /// How many cycles are looked at.
+    pub fn most(&self) -> Result<u32, Violation> {
+        let most = self.most_cycles.unwrap_or(MOST_RECORDED);
+        if (1..=MOST_RECORDED).contains(&most) {
+            return Ok(most);
+        }
+        let text = format!("must be within 1 to {MOST_RECORDED}, is {most}");
+        Err(Violation::new("most_cycles", "out_of_range", text))
+    }
+}
+
 /// Real cycle times of an operation with and without control.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct RecordedSavingBody {
     /// The operation.
     pub operation: String,
+    /// Whether all cycles of the operation were looked at; the newest were where it is false.
+    pub complete: bool,
     /// Cycles tagged `plunge`, which ran with control.
     pub with_control: RecordedTimesBody,
     /// Cycles tagged `drilling`, which ran without.
@@ -277,10 +306,8 @@ pub struct RecordedTimesBody {
 
 impl RecordedTimesBody {
     /// Of those lengths in ms.
-    pub fn of(mut lengths_ms: Vec<f64>) -> Self {
-        lengths_ms.sort_by(f64::total_cmp);
-        let cycles = lengths_ms.len();
-        let middle = lengths_ms.get(cycles.saturating_sub(1) / 2).zip(lengths_ms.get(cycles / 2));
-        Self { cycles, median_s: middle.map(|(low, high)| low.midpoint(*high) / 1000.0) }
+    pub fn of(lengths_ms: &[f64]) -> Self {
+        let median_s = (!lengths_ms.is_empty()).then(|| median(lengths_ms) / 1000.0);
+        Self { cycles: lengths_ms.len(), median_s }
     }
 }

@@ -150,8 +150,10 @@ pub struct IdleBody {
     "question": {"limits": {"spindle_percent": 55}}, "cycles": false
 }))]
 pub struct ManyQuestion {
-    /// Which cycles, oldest first.
+    /// Which cycles, oldest first; those of one time by machine and id.
     pub filter: FilterBody,
+    /// Goes on where an answer to the same filter ended: its `continue_from`; from the first cycle where it is left out.
+    pub continue_from: Option<String>,
     /// Most cycles looked at, 1 to 1000; 200 where it is left out.
     pub most_cycles: Option<u32>,
     /// What is asked of each.
@@ -436,9 +438,10 @@ pub struct ManyAnswer {
     pub predicted: SumBody,
     /// The model's error on the cycles themselves.
     pub model_error: SumErrorBody,
-    /// Whether every cycle of the filter was looked at.
+    /// Whether no cycle of the filter comes after those that were looked at.
     pub complete: bool,
-    /// Where to go on: the beginning of the first cycle that was not looked at, for `filter.from`.
+    /// Goes on behind the last cycle that was looked at, as `continue_from` of the next question with the same filter; opaque.
+    /// Null where none is left.
     pub continue_from: Option<String>,
     /// Each cycle, where they were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
