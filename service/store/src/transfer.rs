@@ -42,6 +42,8 @@ const SAMPLES: &str = "cycle_samples";
 const PAGE_BYTES: usize = 4 << 20;
 /// Most rows of a page.
 const PAGE_ROWS: usize = 1_000;
+/// A page is asked for so many times the rows of the one before at the most: what follows small rows may be large.
+const PAGE_GROWTH: usize = 4;
 /// Rows of the first page of a table: how large they are is not known yet.
 const FIRST_PAGE_ROWS: usize = 32;
 /// Parameters of one statement; SQLite takes 32,766.
@@ -196,12 +198,36 @@ impl Table {
     fn show_key(&self, row: &Row) -> String {
         self.key_of(row).iter().map(Value::show).collect::<Vec<_>>().join("/")
     }
+}
 
-    /// Rows of the next page, after one of so many rows and bytes.
-    fn next_page(rows: usize, bytes: usize) -> usize {
-        let row = bytes.checked_div(rows);
-        row.map_or(FIRST_PAGE_ROWS, |row| (PAGE_BYTES / row.max(1)).clamp(1, PAGE_ROWS))
+/// A page as its rows come: it ends with as many of them as were asked for, or with as many bytes as one is large.
+#[derive(Default)]
+struct Filling {
+    rows: Vec<Row>,
+    bytes: usize,
+}
+
+impl Filling {
+    fn add(&mut self, row: Row) {
+        self.bytes += size(&row);
+        self.rows.push(row);
     }
+
+    const fn is_full(&self) -> bool {
+        self.bytes >= PAGE_BYTES
+    }
+}
+
+fn size(row: &Row) -> usize {
+    row.iter().map(Value::size).sum()
+}
+
+/// Rows to ask for after that page; `None` stands for the first one.
+fn next_page(before: Option<&[Row]>) -> usize {
+    let Some(before) = before else { return FIRST_PAGE_ROWS };
+    let bytes: usize = before.iter().map(size).sum();
+    let row = bytes.checked_div(before.len()).unwrap_or(0).max(1);
+    (PAGE_BYTES / row).min(before.len().saturating_mul(PAGE_GROWTH)).clamp(1, PAGE_ROWS)
 }
 
 /// One side of a transfer: a connection of its own.
@@ -213,7 +239,8 @@ pub(crate) trait Side: Send {
     /// From here on reads see one state, and nothing is written.
     async fn begin_snapshot(&mut self) -> StoreResult<()>;
 
-    /// At most `limit` rows in the order of the key, after `after` and not beyond `until`.
+    /// At most `limit` rows in the order of the key, after `after` and not beyond `until`; fewer where they fill a page before. Only
+    /// none says that there are no more.
     async fn rows(
         &mut self,
         table: &Table,
@@ -225,8 +252,8 @@ pub(crate) trait Side: Send {
     /// Which of these keys are there, in any order: no more of them than rows of a page, and one.
     async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>>;
 
-    /// Gets ready to take rows, whose receipt lies within that range.
-    async fn prepare(&mut self, received_us: Option<(i64, i64)>) -> StoreResult<()>;
+    /// Gets ready to take samples of these receipts, µs.
+    async fn prepare(&mut self, received_us: &[i64]) -> StoreResult<()>;
 
     /// Adds rows, all or none of them.
     async fn insert(&mut self, table: &Table, rows: &[&Row]) -> StoreResult<()>;
@@ -237,8 +264,8 @@ pub(crate) trait Side: Send {
     /// Removes all rows.
     async fn clear(&mut self, table: &Table) -> StoreResult<()>;
 
-    /// The least and the largest whole number of a column.
-    async fn range(&mut self, table: &str, column: &str) -> StoreResult<Option<(i64, i64)>>;
+    /// The first and the last receipt of each day (UTC) on which samples were received, µs.
+    async fn receipts(&mut self) -> StoreResult<Vec<i64>>;
 
     /// After the last row: numbers that are given out go on after those that came.
     async fn finish(&mut self, tables: &[Table]) -> StoreResult<()>;
@@ -247,8 +274,66 @@ pub(crate) trait Side: Send {
     async fn close(self: Box<Self>);
 }
 
+/// What [`Side::receipts`] asks of both engines. The two days around the beginning of 1970 count as one, of which the ends are told.
+const RECEIPTS: &str = "SELECT MIN(received_at_us), MAX(received_at_us) FROM cycle_samples
+     GROUP BY received_at_us / 86400000000 ORDER BY 1";
+
 /// What an engine's text of a statement is made of: quoted names, separated.
 fn quoted<'a>(names: impl IntoIterator<Item = &'a str>, suffix: &str) -> String {
     let names: Vec<_> = names.into_iter().map(|name| format!("\"{name}\"{suffix}")).collect();
     names.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sqlite::SqliteSide;
+    use super::*;
+
+    const BLOCK_BYTES: usize = 1 << 20;
+
+    fn sized(rows: usize, bytes: usize) -> Vec<Row> {
+        vec![vec![Value::Bytes(vec![0; bytes - 24])]; rows]
+    }
+
+    #[test]
+    fn a_page_is_as_many_rows_as_fill_it_and_four_times_those_before_at_the_most() {
+        let after = |rows, bytes| next_page(Some(&sized(rows, bytes)));
+        assert_eq!(next_page(None), FIRST_PAGE_ROWS);
+        assert_eq!([after(32, 100), after(128, 100), after(512, 100)], [128, 512, PAGE_ROWS]);
+        assert_eq!(
+            [after(32, PAGE_BYTES / 40), after(4, PAGE_BYTES / 4), after(1, 2 * PAGE_BYTES)],
+            [40, 4, 1]
+        );
+        assert_eq!(next_page(Some(&[])), 1);
+    }
+
+    /// The size of the rows before says nothing of those that follow.
+    #[tokio::test]
+    async fn a_page_of_large_blocks_behind_small_ones_ends_at_its_bytes() {
+        let mut side = SqliteSide::model().await.unwrap();
+        let table = side.tables().await.unwrap().into_iter().find(|table| table.name == SAMPLES).unwrap();
+        let row = |n: i64, bytes| -> Row {
+            let value = |(name, _): &(String, Kind)| match name.as_str() {
+                "machine_id" => Value::Text("M1".to_owned()),
+                "received_at_us" => Value::Whole(n),
+                "block" => Value::Bytes(vec![7; bytes]),
+                _ => Value::Text(format!("c{n}")),
+            };
+            table.columns.iter().map(value).collect()
+        };
+        let small = (0..170).map(|n| row(n, 100));
+        let rows: Vec<Row> = small.chain((170..190).map(|n| row(n, BLOCK_BYTES))).collect();
+        side.insert(&table, &rows.iter().collect::<Vec<_>>()).await.unwrap();
+
+        let (mut read, mut after, mut limit) = (Vec::new(), None, next_page(None));
+        loop {
+            let page = side.rows(&table, after.as_ref(), None, limit).await.unwrap();
+            let Some(last) = page.last() else { break };
+            assert!(page[..page.len() - 1].iter().map(size).sum::<usize>() < PAGE_BYTES);
+            (after, limit) = (Some(table.key_of(last)), next_page(Some(&page)));
+            read.extend(page);
+        }
+        assert!(read == rows, "each row once, in their order");
+        Box::new(side).close().await;
+    }
 }

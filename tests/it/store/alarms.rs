@@ -2,6 +2,7 @@
 
 use super::given::{Run, at, engineer, event, machine, shop, stored, stories};
 use feedwright_core::cycle::Flag;
+use feedwright_core::ids::MachineId;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::wear::ToolState;
 use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, Precondition, Store};
@@ -11,6 +12,7 @@ stories!(
     a_worn_tool_alarms_until_it_is_changed,
     a_worn_tool_alarms_on_each_machine_that_runs_it,
     an_overload_waits_for_a_person,
+    open_and_cleared_ones_are_listed_apart_in_the_order_of_their_numbers,
 );
 
 async fn alarms(store: &dyn Store, open: bool) -> Vec<Alarm> {
@@ -91,4 +93,46 @@ async fn an_overload_waits_for_a_person(store: Arc<dyn Store>) {
     assert_eq!(rest, all[1..]);
     let elsewhere = AlarmFilter { machine: Some("M2".try_into().unwrap()), ..AlarmFilter::default() };
     assert_eq!(store.alarms(&elsewhere, Page { after: None, limit: 100 }).await.unwrap(), []);
+}
+
+/// What each list has is held against that of all.
+async fn open_and_cleared_ones_are_listed_apart_in_the_order_of_their_numbers(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    let pages = async |filter: &AlarmFilter, limit| {
+        let (mut found, mut after) = (Vec::<Alarm>::new(), None);
+        loop {
+            let page = store.alarms(filter, Page { after, limit }).await.unwrap();
+            let Some(last) = page.last() else { return found };
+            after = Some(last.id);
+            found.extend(page);
+        }
+    };
+    for n in 1..=12 {
+        let (machine, tool) = (["M1", "M2"][n as usize % 2], format!("T{}", n % 3));
+        stored(&*store, &Run { machine, tool, load: 450.0, ..Run::nth(n) }).await;
+        if n % 4 == 0 {
+            let open = alarms(&*store, true).await;
+            store.acknowledge_alarm(open[0].id, &engineer(), at(i64::from(n) * 60)).await.unwrap();
+        }
+    }
+    let all = pages(&AlarmFilter::default(), 1000).await;
+    let named =
+        |name| AlarmFilter { machine: Some(MachineId::try_from(name).unwrap()), ..AlarmFilter::default() };
+    let of_tool = AlarmFilter { tool: all[0].tool.clone(), ..named("M1") };
+    for filter in [AlarmFilter::default(), named("M2"), of_tool, named("M3")] {
+        for open in [true, false] {
+            let is_meant = |alarm: &&Alarm| {
+                alarm.cleared_at.is_none() == open
+                    && filter.machine.as_ref().is_none_or(|machine| alarm.machine.as_ref() == Some(machine))
+                    && filter.tool.as_ref().is_none_or(|tool| alarm.tool.as_ref() == Some(tool))
+            };
+            let expected: Vec<Alarm> = all.iter().filter(is_meant).cloned().collect();
+            let filter = AlarmFilter { open: Some(open), ..filter.clone() };
+            assert_eq!(pages(&filter, 1).await, expected, "{filter:?}");
+            assert_eq!(pages(&filter, 1000).await, expected, "{filter:?}");
+        }
+    }
+    let open = all.iter().filter(|alarm| alarm.cleared_at.is_none()).count();
+    assert!(open > 1 && all.len() - open > 1, "{all:?}");
 }

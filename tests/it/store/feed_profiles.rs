@@ -1,6 +1,6 @@
 //! Feed profiles: kept once, moved one step at a time by whoever may, handed out only where they hold.
 
-use super::given::{Run, at, engineer, operation, shop, stored, stories};
+use super::given::{Run, at, engineer, machine, operation, shop, stored, stories, tool};
 use feedwright_core::cycle::{Cycle, ProfileVersion};
 use feedwright_core::feed::life_cycle::{Step, VersionState};
 use feedwright_core::feed::profile::{
@@ -9,9 +9,10 @@ use feedwright_core::feed::profile::{
 use feedwright_core::ids::ProfileId;
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{RecommendSettings, Recommendation};
+use feedwright_core::tool::Tool;
 use feedwright_store::{
-    Actor, Committed, FeedProfile, FeedProfileFilter, NewProfileVersion, Page, Precondition, ProfileMove,
-    ProfileSource, Role, Store, StoreError, StoreResult, profile_hash,
+    Actor, Committed, CycleFilter, FeedProfile, FeedProfileFilter, NewProfileVersion, Page, Precondition,
+    ProfileMove, ProfileSource, Role, Store, StoreError, StoreResult, profile_hash,
 };
 use std::sync::Arc;
 
@@ -21,6 +22,7 @@ stories!(
     of_two_moves_at_once_exactly_one_wins,
     only_the_active_version_that_fits_is_handed_out,
     the_cycles_of_a_version_are_found,
+    the_last_cycles_with_a_type_of_tool_are_found_whether_few_have_it_or_many,
 );
 
 fn approver() -> Actor {
@@ -319,4 +321,47 @@ async fn the_cycles_of_a_version_are_found(store: Arc<dyn Store>) {
     assert_eq!(recent.len(), 4);
     assert_eq!(recent[3].cycle.id.as_str(), "c00006");
     assert!(store.recent_cycles(&operation("O1").id, "other", 4).await.unwrap().is_empty());
+}
+
+/// What is found is held against the list of all. Cycles begin at the same time on two machines and with two tools.
+async fn the_last_cycles_with_a_type_of_tool_are_found_whether_few_have_it_or_many(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let who = engineer();
+    let typed = |id: &str, tool_type: &str| Tool { tool_type: tool_type.to_owned(), ..tool(id) };
+    store.put_machine(machine("M2"), Precondition::Absent, &who, at(0)).await.unwrap();
+    store.put_operation(operation("O2"), Precondition::Absent, &who, at(0)).await.unwrap();
+    for (id, tool_type) in [("T2", "friction-6"), ("T3", "other"), ("T4", "friction-6")] {
+        store.put_tool(typed(id, tool_type), Precondition::Absent, &who, at(0)).await.unwrap();
+    }
+    for n in 0..24_u32 {
+        let run = Run {
+            machine: ["M1", "M2"][n as usize % 2],
+            tool: format!("T{}", [1, 3, 2, 3, 1][n as usize % 5]),
+            operation: if n % 7 == 0 { "O2" } else { "O1" },
+            seconds: i64::from(n / 4) * 60,
+            seq: (n % 3 != 0).then(|| u64::from(n)),
+            ..Run::nth(n)
+        };
+        stored(&*store, &run).await;
+    }
+    let of_o1 = CycleFilter { operation: Some(operation("O1").id), ..CycleFilter::default() };
+    let all = store.cycles(&of_o1, Page { after: None, limit: 1000 }).await.unwrap();
+    let of_type: Vec<_> = all.into_iter().filter(|it| it.cycle.tool.as_str() != "T3").collect();
+    assert!(of_type.len() > 10, "{}", of_type.len());
+    let found = async |most: usize| {
+        let most = u32::try_from(most).unwrap();
+        store.recent_cycles(&operation("O1").id, "friction-6", most).await.unwrap()
+    };
+    for many in [false, true] {
+        if many {
+            for n in 0..100 {
+                let other = typed(&format!("never-ran-{n}"), "friction-6");
+                store.put_tool(other, Precondition::Absent, &who, at(0)).await.unwrap();
+            }
+        }
+        for most in 1..=of_type.len() + 1 {
+            let last = &of_type[of_type.len().saturating_sub(most)..];
+            assert_eq!(found(most).await, last, "the last {most} of many tools: {many}");
+        }
+    }
 }

@@ -532,6 +532,52 @@ async fn damage_is_named_by_its_key(given: &Given) {
     assert!(matches!(read, Err(StoreError::Damaged { .. })), "{read:?}");
 }
 
+/// What one machine's decisions tell of is kept of the other, and missed where it is not there.
+async fn each_machine_has_its_decisions(given: &Given) {
+    let store = given.store();
+    year(&*store).await;
+    let who = engineer();
+    store.put_machine(super::given::machine("M2"), Precondition::Absent, &who, at(0)).await.unwrap();
+    for n in 0..10 {
+        stored(&*store, &Run { machine: "M2", seconds: i64::from(n) * 30 * DAY, ..Run::nth(n) }).await;
+    }
+    let longer = days(200);
+    store.put_retention(&"M2".try_into().unwrap(), longer, Precondition::Absent, &who, at(0)).await.unwrap();
+    // Several decisions of each, on several days; what goes, goes after the last.
+    for day in [100, 150, 200, 270] {
+        store.decide_drops(days(60), at(day * DAY)).await.unwrap();
+    }
+    let decided = async |machine: &str| store.sample_drops(&machine.try_into().unwrap()).await.unwrap();
+    let (first, second) = (decided("M1").await, decided("M2").await);
+    let newest = |drops: &[feedwright_store::SampleDrop]| drops.iter().map(|drop| drop.before).max().unwrap();
+    assert!(first.len() > 1 && newest(&first) > newest(&second), "{first:?} {second:?}");
+    let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 100 }).await.unwrap();
+    let goes = |machine: &str, drops: &[_]| {
+        let of = cycles.iter().filter(|cycle| cycle.cycle.machine.as_str() == machine);
+        of.filter(|cycle| cycle.received_at < newest(drops)).count() as u64
+    };
+    let expected = [goes("M1", &first), goes("M2", &second)];
+    let mut gone = 0;
+    loop {
+        let step = store.drop_some(1).await.unwrap();
+        gone += step.cycles;
+        if !step.more {
+            break;
+        }
+    }
+    assert_eq!(gone, expected.iter().sum::<u64>());
+    for (machine, expected) in ["M1", "M2"].into_iter().zip(expected) {
+        let counted: u64 = decided(machine).await.iter().map(|drop| drop.cycles).sum();
+        assert_eq!(counted, expected, "{machine}");
+    }
+    // One that M1's decisions would name, and M2's do not.
+    let missing = "DELETE FROM cycle_samples WHERE machine_id = 'M2' AND cycle_id = 'c00005'";
+    assert_eq!(given.raw(missing).await.unwrap(), 1);
+    let checked = store.check_cycles(None, 100).await.unwrap();
+    let faults: Vec<_> = checked.faults.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
+    assert_eq!((checked.dropped, faults.as_slice()), (gone, [("samples", "M2/c00005")].as_slice()));
+}
+
 /// Several servers are apart by minutes; a single one is not apart from itself.
 #[tokio::test]
 async fn what_a_single_server_decided_minutes_ahead_drops_nothing_that_comes() {
@@ -568,6 +614,7 @@ mod damage {
     use super::damage_is_named_by_its_key;
     crate::store::given::stories!(with tables:
         damage_is_named,
+        of_two_machines_each_has_its_decisions,
         what_it_received_and_dropped_itself_is_named,
         what_it_dropped_further_and_further_ahead_is_named,
     );
@@ -578,6 +625,10 @@ mod damage {
 
     async fn what_it_dropped_further_and_further_ahead_is_named(given: &super::Given) {
         super::what_a_clock_ran_further_and_further_ahead_dropped_is_named(given).await;
+    }
+
+    async fn of_two_machines_each_has_its_decisions(given: &super::Given) {
+        super::each_machine_has_its_decisions(given).await;
     }
 
     async fn damage_is_named(given: &super::Given) {

@@ -160,6 +160,90 @@ async fn a_cell_is_copied_to_the_plant_and_back_to_the_bit() {
     plant.done().await;
 }
 
+/// Partitions of samples: their names, oldest first, without that of what no other covers.
+async fn partitions(plant: &Given) -> Vec<String> {
+    let mut server = PgConnection::connect(&plant.address()).await.unwrap();
+    let names = sqlx::query_scalar("SELECT name FROM cycle_samples_partitions()");
+    names.fetch_all(&mut server).await.unwrap()
+}
+
+/// Whoever reads samples locks each partition: a single cycle of a clock that was far ahead is no reason for hundreds of them.
+#[tokio::test]
+async fn months_in_which_nothing_was_received_have_no_partitions() {
+    const DAY: i64 = 86_400;
+    let (Some(plant), Some(other)) = (Given::postgres().await, Given::postgres().await) else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    let store = cell.store();
+    fill(&*store).await;
+    // From 2051-10-21 on; of the day before 1970 began, and that day.
+    for (n, seconds) in
+        [(90, 9_420 * DAY), (91, 9_421 * DAY), (92, 59 * DAY), (93, -1_767_600_060), (94, -1_767_599_900)]
+    {
+        stored(&*store, &Run { seconds, ..Run::nth(n) }).await;
+    }
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    let (sums, _) = copied(&from, &to).await.unwrap();
+    let expected =
+        ["196912", "197001", "202601", "202603", "205110"].map(|month| format!("cycle_samples_{month}"));
+    assert_eq!(partitions(&plant).await, expected);
+    let copy = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap();
+    assert_eq!(shown(&copy).await, shown(&*store).await);
+    sound(&copy).await;
+
+    // A server has made room for a year ahead: what it receives beyond stands in the partition of all else, and is copied as well.
+    let plant_of_before = other.store();
+    plant_of_before.make_room(at(0)).await.unwrap();
+    fill(&*plant_of_before).await;
+    stored(&*plant_of_before, &Run { seconds: 9_420 * DAY, ..Run::nth(90) }).await;
+    sound(&*plant_of_before).await;
+    assert_eq!(other.raw("UPDATE cycle_samples_default SET block = block").await.unwrap(), 1);
+    let folder = tempfile::tempdir().unwrap();
+    let back = folder.path().join("back.sqlite3");
+    copied(&Address::Postgres(other.address()), &Address::Sqlite(back.clone())).await.unwrap();
+    let returned = sqlite(&back).await;
+    assert_eq!(shown(&returned).await, shown(&*plant_of_before).await);
+    sound(&returned).await;
+    returned.close().await;
+
+    // Again: nothing is left to write, and no partition is made.
+    copy.close().await;
+    let (again, rows) = copied(&from, &to).await.unwrap();
+    assert_eq!((again, rows), (sums, 0));
+    assert_eq!(partitions(&plant).await, expected);
+    cell.done().await;
+    plant.done().await;
+    other.done().await;
+}
+
+/// Pages end at their bytes, on both sides and of both engines: nothing is left out there, and nothing comes twice.
+#[tokio::test]
+async fn large_samples_behind_small_ones_arrive() {
+    let (Some(plant), Some(other)) = (Given::postgres().await, Given::postgres().await) else {
+        return;
+    };
+    fill(&*plant.store()).await;
+    // Bytes are copied as they are, whatever they say.
+    let large = "INSERT INTO cycle_samples SELECT 'M3', n, 'large' || n, decode(repeat('5a', 1048576), 'hex')
+                 FROM generate_series(1, 12) AS numbers (n)";
+    assert_eq!(plant.raw(large).await.unwrap(), 12);
+    let folder = tempfile::tempdir().unwrap();
+    let cell = folder.path().join("cell.sqlite3");
+    let (plant_at, cell_at) = (Address::Postgres(plant.address()), Address::Sqlite(cell.clone()));
+    let other_at = Address::Postgres(other.address());
+    let (sums, _) = copied(&plant_at, &cell_at).await.unwrap();
+    assert!(sums.iter().any(|(table, sum)| table == "cycle_samples" && sum.rows == 64 + 12), "{sums:?}");
+    assert_eq!(copied(&cell_at, &other_at).await.unwrap().0, sums);
+    assert_eq!(copied(&plant_at, &other_at).await.unwrap(), (sums.clone(), 0));
+    // A copy that broke off within the large ones, and behind them.
+    let lost = "DELETE FROM cycle_samples WHERE cycle_id IN ('large2', 'large7', 'large9', 'c00001')";
+    assert_eq!(other.raw(lost).await.unwrap(), 4);
+    assert_eq!(copied(&cell_at, &other_at).await.unwrap(), (sums, 4));
+    plant.done().await;
+    other.done().await;
+}
+
 #[tokio::test]
 async fn a_target_with_other_data_is_refused_untouched() {
     let (cell, other) = (Given::sqlite().await, Given::sqlite().await);

@@ -1,23 +1,27 @@
 //! Feed profiles: drafted, moved along their way, handed out.
 
-use super::{Conn, Db, audit, dialect};
+use super::{Conn, Db, audit, cycles, dialect};
 use crate::error::{StoreError, StoreResult};
 use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
     profile_hash,
 };
 use crate::locks::Locks;
-use crate::record::{Actor, Page, Precondition, StoredCycle};
-use crate::rows::{ActiveProfileRow, CycleWithSamples, FeedProfileRow, ProfileVersionRow, wear_from_column};
+use crate::record::{Actor, CycleFilter, CycleMeta, Page, Precondition, StoredCycle};
+use crate::rows::{
+    ActiveProfileRow, CycleWithSamples, FeedProfileRow, ProfileVersionRow, id, wear_from_column,
+};
 use feedwright_core::cycle::ProfileVersion;
 use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::feed::life_cycle::{Refusal, Step, VersionState, step};
-use feedwright_core::ids::{OperationId, ProfileId, ToolId};
+use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, ToolId};
 use feedwright_core::units::Timestamp;
 use serde_json::json;
 
 /// Most active lines that one question may meet: wear bands of one operation and tool type.
 const MOST_ACTIVE: i64 = 32;
+/// So many tools of a type are asked for their cycles one by one; one that has more is found soon among the last of all.
+const FEW_TOOLS: i64 = 100;
 
 macro_rules! select_lines {
     ($tail:literal) => {
@@ -390,7 +394,7 @@ pub(super) async fn cycles(
     ran: &ProfileVersion,
     most: u32,
 ) -> StoreResult<Vec<StoredCycle>> {
-    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(super::cycles::LAST_OF_PROFILE)
+    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(cycles::LAST_OF_PROFILE)
         .bind(ran.profile.as_str())
         .bind(i64::from(ran.version))
         .bind(i64::from(most))
@@ -406,11 +410,48 @@ pub(super) async fn recent(
     tool_type: &str,
     most: u32,
 ) -> StoreResult<Vec<StoredCycle>> {
-    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(super::cycles::LAST_WITH_TOOL_TYPE)
+    let tools: Vec<String> = sqlx::query_scalar::<Db, _>(
+        "SELECT tool_id FROM tools WHERE tool_type = $1 ORDER BY tool_id LIMIT $2",
+    )
+    .bind(tool_type)
+    .bind(FEW_TOOLS + 1)
+    .fetch_all(&mut *conn)
+    .await?;
+    if i64::try_from(tools.len()).is_ok_and(|tools| tools <= FEW_TOOLS) {
+        return recent_of_few(conn, operation, &tools, most).await;
+    }
+    let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(cycles::LAST_WITH_TOOL_TYPE)
         .bind(operation.as_str())
         .bind(tool_type)
         .bind(i64::from(most))
         .fetch_all(&mut *conn)
         .await?;
     rows.iter().rev().map(CycleWithSamples::stored).collect()
+}
+
+/// The same, tool by tool: what a type seldom ran would be looked for among all cycles of the operation.
+async fn recent_of_few(
+    conn: &mut Conn,
+    operation: &OperationId,
+    tools: &[String],
+    most: u32,
+) -> StoreResult<Vec<StoredCycle>> {
+    let mut filter = CycleFilter { operation: Some(operation.clone()), ..CycleFilter::default() };
+    let mut found: Vec<StoredCycle> = Vec::new();
+    for tool in tools {
+        filter.tool = Some(id("tool_id", tool)?);
+        found.extend(cycles::last(conn, &filter, most).await?);
+        found.sort_unstable_by(|a, b| order(&a.cycle).cmp(&order(&b.cycle)));
+        if let Some(surplus) = found.len().checked_sub(most as usize) {
+            found.drain(..surplus);
+            // What began before the oldest of them is not among the last.
+            filter.from = found.first().map(|oldest| oldest.cycle.started_at);
+        }
+    }
+    Ok(found)
+}
+
+/// What lists of cycles are in the order of.
+const fn order(cycle: &CycleMeta) -> (Timestamp, &MachineId, Option<u64>, &CycleId) {
+    (cycle.started_at, &cycle.machine, cycle.seq, &cycle.id)
 }

@@ -464,7 +464,8 @@ impl Store for Engine {
         tool_type: &str,
         most: u32,
     ) -> StoreResult<Vec<StoredCycle>> {
-        read!(self, |conn| feed_profiles::recent(conn, operation, tool_type, most).await)
+        let (operation, tool_type) = (operation.clone(), tool_type.to_owned());
+        snapshot!(self, |conn| feed_profiles::recent(conn, &operation, &tool_type, most).await)
     }
 
     async fn add_calibration(

@@ -307,7 +307,9 @@ pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropp
     // Whoever drops a partition has locked that, and asks for the table; this asks for the table, and then for its partitions.
     dialect::lock(conn, &Locks::subject("partitions", "")).await?;
     let machine: Option<String> = sqlx::query_scalar::<Db, _>(
-        "SELECT d.machine_id FROM sample_drops d
+        // A machine's newest decision names all that the others do, of which there is one for each day.
+        "SELECT d.machine_id FROM (SELECT machine_id, MAX(before_us) AS before_us FROM sample_drops
+                                   GROUP BY machine_id) AS d
          WHERE EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = d.machine_id
                            AND s.received_at_us < d.before_us)
          ORDER BY d.machine_id LIMIT 1",

@@ -9,7 +9,7 @@ pub(super) use tables::tables;
 use super::{Conn, Db, cycles, dialect, retention};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
-use crate::record::{CheckPage, EncodedCycle, NewCycle, StoreFault};
+use crate::record::{CheckPage, EncodedCycle, NewCycle, SampleDrop, StoreFault};
 use crate::rows::{CycleRow, cycle_columns, id};
 use context::Contexts;
 use feedwright_core::cycle::{Cycle, Flag};
@@ -45,7 +45,7 @@ pub(super) async fn page(
     let mut page = CheckPage { checked: rows.len() as u64, ..CheckPage::default() };
     // Neither hash nor samples tell of what was cut off.
     page.doubt.cut_short = true;
-    let mut contexts = Contexts::default();
+    let (mut contexts, mut decisions) = (Contexts::default(), Decisions::default());
     for row in &mut rows {
         let key = format!("{}/{}", row.machine_id, row.cycle_id);
         let tool = row.tool_id.clone();
@@ -92,12 +92,12 @@ pub(super) async fn page(
         let dropped = block.is_none() && row.sample_count > 0;
         if dropped {
             let received = Timestamp::from_micros(row.received_at_us);
-            match retention::gone::of(conn, &machine, &[(cycle.clone(), received)]).await {
-                Ok(gone) if gone.contains_key(&cycle) => {
+            match decisions.name(conn, &machine, (&cycle, received)).await {
+                Ok(true) => {
                     page.dropped += 1;
                     page.doubt.unproven.extend(of());
                 }
-                Ok(_) => fault("samples", "they are missing, and no retention dropped them".to_owned()),
+                Ok(false) => fault("samples", "they are missing, and no retention dropped them".to_owned()),
                 Err(StoreError::Damaged { what }) => {
                     fault(
                         "samples",
@@ -156,6 +156,28 @@ pub(super) async fn page(
         _ => None,
     };
     Ok(page)
+}
+
+/// What retention decided on the samples of the machine that was asked for last: on a page stand the cycles of one behind those of another.
+#[derive(Default)]
+struct Decisions(Option<(MachineId, Vec<SampleDrop>)>);
+
+impl Decisions {
+    /// Whether samples of a cycle of that receipt are gone by one of them, or by its name.
+    async fn name(
+        &mut self,
+        conn: &mut Conn,
+        machine: &MachineId,
+        (cycle, received): (&CycleId, Timestamp),
+    ) -> StoreResult<bool> {
+        let decisions = match self.0.take() {
+            Some((of, known)) if of == *machine => known,
+            _ => retention::drops(conn, machine).await?,
+        };
+        let (_, decisions) = self.0.insert((machine.clone(), decisions));
+        let gone = retention::gone::by(conn, machine, decisions, &[(cycle.clone(), received)]).await?;
+        Ok(gone.contains_key(cycle))
+    }
 }
 
 /// What a stored summary is beside one made again.

@@ -685,12 +685,12 @@ pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) ->
 /// a newer server's, which judges by it.
 pub(super) async fn next_outdated(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
     let next: Option<String> = sqlx::query_scalar::<Db, _>(
-        "SELECT MIN(w.tool_id) FROM tool_wear w JOIN tools t ON t.tool_id = w.tool_id
-         WHERE w.fold_version < $1 AND w.tool_id > $2",
+        "SELECT w.tool_id FROM tool_wear w JOIN tools t ON t.tool_id = w.tool_id
+         WHERE w.fold_version < $1 AND w.tool_id > $2 AND t.tool_id > $2 ORDER BY w.tool_id LIMIT 1",
     )
     .bind(i64::from(FOLD_VERSION))
     .bind(after.map_or("", ToolId::as_str))
-    .fetch_one(&mut *conn)
+    .fetch_optional(&mut *conn)
     .await?;
     next.as_deref().map(|tool| id("tool_id", tool)).transpose()
 }

@@ -6,7 +6,7 @@ use super::failure::{file, of_source};
 use super::moves::{Drops, Goes, Moves, SURPLUS};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
-use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, Value};
+use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, next_page};
 use std::path::PathBuf;
 
 /// Where a database is.
@@ -122,7 +122,7 @@ pub(super) async fn transfer(
     for table in behind {
         walk(source, target, (table, &drops), Writing::Removed).await?;
     }
-    target.prepare(source.range("cycle_samples", "received_at_us").await?).await?;
+    target.prepare(&source.receipts().await?).await?;
     let mut sums = Vec::with_capacity(tables.len());
     for table in &tables {
         let Walked { sum, written, .. } = walk(source, target, (table, &drops), Writing::Missing).await?;
@@ -214,7 +214,7 @@ async fn walk(
 ) -> Result<Walked, TransferError> {
     let moves = Moves::of(table)?;
     let (mut summing, mut obsolete, mut written) = (Summing::new(table), 0, 0);
-    let (mut after, mut limit) = (None, Table::next_page(0, 0));
+    let (mut after, mut limit) = (None, next_page(None));
     loop {
         let page = source.rows(table, after.as_ref(), None, limit).await?;
         page.iter().for_each(|row| summing.add(row));
@@ -262,8 +262,8 @@ async fn walk(
                 }
                 gone.push(table.key_of(found));
             }
-            match there.last() {
-                Some(last) if there.len() > page.len() => at = Some(table.key_of(last)),
+            match there.last().map(|last| table.key_of(last)) {
+                Some(last) if until.as_ref() != Some(&last) => at = Some(last),
                 _ => break,
             }
         }
@@ -285,6 +285,6 @@ async fn walk(
         }
         let Some(until) = until else { return Ok(Walked { sum: summing.sum(), obsolete, written }) };
         after = Some(until);
-        limit = Table::next_page(page.len(), page.iter().flatten().map(Value::size).sum());
+        limit = next_page(Some(&page));
     }
 }

@@ -1,6 +1,6 @@
 //! Digests of tables: equal where every value of every row is, whatever the engine.
 
-use super::{Row, Side, Table, TransferError, Value};
+use super::{Row, Side, Table, TransferError, Value, next_page};
 use std::fmt;
 
 /// How many rows a table has, and a digest over all their values in the order of the key.
@@ -58,12 +58,12 @@ impl Summing {
 /// The sum of one table as it stands.
 pub(super) async fn of_table(side: &mut dyn Side, table: &Table) -> Result<TableSum, TransferError> {
     let mut summing = Summing::new(table);
-    let (mut after, mut limit) = (None, Table::next_page(0, 0));
+    let (mut after, mut limit) = (None, next_page(None));
     loop {
         let page = side.rows(table, after.as_ref(), None, limit).await?;
         page.iter().for_each(|row| summing.add(row));
         let Some(last) = page.last() else { return Ok(summing.sum()) };
         after = Some(table.key_of(last));
-        limit = Table::next_page(page.len(), page.iter().flatten().map(Value::size).sum());
+        limit = next_page(Some(&page));
     }
 }

@@ -1,17 +1,14 @@
 //! A PostgreSQL database as a side of a transfer.
 
-use super::{Kind, LEFT_OUT, Row, Side, Table, TransferError, Value, quoted};
+use super::{Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Value, quoted};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions};
 use async_trait::async_trait;
+use futures_util::TryStreamExt;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
 use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
 
-/// Months that the function of the migrations makes partitions for in one call. Where a table stands on several nodes, each of its
-/// shards is locked with each partition: four years at a time fit into what PostgreSQL has for locks.
-const MONTHS_AT_A_TIME: i32 = 48;
-const MONTH_US: i64 = 28 * 86_400_000_000;
 /// What is told of a table that is not there (SQLSTATE).
 const UNDEFINED_TABLE: &str = "42P01";
 /// It idles while the other side is read, and reads whole tables, whatever limits a role has for its questions. The last setting
@@ -83,6 +80,12 @@ impl PostgresSide {
 
     pub(super) const fn conn(&mut self) -> &mut PgConnection {
         &mut self.conn
+    }
+
+    /// The largest whole number of a column.
+    async fn largest(&mut self, table: &str, column: &str) -> StoreResult<Option<i64>> {
+        let mut query = QueryBuilder::<Postgres>::new(format!("SELECT MAX(\"{column}\") FROM \"{table}\""));
+        Ok(query.build_query_scalar().persistent(false).fetch_one(&mut self.conn).await?)
     }
 }
 
@@ -225,11 +228,16 @@ impl Side for PostgresSide {
             }
         }
         query.push(format!(" ORDER BY {key} LIMIT {limit}"));
-        let rows = query.build().persistent(false).fetch_all(&mut self.conn).await?;
-        let read = |row: &PgRow| {
-            table.columns.iter().enumerate().map(|(at, (_, kind))| value(row, at, *kind)).collect()
-        };
-        Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
+        let mut found = query.build().persistent(false).fetch(&mut self.conn);
+        let mut page = Filling::default();
+        while !page.is_full()
+            && let Some(row) = found.try_next().await?
+        {
+            let columns = table.columns.iter().enumerate();
+            let values = columns.map(|(at, (_, kind))| value(&row, at, *kind));
+            page.add(values.collect::<Result<_, _>>()?);
+        }
+        Ok(page.rows)
     }
 
     async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>> {
@@ -249,21 +257,23 @@ impl Side for PostgresSide {
         Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
     }
 
-    async fn prepare(&mut self, received_us: Option<(i64, i64)>) -> StoreResult<()> {
-        let Some((first, last)) = received_us else { return Ok(()) };
-        let mut from = first;
-        loop {
-            let months = i32::try_from((last.saturating_sub(from)) / MONTH_US + 2).unwrap_or(i32::MAX);
-            sqlx::query("SELECT cycle_samples_make_partitions($1, $2)")
-                .bind(from)
-                .bind(months.min(MONTHS_AT_A_TIME))
+    async fn prepare(&mut self, received_us: &[i64]) -> StoreResult<()> {
+        // Only of months with any: between them and what a clock received that was decades ahead lie hundreds, and whoever reads locks each.
+        let months: Vec<i64> = sqlx::query_scalar(
+            "SELECT MIN(at) FROM unnest($1::BIGINT[]) AS received (at)
+             GROUP BY date_trunc('month', TIMESTAMP 'epoch' + at * INTERVAL '1 microsecond') ORDER BY 1",
+        )
+        .bind(received_us)
+        .fetch_all(&mut self.conn)
+        .await?;
+        // One by one: where a table stands on several nodes, each of its shards is locked with each partition.
+        for month in months {
+            sqlx::query("SELECT cycle_samples_make_partitions($1, 1)")
+                .bind(month)
                 .execute(&mut self.conn)
                 .await?;
-            if months <= MONTHS_AT_A_TIME {
-                return Ok(());
-            }
-            from = from.saturating_add(MONTH_US.saturating_mul(i64::from(MONTHS_AT_A_TIME)));
         }
+        Ok(())
     }
 
     async fn insert(&mut self, table: &Table, rows: &[&Row]) -> StoreResult<()> {
@@ -303,16 +313,14 @@ impl Side for PostgresSide {
         Ok(())
     }
 
-    async fn range(&mut self, table: &str, column: &str) -> StoreResult<Option<(i64, i64)>> {
-        let text = format!("SELECT MIN(\"{column}\"), MAX(\"{column}\") FROM \"{table}\"");
-        let mut query = QueryBuilder::<Postgres>::new(text);
-        let row = query.build().persistent(false).fetch_one(&mut self.conn).await?;
-        Ok(row.try_get::<Option<i64>, _>(0)?.zip(row.try_get::<Option<i64>, _>(1)?))
+    async fn receipts(&mut self) -> StoreResult<Vec<i64>> {
+        let days: Vec<(i64, i64)> = sqlx::query_as(RECEIPTS).fetch_all(&mut self.conn).await?;
+        Ok(days.into_iter().flat_map(<[i64; 2]>::from).collect())
     }
 
     async fn finish(&mut self, tables: &[Table]) -> StoreResult<()> {
         for (table, column) in self.numbered.clone() {
-            let Some((_, last)) = self.range(&table, &column).await? else { continue };
+            let Some(last) = self.largest(&table, &column).await? else { continue };
             sqlx::query("SELECT setval(pg_get_serial_sequence($1, $2), $3)")
                 .bind(format!("\"{table}\""))
                 .bind(&column)

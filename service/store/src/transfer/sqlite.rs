@@ -1,6 +1,6 @@
 //! A SQLite file as a side of a transfer.
 
-use super::{Kind, LEFT_OUT, Row, SAMPLES, Side, Table, TransferError, Value, quoted};
+use super::{Filling, Kind, LEFT_OUT, RECEIPTS, Row, SAMPLES, Side, Table, TransferError, Value, quoted};
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::BlockRow;
@@ -17,6 +17,8 @@ use std::time::Duration;
 
 /// A writer that is at work is waited for so long.
 const PATIENCE: Duration = Duration::from_secs(30);
+/// Rows that are read ahead of the one that is looked at. Each of samples comes with a whole pack, and no page counts them.
+const ROWS_AHEAD: usize = 4;
 
 pub(super) struct SqliteSide {
     conn: SqliteConnection,
@@ -29,8 +31,11 @@ impl SqliteSide {
     /// Reads a file beside whoever writes it, with all that was acknowledged before.
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
         crate::sqlite::take_up(path).await?;
-        let options =
-            SqliteConnectOptions::new().filename(by_name(path)).read_only(true).busy_timeout(PATIENCE);
+        let options = SqliteConnectOptions::new()
+            .filename(by_name(path))
+            .read_only(true)
+            .busy_timeout(PATIENCE)
+            .row_buffer_size(ROWS_AHEAD);
         let mut conn = options.connect().await?;
         if sqlx::query_scalar(HAS_MIGRATIONS).fetch_one(&mut conn).await? {
             let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut conn).await?;
@@ -45,7 +50,8 @@ impl SqliteSide {
             .filename(by_name(path))
             .create_if_missing(false)
             .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(PATIENCE);
+            .busy_timeout(PATIENCE)
+            .row_buffer_size(ROWS_AHEAD);
         Ok(Self { conn: options.connect().await?, is_shorter: true })
     }
 
@@ -271,8 +277,10 @@ impl Side for SqliteSide {
         query.push(format!(" ORDER BY {key} LIMIT {limit}"));
         // One by one: what comes of samples is a pack, of which a row takes its block.
         let mut found = query.build().persistent(false).fetch(&mut self.conn);
-        let mut rows = Vec::new();
-        while let Some(row) = found.try_next().await? {
+        let mut page = Filling::default();
+        while !page.is_full()
+            && let Some(row) = found.try_next().await?
+        {
             let columns = table.columns.iter().enumerate();
             let values = columns.map(|(at, (_, kind))| {
                 if Some(at) == id_by_bytes {
@@ -282,9 +290,9 @@ impl Side for SqliteSide {
                 Ok(value(&row, at, *kind)?)
             });
             let values = values.collect::<StoreResult<Row>>()?;
-            rows.push(if is_packed { with_block(table, values, &row)? } else { values });
+            page.add(if is_packed { with_block(table, values, &row)? } else { values });
         }
-        Ok(rows)
+        Ok(page.rows)
     }
 
     async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>> {
@@ -309,7 +317,7 @@ impl Side for SqliteSide {
         Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
     }
 
-    async fn prepare(&mut self, _received_us: Option<(i64, i64)>) -> StoreResult<()> {
+    async fn prepare(&mut self, _received_us: &[i64]) -> StoreResult<()> {
         Ok(())
     }
 
@@ -374,11 +382,9 @@ impl Side for SqliteSide {
         Ok(())
     }
 
-    async fn range(&mut self, table: &str, column: &str) -> StoreResult<Option<(i64, i64)>> {
-        let text = format!("SELECT MIN(\"{column}\"), MAX(\"{column}\") FROM \"{table}\"");
-        let mut query = QueryBuilder::<Sqlite>::new(text);
-        let row = query.build().persistent(false).fetch_one(&mut self.conn).await?;
-        Ok(row.try_get::<Option<i64>, _>(0)?.zip(row.try_get::<Option<i64>, _>(1)?))
+    async fn receipts(&mut self) -> StoreResult<Vec<i64>> {
+        let days: Vec<(i64, i64)> = sqlx::query_as(RECEIPTS).fetch_all(&mut self.conn).await?;
+        Ok(days.into_iter().flat_map(<[i64; 2]>::from).collect())
     }
 
     async fn finish(&mut self, _tables: &[Table]) -> StoreResult<()> {

@@ -8,7 +8,7 @@ use super::super::{CLOCK_AHEAD_US, Conn, Db, audit, dialect};
 use super::drops;
 use crate::error::StoreResult;
 use crate::locks::Locks;
-use crate::record::{Actor, DropReason, Role, SamplesGone};
+use crate::record::{Actor, DropReason, Role, SampleDrop, SamplesGone};
 use crate::rows::{id, word};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
@@ -32,8 +32,19 @@ pub(in super::super) async fn of(
     cycles: &[(CycleId, Timestamp)],
 ) -> StoreResult<BTreeMap<CycleId, SamplesGone>> {
     let decisions = drops(conn, machine).await?;
+    by(conn, machine, &decisions, cycles).await
+}
+
+/// The same by decisions that were read already, oldest of them first.
+pub(in super::super) async fn by(
+    conn: &mut Conn,
+    machine: &MachineId,
+    decisions: &[SampleDrop],
+    cycles: &[(CycleId, Timestamp)],
+) -> StoreResult<BTreeMap<CycleId, SamplesGone>> {
     let by_receipt = cycles.iter().filter_map(|(cycle, received)| {
-        let decision = decisions.iter().find(|decision| decision.before > *received)?;
+        let first = decisions.partition_point(|decision| decision.before <= *received);
+        let decision = decisions.get(first)?;
         Some((cycle.clone(), SamplesGone { dropped_at: decision.dropped_at, reason: decision.reason }))
     });
     let mut gone: BTreeMap<CycleId, SamplesGone> = by_receipt.collect();
