@@ -3,9 +3,10 @@
 //! A cycle that is being committed is not visible yet to the change that registers its tool or its operation, and
 //! the other way round: a row lock cannot stand for a row that is not there. So both lock the subject's name.
 //! Everyone takes shared locks first, then exclusive ones, each in ascending order: no two can wait for each other.
-//! There are two exceptions. A changed operation holds its own name while it asks for tools; cycles ask in that order too.
+//! There are three exceptions. A changed operation holds its own name while it asks for tools; cycles ask in that order too.
 //! Whoever takes back a decision of retention, or deletes by one, asks for the partitions first, and then for that machine's decisions: whoever
-//! drops a partition waits for those who read samples, and they may wait for the decisions. Nobody asks the other way round.
+//! drops a partition waits for those who read samples, and they may wait for the decisions. Whoever makes such a decision asks for the machine's decisions, and then
+//! for the machine, of which what is said of retention must not change meanwhile. Nobody asks the other way round.
 
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use std::collections::BTreeSet;

@@ -10,10 +10,10 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::client::TlsStream;
 use tokio_rustls::rustls::crypto::ring;
@@ -85,6 +85,10 @@ impl Secured {
 }
 
 async fn connect(address: SocketAddr, trusted: &[&Identity]) -> std::io::Result<TlsStream<TcpStream>> {
+    secure(TcpStream::connect(address).await?, trusted).await
+}
+
+async fn secure(stream: TcpStream, trusted: &[&Identity]) -> std::io::Result<TlsStream<TcpStream>> {
     let mut roots = RootCertStore::empty();
     for identity in trusted {
         roots.add(identity.certificate.clone()).unwrap();
@@ -94,7 +98,6 @@ async fn connect(address: SocketAddr, trusted: &[&Identity]) -> std::io::Result<
         .unwrap()
         .with_root_certificates(roots)
         .with_no_client_auth();
-    let stream = TcpStream::connect(address).await?;
     let name = ServerName::try_from("localhost").unwrap();
     TlsConnector::from(Arc::new(config)).connect(name, stream).await
 }
@@ -151,6 +154,51 @@ async fn a_silent_handshake_holds_a_connection_no_longer_than_it_may() {
     let _ = tokio::time::timeout(LONG, silent.read_to_end(&mut left)).await.expect("it is closed");
     let failures = secured.metric(&[&identity], "feedwright_tls_handshake_failures_total").await;
     assert_eq!(failures, "feedwright_tls_handshake_failures_total 1");
+    secured.server.shutdown().await.unwrap();
+}
+
+/// It stands still where the rest of its answer is with TLS already.
+#[tokio::test]
+async fn a_client_that_does_not_read_the_last_of_its_answer_is_dropped() {
+    const STALL: Duration = Duration::from_millis(400);
+    let identity = Identity::new();
+    let settings = [("server.body_stall_timeout_ms", "400"), ("metrics.listen", "127.0.0.1:0")];
+    let secured = Secured::start(&identity, &settings).await;
+    let metrics = format!("http://{}/metrics", secured.server.metrics_addr.unwrap());
+    let connections = async || {
+        let text = reqwest::get(&metrics).await.unwrap().text().await.unwrap();
+        let line = text.lines().find(|line| line.starts_with("feedwright_http_connections ")).unwrap();
+        line.rsplit(' ').next().unwrap().parse::<f64>().unwrap()
+    };
+    let mut deaf = Vec::new();
+    for unread in [60_000, 90_000, 130_000] {
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.set_recv_buffer_size(4096).unwrap();
+        let stream = socket.connect(secured.address).await.unwrap();
+        let mut stream = secure(stream, &[&identity]).await.unwrap();
+        let ask = b"GET /docs/swagger-ui-bundle.js HTTP/1.1\r\nhost: localhost\r\n\r\n";
+        stream.write_all(ask).await.unwrap();
+        let mut read = Vec::new();
+        let mut length = None;
+        while length.is_none_or(|length| read.len() + unread < length) {
+            let mut piece = [0; 4096];
+            let bytes = tokio::time::timeout(LONG, stream.read(&mut piece)).await.unwrap().unwrap();
+            assert!(bytes > 0, "it ended");
+            read.extend_from_slice(&piece[..bytes]);
+            let head = String::from_utf8_lossy(&read[..read.len().min(4096)]).to_ascii_lowercase();
+            let told = head.split("content-length: ").nth(1).and_then(|rest| rest.split('\r').next());
+            length = length.or(told.map(|text| text.parse().unwrap()));
+        }
+        deaf.push(stream);
+    }
+    let begun = Instant::now();
+    let mut polls = tokio::time::interval(STALL / 8);
+    // The one that is left asks for metrics.
+    while connections().await > 1.0 {
+        assert!(begun.elapsed() < LONG, "they are still connected");
+        polls.tick().await;
+    }
+    drop(deaf);
     secured.server.shutdown().await.unwrap();
 }
 

@@ -1,6 +1,6 @@
 //! Machines, tools and operations: versions, preconditions, pages and the audit of each change.
 
-use super::given::{at, engineer, machine, operation, shop, stories, tool};
+use super::given::{Run, at, engineer, machine, operation, shop, stored, stories, tool};
 use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_store::{Page, Precondition, PutOutcome, Store, StoreError, StoreResult};
 use std::sync::Arc;
@@ -42,10 +42,12 @@ async fn what_is_put_is_found_again(store: Arc<dyn Store>) {
 async fn what_changes_nothing_leaves_what_servers_remember(store: Arc<dyn Store>) {
     let who = engineer();
     let (machine, tool, operation) = (machine("M1"), tool("T1"), operation("O1"));
-    let generation = async || {
-        let around = store.recent_surroundings(&machine.id, &operation.id, &tool.id, at(1)).await.unwrap();
+    let generation_with = async |tool: &str| {
+        let tool = tool.try_into().unwrap();
+        let around = store.recent_surroundings(&machine.id, &operation.id, &tool, at(1)).await.unwrap();
         around.expect("it is registered").1
     };
+    let generation = async || generation_with("T1").await;
     let put = async || {
         let expects = Precondition::Unstated;
         store.put_machine(machine.clone(), expects, &who, at(1)).await.unwrap();
@@ -58,6 +60,11 @@ async fn what_changes_nothing_leaves_what_servers_remember(store: Arc<dyn Store>
     assert_eq!(put().await, PutOutcome::Unchanged(1));
     assert_eq!(store.revoke_tool_event(&tool.id, 9, &who, at(1)).await.unwrap(), None);
     assert_eq!(generation().await, before);
+    // Whoever posts and whoever asks see the same one, what nobody asked for yet included.
+    for (n, unknown) in [(1, "T7"), (2, "T8"), (3, "T9")] {
+        stored(&*store, &Run::nth(n)).await;
+        assert_eq!((generation_with(unknown).await, generation().await), (before, before), "{n}");
+    }
     let renamed = feedwright_core::machine::Machine { name: "another".to_owned(), ..machine.clone() };
     store.put_machine(renamed, Precondition::Version(1), &who, at(2)).await.unwrap();
     assert!(generation().await > before);

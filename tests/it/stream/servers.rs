@@ -171,6 +171,55 @@ async fn a_server_whose_clock_is_set_believes_in_a_lease_no_longer_than_the_data
     given.done().await;
 }
 
+/// Ids of the machine's cycles that are stored.
+async fn stored(served: &Served) -> Vec<String> {
+    let cycles = served.get("/v1/cycles?machine=M1").await;
+    let ids = cycles["items"].as_array().unwrap().iter();
+    ids.map(|cycle| cycle["cycle_id"].as_str().unwrap().to_owned()).collect()
+}
+
+/// One that goes on there with the cycle that it left here, and one that begins another.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cycle_that_is_left_for_another_server_is_kept_unless_it_comes_there() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let url = given.address();
+    let settings =
+        [("database.url", url.as_str()), ("stream.resume_ms", "1500"), ("stream.cycle_time_ms", "2000")];
+    let dir = tempfile::TempDir::new().unwrap();
+    let here = Served::start_in(dir.path(), None, &settings).await;
+    here.with_a_shop().await;
+    let token = here.machine_token("M1").await;
+    let there = Served::start_in(dir.path(), Some(&here.token), &settings).await;
+    for (left, next) in [("c1", "c1"), ("c2", "c3")] {
+        let mut machine = Machine::connect(&here, &token).await;
+        machine.start(left, json!({})).await;
+        machine.samples(0, 10).await;
+        machine.break_off();
+        let mut machine = Machine::connect(&there, &token).await;
+        machine.start(next, json!({"resend": left == next})).await;
+        machine.samples(0, 20).await;
+        assert_eq!(machine.end(20).await["status"], 201);
+        machine.break_off();
+    }
+    let begun = Instant::now();
+    let ids = loop {
+        let ids = stored(&there).await;
+        if ids.len() == 4 {
+            break ids;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{ids:?}");
+        tokio::task::yield_now().await;
+    };
+    let incomplete: Vec<_> = ids.iter().filter(|id| id.contains(".incomplete-")).collect();
+    assert!(matches!(incomplete[..], [id] if id.starts_with("c2.")), "{ids:?}");
+    here.server.shutdown().await.unwrap();
+    assert_eq!(stored(&there).await.len(), 4, "that of the first is none, also at the end");
+    there.server.shutdown().await.unwrap();
+    given.done().await;
+}
+
 /// Its clock is set by an hour in mid-cycle, either way: answers end when they end, and samples are as old as they are.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn answers_and_samples_go_by_the_time_that_passes_and_not_by_the_clock_that_is_set() {

@@ -329,7 +329,8 @@ impl RunningCycle {
             if !never_taken {
                 why = why.and(self.watch(batch, i, time_ms));
             }
-            self.withhold(Some(time_ms), why)
+            // A time that was never passes for nobody.
+            self.withhold(Some(time_ms).filter(|_| !never_taken), why)
         };
         if kept && !too_long && !never_taken {
             self.record.keep(batch, i, advice);

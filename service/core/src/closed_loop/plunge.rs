@@ -19,6 +19,9 @@ use std::collections::VecDeque;
 /// An axis reaches its feed well within this: where it seems to accelerate for longer, contact is not looked for, ms.
 const LONGEST_UNJUDGED_MS: f64 = 200.0;
 
+/// What passes between two samples counts no longer than this, ms: an hour is no time between samples.
+const LONGEST_STEP_MS: f64 = 3_600_000.0;
+
 /// A feed in mm/min that lies within the limits it was made for.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct BoundedFeed(f64);
@@ -212,7 +215,9 @@ impl PlungeLoop {
         if !time_ms.is_finite() {
             return;
         }
-        if let Some(step_ms) = self.last_ms.map(|last| time_ms - last).filter(|step| *step > 0.0) {
+        if let Some(step_ms) =
+            self.last_ms.map(|last| (time_ms - last).min(LONGEST_STEP_MS)).filter(|step| *step > 0.0)
+        {
             if self.steps_ms.len() >= self.confirm_samples as usize {
                 self.steps_ms.pop_front();
             }
@@ -223,8 +228,14 @@ impl PlungeLoop {
 
     /// Seconds from contact to the axis acting on it.
     fn delay_s(&self, age_ms: f64) -> f64 {
-        let told_ms = f64::from(self.confirm_samples) * self.limits.period_ms;
-        let lag_ms = told_ms.max(self.steps_ms.iter().sum());
+        let samples = f64::from(self.confirm_samples);
+        let passed_ms = if self.steps_ms.len() < self.confirm_samples as usize {
+            // The rest may take as long as the longest of them.
+            samples * self.steps_ms.iter().copied().fold(0.0, f64::max)
+        } else {
+            self.steps_ms.iter().sum()
+        };
+        let lag_ms = passed_ms.max(samples * self.limits.period_ms);
         (lag_ms + age_ms.max(self.limits.answer_age_ms)) / 1000.0
     }
 

@@ -14,7 +14,7 @@ use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use feedwright_core::ids::MachineId;
-use feedwright_store::Actor;
+use feedwright_store::{Actor, QuarantineEntry};
 use http::{StatusCode, header};
 
 /// Lists what could not be accepted, oldest first; what is settled only where it is asked for.
@@ -42,10 +42,16 @@ pub(super) async fn get(
     State(state): State<AppState>,
     PathId(id): PathId<String>,
 ) -> Result<Response, Problem> {
-    // A body may be the largest there is, and whoever reads it may be slow.
-    let turn = state.exports.turn(Size::Large).await?;
-    let found = state.store.quarantine_entry(&id).await?;
-    let found = found.ok_or_else(|| Problem::not_found("quarantine entry", &id))?;
+    // A body may be the largest there is, and whoever reads it may be slow. How large it is is looked up only where so many are held
+    // that it matters.
+    let turn = match state.exports.at_once() {
+        Some(turn) => turn,
+        None => {
+            let size = entry(&state, &id).await?.0.size;
+            state.exports.turn(if size > MOST_SMALL_BYTES { Size::Large } else { Size::Small }).await?
+        }
+    };
+    let found = entry(&state, &id).await?;
     if found.0.size <= MOST_SMALL_BYTES {
         let turn = state.exports.suited(turn, Size::Small);
         return Ok(export::held(axum::Json(QuarantineDetail::from(found)).into_response(), turn));
@@ -55,6 +61,11 @@ pub(super) async fn get(
     let written = written.await.map_err(|error| Problem::internal(error.to_string()))?;
     let json = written.map_err(|error| Problem::internal(error.to_string()))?;
     Ok(export::held(([(header::CONTENT_TYPE, "application/json")], json).into_response(), turn))
+}
+
+async fn entry(state: &AppState, id: &str) -> Result<(QuarantineEntry, Option<Vec<u8>>), Problem> {
+    let found = state.store.quarantine_entry(id).await?;
+    found.ok_or_else(|| Problem::not_found("quarantine entry", id))
 }
 
 /// Settles an entry: discards it, or takes its body (repaired, where one is sent) in again.

@@ -134,11 +134,12 @@ fn incomplete_id(cycle: &StreamedCycle) -> Option<CycleId> {
 pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
     let slot = ownership.slot.clone();
     let Some((generation, cycle_left)) = state.streams.leave(ownership) else { return };
-    let overload = slot.lock().cycle.as_ref().and_then(|cycle| cycle.overload.clone());
-    let raised = match overload {
-        Some(overload) => overload.raise(state, &slot.machine).await,
-        None => Ok(()),
-    };
+    let of_cycle = slot.lock().cycle.as_ref().and_then(|cycle| cycle.overload.clone());
+    let mut raised = Ok(());
+    // That of a cycle before may be on its way yet.
+    for overload in of_cycle.into_iter().chain(state.streams.unraised(&slot.machine)) {
+        raised = raised.and(overload.raise(state, &slot.machine).await);
+    }
     match raised {
         Ok(()) => release(state, &slot, generation).await,
         // It is tried again beside; at another server the next cycle would find no alarm meanwhile.
@@ -158,14 +159,20 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
             // The machine sends everything again to whoever serves next.
             () = waiting.lifecycle.stopping() => return,
         }
-        let Some(cycle) = waiting.streams.take_left(&ownership) else { return };
+        let Some((cycle, held)) = waiting.streams.take_left(&ownership) else { return };
         show(&waiting, &slot, MachineState::Disconnected);
-        if went_elsewhere(&waiting, &slot).await && comes_elsewhere(&waiting, &slot.machine, &cycle.id).await {
-            tracing::info!(machine = %slot.machine, cycle = %cycle.id, "the machine went on with another server");
-            return;
-        }
-        store_incomplete(&waiting, &slot.machine, cycle).await;
+        settle_left(&waiting, &slot, cycle).await;
+        waiting.streams.give_back(held);
     });
+}
+
+/// A cycle that its machine did not come back to: stored as incomplete, unless the whole of it is stored.
+async fn settle_left(state: &AppState, slot: &Arc<Slot>, cycle: StreamedCycle) {
+    if went_elsewhere(state, slot).await && comes_elsewhere(state, &slot.machine, &cycle.id).await {
+        tracing::info!(machine = %slot.machine, cycle = %cycle.id, "the machine went on with another server");
+        return;
+    }
+    store_incomplete(state, &slot.machine, cycle).await;
 }
 
 /// Waits whether the whole cycle is stored by the server that its machine went on with, as long as a cycle may last: it may have
@@ -185,8 +192,8 @@ async fn comes_elsewhere(state: &AppState, machine: &MachineId, id: &CycleId) ->
         }
         tokio::select! {
             () = tokio::time::sleep(state.config.stream.resume()) => {}
-            // As far as anybody knows it is left.
-            () = state.lifecycle.stopping() => return false,
+            // The machine sends everything again to whoever serves it.
+            () = state.lifecycle.stopping() => return true,
         }
     }
 }

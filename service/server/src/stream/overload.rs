@@ -2,7 +2,7 @@
 //!
 //! It is raised beside the answers, as a commit must not hold up an override, and tried until it is committed, also where the
 //! cycle is left or its connection gone. What follows in the machine waits for it: the end of the cycle is not answered, no
-//! other cycle starts and the lease is not given back before it is committed. Otherwise the next cycle would find no alarm and raise the feed of a tool that nobody has looked at.
+//! other cycle starts here and the lease is not given back before it is committed; at another server none starts before that ends. Otherwise the next cycle would find no alarm and raise the feed of a tool that nobody has looked at.
 //!
 //! Nor is a cycle freed by what is told of an alarm, which may be an earlier one and may come late: the list of alarms
 //! is asked whether one is open.

@@ -213,15 +213,16 @@ impl Streams {
         held.connected = false;
         let left = (held.generation, held.cycle.is_some());
         if !left.1 {
-            self.held_bytes.fetch_sub(std::mem::take(&mut held.charged), Ordering::Relaxed);
+            self.give_back(std::mem::take(&mut held.charged));
             slots.remove(&ownership.slot.machine);
         }
         drop(held);
         Some(left)
     }
 
-    /// Takes the cycle that a broken connection has left, unless a connection owns the slot again.
-    pub fn take_left(&self, ownership: &Ownership) -> Option<StreamedCycle> {
+    /// Takes the cycle that a broken connection has left, unless a connection owns the slot again; with the bytes that it is charged
+    /// until they are [given back](Streams::give_back).
+    pub fn take_left(&self, ownership: &Ownership) -> Option<(StreamedCycle, usize)> {
         let mut slots = self.slots();
         let mut held = ownership.slot.lock();
         if held.owner != ownership.owner || held.connected {
@@ -230,9 +231,16 @@ impl Streams {
         let cycle = held.cycle.take();
         let charged = std::mem::take(&mut held.charged);
         drop(held);
-        self.held_bytes.fetch_sub(charged, Ordering::Relaxed);
         slots.remove(&ownership.slot.machine);
-        cycle
+        if cycle.is_none() {
+            self.give_back(charged);
+        }
+        Some((cycle?, charged))
+    }
+
+    /// Bytes of samples are held no longer.
+    pub fn give_back(&self, charged: usize) {
+        self.held_bytes.fetch_sub(charged, Ordering::Relaxed);
     }
 
     /// Whether there is room for the samples of another cycle.

@@ -15,8 +15,11 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 /// The generation in force, as this transaction sees it.
 async fn generation(conn: &mut Conn, registry: &Registry) -> StoreResult<i64> {
-    let sql =
-        concat!("SELECT ", dialect::server!(), ", CAST(SUM(changes) AS BIGINT) FROM registry_generation");
+    let sql = concat!(
+        "SELECT ",
+        dialect::incarnation!(),
+        ", CAST(SUM(changes) AS BIGINT) FROM registry_generation"
+    );
     let (server, changes) = sqlx::query_as::<Db, _>(sql).fetch_one(&mut *conn).await?;
     Ok(registry.generation(server, changes))
 }

@@ -158,8 +158,8 @@ pub(super) async fn age(conn: &mut Conn, now: Timestamp, gone_by: Duration) -> S
     let before = aged_to(conn, now).await?.micros();
     let by = i64::try_from(gone_by.as_micros()).unwrap_or(i64::MAX).saturating_mul(AGES_FASTER);
     let aged_to = before.saturating_add(by).min(now.micros());
-    // From what a clock tells that is not set yet nobody goes on.
-    if past::may_be_right(now) {
+    // A clock that is not set yet, as of a computer that has just started, is nothing to go on from.
+    if aged_to >= before && past::may_be_right(now) {
         sqlx::query::<Db>(
             "INSERT INTO retention_clock (only_row, aged_to_us) VALUES (1, $1)
              ON CONFLICT (only_row) DO UPDATE SET aged_to_us = excluded.aged_to_us",
@@ -255,11 +255,12 @@ pub(super) async fn decide(
     said: Option<u64>,
     now: Timestamp,
 ) -> StoreResult<Option<SampleDrop>> {
+    dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
+    // Last: posts of the machine wait for whoever has it.
     dialect::lock(conn, &Locks::subject("machine", machine.as_str())).await?;
     if get(conn, machine).await?.map(|said| said.version) != said {
         return Ok(None);
     }
-    dialect::lock(conn, &Locks::subject("retention", machine.as_str())).await?;
     if before <= dropped_before(conn, machine.as_str()).await? {
         return Ok(None);
     }

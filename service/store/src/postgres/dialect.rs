@@ -237,6 +237,7 @@ macro_rules! incarnation {
              'registry_generation'::regclass::oid, pg_relation_filenode('registry_generation'::regclass)), 0)"
     };
 }
+pub(super) use incarnation;
 
 /// The generation of the registry, which database answers, whether the database is one that Citus distributes, and whether any feed
 /// profile is active, under empty names of a tool, and the versions of the folds of a list of tools. The tools' names are locked by then.

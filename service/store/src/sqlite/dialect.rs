@@ -76,12 +76,12 @@ macro_rules! at_one_moment {
 pub(super) use at_one_moment;
 
 /// The file is nobody else's.
-macro_rules! server {
+macro_rules! incarnation {
     () => {
         "0"
     };
 }
-pub(super) use server;
+pub(super) use incarnation;
 
 /// Begins a group's transaction. The generation of the registry and whether any feed profile is active, under empty names
 /// of a tool, and the versions of the folds of a list of tools.
