@@ -114,7 +114,7 @@ async fn folds_stand_in_their_rows_as_long_as_a_page_has_room_for_two() {
         assert!(matches!(answers.as_slice(), [Ok(Committed::Stored(_))]), "{answers:?}");
         let [length, pieces, rows] = given.numbers(sizes).await[..] else { panic!("three sizes") };
         // 240 rows would take that many pages; whoever reads meanwhile keeps some from being written over.
-        assert!(rows <= 16 * 8192, "a fold of {length} bytes, and {rows} bytes of rows");
+        assert!(rows <= 48 * 8192, "a fold of {length} bytes, and {rows} bytes of rows");
         match length {
             2_100..3_800 => {
                 assert_eq!(pieces, 0, "a fold of {length} bytes");

@@ -54,6 +54,8 @@ pub struct StreamedCycle {
     pub overload: Option<Arc<Overload>>,
     /// When its samples were shown last, µs.
     pub shown_us: i64,
+    /// When it began, by its machine's clock.
+    started_at: Timestamp,
     /// When its start came, by the clock that is set now and then and by the one that never is.
     came: (Timestamp, Moment),
     /// What it was begun with.
@@ -401,6 +403,7 @@ pub async fn begin(
         program_hash,
         overload,
         shown_us: i64::MIN,
+        started_at: checked.begun.started_at,
         came: (checked.begun.received_at, checked.came_at),
         begun_with,
     }))
@@ -468,6 +471,11 @@ pub struct Ordered {
 }
 
 impl StreamedCycle {
+    /// When it began, by its machine's clock.
+    pub const fn started_at(&self) -> Timestamp {
+        self.started_at
+    }
+
     /// The time at that moment, as it went by since the start: where the clock is set meanwhile, no answer is valid for longer, and
     /// no sample older.
     pub fn time_at(&self, moment: Moment) -> Timestamp {

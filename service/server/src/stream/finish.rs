@@ -9,7 +9,7 @@ use crate::live::{Event, MachineState};
 use crate::state::AppState;
 use bytes::Bytes;
 use feedwright_core::ids::{CycleId, MAX_ID_LENGTH, MachineId};
-use feedwright_store::{CycleOverrides, StreamLease, codec};
+use feedwright_store::{CycleOverrides, StoreResult, StreamLease, codec};
 use serde_json::Value;
 use std::sync::Arc;
 use std::time::Duration;
@@ -97,9 +97,20 @@ async fn keep_overrides(
     Ok(())
 }
 
-/// Stores what there is of a cycle whose end never came. It has an id of its own, so that the whole cycle, from its
-/// machine's buffer, is stored under the right one later; it is flagged `incomplete` and `cut_short`, and does not count.
+/// Whether the whole of a cycle is stored: under the same id another one may be, by a counter that has restarted.
+async fn is_stored(state: &AppState, machine: &MachineId, cycle: &StreamedCycle) -> StoreResult<bool> {
+    let stored = state.store.cycle(machine, &cycle.id).await?;
+    Ok(stored.is_some_and(|stored| stored.cycle.started_at == cycle.started_at()))
+}
+
+/// Stores what there is of a cycle whose end never came, unless the whole of it is stored by now. It has an id of its own, so that the
+/// whole cycle, from its machine's buffer, is stored under the right one later; it is flagged `incomplete` and `cut_short`, and does
+/// not count.
 pub async fn store_incomplete(state: &AppState, machine: &MachineId, cycle: StreamedCycle) {
+    if matches!(is_stored(state, machine, &cycle).await, Ok(true)) {
+        tracing::info!(%machine, cycle = %cycle.id, "a cycle was left, and is stored as a whole");
+        return;
+    }
     let (came, whole) = cycle.running.record().counts();
     if whole == 0 {
         tracing::info!(%machine, cycle = %cycle.id, came, "a cycle was left without a usable sample");
@@ -168,7 +179,7 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
 
 /// A cycle that its machine did not come back to: stored as incomplete, unless the whole of it is stored.
 async fn settle_left(state: &AppState, slot: &Arc<Slot>, cycle: StreamedCycle) {
-    if went_elsewhere(state, slot).await && comes_elsewhere(state, &slot.machine, &cycle.id).await {
+    if went_elsewhere(state, slot).await && comes_elsewhere(state, &slot.machine, &cycle).await {
         tracing::info!(machine = %slot.machine, cycle = %cycle.id, "the machine went on with another server");
         return;
     }
@@ -177,14 +188,14 @@ async fn settle_left(state: &AppState, slot: &Arc<Slot>, cycle: StreamedCycle) {
 
 /// Waits whether the whole cycle is stored by the server that its machine went on with, as long as a cycle may last: it may have
 /// begun another one there.
-async fn comes_elsewhere(state: &AppState, machine: &MachineId, id: &CycleId) -> bool {
+async fn comes_elsewhere(state: &AppState, machine: &MachineId, cycle: &StreamedCycle) -> bool {
     let until = state.clock.moment().plus(Duration::from_millis(state.config.stream.cycle_time_ms));
     loop {
-        match state.store.cycle(machine, id).await {
-            Ok(Some(_)) => return true,
-            Ok(None) => {}
+        match is_stored(state, machine, cycle).await {
+            Ok(true) => return true,
+            Ok(false) => {}
             Err(error) => {
-                tracing::warn!(%machine, cycle = %id, %error, "whether a cycle was stored is not known yet");
+                tracing::warn!(%machine, cycle = %cycle.id, %error, "whether a cycle was stored is not known yet");
             }
         }
         if state.clock.moment() >= until {
