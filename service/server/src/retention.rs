@@ -10,8 +10,7 @@ const SHARE_BESIDE_READERS: u32 = 2;
 
 /// So often samples age: a server that runs for a shorter time lets them age not at all.
 const AGING: Duration = Duration::from_secs(600);
-/// A clock that is so much ahead of how far samples have aged is told of.
-const FAR_AHEAD: Duration = Duration::from_secs(86_400);
+const DAY_MS: i64 = 86_400_000;
 
 /// Runs until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
@@ -49,11 +48,11 @@ async fn aging(state: AppState) {
         match state.store.age_samples(now, moment.since(before)).await {
             Ok(aged_to) => {
                 before = moment;
-                let behind = now.millis_since(aged_to);
-                let was_behind = std::mem::replace(&mut is_behind, behind > millis(FAR_AHEAD));
+                let days = now.millis_since(aged_to) / DAY_MS;
+                let was_behind = std::mem::replace(&mut is_behind, days > 0);
                 if is_behind && !was_behind {
                     tracing::warn!(
-                        days = behind / millis(FAR_AHEAD),
+                        days,
                         "no server ran for as long, or the clock has leapt ahead: what samples are kept for days stays longer, until that is caught up with"
                     );
                 } else if was_behind && !is_behind {
@@ -64,10 +63,6 @@ async fn aging(state: AppState) {
             Err(error) => tracing::warn!(%error, "samples do not age until the next try"),
         }
     }
-}
-
-fn millis(of: Duration) -> i64 {
-    i64::try_from(of.as_millis()).unwrap_or(i64::MAX)
 }
 
 /// One run: everything that is to go by now goes, unless the shutdown begins.

@@ -192,7 +192,6 @@ impl CycleIntake {
         let writing = tokio::spawn(async move {
             // Nobody would write any more, and everybody be told to try again.
             if let Err(panicked) = writing.await {
-                tracing::error!(error = %panicked, "the writer ended abnormally");
                 ended.fail(&format!("the writer ended: {panicked}"));
             }
         });
