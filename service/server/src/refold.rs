@@ -1,5 +1,5 @@
-//! After an upgrade that changed the rules of wear: the folds that earlier rules made are made anew in the background; again and again, as
-//! a server of before may run beside this one for a while, and write more of them.
+//! The folds that earlier rules of wear made, and those that are behind a change of an operation, are made anew in the background; again and
+//! again, as a server of before may run beside this one for a while and write more of them, and one that changed an operation may have stopped.
 //!
 //! A tool that runs is folded again by its next cycle; one that lies idle would be folded over its whole history each time
 //! somebody asks for it. Each is made anew by itself, through the same writer and under the same lock as its cycles, and
@@ -29,6 +29,7 @@ pub(crate) fn start(state: &AppState) {
             round(&state).await;
             tokio::select! {
                 () = tokio::time::sleep(ROUNDS) => {}
+                () = state.folds_are_behind.notified() => {}
                 () = state.lifecycle.stopping() => return,
             }
         }
@@ -48,7 +49,7 @@ async fn round(state: &AppState) {
             }
             Ok(None) => break,
             Err(error) => {
-                tracing::warn!(%error, "folds of earlier rules are not made anew for now");
+                tracing::warn!(%error, "folds that are outdated are not made anew for now");
                 AWAY
             }
         };
@@ -59,7 +60,7 @@ async fn round(state: &AppState) {
         }
     }
     if made > 0 {
-        tracing::info!(tools = made, "folds of earlier rules were made anew");
+        tracing::info!(tools = made, "outdated folds were made anew");
     }
 }
 
@@ -78,7 +79,7 @@ async fn one(state: &AppState, after: Option<&ToolId>) -> StoreResult<Option<(To
             error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_) | StoreError::NotWritable(_)),
         ) => Err(error),
         Err(error) => {
-            tracing::error!(%error, %tool, "the tool's fold is of earlier rules and cannot be made anew");
+            tracing::error!(%error, %tool, "the tool's fold is outdated and cannot be made anew");
             Ok(Some((tool, false)))
         }
     }

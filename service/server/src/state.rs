@@ -16,6 +16,7 @@ use feedwright_store::{Store, StoreError, StoreResult};
 use std::future::Future;
 use std::ops::Deref;
 use std::sync::Arc;
+use tokio::sync::Notify;
 
 /// What every handler reaches; cheap to clone.
 #[derive(Clone)]
@@ -51,6 +52,8 @@ pub struct Shared {
     pub(crate) readiness: Readiness,
     /// Whose wear the watch reads next.
     pub(crate) wear_turn: WearTurn,
+    /// Told when folds may be behind a change of an operation: they are made anew in the background.
+    pub(crate) folds_are_behind: Notify,
 }
 
 impl Deref for AppState {
@@ -89,6 +92,7 @@ impl AppState {
             known_tokens: KnownTokens::default(),
             readiness,
             wear_turn: WearTurn::default(),
+            folds_are_behind: Notify::new(),
         }))
     }
 

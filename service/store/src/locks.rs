@@ -3,7 +3,8 @@
 //! A cycle that is being committed is not visible yet to the change that registers its tool or its operation, and
 //! the other way round: a row lock cannot stand for a row that is not there. So both lock the subject's name.
 //! Everyone takes shared locks first, then exclusive ones, each in ascending order: no two can wait for each other.
-//! There are three exceptions. A changed operation holds its own name while it asks for tools; cycles ask in that order too.
+//! There are three exceptions. A changed operation holds its own name while it waits for the number of its change, which nobody holds who asks for
+//! a name.
 //! Whoever takes back a decision of retention, or deletes by one, asks for the partitions first, and then for that machine's decisions: whoever
 //! drops a partition waits for those who read samples, and they may wait for the decisions. Whoever makes such a decision asks for the machine's decisions, and then
 //! for the machine, of which what is said of retention must not change meanwhile. Nobody asks the other way round.
@@ -48,11 +49,6 @@ impl Locks {
     /// One operation alone.
     pub(crate) fn operation(id: &OperationId) -> Self {
         Self::subject("operation", id.as_str())
-    }
-
-    /// Several tools alone.
-    pub(crate) fn tools<'a>(tools: impl IntoIterator<Item = &'a ToolId>) -> Self {
-        Self::group([], [], tools)
     }
 
     /// What a group of cycles needs: its machines and operations stay as they are, its tools are folded by nobody

@@ -122,7 +122,8 @@ pub trait Store: Send + Sync + 'static {
     /// A tool's events in the order of arrival.
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>>;
 
-    /// Registers or changes an operation. Where what wear depends on changes, the tools it ran with are refolded.
+    /// Registers or changes an operation. Where what wear depends on changes, the tools it ran with are judged so from then on; their folds and
+    /// alarms follow one by one, those that it does not come to at once with [`Store::renew_fold`] or their next cycle.
     async fn put_operation(
         &self,
         operation: Operation,
@@ -323,9 +324,9 @@ pub trait Store: Send + Sync + 'static {
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
     /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
-    /// The next registered tool after `after` with a fold that an earlier version of the rules made.
+    /// The next registered tool after `after` with a fold that an earlier version of the rules made, or that is behind a change of an operation.
     async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>>;
-    /// Makes a tool's folds of earlier rules anew, durably, and has its alarms follow; `false` where there are none any more.
+    /// Makes such folds of a tool anew, durably, and has its alarms follow; `false` where there are none any more.
     async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair` says so. A tool whose
     /// cycles cannot be read is named.

@@ -8,6 +8,7 @@ pub(crate) use given::{Given, shop};
 mod alarms;
 mod alike;
 mod assumed;
+mod changed_operation;
 mod check;
 mod citus;
 mod cycles;

@@ -12,7 +12,7 @@ use crate::state::AppState;
 use axum::extract::State;
 use axum::response::Response;
 use feedwright_core::ids::OperationId;
-use feedwright_store::Store;
+use feedwright_store::{PutOutcome, Store};
 use http::HeaderMap;
 use std::sync::Arc;
 
@@ -38,6 +38,9 @@ pub(super) async fn put(
     let put =
         |store: Arc<dyn Store>| async move { store.put_operation(operation, expects, &actor, now).await };
     let outcome = state.commit(put).await?;
+    if !matches!(outcome, PutOutcome::Unchanged(_)) {
+        state.folds_are_behind.notify_one();
+    }
     let stored = state.store.operation(&id).await?.ok_or_else(|| Problem::internal("it was just put"))?;
     let view = Registered::<OperationBody>::from(stored);
     Ok(answer_put(outcome, &format!("/v1/operations/{id}"), &view))

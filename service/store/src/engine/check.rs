@@ -124,8 +124,17 @@ pub(super) async fn tool(
     if repair {
         dialect::lock(conn, &Locks::tool(tool)).await?;
     }
-    let (states, mut checkpoints) = cached(conn, tool).await?;
-    let events = ToolWear::load(conn, tool).await?.events;
+    let (mut states, mut checkpoints) = cached(conn, tool).await?;
+    let mut overall = overall(conn, tool).await?;
+    let known = ToolWear::load(conn, tool).await?;
+    if known.is_outdated() {
+        // Nor those that are behind a change of an operation.
+        let of_states = states.values_mut().map(|(_, state)| state);
+        let on_the_way = checkpoints.values_mut().map(|(state, _)| state);
+        let on_the_way = on_the_way.chain(overall.values_mut().map(|(_, (state, _))| state));
+        of_states.chain(on_the_way).for_each(|(version, _)| *version = wear::BEHIND);
+    }
+    let events = known.events;
     let mut machines: BTreeSet<MachineId> = states.keys().cloned().collect();
     if wear::is_registered(conn, tool).await? {
         machines.extend(wear::machines_of(conn, tool).await?);
@@ -143,7 +152,6 @@ pub(super) async fn tool(
         let last = fold.last().map(last_of).transpose()?;
         Ok(holds(Some(state), fold) && (state.0 != version || last.as_ref() == Some(of)))
     };
-    let mut overall = overall(conn, tool).await?;
     let mut overall_same = true;
     let mut walk = Walk::new(&events);
     while !overall.is_empty() {

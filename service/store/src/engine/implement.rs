@@ -43,6 +43,8 @@ const TAKE_BACK_ATTEMPTS: u32 = 3;
 const MACHINES_PAGE: u32 = 100;
 /// Bytes of a block that is read on the thread of whoever asks: a millisecond or so. A larger one would hold up streams.
 const READ_AT_ONCE: usize = 32 << 10;
+/// So long a changed operation waits for folds that follow it: those of a shop's tools do, those of years of a plant's later.
+const FOLLOWED_AT_ONCE: Duration = Duration::from_millis(500);
 /// Between two pages of cycles whose drops are named.
 const NAMES_PAUSE: Duration = Duration::from_millis(20);
 
@@ -76,6 +78,12 @@ macro_rules! register {
 trait Registered {
     /// Whether it changed anything.
     fn is_change(&self) -> bool;
+}
+
+impl Registered for (PutOutcome, bool) {
+    fn is_change(&self) -> bool {
+        self.0.is_change()
+    }
 }
 
 impl Registered for PutOutcome {
@@ -141,6 +149,25 @@ impl Engine {
         }
         tracing::warn!(%machine, "samples go by the decision of a clock that was ahead while it is taken back");
         Ok(())
+    }
+
+    /// Makes the folds anew that are behind a change of an operation, one tool after the other, as far as that is done soon, so that alarms
+    /// follow as well. The change is stored by then, and holds whether this succeeds or not.
+    async fn follow_change(&self, now: Timestamp) {
+        let (until, mut after) = (Instant::now() + FOLLOWED_AT_ONCE, None);
+        while Instant::now() < until {
+            let tool = match self.next_outdated_fold(after.as_ref()).await {
+                Ok(Some(tool)) => tool,
+                Ok(None) => return,
+                Err(error) => {
+                    return tracing::warn!(%error, "folds do not follow a changed operation at once");
+                }
+            };
+            if let Err(error) = self.renew_fold(&tool, now).await {
+                tracing::warn!(%error, %tool, "the tool's fold does not follow a changed operation at once");
+            }
+            after = Some(tool);
+        }
     }
 
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
@@ -359,7 +386,12 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        register!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)
+        let (outcome, judged_otherwise) =
+            register!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)?;
+        if judged_otherwise {
+            self.follow_change(now).await;
+        }
+        Ok(outcome)
     }
 
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {

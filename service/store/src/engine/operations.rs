@@ -1,6 +1,6 @@
 //! Operations.
 
-use super::{Conn, Db, alarms, audit, dialect, wear};
+use super::{Conn, Db, audit, dialect};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
@@ -139,19 +139,51 @@ fn judged_alike(before: Option<&Operation>, after: &Operation) -> bool {
     })
 }
 
+/// Number of the last change of any operation after which cycles are judged otherwise than before; 0 before the first.
+pub(super) async fn last_judging_change(conn: &mut Conn) -> StoreResult<i64> {
+    Ok(sqlx::query_scalar::<Db, _>(
+        "SELECT CAST(COALESCE(MAX(judging_change), 0) AS BIGINT) FROM operations WHERE judging_change > 0",
+    )
+    .fetch_one(&mut *conn)
+    .await?)
+}
+
+/// Numbers a change after which the operation's cycles are judged otherwise, where it has any: folds that were made before go along
+/// with it when they are loaded next. Whether it has any nobody changes meanwhile, as the operation's name is locked.
+async fn number_change(conn: &mut Conn, id: &OperationId) -> StoreResult<bool> {
+    let ran: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT CAST(1 AS BIGINT) FROM cycles WHERE operation_id = $1 LIMIT 1")
+            .bind(id.as_str())
+            .fetch_optional(&mut *conn)
+            .await?;
+    if ran.is_none() {
+        return Ok(false);
+    }
+    // One after the other until they are committed: who has seen a number has seen those before it.
+    dialect::lock(conn, &Locks::subject("judging_change", "")).await?;
+    let last = last_judging_change(conn).await?;
+    sqlx::query::<Db>("UPDATE operations SET judging_change = $2 WHERE operation_id = $1")
+        .bind(id.as_str())
+        .bind(last + 1)
+        .execute(&mut *conn)
+        .await?;
+    Ok(true)
+}
+
+/// Says as well whether cycles are judged otherwise from now on.
 pub(super) async fn put(
     conn: &mut Conn,
     operation: &Operation,
     expects: Precondition,
     actor: &Actor,
     now: Timestamp,
-) -> StoreResult<PutOutcome> {
+) -> StoreResult<(PutOutcome, bool)> {
     dialect::lock(conn, &Locks::operation(&operation.id)).await?;
     let existing = get(conn, &operation.id).await?;
     let known = existing.as_ref().map(|existing| (existing.version, existing.value == *operation));
     let outcome = precondition::decide(known, expects)?;
     if let PutOutcome::Unchanged(_) = outcome {
-        return Ok(outcome);
+        return Ok((outcome, false));
     }
     let setup = setup_json(operation.turning.as_ref(), operation.plunge.as_ref())?;
     sqlx::query::<Db>(
@@ -207,10 +239,7 @@ pub(super) async fn put(
         note_asks(conn, &existing.value, existing.updated_at.min(now)).await?;
     }
     note_asks(conn, operation, now).await?;
-    if !judged_alike(existing.as_ref().map(|existing| &existing.value), operation) {
-        for (tool, verdict) in wear::count_operation(conn, &operation.id, now).await? {
-            alarms::follow_verdict(conn, &tool, &verdict, now).await?;
-        }
-    }
-    Ok(outcome)
+    let judged_otherwise = !judged_alike(existing.as_ref().map(|existing| &existing.value), operation)
+        && number_change(conn, &operation.id).await?;
+    Ok((outcome, judged_otherwise))
 }

@@ -5,10 +5,9 @@ use super::{Conn, Db, alarms, dialect, operations, tools};
 use crate::codec::state;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
-use crate::locks::Locks;
 use crate::registry::Registry;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
-use feedwright_core::ids::{MachineId, OperationId, ToolId};
+use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::operation::{Ask, asked_at};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
@@ -26,7 +25,7 @@ pub(super) const BEGINNING: Place = Place::at(Timestamp::from_micros(i64::MIN));
 const END: Place = Place::at(Timestamp::from_micros(i64::MAX));
 
 /// Version of a fold that is behind its cycles, as no rules ever wrote it: a journal of groups was taken up.
-const BEHIND: i64 = 0;
+pub(super) const BEHIND: i64 = 0;
 
 /// The verdict on a tool that is not registered.
 pub(super) fn not_registered() -> Verdict {
@@ -54,6 +53,10 @@ pub(super) struct ToolWear {
     machines: BTreeMap<MachineId, Cached>,
     /// The fold over all machines, where there are several and it is known.
     whole: Option<(ToolFold, u64)>,
+    /// Number of the last change of an operation that the folds go along with.
+    judging_change: i64,
+    /// Whether a fold is behind such a change, as it was loaded for reading: no state on the way may be gone on from.
+    outdated: bool,
     /// Whether the tool's name is locked: only then are states on the way kept, and those taken back that do not hold any more.
     locked: bool,
     /// The open alarms that follow the verdict, where they are known. They hold as long as the folds of these versions do:
@@ -68,6 +71,7 @@ struct WearRow {
     fold_version: i64,
     state: Vec<u8>,
     version: i64,
+    judging_change: i64,
 }
 
 /// Versions of the stored folds of one tool, by machine: what a fold in memory is held against.
@@ -219,35 +223,74 @@ pub(super) async fn ask_operations(
 }
 
 impl ToolWear {
-    /// Loads a tool's events and caches; locks the caches where the engine locks rows.
+    /// Loads a tool's events and caches, whose name is locked; those that are behind a change of an operation are folded again.
     pub(super) async fn load_locked(conn: &mut Conn, tool: &ToolId) -> StoreResult<Self> {
-        let wear = Self::load_by(conn, tool, dialect::WEAR_OF_TOOL_LOCKED).await?;
-        Ok(Self { locked: true, ..wear })
+        let (mut wear, behind) = Self::load_by(conn, tool, dialect::WEAR_OF_TOOL_LOCKED).await?;
+        wear.locked = true;
+        for (machine, from) in &behind {
+            wear.refold(conn, machine, from).await?;
+        }
+        Ok(wear)
     }
 
     /// Loads a tool's events and caches for reading.
     pub(super) async fn load(conn: &mut Conn, tool: &ToolId) -> StoreResult<Self> {
-        Self::load_by(
+        let (mut wear, behind) = Self::load_by(
             conn,
             tool,
-            "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1
-             ORDER BY machine_id",
+            "SELECT machine_id, folded, fold_version, state, version, judging_change FROM tool_wear
+             WHERE tool_id = $1 ORDER BY machine_id",
         )
-        .await
+        .await?;
+        for machine in behind.keys() {
+            wear.forget(machine);
+        }
+        wear.outdated = !behind.is_empty();
+        Ok(wear)
     }
 
-    async fn load_by(conn: &mut Conn, tool: &ToolId, sql: &'static str) -> StoreResult<Self> {
+    /// With the machines whose folds are behind a change of an operation, and from where on.
+    async fn load_by(
+        conn: &mut Conn,
+        tool: &ToolId,
+        sql: &'static str,
+    ) -> StoreResult<(Self, BTreeMap<MachineId, Place>)> {
+        // Asked before anything is judged: with what changes after that, whoever loads the folds next goes along.
+        let judging_change = operations::last_judging_change(conn).await?;
         let rows: Vec<WearRow> =
             sqlx::query_as::<Db, _>(sql).bind(tool.as_str()).fetch_all(&mut *conn).await?;
+        let known = rows.iter().map(|row| row.judging_change).min().unwrap_or(judging_change);
+        let behind = if known < judging_change {
+            judged_otherwise_since(conn, tool, known).await?
+        } else {
+            BTreeMap::new()
+        };
         let mut machines = BTreeMap::new();
         for row in rows {
             let fold = readable(row.fold_version, &row.state);
             let folded = number("folded", row.folded)?;
-            let cached = Cached { fold, folded, version: row.version, changed: false };
+            let changed = row.judging_change < judging_change;
+            let cached = Cached { fold, folded, version: row.version, changed };
             machines.insert(id("machine_id", &row.machine_id)?, cached);
         }
         let (events, unplaced) = tools::placed_events(conn, tool).await?;
-        Ok(Self { tool: tool.clone(), events, unplaced, machines, whole: None, locked: false, alarms: None })
+        let wear = Self {
+            tool: tool.clone(),
+            events,
+            unplaced,
+            machines,
+            whole: None,
+            judging_change,
+            outdated: false,
+            locked: false,
+            alarms: None,
+        };
+        Ok((wear, behind))
+    }
+
+    /// Whether some of its folds are behind a change of an operation, as they are stored.
+    pub(super) const fn is_outdated(&self) -> bool {
+        self.outdated
     }
 
     /// Whether what is here is what is stored, so that it need not be loaded again.
@@ -281,6 +324,7 @@ impl ToolWear {
                     folded: count("folded", cached.folded)?,
                     state: fold.to_bytes(),
                     version: cached.version,
+                    judging_change: self.judging_change,
                 }));
                 cached.changed = false;
                 cached.version += 1;
@@ -454,7 +498,7 @@ impl ToolWear {
     /// Whether states on the way may be gone on from. Who wrote a state of a machine that cannot be read here may not have known of
     /// those over all machines, and then has not taken them back.
     pub(super) fn may_resume(&self, of: Of<'_>) -> bool {
-        matches!(of, Of::Machine(_)) || !self.is_unreadable()
+        !self.outdated && (matches!(of, Of::Machine(_)) || !self.is_unreadable())
     }
 
     /// The verdict over all machines, where no cycle has to be read for it: of one machine it is that one's fold.
@@ -681,21 +725,46 @@ pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) ->
     wear.verdict(conn).await
 }
 
-/// The next registered tool after `after` with a fold that an earlier version of the rules made. One of a later version is
-/// a newer server's, which judges by it.
+/// From where on a tool's cycles are judged otherwise than before the changes of operations after one of a number, by machine.
+async fn judged_otherwise_since(
+    conn: &mut Conn,
+    tool: &ToolId,
+    judging_change: i64,
+) -> StoreResult<BTreeMap<MachineId, Place>> {
+    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
+        "SELECT machine_id, MIN(started_at_us) FROM cycles
+         WHERE tool_id = $1 AND operation_id IN (SELECT operation_id FROM operations WHERE judging_change > $2)
+         GROUP BY machine_id",
+    )
+    .bind(tool.as_str())
+    .bind(judging_change)
+    .fetch_all(&mut *conn)
+    .await?;
+    let places = rows
+        .iter()
+        .map(|(machine, first)| Ok((id("machine_id", machine)?, Place::at(Timestamp::from_micros(*first)))));
+    places.collect()
+}
+
+/// The next registered tool after `after` with a fold that an earlier version of the rules made, or that is behind a change of an
+/// operation. One of a later version is a newer server's, which judges by it.
 pub(super) async fn next_outdated(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
+    let judging_change = operations::last_judging_change(conn).await?;
     let next: Option<String> = sqlx::query_scalar::<Db, _>(
         "SELECT w.tool_id FROM tool_wear w JOIN tools t ON t.tool_id = w.tool_id
-         WHERE w.fold_version < $1 AND w.tool_id > $2 AND t.tool_id > $2 ORDER BY w.tool_id LIMIT 1",
+         WHERE (w.fold_version < $1 OR w.fold_version = $1 AND w.judging_change < $3)
+           AND w.tool_id > $2 AND t.tool_id > $2 ORDER BY w.tool_id LIMIT 1",
     )
     .bind(i64::from(FOLD_VERSION))
     .bind(after.map_or("", ToolId::as_str))
+    .bind(judging_change)
     .fetch_optional(&mut *conn)
     .await?;
     next.as_deref().map(|tool| id("tool_id", tool)).transpose()
 }
 
-/// Makes a tool's folds of earlier versions anew; the tool's name is locked by then. `None` where there are none.
+/// Makes a tool's folds of earlier versions anew, and those that are behind a change of an operation; the tool's name is locked by
+/// then. `None` where there are none.
 pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Option<Verdict>> {
     let outdated: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
         "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version < $2
@@ -705,16 +774,17 @@ pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> Sto
     .bind(i64::from(FOLD_VERSION))
     .fetch_all(&mut *conn)
     .await?;
-    if outdated.is_empty() {
-        return Ok(None);
-    }
     let mut wear = ToolWear::load_locked(conn, tool).await?;
     for (machine, version) in &outdated {
         // Checkpoints are as good as they were before one that is only behind.
         let from = if *version == BEHIND { END } else { BEGINNING };
         wear.refold(conn, &id("machine_id", machine)?, &from).await?;
     }
-    wear.save(conn, now).await?;
+    let changed = wear.take_changed()?;
+    if changed.is_empty() {
+        return Ok(None);
+    }
+    dialect::save_wear(conn, &changed, now).await?;
     wear.verdict(conn).await.map(Some)
 }
 
@@ -772,41 +842,6 @@ async fn count_from(
     }
     wear.save(conn, now).await?;
     wear.verdict(conn).await
-}
-
-/// Refolds the tools that ran an operation whose settings changed, each from its first cycle of it.
-pub(super) async fn count_operation(
-    conn: &mut Conn,
-    operation: &OperationId,
-    now: Timestamp,
-) -> StoreResult<Vec<(ToolId, Verdict)>> {
-    let rows: Vec<(String, String, i64)> = sqlx::query_as::<Db, _>(
-        "SELECT tool_id, machine_id, MIN(started_at_us) FROM cycles WHERE operation_id = $1
-         GROUP BY tool_id, machine_id ORDER BY tool_id, machine_id",
-    )
-    .bind(operation.as_str())
-    .fetch_all(&mut *conn)
-    .await?;
-    let mut ran: BTreeMap<ToolId, Vec<(MachineId, Place)>> = BTreeMap::new();
-    for (tool, machine, first) in &rows {
-        let place = Place::at(Timestamp::from_micros(*first));
-        ran.entry(id("tool_id", tool)?).or_default().push((id("machine_id", machine)?, place));
-    }
-    dialect::lock(conn, &Locks::tools(ran.keys())).await?;
-    let mut verdicts = Vec::new();
-    for (tool, machines) in ran {
-        if !is_registered(conn, &tool).await? {
-            continue;
-        }
-        let mut wear = ToolWear::load_locked(conn, &tool).await?;
-        for (machine, first) in machines {
-            wear.refold(conn, &machine, &first).await?;
-        }
-        wear.save(conn, now).await?;
-        let verdict = wear.verdict(conn).await?;
-        verdicts.push((tool, verdict));
-    }
-    Ok(verdicts)
 }
 
 /// The verdict on a tool, read only.

@@ -207,7 +207,7 @@ pub(super) fn locking(locks: &Locks) -> String {
 /// A tool's caches. The tool's name is locked by then: rows of several machines stand on several nodes where the
 /// database is distributed, and cannot be locked together there.
 pub(super) const WEAR_OF_TOOL_LOCKED: &str =
-    "SELECT machine_id, folded, fold_version, state, version FROM tool_wear
+    "SELECT machine_id, folded, fold_version, state, version, judging_change FROM tool_wear
      WHERE tool_id = $1 ORDER BY machine_id";
 
 /// Whether what is read of several machines is of one moment. Where Citus distributes the database, a worker may show a commit later

@@ -25,6 +25,8 @@ pub(crate) struct SavedWear {
     pub(crate) state: Vec<u8>,
     /// Version of the row that it follows; 0 where there is none.
     pub(crate) version: i64,
+    /// Number of the last change of an operation that it has gone along with.
+    pub(crate) judging_change: i64,
 }
 
 /// A row of `cycle_samples`, with its block.

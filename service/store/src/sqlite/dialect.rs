@@ -65,7 +65,7 @@ pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
 }
 
 /// A tool's caches, inside a transaction that nobody else writes beside.
-pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
+pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version, judging_change FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
 
 /// Whoever reads, reads one moment.
 macro_rules! at_one_moment {

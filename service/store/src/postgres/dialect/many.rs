@@ -57,12 +57,12 @@ const BLOCKS: &str = "INSERT INTO cycle_samples (machine_id, received_at_us, cyc
 /// Folds, see [`bind_wear`]: each over the very version that it was made of. Locks see to that; where a database of several nodes
 /// shows a commit later than it was told, a newer fold must not be lost all the same.
 const WEAR: &str =
-    "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
-     SELECT machine_id, tool_id, folded, $6, state, version + 1, $7
-     FROM UNNEST($1, $2, $3, $4, $5) AS saved (machine_id, tool_id, folded, state, version)
+    "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us, judging_change)
+     SELECT machine_id, tool_id, folded, $6, state, version + 1, $7, judging_change
+     FROM UNNEST($1, $2, $3, $4, $5, $8) AS saved (machine_id, tool_id, folded, state, version, judging_change)
      ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
          fold_version = excluded.fold_version, state = excluded.state, version = excluded.version,
-         updated_at_us = excluded.updated_at_us
+         updated_at_us = excluded.updated_at_us, judging_change = excluded.judging_change
      WHERE tool_wear.version = excluded.version - 1
      RETURNING version";
 
@@ -115,6 +115,7 @@ fn bind_wear<'q>(query: Bound<'q>, rows: &'q [Arc<SavedWear>], now: Timestamp) -
         .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())
         .bind(i64::from(FOLD_VERSION))
         .bind(now.micros())
+        .bind(rows.iter().map(|row| row.judging_change).collect::<Vec<_>>())
 }
 
 fn bind_recommendations<'q>(query: Bound<'q>, rows: &'q [IssuedRow]) -> Bound<'q> {
