@@ -80,6 +80,11 @@ pub enum TransferError {
         "a server is running on the target (its session there is called `feedwright live`): stop it first; nothing was written"
     )]
     Served,
+    /// The same, which began while it was written.
+    #[error(
+        "a server was started on the target while it was written (its session there is called `feedwright live`): stop it, and copy once more into an empty database"
+    )]
+    ServedMeanwhile,
     /// What arrived is not what was sent.
     #[error("{table} differs after the transfer: {from} there, {to} here")]
     Differs {
@@ -268,7 +273,8 @@ pub(crate) trait Side: Send {
     async fn receipts(&mut self) -> StoreResult<Vec<i64>>;
 
     /// After the last row: numbers that are given out go on after those that came.
-    async fn finish(&mut self, tables: &[Table]) -> StoreResult<()>;
+    /// Where nobody else may have written meanwhile, that is looked at once more.
+    async fn finish(&mut self, tables: &[Table]) -> Result<(), TransferError>;
 
     /// Closes the connection.
     async fn close(self: Box<Self>);

@@ -329,7 +329,7 @@ async fn nothing_is_copied_under_a_server_that_runs_and_what_is_an_admins_stays_
 }
 
 #[tokio::test]
-async fn two_copies_do_not_write_into_one_plant() {
+async fn two_copies_do_not_write_into_one_plant_nor_does_a_server_start_there() {
     let Some(plant) = Given::postgres().await else {
         return;
     };
@@ -348,12 +348,16 @@ async fn two_copies_do_not_write_into_one_plant() {
         while !sqlx::query_scalar::<_, bool>(waits).fetch_one(&mut looking).await.unwrap() {}
         let refused = copied(&from, &to).await.unwrap_err();
         assert!(matches!(refused, TransferError::InUse), "{refused}");
+        let server = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap_err();
+        assert!(server.to_string().contains("a copy or a restore writes into the database"), "{server}");
         holding.commit().await.unwrap();
     };
     let both = async { tokio::join!(copied(&from, &to), second) };
     let (first, ()) = tokio::time::timeout(Duration::from_secs(60), both).await.expect("the first one waits");
     first.unwrap();
     assert_eq!(copied(&from, &to).await.unwrap().1, 0);
+    let server = PostgresStore::open(&plant.address(), PostgresOptions::default()).await.unwrap();
+    server.close().await;
     conn.close().await.unwrap();
     looking.close().await.unwrap();
     cell.done().await;

@@ -4,9 +4,10 @@ use super::address::unreadable_file;
 use super::{Conn, Inner, PostgresStore, dialect};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
+use crate::locks::Locks;
 use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
-use sqlx::postgres::{PgConnectOptions, PgPoolOptions, PgRow};
+use sqlx::postgres::{PgConnectOptions, PgConnection, PgPoolOptions, PgRow};
 use sqlx::{ConnectOptions, Connection, Row};
 use std::io::ErrorKind;
 use std::sync::Arc;
@@ -45,6 +46,9 @@ pub struct PostgresOptions {
     pub direct: Option<String>,
     /// Whose clock all servers go by.
     pub clock: CommonClock,
+    /// Whether it is opened for a copy into it, which has not begun. Anybody else refuses a database that a copy or a restore writes into:
+    /// cycles would be counted on what is moved under them.
+    pub for_a_copy: bool,
 }
 
 impl Default for PostgresOptions {
@@ -57,6 +61,7 @@ impl Default for PostgresOptions {
             pooled: false,
             direct: None,
             clock: CommonClock::Database,
+            for_a_copy: false,
         }
     }
 }
@@ -87,6 +92,9 @@ impl PostgresStore {
         sqlx::query("SET statement_timeout = 0").execute(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
         MIGRATIONS.run(&mut migrating).await.map_err(StoreError::of_migration)?;
+        if !options.for_a_copy {
+            assert_whole(&mut migrating).await?;
+        }
         migrating.close().await?;
 
         let mut connect: PgConnectOptions = url.parse()?;
@@ -153,6 +161,22 @@ impl PostgresStore {
         lent.settle();
         Ok(Self { inner: Arc::new(inner) })
     }
+}
+
+/// Refuses a database that a copy or a restore is writing into: it holds its lock until everything is there.
+async fn assert_whole(conn: &mut PgConnection) -> StoreResult<()> {
+    let subject = Locks::subject("transfer", "");
+    // Let go of when this connection is closed.
+    let is_whole: bool = sqlx::query_scalar("SELECT pg_try_advisory_lock_shared($1)")
+        .bind(subject.exclusive.first())
+        .fetch_one(&mut *conn)
+        .await?;
+    if is_whole {
+        return Ok(());
+    }
+    Err(StoreError::NotWritable(
+        "a copy or a restore writes into the database: start when it has ended".into(),
+    ))
 }
 
 /// What changes rest on. Decisions are read from the primary alone, so a demoted server answers nothing.

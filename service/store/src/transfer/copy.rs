@@ -59,7 +59,11 @@ impl Address {
                 Box::new(SqliteSide::write(path).await?)
             }
             Self::Postgres(url) => {
-                let options = crate::PostgresOptions { connections: 1, ..crate::PostgresOptions::default() };
+                let options = crate::PostgresOptions {
+                    connections: 1,
+                    for_a_copy: true,
+                    ..crate::PostgresOptions::default()
+                };
                 let store = crate::PostgresStore::open(url, options).await?;
                 store.close().await;
                 Box::new(PostgresSide::connect_alone(url).await?)

@@ -62,20 +62,22 @@ impl PostgresSide {
         if !is_alone {
             return Err(TransferError::InUse);
         }
-        side.is_not_served().await?;
+        if side.is_served().await? {
+            return Err(TransferError::Served);
+        }
         Ok(side)
     }
 
-    /// A server would count cycles on what is moved under it. Each of them listens there, whatever pooler its cycles go through.
-    async fn is_not_served(&mut self) -> Result<(), TransferError> {
-        let is_served: bool = sqlx::query_scalar(
+    /// Whether a server runs on it, which would count cycles on what is moved under it. Each of them listens there, whatever pooler its cycles
+    /// go through.
+    async fn is_served(&mut self) -> StoreResult<bool> {
+        Ok(sqlx::query_scalar(
             "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
              WHERE datname = current_database() AND application_name = $1)",
         )
         .bind(LIVE)
         .fetch_one(&mut self.conn)
-        .await?;
-        if is_served { Err(TransferError::Served) } else { Ok(()) }
+        .await?)
     }
 
     pub(super) const fn conn(&mut self) -> &mut PgConnection {
@@ -318,7 +320,10 @@ impl Side for PostgresSide {
         Ok(days.into_iter().flat_map(<[i64; 2]>::from).collect())
     }
 
-    async fn finish(&mut self, tables: &[Table]) -> StoreResult<()> {
+    async fn finish(&mut self, tables: &[Table]) -> Result<(), TransferError> {
+        if self.is_served().await? {
+            return Err(TransferError::ServedMeanwhile);
+        }
         for (table, column) in self.numbered.clone() {
             let Some(last) = self.largest(&table, &column).await? else { continue };
             sqlx::query("SELECT setval(pg_get_serial_sequence($1, $2), $3)")

@@ -387,7 +387,7 @@ impl Side for SqliteSide {
         Ok(days.into_iter().flat_map(<[i64; 2]>::from).collect())
     }
 
-    async fn finish(&mut self, _tables: &[Table]) -> StoreResult<()> {
+    async fn finish(&mut self, _tables: &[Table]) -> Result<(), TransferError> {
         Ok(())
     }
 
