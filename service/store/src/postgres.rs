@@ -16,7 +16,7 @@ mod open;
 
 pub use address::unknown_parameter;
 pub(crate) use dialect::{is_ours, keep_partitions};
-pub(crate) use notice::LIVE;
+pub(crate) use notice::{LIVE, plant};
 pub(crate) use open::MIGRATIONS;
 pub use open::{CommonClock, PostgresOptions};
 
@@ -69,22 +69,22 @@ type Engine = PostgresStore;
 /// wrote before, by several it may be refused (Citus issue 3426), and what reads sees one moment of each worker, as each
 /// connection has a snapshot of its own.
 const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL statement_timeout = '30s'; SET LOCAL lock_timeout = '15s'; \
-                     SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                     SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
                      SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
                               SET LOCAL statement_timeout = '30s'; \
-                              SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                              SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
                               SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 /// The same behind a pooler. sqlx 0.9.0 names its statements even where it remembers none of them, and the connection
 /// that the pooler chose may have others of the same names: they go first.
 const BEGIN_POOLED: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; DEALLOCATE ALL; \
                             SET LOCAL statement_timeout = '30s'; \
                             SET LOCAL lock_timeout = '15s'; \
-                            SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                            SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
                             SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 const BEGIN_SNAPSHOT_POOLED: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; DEALLOCATE ALL; \
                                      SET LOCAL statement_timeout = '30s'; \
-                                     SET LOCAL idle_in_transaction_session_timeout = '30s'; \
+                                     SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
                                      SET LOCAL citus.max_adaptive_executor_pool_size = 1";
 
 /// The store in a PostgreSQL database. Clones share it; other servers may too.

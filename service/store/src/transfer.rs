@@ -61,7 +61,7 @@ pub enum TransferError {
     )]
     Schema(String),
     /// The target holds something else already.
-    #[error("the target is not empty and holds something else: {table} {key} {what}; nothing was written")]
+    #[error("the target is not empty and holds something else: {table} {key} {what}")]
     OtherData {
         /// Which table.
         table: String,

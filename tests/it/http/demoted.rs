@@ -46,6 +46,10 @@ async fn what_is_taken_away_under_a_running_server_is_told_and_taken_up_again() 
         ),
         ("REVOKE INSERT ON cycles FROM plain", "GRANT INSERT ON cycles TO plain"),
         (
+            "ALTER TABLE tool_wear ENABLE ROW LEVEL SECURITY; ALTER TABLE tool_wear FORCE ROW LEVEL SECURITY",
+            "ALTER TABLE tool_wear NO FORCE ROW LEVEL SECURITY; ALTER TABLE tool_wear DISABLE ROW LEVEL SECURITY",
+        ),
+        (
             "ALTER ROLE plain NOLOGIN;
              SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE usename = 'plain'",
             "ALTER ROLE plain LOGIN",

@@ -3,6 +3,7 @@
 
 use super::given::{Given, Run, at, commit, shop, stored, tool};
 use feedwright_core::recommend::RecommendSettings;
+use feedwright_store::transfer::back_up_postgres;
 use feedwright_store::{
     Committed, CycleFilter, Page, PostgresOptions, PostgresStore, Precondition, Repair, Store, StoreError,
 };
@@ -355,6 +356,33 @@ async fn after_a_restart_of_the_server_work_goes_on() {
     let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 9 }).await.unwrap();
     assert_eq!(cycles.len(), 3, "each once");
     store.close().await;
+}
+
+/// What a policy hides from the service's role would be neither counted nor saved.
+#[tokio::test]
+async fn rows_that_are_hidden_are_not_left_out_in_silence() {
+    let Some(cluster) = Cluster::new() else { return };
+    cluster.run("CREATE ROLE plain LOGIN").await;
+    cluster.run("GRANT ALL ON SCHEMA public TO plain").await;
+    let url = cluster.url().replace("feedwright@", "plain@");
+    let store = PostgresStore::open(&url, PostgresOptions::default()).await.unwrap();
+    shop(&store).await;
+    stored(&store, &Run::nth(1)).await;
+    cluster.run("ALTER TABLE tools ENABLE ROW LEVEL SECURITY").await;
+    store.probe_write(at(1)).await.expect("it holds for others than the owner");
+    cluster.run("ALTER TABLE tools FORCE ROW LEVEL SECURITY").await;
+    let read = store.tools(Page { after: None, limit: 9 }).await;
+    assert!(read.is_err(), "{read:?}");
+    store.close().await;
+    let refused = PostgresStore::open(&url, PostgresOptions::default()).await.err().unwrap();
+    assert!(format!("{refused:?}").contains("row security hides rows of tools"), "{refused:?}");
+    let folder = folder();
+    let file = folder.path().join("plant.backup");
+    let backup = back_up_postgres(&url, &file, at(2)).await;
+    assert!(backup.is_err(), "{backup:?}");
+    assert!(!file.exists());
+    cluster.run("ALTER TABLE tools NO FORCE ROW LEVEL SECURITY").await;
+    back_up_postgres(&url, &file, at(3)).await.unwrap();
 }
 
 #[tokio::test]

@@ -230,6 +230,43 @@ async fn a_schema_that_comes_first_later_is_no_empty_database() {
     given.done().await;
 }
 
+/// Two plants in one database, a trial beside production say.
+#[tokio::test]
+async fn plants_in_schemas_of_their_own_do_not_hear_each_other() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let address = |schema: &str| format!("{}?options[search_path]={schema}", given.address());
+    let mut plants = Vec::new();
+    for create in ["CREATE SCHEMA trial", "CREATE SCHEMA spare"] {
+        given.raw(create).await.unwrap();
+        let schema = create.trim_start_matches("CREATE SCHEMA ");
+        plants.push(PostgresStore::open(&address(schema), PostgresOptions::default()).await.unwrap());
+    }
+    let (here, trial, spare) = (given.store(), &plants[0], &plants[1]);
+    let mut hears = Vec::new();
+    for store in [&*here, trial as &dyn Store, spare] {
+        hears.push(store.notices().unwrap().listen().await.unwrap());
+    }
+    // The last one is told first: what the others are told would come before their own.
+    for (store, told) in [(spare as &dyn Store, "spare"), (trial, "trial"), (&*here, "here")] {
+        store.notify(told).await.unwrap();
+    }
+    for (listener, told) in hears.iter_mut().zip(["here", "trial", "spare"]) {
+        assert_eq!(listener.next().await.unwrap(), told);
+    }
+    // Cycles by the tables of one, migrations and backups by those of the other.
+    let direct = Some(address("spare"));
+    let options = PostgresOptions { direct, ..PostgresOptions::default() };
+    let refused = PostgresStore::open(&address("trial"), options).await.err().unwrap();
+    assert!(format!("{refused:?}").contains("or other tables of it"), "{refused:?}");
+    drop(hears);
+    for plant in plants {
+        plant.close().await;
+    }
+    given.removed().await;
+}
+
 /// No fold changes by an event after the last cycle: what this server remembers of the tool has to be forgotten all the same.
 #[tokio::test]
 async fn an_event_that_one_server_revokes_holds_no_more_at_another() {

@@ -43,8 +43,13 @@ async fn one_holds_a_machines_stream(store: Arc<dyn Store>) {
     assert_eq!(take("b", false, 24, 16).await.unwrap(), StreamLease::Held { wait: seconds(16) });
     store.release_stream(&m, "a", 4).await.unwrap();
     assert_eq!(take("b", false, 25, 25).await.unwrap(), StreamLease::Taken { generation: 5 });
-    // An expired lease is not prolonged: another may have come and gone.
-    assert_eq!(store.renew_streams("b", of_m, seconds(10), at(60)).await.unwrap(), []);
+    // It ended while its server could not ask, and nobody has come.
+    assert_eq!(store.renew_streams("b", of_m, seconds(10), at(60)).await.unwrap(), [(m.clone(), 5)]);
+    // Another has come and gone.
+    assert_eq!(take("a", false, 80, 10).await.unwrap(), StreamLease::Taken { generation: 6 });
+    store.release_stream(&m, "a", 6).await.unwrap();
+    assert_eq!(store.renew_streams("b", of_m, seconds(10), at(81)).await.unwrap(), []);
+    assert_eq!(store.renew_streams("a", of_m, seconds(10), at(81)).await.unwrap(), [], "it was given back");
 }
 
 /// Whoever is connected believes in the lease until then, whatever else is asked in its server's name.

@@ -62,7 +62,8 @@ async fn bring_back(conn: &mut Conn, machine: &MachineId, now: Timestamp) -> Sto
     Ok(())
 }
 
-/// Prolongs a holder's leases on these machines; those that it still holds. Any other, as of a stream that was never opened, ends.
+/// Prolongs a holder's leases on these machines; those that it still holds: nobody has taken them, though they may have ended while the
+/// database was away. Any other, as of a stream that was never opened, ends.
 pub(super) async fn renew(
     conn: &mut Conn,
     holder: &str,
@@ -72,7 +73,6 @@ pub(super) async fn renew(
     let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(dialect::RENEW_LEASES)
         .bind(holder)
         .bind(after(now, lease).micros())
-        .bind(now.micros())
         .bind(dialect::list(machines.iter().map(MachineId::as_str)))
         .fetch_all(&mut *conn)
         .await?;

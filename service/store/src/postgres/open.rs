@@ -1,7 +1,7 @@
 //! Opening: limits, settings that durability rests on, migrations.
 
 use super::address::unreadable_file;
-use super::{Conn, Inner, PostgresStore, dialect};
+use super::{Conn, Inner, PostgresStore, dialect, plant};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
 use crate::locks::Locks;
@@ -87,14 +87,14 @@ impl PostgresStore {
             Ok(first) => first.map_err(|error| of_a_file(options.direct.as_deref().unwrap_or(url), error))?,
             Err(_) => return Err(StoreError::Unavailable("the database says nothing".into())),
         };
-        let direct_database = database_of(&mut migrating).await?;
-        // A limit that a role has for questions is none for writing tables anew.
-        sqlx::query("SET statement_timeout = 0").execute(&mut migrating).await?;
+        // Limits that a role has for questions are none for writing tables anew, and for waiting until another server has done so.
+        sqlx::raw_sql("SET statement_timeout = 0; SET lock_timeout = 0").execute(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
         MIGRATIONS.run(&mut migrating).await.map_err(StoreError::of_migration)?;
         if !options.for_a_copy {
             assert_whole(&mut migrating).await?;
         }
+        let direct_database = database_of(&mut migrating).await?;
         migrating.close().await?;
 
         let mut connect: PgConnectOptions = url.parse()?;
@@ -105,8 +105,11 @@ impl PostgresStore {
         } else {
             connect = connect.statement_cache_capacity(200);
             // Reads outside a transaction. A pooler would refuse these or pass them on to other clients.
-            connect = connect
-                .options([("statement_timeout", "30s"), ("idle_in_transaction_session_timeout", "30s")]);
+            connect = connect.options([
+                ("statement_timeout", "30s"),
+                ("idle_in_transaction_session_timeout", "30s"),
+                ("row_security", "off"),
+            ]);
         }
         let pooled = options.pooled;
         // One that leads nowhere leaves time for another.
@@ -152,9 +155,10 @@ impl PostgresStore {
         let mut transaction = lent.begin_with(inner.begin()).await?;
         assert_durable(&mut transaction).await?;
         assert_owner(&mut transaction).await?;
+        assert_all_rows(&mut transaction).await?;
         if database_of(&mut transaction).await? != direct_database {
             return Err(StoreError::NotWritable(
-                "database.direct_url leads to another database than database.url: nothing was stored".into(),
+                "database.direct_url leads to another database, or other tables of it, than database.url: nothing was stored".into(),
             ));
         }
         transaction.rollback().await?;
@@ -165,7 +169,7 @@ impl PostgresStore {
 
 /// Refuses a database that a copy or a restore is writing into: it holds its lock until everything is there.
 async fn assert_whole(conn: &mut PgConnection) -> StoreResult<()> {
-    let subject = Locks::subject("transfer", "");
+    let subject = Locks::subject("transfer", &plant(&mut *conn).await?);
     // Let go of when this connection is closed.
     let is_whole: bool = sqlx::query_scalar("SELECT pg_try_advisory_lock_shared($1)")
         .bind(subject.exclusive.first())
@@ -256,6 +260,24 @@ async fn assert_owner(conn: &mut Conn) -> StoreResult<()> {
     Err(StoreError::NotWritable(detail.into()))
 }
 
+/// Rows that are hidden from the service's role would be cycles that it neither counts nor saves.
+async fn assert_all_rows(conn: &mut Conn) -> StoreResult<()> {
+    const ASK: &str = "SELECT relname::TEXT FROM pg_class
+                       WHERE relrowsecurity AND row_security_active(oid)
+                           AND relnamespace = (SELECT relnamespace FROM pg_class WHERE oid = 'cycle_samples'::REGCLASS)
+                       ORDER BY relname";
+    let mut hidden: Vec<String> = sqlx::query_scalar(ASK).fetch_all(&mut *conn).await?;
+    hidden.retain(|table| dialect::is_ours(table));
+    if hidden.is_empty() {
+        return Ok(());
+    }
+    let detail = format!(
+        "row security hides rows of {} from the role: ALTER TABLE … NO FORCE ROW LEVEL SECURITY, or a role that bypasses it",
+        hidden.join(", ")
+    );
+    Err(StoreError::NotWritable(detail.into()))
+}
+
 /// Names and reasons are in any language. SQL_ASCII keeps what it is given.
 async fn assert_encoding(conn: &mut Conn) -> StoreResult<()> {
     let found: String = sqlx::query_scalar("SHOW server_encoding").fetch_one(&mut *conn).await?;
@@ -266,12 +288,13 @@ async fn assert_encoding(conn: &mut Conn) -> StoreResult<()> {
     Err(StoreError::NotWritable(detail.into()))
 }
 
-/// Which database of which server is asked; each start of a server is another one.
-async fn database_of(conn: &mut Conn) -> StoreResult<(i64, i64)> {
+/// Which database of which server is asked, and which tables of it: those of which schema the search path finds. Each start of a server
+/// is another one.
+async fn database_of(conn: &mut Conn) -> StoreResult<(i64, i64, i64)> {
     let sql = concat!(
         "SELECT oid::BIGINT, ",
         dialect::server!(),
-        " FROM pg_database WHERE datname = current_database()"
+        ", COALESCE(to_regclass('registry_generation')::OID::BIGINT, 0) FROM pg_database WHERE datname = current_database()"
     );
     Ok(sqlx::query_as(sql).fetch_one(&mut *conn).await?)
 }

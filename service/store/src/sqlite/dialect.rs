@@ -136,9 +136,10 @@ pub(super) use block_bytes;
 /// A failed commit is never tried again: after a failed fsync the pages may be gone.
 pub(super) const COMMIT_ATTEMPTS: u32 = 1;
 
-/// Prolongs those of a holder's leases that have not ended, on a list of machines.
+/// Prolongs those of a holder's leases that it has not given back, on a list of machines; also one that has ended, where nobody has taken it
+/// since.
 pub(super) const RENEW_LEASES: &str = "UPDATE stream_leases SET expires_at_us = $2
-     WHERE holder = $1 AND expires_at_us > $3 AND machine_id IN (SELECT value FROM json_each($4))
+     WHERE holder = $1 AND expires_at_us > 0 AND machine_id IN (SELECT value FROM json_each($3))
      RETURNING machine_id, generation";
 
 /// Notes when machines were last heard of, out of `[[machine, microseconds], …]`.

@@ -3,7 +3,7 @@
 use super::{Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Value, quoted};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
-use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions};
+use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions, plant};
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
@@ -27,8 +27,13 @@ impl PostgresSide {
     pub(super) async fn connect(url: &str) -> StoreResult<Self> {
         let options: PgConnectOptions = url.parse()?;
         let mut conn = options.application_name("feedwright transfer").connect().await?;
-        // Types of columns are compared by their names, which a role may have quoted.
-        sqlx::query("SET quote_all_identifiers = off").execute(&mut conn).await?;
+        // Types of columns are compared by their names, which a role may have quoted. Its limits for questions are none for all that is there,
+        // and of what is hidden from it nothing would be moved.
+        sqlx::raw_sql(
+            "SET quote_all_identifiers = off; SET statement_timeout = 0; SET lock_timeout = 0; SET row_security = off",
+        )
+        .execute(&mut conn)
+        .await?;
         Ok(Self { conn, numbered: Vec::new() })
     }
 
@@ -54,7 +59,7 @@ impl PostgresSide {
         .execute(&mut side.conn)
         .await?;
         // Of the session: it ends with it, however that ends.
-        let subject = Locks::subject("transfer", "");
+        let subject = Locks::subject("transfer", &plant(&mut side.conn).await.map_err(StoreError::from)?);
         let is_alone: bool = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)")
             .bind(subject.exclusive.first())
             .fetch_one(&mut side.conn)
@@ -71,11 +76,12 @@ impl PostgresSide {
     /// Whether a server runs on it, which would count cycles on what is moved under it. Each of them listens there, whatever pooler its cycles
     /// go through.
     async fn is_served(&mut self) -> StoreResult<bool> {
+        let named = format!("{LIVE}{}", plant(&mut self.conn).await?);
         Ok(sqlx::query_scalar(
             "SELECT EXISTS (SELECT 1 FROM pg_stat_activity
              WHERE datname = current_database() AND application_name = $1)",
         )
-        .bind(LIVE)
+        .bind(named)
         .fetch_one(&mut self.conn)
         .await?)
     }
