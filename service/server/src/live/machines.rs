@@ -54,12 +54,8 @@ impl Machines {
             self.told.remove(machine);
         } else if known.is_some() || self.told.len() < MOST_MACHINES {
             self.newest += 1;
-            let told = Told {
-                data: data.clone(),
-                by: by.to_owned(),
-                number: self.newest,
-                since: Instant::now(),
-            };
+            let told =
+                Told { data: data.clone(), by: by.to_owned(), number: self.newest, since: Instant::now() };
             self.told.insert(machine.clone(), told);
         }
         true
@@ -111,7 +107,9 @@ pub(super) async fn look(state: &AppState) {
         let leased = state.lifecycle.spawn(async move { store.leased_streams(&asked, now).await }).await;
         match leased {
             Ok(Ok(leased)) => end(state, &doubted, &leased.into_iter().collect()),
-            Ok(Err(error)) => tracing::debug!(%error, "which streams are held is not known until the next look"),
+            Ok(Err(error)) => {
+                tracing::debug!(%error, "which streams are held is not known until the next look")
+            }
             Err(error) => tracing::error!(%error, "looking at the leases failed"),
         }
     }
