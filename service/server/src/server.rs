@@ -20,7 +20,7 @@ use crate::live::Link;
 use crate::metrics::Metrics;
 use crate::state::AppState;
 use crate::tls::{self, Certificates, TlsError};
-use accept::Acceptor;
+use accept::{Acceptor, OF_METRICS};
 use feedwright_store::{Actor, Page, Role, Store, StoreError};
 use secrecy::SecretString;
 use std::net::SocketAddr;
@@ -148,9 +148,10 @@ impl ListeningServer {
             tls::watch(&state, certificates.clone());
         }
         let acceptor = Acceptor::new(state.clone());
-        acceptor.accept(listener, http::router(state.clone()), acceptor_of_tls);
+        let most = state.config.server.max_connections;
+        acceptor.accept(listener, most, http::router(state.clone()), acceptor_of_tls);
         if let Some(listener) = metrics_listener {
-            acceptor.accept(listener, http::metrics_router(state.clone()), None);
+            acceptor.accept(listener, OF_METRICS, http::metrics_router(state.clone()), None);
         }
         RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor, certificates, link }
     }
