@@ -108,7 +108,7 @@ pub(super) async fn look(state: &AppState) {
         match leased {
             Ok(Ok(leased)) => end(state, &doubted, &leased.into_iter().collect()),
             Ok(Err(error)) => {
-                tracing::debug!(%error, "which streams are held is not known until the next look")
+                tracing::debug!(%error, "which streams are held is not known until the next look");
             }
             Err(error) => tracing::error!(%error, "looking at the leases failed"),
         }
