@@ -17,9 +17,11 @@ mod stop;
 pub mod token;
 pub mod twin;
 
-use crate::config::{Config, ConfigError, LogConfig, Sources};
+use crate::config::{Config, ConfigError, LogConfig, Sources, settings_of};
 use crate::telemetry::Telemetry;
-use clap::{Args, Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::parser::ValueSource;
+use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::path::PathBuf;
 
 /// Cycles in; tool wear and recommendations out.
@@ -32,7 +34,7 @@ pub struct Cli {
     command: Command,
 }
 
-/// Settings that every command takes.
+/// Settings of the service, for every command that works with it.
 #[derive(Debug, Clone, Args)]
 pub struct Settings {
     /// A TOML file with settings.
@@ -57,10 +59,8 @@ impl Settings {
         let mut all = self.set.clone();
         all.extend(self.data_dir.iter().map(|path| ("data_dir".to_owned(), path.clone())));
         all.extend(flags);
-        // A variable that is not UTF-8 can only be one of another program.
-        let environment = std::env::vars_os()
-            .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)));
-        Config::load(&Sources { file: self.config.clone(), environment: environment.collect(), flags: all })
+        let environment = settings_of(std::env::vars_os())?;
+        Config::load(&Sources { file: self.config.clone(), environment, flags: all })
     }
 }
 
@@ -96,6 +96,41 @@ enum Command {
     Twin(twin::Arguments),
 }
 
+/// Commands that read no settings, each with the flags that would be passed over, and what says the like there. A file of settings is
+/// no fault where it changes nothing: `feedwright-ctl` names one to every command.
+const WITHOUT_SETTINGS: [(&str, &[&str], &str); 3] = [
+    (
+        "demo",
+        &["data_dir", "config", "set"],
+        "it keeps its data where --dir says, and has settings of its own",
+    ),
+    ("replay", &["data_dir", "set"], "it posts to the service that --url names"),
+    ("twin", &["data_dir", "set"], "it works with no service; --model names its settings"),
+];
+
+impl Cli {
+    /// The arguments of this process; where they are not accepted it says so and ends.
+    pub fn of_process() -> Self {
+        let mut command = Self::command();
+        let matches = command.get_matches_mut();
+        let read = refuse_unread(&mut command, &matches).and_then(|()| Self::from_arg_matches(&matches));
+        read.unwrap_or_else(|error| error.exit())
+    }
+}
+
+/// Refuses settings that the command would pass over: whoever names them counts on them.
+fn refuse_unread(command: &mut clap::Command, matches: &ArgMatches) -> Result<(), clap::Error> {
+    let Some((name, of_command)) = matches.subcommand() else { return Ok(()) };
+    let Some((_, unread, instead)) = WITHOUT_SETTINGS.iter().find(|(without, ..)| *without == name) else {
+        return Ok(());
+    };
+    let is_given = |flag: &&&str| of_command.value_source(flag) == Some(ValueSource::CommandLine);
+    let Some(flag) = unread.iter().find(is_given) else { return Ok(()) };
+    let flag = flag.replace('_', "-");
+    Err(command
+        .error(ErrorKind::ArgumentConflict, format!("`feedwright {name}` takes no --{flag}: {instead}")))
+}
+
 /// Runs the command that the arguments name.
 pub async fn run(cli: Cli) -> anyhow::Result<()> {
     crate::tls::use_ring();
@@ -128,5 +163,38 @@ pub fn print(text: &str) -> anyhow::Result<()> {
     match std::io::stdout().lock().write_all(text.as_bytes()) {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
         other => Ok(other?),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(arguments: &[&str]) -> Result<(), String> {
+        let mut command = Cli::command();
+        let matches = command.try_get_matches_from_mut([&["feedwright"], arguments].concat()).unwrap();
+        refuse_unread(&mut command, &matches).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn settings_that_a_command_does_not_read_are_refused() {
+        for (arguments, said) in [
+            (&["demo", "--data-dir", "x"][..], "`feedwright demo` takes no --data-dir"),
+            (&["--data-dir", "x", "demo"], "`feedwright demo` takes no --data-dir"),
+            (&["demo", "--config", "x"], "takes no --config"),
+            (&["replay", "vicomtech-turning", "--set", "log.level=warn"], "takes no --set"),
+            (&["twin", "--stdio", "--data-dir", "x"], "takes no --data-dir"),
+        ] {
+            let error = read(arguments).unwrap_err();
+            assert!(error.contains(said), "{error}");
+        }
+        for arguments in [
+            &["demo", "--dir", "x"][..],
+            &["--config", "x", "replay", "vicomtech-turning"],
+            &["--config", "x", "twin", "--stdio"],
+            &["serve", "--data-dir", "x", "--set", "log.level=warn"],
+        ] {
+            assert_eq!(read(arguments), Ok(()), "{arguments:?}");
+        }
     }
 }

@@ -6,6 +6,7 @@
 
 mod layers;
 
+pub(crate) use layers::settings_of;
 pub use layers::{ConfigError, Origin, Sources};
 
 use feedwright_core::closed_loop::LoopSettings;
@@ -14,6 +15,7 @@ use feedwright_core::friction::law::OverloadHold;
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{LONGEST_LEASE_MS, QuarantineBounds, SampleRetention, WatchSettings};
+use http::{HeaderName, HeaderValue, Uri};
 use secrecy::{ExposeSecret, SecretString};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
@@ -721,12 +723,42 @@ impl Config {
         let headers = self.traces.headers.expose_secret();
         let mut headers = headers.split(',').filter(|header| !header.trim().is_empty());
         must(
-            headers.all(|header| header.split_once('=').is_some_and(|(name, _)| !name.trim().is_empty())),
+            headers.all(is_header),
             "traces.headers",
-            "must be name=value, separated by commas",
+            "must be name=value, separated by commas, as they may stand in a request",
+        );
+        let origins = self.stream.origins();
+        let strange = origins.iter().find(|origin| !is_origin(origin));
+        must(
+            strange.is_none(),
+            "stream.allowed_origins",
+            &format!(
+                "`{}` is not SCHEME://HOST or SCHEME://HOST:PORT, as browsers name a page's origin: no path, and no slash \
+                 at the end",
+                strange.map_or("", String::as_str)
+            ),
         );
         if wrong.is_empty() { Ok(()) } else { Err(ConfigError::Invalid(wrong)) }
     }
+}
+
+/// Whether a text is a header's name and its value. What is none would be left out without a word.
+fn is_header(text: &str) -> bool {
+    text.split_once('=').is_some_and(|(name, value)| {
+        HeaderName::try_from(name.trim()).is_ok() && HeaderValue::try_from(value.trim()).is_ok()
+    })
+}
+
+/// Whether a text is an origin as a browser sends it (RFC 6454, section 6.2): anything else is never met. The port that a scheme has
+/// anyway is not sent with it.
+fn is_origin(text: &str) -> bool {
+    let Ok(uri) = Uri::try_from(text) else { return false };
+    let (Some(scheme), Some(authority)) = (uri.scheme_str(), uri.authority()) else { return false };
+    let is_its_own = matches!((scheme, authority.port_u16()), ("http", Some(80)) | ("https", Some(443)));
+    !authority.host().is_empty()
+        && !authority.as_str().contains('@')
+        && !is_its_own
+        && text.len() == scheme.len() + "://".len() + authority.as_str().len()
 }
 
 /// Whether a text filters the log as it says. A word that is no level would be taken for the name of a part of the program,
@@ -742,7 +774,9 @@ fn is_filter(text: &str) -> bool {
             Some((target, level)) => !target.trim().is_empty() && is_level(level.trim()),
             None => is_level(directive),
         });
-    known && tracing_subscriber::EnvFilter::try_new(text).is_ok()
+    // Of no directive at all nothing would be written.
+    let any = !text.split(',').all(|directive| directive.trim().is_empty());
+    any && known && tracing_subscriber::EnvFilter::try_new(text).is_ok()
 }
 
 #[cfg(test)]
@@ -750,11 +784,36 @@ mod tests {
     use super::*;
 
     #[test]
+    fn an_origin_is_what_a_browser_sends() {
+        for origin in
+            ["https://hmi.example", "HTTP://HMI:8080", "http://10.0.0.7", "https://[::1]:8443", "app://hmi"]
+        {
+            assert!(is_origin(origin), "{origin}");
+        }
+        for text in [
+            "foo",
+            "https://a.example/",
+            "https://a.example/x",
+            "https://a.example?x",
+            "//a.example",
+            "a.example:80",
+            "https://u@a.example",
+            "https://a.example:443",
+            "http://a.example:80",
+            "https://",
+            "null",
+            "*",
+        ] {
+            assert!(!is_origin(text), "{text}");
+        }
+    }
+
+    #[test]
     fn a_mistyped_level_is_no_filter() {
         for filter in ["info", "WARN", "info,feedwright_store=debug", "off,", "[request{id=7}]=debug"] {
             assert!(is_filter(filter), "{filter}");
         }
-        for word in ["warning", "banana", "info,verbose", "feedwright_store=loud", "=debug"] {
+        for word in ["", " ", ",", "warning", "banana", "info,verbose", "feedwright_store=loud", "=debug"] {
             assert!(!is_filter(word), "{word}");
         }
     }

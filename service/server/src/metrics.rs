@@ -32,20 +32,27 @@ const ENERGIES: [f64; 12] = [10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5, 
 const ANSWER_SECONDS: [f64; 12] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0];
 /// Why cycles are refused and not kept, as problem codes; they stand at 0 from the start, since the rate of a series
 /// that appears with its first event misses that event. A code that is not here is counted all the same.
-const REJECTIONS: [&str; 13] = [
+const REJECTIONS: [&str; 20] = [
     "malformed_json",
     "malformed_cycle",
     "malformed_encoding",
     "body_too_large",
     "decoded_body_too_large",
+    "too_many_large_bodies",
+    "body_incomplete",
+    "body_too_slow",
+    "too_many_lines",
     "unsupported_media_type",
     "unknown_machine",
     "queue_full",
     "quarantine_full",
+    "quarantine_refused",
     "shutting_down",
     "database_unavailable",
     "database_not_writable",
     "outcome_unknown",
+    "stored_data_damaged",
+    "internal_error",
 ];
 /// Why a token is refused, as problem codes.
 const REFUSALS: [&str; 5] =
@@ -334,6 +341,11 @@ impl Metrics {
     pub fn recommendation(&self, recommendation: &Recommendation) {
         self.recommendations.with_label_values(&[recommendation.action.as_str()]).inc();
         self.machines.recommendation(recommendation);
+    }
+
+    /// Shows no longer what was told of recommendations that are not valid any more.
+    pub(crate) fn run_out(&self, now: Timestamp) {
+        self.machines.run_out(now);
     }
 
     /// Counts a request without a valid token; `code` is the problem's.

@@ -114,7 +114,10 @@ async fn goes_on(state: &AppState, dropped: Dropped) -> bool {
     state.metrics.samples_dropped(dropped);
     if dropped.more {
         // Live posts have the writer between two steps.
-        tokio::time::sleep(state.config.retention.pause()).await;
+        tokio::select! {
+            () = tokio::time::sleep(state.config.retention.pause()) => {}
+            () = state.lifecycle.stopping() => {}
+        }
     }
     dropped.more
 }

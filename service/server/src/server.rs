@@ -1,7 +1,8 @@
 //! The server as a value: started, reached at its address, and shut down in a fixed order.
 //!
 //! Shutdown, in this order and nowhere else: intake (listeners close, no new requests), queue (what was taken in is
-//! written), writer (it ends), sockets (answered requests leave, the rest is cut), pool (the store closes).
+//! written), writer (it ends), sockets (answered requests leave, the rest is cut), link (other servers are told of streams that ended
+//! with them), pool (the store closes).
 
 mod accept;
 mod body;
@@ -15,10 +16,11 @@ use crate::config::Config;
 use crate::http;
 use crate::ingest::intake::CycleIntake;
 use crate::lifecycle::Lifecycle;
+use crate::live::Link;
 use crate::metrics::Metrics;
 use crate::state::AppState;
 use crate::tls::{self, Certificates, TlsError};
-use accept::Acceptor;
+use accept::{Acceptor, OF_METRICS};
 use feedwright_store::{Actor, Page, Role, Store, StoreError};
 use secrecy::SecretString;
 use std::net::SocketAddr;
@@ -139,18 +141,19 @@ impl ListeningServer {
         let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
         crate::retention::start(&state);
         crate::refold::start(&state);
-        crate::live::start(&state);
+        let link = crate::live::start(&state);
         crate::stream::start(&state);
         crate::watch::start(&state);
         if let Some(certificates) = &certificates {
             tls::watch(&state, certificates.clone());
         }
         let acceptor = Acceptor::new(state.clone());
-        acceptor.accept(listener, http::router(state.clone()), acceptor_of_tls);
+        let most = state.config.server.max_connections;
+        acceptor.accept(listener, most, http::router(state.clone()), acceptor_of_tls);
         if let Some(listener) = metrics_listener {
-            acceptor.accept(listener, http::metrics_router(state.clone()), None);
+            acceptor.accept(listener, OF_METRICS, http::metrics_router(state.clone()), None);
         }
-        RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor, certificates }
+        RunningServer { local_addr, metrics_addr, first_admin_token, state, acceptor, certificates, link }
     }
 }
 
@@ -218,6 +221,7 @@ pub struct RunningServer {
     state: AppState,
     acceptor: Acceptor,
     certificates: Option<Arc<Certificates>>,
+    link: Link,
 }
 
 impl RunningServer {
@@ -251,7 +255,7 @@ impl RunningServer {
     }
 
     async fn shut_down_in_order(self) {
-        let Self { state, acceptor, .. } = self;
+        let Self { state, acceptor, link, .. } = self;
         tracing::info!("shutting down");
         state.lifecycle.stop();
         acceptor.listeners_closed().await;
@@ -259,6 +263,7 @@ impl RunningServer {
         // Half of the time belongs to clients that still read their answers; the other half to the store.
         acceptor.close(state.config.server.shutdown_timeout() / 2).await;
         state.lifecycle.tasks_ended().await;
+        link.end(&state.live).await;
         state.store.close().await;
         tracing::info!("shut down");
     }

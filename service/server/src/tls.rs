@@ -8,6 +8,7 @@ use crate::metrics::Metrics;
 use crate::state::AppState;
 use std::fmt;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 use tokio_rustls::TlsAcceptor;
@@ -72,6 +73,8 @@ pub(crate) struct Certificates {
     current: RwLock<Arc<CertifiedKey>>,
     /// Hash over the content that was tried last, whether it could be used or not.
     tried: Mutex<blake3::Hash>,
+    /// Looks in a row, of those that nobody asked for, at which the files could not be read.
+    unread: AtomicU32,
     metrics: Arc<Metrics>,
 }
 
@@ -107,6 +110,7 @@ impl Certificates {
             provider,
             current: RwLock::new(pair.key),
             tried: Mutex::new(pair.hash),
+            unread: AtomicU32::new(0),
             metrics,
         }))
     }
@@ -128,10 +132,10 @@ impl Certificates {
     pub(crate) fn reload(&self, asked: bool) {
         let contents = match read(&self.files) {
             Ok(contents) => contents,
-            // A file that is being replaced may be gone for a moment: its change is seen at the next look.
-            Err(error) if !asked => return tracing::warn!(%error, "the certificate cannot be looked at"),
+            Err(error) if !asked => return self.not_read(&error),
             Err(error) => return self.failed(&error),
         };
+        self.unread.store(0, Ordering::Relaxed);
         let mut tried = self.tried.lock().unwrap_or_else(PoisonError::into_inner);
         if !asked && *tried == contents.hash {
             return;
@@ -145,6 +149,15 @@ impl Certificates {
                 tracing::info!(certificate = %self.files.0.display(), "the certificate was read again");
             }
             Err(error) => self.failed(&error),
+        }
+    }
+
+    /// A file that is being replaced may be gone for a moment: its change is seen at the next look. One that cannot be read then
+    /// either has failed, once and not at every look.
+    fn not_read(&self, error: &TlsError) {
+        match self.unread.fetch_add(1, Ordering::Relaxed) {
+            1 => self.failed(error),
+            _ => tracing::warn!(%error, "the certificate cannot be looked at"),
         }
     }
 

@@ -83,6 +83,7 @@ pub(crate) fn start(state: &AppState) {
 
 /// One round.
 pub async fn round(state: &AppState) -> StoreResult<()> {
+    state.metrics.run_out(state.clock.now());
     state.metrics.ready(state.ready().await.is_ok());
     disk(state).await;
     match state.store.usage().await {

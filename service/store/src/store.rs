@@ -410,6 +410,8 @@ pub trait Store: Send + Sync + 'static {
         lease: Duration,
         now: Timestamp,
     ) -> StoreResult<Vec<(MachineId, i64)>>;
+    /// Those of these machines whose stream somebody holds. The clock is that of [`Store::take_stream`].
+    async fn leased_streams(&self, machines: &[MachineId], now: Timestamp) -> StoreResult<Vec<MachineId>>;
     /// Gives a lease back, unless it is another's by now.
     async fn release_stream(&self, machine: &MachineId, holder: &str, generation: i64) -> StoreResult<()>;
     /// Keeps what a streamed cycle's samples were answered.

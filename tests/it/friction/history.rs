@@ -163,6 +163,52 @@ async fn a_question_goes_on_behind_the_last_cycle_also_among_those_of_one_time()
 }
 
 #[tokio::test]
+async fn a_cycle_is_answered_the_same_alone_and_among_shallower_and_deeper_ones() {
+    let shop = Shop::open().await;
+    model_machine(&shop).await;
+    let paper = PaperStrategies::new().unwrap();
+    for (number, factor) in (1..).zip([1.0, 0.8, 1.25, 0.9, 1.1]) {
+        let mut strategy = paper.linear.clone();
+        strategy.program = strategy.program.scaled(factor).unwrap();
+        let mut cycle = drilled(number, &strategy, "f_lin", false);
+        if number == 1 {
+            // The first hole was given up before the loads rise.
+            let depth = cycle["samples"]["depth_mm"].as_array().unwrap();
+            let kept = depth.iter().position(|depth| super::number(depth) > 6.0).unwrap();
+            for column in cycle["samples"].as_object_mut().unwrap().values_mut() {
+                if let Some(column) = column.as_array_mut() {
+                    column.truncate(kept);
+                }
+            }
+        }
+        let answer = shop.cycle("F1", &cycle).await;
+        assert_eq!(answer.status, 201, "{}", answer.text);
+    }
+    let mut alone = Vec::new();
+    for number in 1..=5 {
+        let answer = shop.post(&format!("/v1/machines/F1/cycles/c{number}/what-if"), &faster()).await;
+        assert_eq!(answer.status, 200, "{}", answer.text);
+        alone.push(answer.body);
+    }
+    assert!(number(&alone[1]["happened"]["duration_s"]) > number(&alone[0]["happened"]["duration_s"]));
+    for most in [1, 2, 5] {
+        let mut ask =
+            json!({"filter": {"machine": "F1"}, "cycles": true, "most_cycles": most, "question": faster()});
+        let mut together = Vec::new();
+        loop {
+            let page = shop.post("/v1/what-if", &ask).await;
+            assert_eq!(page.status, 200, "{}", page.text);
+            together.extend(page.body["cycles"].as_array().unwrap().clone());
+            ask["continue_from"] = page.body["continue_from"].clone();
+            if ask["continue_from"].is_null() {
+                break;
+            }
+        }
+        assert_eq!(together, alone, "{most} at a time");
+    }
+}
+
+#[tokio::test]
 async fn what_cannot_be_asked_is_refused() {
     let shop = shop_with_history().await;
     for (question, path) in [

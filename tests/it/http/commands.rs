@@ -1,11 +1,13 @@
 //! The binary itself: first start, the one token, tokens beside and through a running server, signals.
 
 use std::io::{BufRead, BufReader, Read};
-use std::net::SocketAddr;
+use std::net::{SocketAddr, TcpListener};
+use std::os::unix::ffi::OsStringExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// The binary, built from this very tree: another package's binary is not built for these tests by itself.
@@ -38,6 +40,11 @@ pub(super) fn feedwright(dir: &TempDir, arguments: &[&str]) -> Command {
     // What is freed goes back to the system at once and not within a second: what is then resident is what is held.
     command.env("MIMALLOC_PURGE_DELAY", "0");
     command
+}
+
+/// What nothing can be written to, as a disk without room.
+pub(super) fn full() -> std::fs::File {
+    std::fs::File::options().write(true).open("/dev/full").unwrap()
 }
 
 #[track_caller]
@@ -184,7 +191,18 @@ fn the_first_start_shows_a_token_and_tokens_go_through_the_server_while_it_runs(
     let file = file.to_str().unwrap();
     let list = succeed(feedwright(&dir, &["token", "list", "--token-file", file]).output().unwrap());
     assert!(list.contains(&id) && list.contains("MES") && !list.contains(made.trim()), "{list}");
-    succeed(feedwright(&dir, &["token", "revoke", &id, "--token-file", file]).output().unwrap());
+    // The flag goes before the environment, and the secret is not repeated.
+    let revoke = ["token", "revoke", made.trim(), "--token-file", file];
+    let told = succeed(feedwright(&dir, &revoke).env("FEEDWRIGHT_TOKEN", made.trim()).output().unwrap());
+    assert_eq!(told, format!("revoked {id}\n"));
+    // A token that nobody could read is of no use to anybody but a thief.
+    let unread = feedwright(&dir, &["token", "create", "--name", "unread", "--role", "admin"])
+        .env("FEEDWRIGHT_TOKEN", &admin)
+        .stdout(full())
+        .output()
+        .unwrap();
+    let said_of_it = String::from_utf8_lossy(&unread.stderr).into_owned();
+    assert!(!unread.status.success() && said_of_it.contains("and is revoked"), "{said_of_it}");
     let denied = feedwright(&dir, &["token", "list"]).env("FEEDWRIGHT_TOKEN", made.trim()).output().unwrap();
     assert!(String::from_utf8_lossy(&denied.stderr).contains("token_revoked"));
 
@@ -197,8 +215,21 @@ fn the_first_start_shows_a_token_and_tokens_go_through_the_server_while_it_runs(
     assert!(!feedwright(&dir, &healthcheck).output().unwrap().status.success());
 
     // No server runs: straight in the database, without a token.
+    let unread = feedwright(&dir, &["token", "create", "--name", "unread", "--role", "admin"])
+        .stdout(full())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&unread.stderr).into_owned();
+    assert!(!unread.status.success() && said.contains("and is revoked"), "{said}");
     let list = succeed(feedwright(&dir, &["token", "list"]).output().unwrap());
-    assert!(list.contains("revoked"), "{list}");
+    let unread: Vec<_> = list.lines().filter(|line| line.ends_with("unread")).collect();
+    assert!(unread.len() == 2 && unread.iter().all(|line| line.contains("revoked")), "{list}");
+    let told = feedwright(&dir, &["token", "revoke", &format!("fwt_{id}")]).output().unwrap();
+    assert_eq!(succeed(told), format!("revoked {id}\n"));
+    let secret = made.trim().rsplit_once('_').unwrap().0.rsplit_once('_').unwrap().1;
+    let told = feedwright(&dir, &["token", "revoke", secret]).output().unwrap();
+    let said = String::from_utf8_lossy(&told.stderr).into_owned();
+    assert!(!told.status.success() && said.contains("no token's id") && !said.contains(secret), "{said}");
     let again = Served::start(&dir, "listening");
     let (log, ended_well) = again.terminate();
     assert!(ended_well && !log.contains("fwt_"), "{log}");
@@ -229,6 +260,19 @@ fn the_settings_in_force_are_printed_without_secrets() {
         let unread = feedwright(&dir, &["serve", "--config", file.to_str().unwrap()]).output().unwrap();
         assert_eq!(unread.status.code(), Some(78), "{}", String::from_utf8_lossy(&unread.stderr));
     }
+    for threads in ["0", "abc", ""] {
+        let refused = feedwright(&dir, &["config"]).env("TOKIO_WORKER_THREADS", threads).output().unwrap();
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(78), "{said}");
+        assert!(said.contains("TOKIO_WORKER_THREADS: must be"), "{said}");
+    }
+    succeed(feedwright(&dir, &["config"]).env("TOKIO_WORKER_THREADS", "1").output().unwrap());
+    let mut command = feedwright(&dir, &["serve"]);
+    let url = std::ffi::OsString::from_vec(b"postgres://fw:hunter\xff@db/fw".to_vec());
+    let refused = command.env("FEEDWRIGHT__DATABASE__URL", url).output().unwrap();
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(78), "it would be another database: {said}");
+    assert!(said.contains("FEEDWRIGHT__DATABASE__URL") && !said.contains("hunter"), "{said}");
     assert!(!dir.path().join("data").exists(), "nothing was made");
 }
 
@@ -255,4 +299,33 @@ fn a_demo_that_ends_fails_where_its_cycles_were_refused() {
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success(), "{said}");
     assert!(said.contains("47 of 47 cycles were refused") && said.contains("cycle_conflict"), "{said}");
+}
+
+/// A database may be there and say nothing: a supervisor kills what it told to stop half a minute ago.
+#[test]
+fn a_signal_ends_a_start_whose_database_says_nothing() {
+    let dir = TempDir::new().unwrap();
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("postgres://fw@{}/fw", silent.local_addr().unwrap());
+    let mut command = feedwright(&dir, &["serve"]);
+    let mut child = command.env("FEEDWRIGHT__DATABASE__URL", url).stderr(Stdio::null()).spawn().unwrap();
+    // It listens to signals before it connects.
+    let connected = silent.accept().unwrap();
+    let begun = Instant::now();
+    let sent = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let ended = child.wait().unwrap();
+    assert!(begun.elapsed() < Duration::from_secs(25), "{:?}", begun.elapsed());
+    assert!(ended.success(), "{ended}");
+    drop(connected);
+}
+
+#[test]
+fn check_tells_why_it_cannot_look_for_the_database() {
+    let dir = TempDir::new().unwrap();
+    // A file where the folder would be: nobody may enter it, not even root.
+    std::fs::write(dir.path().join("data"), "").unwrap();
+    let refused = feedwright(&dir, &["check"]).output().unwrap();
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && said.contains("cannot look for the database"), "{said}");
 }

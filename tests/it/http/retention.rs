@@ -150,3 +150,31 @@ async fn a_server_that_starts_by_a_clock_far_ahead_drops_nothing_for_its_age() {
     assert_eq!((gone.len(), &gone[1..]), (3, &[false, false][..]), "{decided:?}");
     store.close().await;
 }
+
+/// A supervisor kills what it told to stop half a minute ago.
+#[tokio::test]
+async fn the_pause_between_two_steps_does_not_hold_the_shutdown_up() {
+    let settings = [
+        ("retention.interval_ms", "50"),
+        ("retention.pause_ms", "60000"),
+        ("retention.step_cycles", "1"),
+        ("metrics.listen", "127.0.0.1:0"),
+    ];
+    let served = crate::live::Served::start(&settings).await;
+    served.with_a_shop().await;
+    for id in ["c1", "c2", "c3"] {
+        served.post_cycle(id, 20.0).await;
+    }
+    served.put(&format!("{M1}/retention"), json!({"samples_bytes": 1})).await;
+    let metrics = format!("http://{}/metrics", served.server.metrics_addr.unwrap());
+    let begun = async {
+        loop {
+            let text = served.client.get(&metrics).send().await.unwrap().text().await.unwrap();
+            if text.contains("feedwright_sample_drop_cycles_total 1\n") {
+                return;
+            }
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(20), begun).await.expect("retention begins");
+    served.server.shutdown().await.expect("the pause is cut short");
+}

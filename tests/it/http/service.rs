@@ -1,11 +1,17 @@
 //! Health, readiness, metrics and the embedded viewer.
 
 use super::app::App;
+use crate::live::Served;
 use axum::body::Body;
+use feedwright_server::clock::Clock;
 use feedwright_store::Role;
 use http::{Request, StatusCode};
 use serde_json::json;
 use std::io::Read;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+use tempfile::TempDir;
 
 async fn open(app: &App, path: &str) -> super::app::Answer {
     app.send(Request::get(path).body(Body::empty()).unwrap()).await
@@ -79,6 +85,7 @@ async fn metrics_name_routes_and_never_what_was_asked_for() {
         "feedwright_cycles_total{outcome=\"quarantined\"} 0",
         "feedwright_alarms_open{kind=\"overload\"} 0",
         "feedwright_cycles_rejected_total{reason=\"malformed_json\"} 0",
+        "feedwright_cycles_rejected_total{reason=\"too_many_lines\"} 0",
         "feedwright_authentication_failures_total{reason=\"token_revoked\"} 0",
         "process_start_time_seconds ",
         "feedwright_ingest_queue_depth 0",
@@ -201,4 +208,34 @@ async fn the_viewer_comes_out_of_the_binary() {
     assert!(script.contains("/openapi.json"), "{script}");
     let answer = open(&app, "/docs/none.js").await;
     assert_eq!((answer.status, answer.code().as_str()), (StatusCode::NOT_FOUND, "not_found"));
+}
+
+#[tokio::test]
+async fn that_recommendations_are_neutral_is_shown_as_long_as_the_last_one_is_valid() {
+    let seconds = Arc::new(AtomicI64::new(0));
+    let (right, ahead) = (Clock::system(), seconds.clone());
+    let clock = Clock::new(move || right.now().plus_millis(ahead.load(Ordering::Relaxed) * 1000));
+    let dir = TempDir::new().unwrap();
+    let settings = [
+        ("watch.interval_ms", "100"),
+        ("recommendation.validity_ms", "900000"),
+        ("metrics.listen", "127.0.0.1:0"),
+    ];
+    let served = Served::start_by(clock, dir.path(), None, &settings).await;
+    served.with_a_shop().await;
+    let metrics = format!("http://{}/metrics", served.server.metrics_addr.unwrap());
+    let shown = async || {
+        let text = served.client.get(&metrics).send().await.unwrap().text().await.unwrap();
+        let begins = "feedwright_machine_recommendation_neutral_since_timestamp_seconds{machine=\"M1\"";
+        text.lines().find(|line| line.starts_with(begins)).map(str::to_owned)
+    };
+    served.post_cycle("c1", 20.0).await;
+    let first = shown().await.expect("nobody has approved a feed profile");
+    seconds.store(901, Ordering::Relaxed);
+    let gone = async { while shown().await.is_some() {} };
+    tokio::time::timeout(Duration::from_secs(20), gone).await.expect("it is not valid any more");
+    // It was neutral all the time.
+    served.post_cycle("c2", 20.0).await;
+    assert_eq!(shown().await, Some(first));
+    served.server.shutdown().await.unwrap();
 }

@@ -383,3 +383,24 @@ async fn who_comes_before_it_serves_waits() {
     assert_eq!(answer.await.unwrap(), 200);
     server.shutdown().await.unwrap();
 }
+
+#[tokio::test]
+async fn the_metrics_listener_answers_whatever_the_connections_to_the_api_do() {
+    let running = start(&[("server.max_connections", "1"), ("metrics.listen", "127.0.0.1:0")]).await;
+    let metrics = format!("http://{}/metrics", running.server.metrics_addr.unwrap());
+    let asked = async {
+        let held = running.connect().await;
+        for _ in 0..3 {
+            let text = reqwest::get(&metrics).await.unwrap().text().await.unwrap();
+            assert!(text.contains("feedwright_http_connections"), "{text}");
+        }
+        drop(held);
+        // The API's one is free again, and is not held by who waits for metrics.
+        for _ in 0..2 {
+            let ready = reqwest::get(format!("http://{}/healthz", running.address)).await.unwrap();
+            assert_eq!(ready.status(), 200);
+        }
+    };
+    tokio::time::timeout(LONG, asked).await.expect("all are answered");
+    running.server.shutdown().await.unwrap();
+}

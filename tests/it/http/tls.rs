@@ -303,3 +303,34 @@ async fn a_pair_that_does_not_fit_is_no_start() {
         database.store.close().await;
     }
 }
+
+#[tokio::test]
+async fn a_certificate_that_cannot_be_read_any_more_is_counted_once_and_not_at_every_look() {
+    let (first, second) = (Identity::new(), Identity::new());
+    let secured = Secured::start(&first, &[("tls.reload_interval_ms", "20")]).await;
+    let both = [&first, &second];
+    let count = async |outcome: &str| {
+        let name = format!("feedwright_tls_reloads_total{{outcome=\"{outcome}\"}}");
+        let line = secured.metric(&both, &name).await;
+        line.rsplit_once(' ').unwrap().1.parse::<u32>().unwrap()
+    };
+    let counted = async |outcome: &str| {
+        let begun = Instant::now();
+        let mut polls = tokio::time::interval(Duration::from_millis(20));
+        while count(outcome).await == 0 {
+            assert!(begun.elapsed() < LONG, "it is not counted as {outcome}");
+            polls.tick().await;
+        }
+    };
+    std::fs::remove_file(&secured.key).unwrap();
+    counted("failed").await;
+    let mut looks = tokio::time::interval(Duration::from_millis(20));
+    for _ in 0..10 {
+        looks.tick().await;
+    }
+    assert_eq!(count("failed").await, 1);
+    secured.install(&second, &second);
+    counted("taken_over").await;
+    assert_eq!(served(secured.address, &both).await, second.certificate);
+    secured.server.shutdown().await.unwrap();
+}

@@ -1,6 +1,6 @@
 //! The commands that keep data: backup beside a running server, restore, check, copy.
 
-use super::commands::{Served, feedwright, succeed};
+use super::commands::{Served, feedwright, full, succeed};
 use super::full_disk::with_room;
 use crate::store::given::{Given, RIGHT_INDEX, Run, WRONG_INDEX, shop, stored};
 use feedwright_store::{SqliteOptions, SqliteStore, Store};
@@ -53,8 +53,13 @@ async fn a_cell_is_backed_up_restored_checked_and_copied() {
         at
     };
     let own = noted(tables(&cell).await).await;
+    // Noted also where nobody can be told of it: it is there.
+    let untold = cell.path().join("untold.backup");
+    fail(feedwright(&cell, &["backup", untold.to_str().unwrap()]).stdout(full()).output().unwrap());
+    let later = noted(tables(&cell).await).await;
+    assert!(untold.exists() && later > own);
     assert_eq!(succeed(feedwright(&cell, &["backup", "--made-elsewhere"]).output().unwrap()), "noted\n");
-    assert!(noted(tables(&cell).await).await > own, "another tool's backup counts as well");
+    assert!(noted(tables(&cell).await).await > later, "another tool's backup counts as well");
     let (_, refused) = fail(feedwright(&cell, &["check"]).output().unwrap());
     assert!(refused.contains("checked while it is stopped, or as a backup"), "{refused}");
     let (_, refused) = fail(feedwright(&cell, &["restore", backup]).output().unwrap());

@@ -28,14 +28,20 @@ impl Token {
         let mut parts = text.split('_');
         let (prefix, id) = (parts.next()?, parts.next()?);
         let (secret, checksum) = (parts.next()?, parts.next()?);
-        let hex = |part: &str, length: usize| {
-            part.len() == length && part.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'))
-        };
         let formed = prefix == PREFIX && parts.next().is_none();
-        let formed =
-            formed && hex(id, ID_LENGTH) && hex(secret, SECRET_LENGTH) && hex(checksum, CHECKSUM_LENGTH);
+        let formed = formed
+            && is_hex(id, ID_LENGTH)
+            && is_hex(secret, SECRET_LENGTH)
+            && is_hex(checksum, CHECKSUM_LENGTH);
         (formed && checksum == checksum_of(id, secret))
             .then(|| Self { id: id.to_owned(), text: SecretString::from(text) })
+    }
+
+    /// The id in what begins as a token does, up to the whole of it, or is an id alone.
+    pub fn id_of(text: &str) -> Option<&str> {
+        let rest = text.strip_prefix(PREFIX).and_then(|rest| rest.strip_prefix('_')).unwrap_or(text);
+        let id = rest.split_once('_').map_or(rest, |(id, _)| id);
+        is_hex(id, ID_LENGTH).then_some(id)
     }
 
     /// Its public id.
@@ -47,6 +53,10 @@ impl Token {
     pub fn hash(&self) -> [u8; 32] {
         *blake3::hash(self.text.expose_secret().as_bytes()).as_bytes()
     }
+}
+
+fn is_hex(part: &str, length: usize) -> bool {
+    part.len() == length && part.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'))
 }
 
 fn checksum_of(id: &str, secret: &str) -> String {
@@ -107,6 +117,14 @@ mod tests {
         let token = Token::parse(text).unwrap();
         assert_eq!((token.id(), token.hash()), (issued.record.id.as_str(), issued.record.hash));
         assert!(!format!("{issued:?}{token:?}").contains(&text[30..90]), "a secret is printed");
+
+        let id = token.id();
+        for begun in [id, &format!("fwt_{id}"), &format!("fwt_{id}_"), &text[..40], text] {
+            assert_eq!(Token::id_of(begun), Some(id), "{begun}");
+        }
+        for none in ["", "fwt_", "fwt", &text[29..], &id[1..], "a/b", &id.to_uppercase()] {
+            assert_eq!(Token::id_of(none), None, "{none}");
+        }
 
         let mut wrong = text.to_owned();
         let digit = if wrong.ends_with('0') { "1" } else { "0" };

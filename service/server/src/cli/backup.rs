@@ -50,9 +50,8 @@ async fn made(config: &Config, file: Option<PathBuf>) -> anyhow::Result<()> {
         Engine::Sqlite(path) => back_up_sqlite(&path, &file, now).await?,
         Engine::Postgres(_) => back_up_postgres(&server_url(config), &file, now).await?,
     };
-    print(&listed(&report.tables))?;
-    print(&format!("{}: {} bytes\n", file.display(), report.bytes))?;
-    // The backup is whole whatever comes of this: a role that may only read backs up too.
+    // Before it is told: the backup is made, whoever hears of it. It is whole whatever comes of this: a role that may only read backs
+    // up too.
     if let Err(error) = note(config, now).await {
         let error = format!("{:#}", anyhow::Error::from(error));
         tracing::warn!(
@@ -60,7 +59,8 @@ async fn made(config: &Config, file: Option<PathBuf>) -> anyhow::Result<()> {
             "the database does not remember this backup, and its alert will say there is none"
         );
     }
-    Ok(())
+    print(&listed(&report.tables))?;
+    print(&format!("{}: {} bytes\n", file.display(), report.bytes))
 }
 
 /// Tells the database that its state of `made_at` is backed up.

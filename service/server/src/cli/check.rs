@@ -43,7 +43,7 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     }
     // Opening makes what is not there: nothing would be found wrong with the wrong folder.
     if let Engine::Sqlite(path) = config.engine()
-        && !path.exists()
+        && !path.try_exists().with_context(|| format!("cannot look for the database {}", path.display()))?
     {
         bail!("there is no database {}", path.display());
     }

@@ -3,7 +3,7 @@
 use super::Settings;
 use crate::clock::Clock;
 use crate::config::Config;
-use crate::database::{self, Database};
+use crate::database::{self, Database, OpenError};
 use crate::server::{ListeningServer, Server};
 use crate::telemetry::Telemetry;
 use anyhow::{Context, bail};
@@ -14,7 +14,13 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::pin::pin;
+use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
+
+/// So long the database may still take to open after a signal: a step of a migration that is nearly done need not be done again, and
+/// one that says nothing is not waited for.
+const STILL_OPENING: Duration = Duration::from_secs(5);
 
 /// Arguments of the command.
 #[derive(Debug, Args)]
@@ -50,7 +56,16 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut hangup = signal(SignalKind::hangup())?;
-    let Database { store, mut lock } = database::open(&config).await?;
+    let told = async {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+    };
+    let Some((Database { store, mut lock }, is_told)) = opened(&config, told).await? else {
+        tracing::info!("told to stop before the database was open");
+        return Ok(());
+    };
     let first = match first_token_file {
         Some(file) => FirstTokenFile::made(&*store, file).await?,
         None => None,
@@ -62,6 +77,9 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
     }
     let server = server.serve();
     let failed = loop {
+        if is_told {
+            break None;
+        }
         tokio::select! {
             _ = terminate.recv() => break None,
             _ = interrupt.recv() => break None,
@@ -73,6 +91,24 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
     match failed {
         None => Ok(()),
         Some(why) => bail!("{why}"),
+    }
+}
+
+/// Opens the database, and says whether it was `told` to stop meanwhile: then it is waited for a little longer, and `None` where it does
+/// not open in that time.
+async fn opened(
+    config: &Config,
+    told: impl Future<Output = ()>,
+) -> Result<Option<(Database, bool)>, OpenError> {
+    let mut opening = pin!(database::open(config));
+    tokio::select! {
+        opened = &mut opening => return Ok(Some((opened?, false))),
+        () = told => {}
+    }
+    match tokio::time::timeout(STILL_OPENING, opening).await {
+        Ok(opened) => Ok(Some((opened?, true))),
+        // The process ends with it, and so does its session: what it has begun the database takes back.
+        Err(_) => Ok(None),
     }
 }
 

@@ -1,7 +1,7 @@
 //! `feedwright token`: through the server when one runs, else directly in its database.
 
 use super::{Settings, print};
-use crate::auth::Issued;
+use crate::auth::{Issued, Token};
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::data_dir::DataDirError;
@@ -15,6 +15,8 @@ use feedwright_store::{Actor, Page, Role, Store};
 use reqwest::{Method, RequestBuilder, Response};
 use secrecy::{ExposeSecret, SecretString};
 use serde::Deserialize;
+use std::ffi::OsString;
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,11 +32,12 @@ pub struct Arguments {
     /// The server to go through, where it is not found by its data directory.
     #[arg(long, global = true, value_name = "URL")]
     server: Option<String>,
-    /// An admin's token, for going through a server.
-    #[arg(long, global = true, env = "FEEDWRIGHT_TOKEN", hide_env_values = true, value_parser = secret)]
+    /// An admin's token, for going through a server. [env: FEEDWRIGHT_TOKEN]
+    #[arg(long, global = true, value_parser = secret, conflicts_with = "token_file")]
     token: Option<SecretString>,
-    /// A file that holds an admin's token.
-    #[arg(long, global = true, env = "FEEDWRIGHT_TOKEN_FILE", value_name = "FILE")]
+    /// A file that holds an admin's token. [env: FEEDWRIGHT_TOKEN_FILE]
+    // The environment is read here and not by clap, which does not tell a flag from a variable: the flag goes before either.
+    #[arg(long, global = true, value_name = "FILE")]
     token_file: Option<PathBuf>,
     #[command(subcommand)]
     command: TokenCommand,
@@ -58,8 +61,9 @@ enum TokenCommand {
     List,
     /// Revokes a token: its next request is refused.
     Revoke {
-        /// Its id: the part between the first two underscores.
-        id: String,
+        /// Its id: the part between the first two underscores. What begins as the token does is taken too, up to the whole of it.
+        #[arg(value_parser = secret)]
+        id: SecretString,
     },
 }
 
@@ -112,6 +116,33 @@ async fn way(config: Config, arguments: &Arguments) -> anyhow::Result<Way> {
     }
 }
 
+/// The token that was given, or where it is.
+enum Given {
+    Token(SecretString),
+    File(PathBuf),
+}
+
+impl Given {
+    /// A flag goes before the environment, whichever of the two each is.
+    fn of(
+        arguments: &Arguments,
+        environment: impl Fn(&str) -> Option<OsString>,
+    ) -> anyhow::Result<Option<Self>> {
+        if let Some(token) = &arguments.token {
+            return Ok(Some(Self::Token(token.clone())));
+        }
+        if let Some(file) = &arguments.token_file {
+            return Ok(Some(Self::File(file.clone())));
+        }
+        let set = |name| environment(name).filter(|value| !value.is_empty());
+        if let Some(token) = set("FEEDWRIGHT_TOKEN") {
+            let text = token.into_string().map_err(|_| anyhow::anyhow!("FEEDWRIGHT_TOKEN is not UTF-8"))?;
+            return Ok(Some(Self::Token(text.into())));
+        }
+        Ok(set("FEEDWRIGHT_TOKEN_FILE").map(|file| Self::File(file.into())))
+    }
+}
+
 /// A server, and the token to talk to it with.
 struct Remote {
     client: reqwest::Client,
@@ -121,14 +152,15 @@ struct Remote {
 
 impl Remote {
     fn new(url: &str, arguments: &Arguments) -> anyhow::Result<Self> {
-        let token = match (&arguments.token, &arguments.token_file) {
-            (Some(token), _) => token.clone(),
-            (None, Some(file)) => {
-                let text = std::fs::read_to_string(file)
+        let given = Given::of(arguments, |name| std::env::var_os(name))?;
+        let token = match given {
+            Some(Given::Token(token)) => token,
+            Some(Given::File(file)) => {
+                let text = std::fs::read_to_string(&file)
                     .with_context(|| format!("cannot read {}", file.display()))?;
                 SecretString::from(text.trim())
             }
-            (None, None) => {
+            None => {
                 bail!(
                     "a server runs at {url}: give an admin's token with --token-file, or in FEEDWRIGHT_TOKEN"
                 )
@@ -177,7 +209,13 @@ async fn through_server(server: &Remote, command: TokenCommand) -> anyhow::Resul
             let body = TokenBody { name, role: RoleWord(role), machine };
             let response = server.request(Method::POST, "").json(&body).send().await?;
             let made: NewToken = accepted(response).await?.json().await?;
-            print(&format!("{}\n", made.token))
+            let Err(unshown) = show(&made.token) else { return Ok(()) };
+            let response = server.request(Method::DELETE, &format!("/{}", made.kept.id)).send().await;
+            let revoked = match response {
+                Ok(response) => accepted(response).await.map(drop),
+                Err(error) => Err(error.into()),
+            };
+            Err(not_shown(&made.kept.id, &unshown, revoked))
         }
         TokenCommand::List => {
             let mut rest = format!("?limit={PAGE}");
@@ -190,6 +228,7 @@ async fn through_server(server: &Remote, command: TokenCommand) -> anyhow::Resul
             }
         }
         TokenCommand::Revoke { id } => {
+            let id = id_of(&id)?;
             let response = server.request(Method::DELETE, &format!("/{id}")).send().await?;
             accepted(response).await?;
             print(&format!("revoked {id}\n"))
@@ -210,8 +249,11 @@ async fn in_database(store: &Arc<dyn Store>, command: TokenCommand) -> anyhow::R
                 bail!("there is no machine `{machine}`: register it first");
             }
             let issued = Issued::new(&name, role, machine, &clock)?;
+            let id = issued.record.id.clone();
             store.create_token(issued.record, &actor).await?;
-            print(&format!("{}\n", issued.text.expose_secret()))
+            let Err(unshown) = show(issued.text.expose_secret()) else { return Ok(()) };
+            let revoked = store.revoke_token(&id, &actor, clock.now()).await;
+            Err(not_shown(&id, &unshown, revoked.map(drop).map_err(Into::into)))
         }
         TokenCommand::List => {
             let mut after = None;
@@ -222,10 +264,38 @@ async fn in_database(store: &Arc<dyn Store>, command: TokenCommand) -> anyhow::R
                 print_rows(&page.into_iter().map(TokenView::from).collect::<Vec<_>>())?;
             }
         }
-        TokenCommand::Revoke { id } => match store.revoke_token(&id, &actor, clock.now()).await? {
-            Some(_) => print(&format!("revoked {id}\n")),
-            None => bail!("there is no token `{id}`"),
-        },
+        TokenCommand::Revoke { id } => {
+            let id = id_of(&id)?;
+            match store.revoke_token(&id, &actor, clock.now()).await? {
+                Some(_) => print(&format!("revoked {id}\n")),
+                None => bail!("there is no token `{id}`"),
+            }
+        }
+    }
+}
+
+/// The id that is meant: it alone, or what begins as its token does, up to the whole of it. What is neither may be a secret, and is
+/// not repeated.
+fn id_of(given: &SecretString) -> anyhow::Result<String> {
+    let id = Token::id_of(given.expose_secret().trim());
+    let id = id.context("that is no token's id: it is the part between the first two underscores")?;
+    Ok(id.to_owned())
+}
+
+/// Shows a token, once. Where nobody reads it any more that is a failure too: nobody would ever know it.
+fn show(token: &str) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    writeln!(out, "{token}")?;
+    out.flush()
+}
+
+/// What is told of a token that could not be shown, and was to be revoked for it.
+fn not_shown(id: &str, why: &io::Error, revoked: anyhow::Result<()>) -> anyhow::Error {
+    match revoked {
+        Ok(()) => anyhow::anyhow!("the token cannot be shown ({why}), and is revoked"),
+        Err(error) => error.context(format!(
+            "the token cannot be shown ({why}), and was not revoked: `feedwright token revoke {id}` does that"
+        )),
     }
 }
 
@@ -242,4 +312,33 @@ fn print_rows(tokens: &[TokenView]) -> anyhow::Result<()> {
         format!("{id}  {role:<8}  {machine}  {made}  {state}  {name}\n")
     };
     print(&tokens.iter().map(row).collect::<String>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn given(token: Option<&str>, file: Option<&str>, environment: &[(&str, &str)]) -> Option<String> {
+        let arguments = Arguments {
+            server: None,
+            token: token.map(SecretString::from),
+            token_file: file.map(PathBuf::from),
+            command: TokenCommand::List,
+        };
+        let of = |name: &str| environment.iter().find(|(set, _)| *set == name).map(|(_, value)| value.into());
+        Some(match Given::of(&arguments, of).unwrap()? {
+            Given::Token(token) => token.expose_secret().to_owned(),
+            Given::File(file) => file.to_string_lossy().into_owned(),
+        })
+    }
+
+    #[test]
+    fn a_flag_goes_before_the_environment() {
+        let both = [("FEEDWRIGHT_TOKEN", "of the environment"), ("FEEDWRIGHT_TOKEN_FILE", "its file")];
+        assert_eq!(given(None, Some("file"), &both).as_deref(), Some("file"));
+        assert_eq!(given(Some("token"), None, &both).as_deref(), Some("token"));
+        assert_eq!(given(None, None, &both).as_deref(), Some("of the environment"));
+        assert_eq!(given(None, None, &both[1..]).as_deref(), Some("its file"));
+        assert_eq!(given(None, None, &[("FEEDWRIGHT_TOKEN", "")]), None);
+    }
 }

@@ -2,6 +2,7 @@
 
 use super::Config;
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fmt;
 use std::path::PathBuf;
 use toml::{Table, Value};
@@ -21,6 +22,25 @@ pub struct Sources {
     pub environment: Vec<(String, String)>,
     /// Flags: path of the setting and its value.
     pub flags: Vec<(String, String)>,
+}
+
+/// The variables that are settings. One that is no UTF-8 is refused by its name: left out, it would be as if it were not set, and a
+/// default (another database than the plant's) in its place. Its value may be a secret.
+pub(crate) fn settings_of(
+    environment: impl Iterator<Item = (OsString, OsString)>,
+) -> Result<Vec<(String, String)>, ConfigError> {
+    let (mut settings, mut wrong) = (Vec::new(), Vec::new());
+    for (name, value) in environment {
+        if !name.as_encoded_bytes().starts_with(PREFIX.as_bytes()) {
+            continue;
+        }
+        match (name.into_string(), value.into_string()) {
+            (Ok(name), Ok(value)) => settings.push((name, value)),
+            (Ok(name), Err(_)) => wrong.push(format!("{name}: its value is not UTF-8")),
+            (Err(name), _) => wrong.push(format!("{}: its name is not UTF-8", name.to_string_lossy())),
+        }
+    }
+    if wrong.is_empty() { Ok(settings) } else { Err(ConfigError::Invalid(wrong)) }
 }
 
 /// Where a value came from.
@@ -248,6 +268,29 @@ mod tests {
     }
 
     #[test]
+    fn a_variable_that_is_no_utf_8_is_refused_by_its_name_and_one_of_others_is_left_alone() {
+        use std::os::unix::ffi::OsStringExt;
+        let of = |name: &[u8], value: &[u8]| {
+            (OsString::from_vec(name.to_vec()), OsString::from_vec(value.to_vec()))
+        };
+        let others = [of(b"PATH", b"/b\xffn"), of(b"F\xff", b"x")];
+        let good = of(b"FEEDWRIGHT__LOG__LEVEL", b"warn");
+        let settings = settings_of(others.iter().cloned().chain([good])).unwrap();
+        assert_eq!(settings, [("FEEDWRIGHT__LOG__LEVEL".to_owned(), "warn".to_owned())]);
+        for (name, value, said) in [
+            (
+                &b"FEEDWRIGHT__DATABASE__URL"[..],
+                &b"postgres://fw:hunter\xff@x/y"[..],
+                "FEEDWRIGHT__DATABASE__URL: its value is not UTF-8",
+            ),
+            (b"FEEDWRIGHT__DATABASE__\xff", b"x", "its name is not UTF-8"),
+        ] {
+            let error = settings_of([of(name, value)].into_iter()).unwrap_err().to_string();
+            assert!(error.contains(said) && !error.contains("hunter"), "{error}");
+        }
+    }
+
+    #[test]
     fn unknown_keys_are_refused_by_their_path() {
         for (environment, file, path) in [
             (vec![("FEEDWRIGHT__SERVER__LISTEN_ON", "x")], None, "server.listen_on: unknown key"),
@@ -261,6 +304,27 @@ mod tests {
                 "limits.body_bytes: must be a whole number",
             ),
             (vec![("FEEDWRIGHT__LOG__FORMAT", "xml")], None, "log.format: unknown variant"),
+            (vec![("FEEDWRIGHT__LOG__LEVEL", "")], None, "log.level: must be off"),
+            (
+                vec![("FEEDWRIGHT__TRACES__HEADERS", "bad header=1")],
+                None,
+                "traces.headers: must be name=value",
+            ),
+            (
+                vec![("FEEDWRIGHT__TRACES__HEADERS", "a=b,c=d\u{1}e")],
+                None,
+                "traces.headers: must be name=value",
+            ),
+            (
+                vec![("FEEDWRIGHT__STREAM__ALLOWED_ORIGINS", "https://a.example, https://b.example/")],
+                None,
+                "stream.allowed_origins: `https://b.example/` is not SCHEME://HOST or SCHEME://HOST:PORT",
+            ),
+            (
+                vec![("FEEDWRIGHT__STREAM__ALLOWED_ORIGINS", "foo")],
+                None,
+                "stream.allowed_origins: `foo` is not",
+            ),
             (vec![("FEEDWRIGHT__LIMITS__BODY_BYTES", "0")], None, "limits.body_bytes: 1 to"),
             (
                 vec![("FEEDWRIGHT__RECOMMENDATION__VALIDITY_MS", "-5")],

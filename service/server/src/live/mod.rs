@@ -9,6 +9,7 @@
 mod alarms;
 mod event;
 mod history;
+mod machines;
 mod reader;
 mod replicas;
 
@@ -18,18 +19,18 @@ pub use reader::{Position, Reader};
 use crate::config::LiveConfig;
 use crate::state::AppState;
 use history::{History, Shown};
-use std::collections::BTreeMap;
+use machines::Machines;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::futures::Notified;
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, broadcast, mpsc, watch};
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
 
 /// Samples of running cycles that wait for one reader; thinned to a few a second, this is many seconds.
 const SAMPLES_KEPT: usize = 256;
 /// Events that wait to be told to other servers.
 const OUTBOX: usize = 1024;
-/// Machines whose present state is remembered; a plant has hundreds.
-const MOST_MACHINES: usize = 10_000;
 
 /// The live view of one server.
 pub struct Live {
@@ -39,12 +40,14 @@ pub struct Live {
     history: Mutex<History>,
     newest: watch::Sender<u64>,
     samples: broadcast::Sender<Arc<Shown>>,
-    machines: Mutex<BTreeMap<String, serde_json::Value>>,
+    machines: Mutex<Machines>,
     outbox: mpsc::Sender<Event>,
     outgoing: Mutex<Option<mpsc::Receiver<Event>>>,
     /// Whether there are other servers that might want to know.
     told: std::sync::atomic::AtomicBool,
     untold: AtomicU64,
+    /// Nothing more will happen here: what waits is told, and no more.
+    over: CancellationToken,
     alarms_due: Notify,
     readers: Arc<Semaphore>,
     /// Told when a session may be over.
@@ -66,6 +69,7 @@ impl Live {
             outgoing: Mutex::new(Some(outgoing)),
             told: false.into(),
             untold: AtomicU64::new(0),
+            over: CancellationToken::new(),
             alarms_due: Notify::new(),
             readers: Arc::new(Semaphore::new(config.readers)),
             sessions: Notify::new(),
@@ -95,34 +99,33 @@ impl Live {
         self.show(event);
     }
 
-    /// Shows an event to the readers of this server.
+    /// Shows an event of this server's to its readers.
     fn show(&self, event: Event) {
+        self.show_of(event, &self.boot);
+    }
+
+    /// Shows an event that a server told of, `by` this run of it, to the readers of this one.
+    fn show_of(&self, event: Event, by: &str) {
         if event.kind == Kind::Sample {
             // Fails where nobody watches.
             let _ = self.samples.send(Arc::new(Shown::new(None, event)));
             return;
         }
-        if event.kind == Kind::Machine {
-            self.remember(&event);
+        if event.kind == Kind::Machine && !self.locked_machines().take(&event, by) {
+            return;
         }
         let mut history = self.history.lock().unwrap_or_else(PoisonError::into_inner);
         let number = history.add(event);
         self.newest.send_replace(number);
     }
 
-    fn remember(&self, event: &Event) {
-        let (Some(machine), Data::Tree(data)) = (&event.machine, &event.data) else { return };
-        let mut machines = self.machines.lock().unwrap_or_else(PoisonError::into_inner);
-        if data["state"] == MachineState::Disconnected.as_str() {
-            machines.remove(machine);
-        } else if machines.contains_key(machine) || machines.len() < MOST_MACHINES {
-            machines.insert(machine.clone(), data.clone());
-        }
+    fn locked_machines(&self) -> MutexGuard<'_, Machines> {
+        self.machines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The machines that are connected now, by their last event.
     fn machines(&self) -> Vec<serde_json::Value> {
-        self.machines.lock().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
+        self.locked_machines().all()
     }
 
     /// Whether somebody watches samples: otherwise none need be thinned and shown.
@@ -142,9 +145,21 @@ impl Live {
 }
 
 /// Begins to watch alarms, and to tell and to listen to other servers.
-pub fn start(state: &AppState) {
+pub fn start(state: &AppState) -> Link {
     let watching = alarms::watch(state.clone());
     state.lifecycle.spawn(watching);
-    let linked = replicas::link(state.clone());
-    state.lifecycle.spawn(linked);
+    Link(tokio::spawn(replicas::link(state.clone())))
+}
+
+/// The link to other servers. It outlasts everything else that runs: they are told of the last stream's end too.
+pub struct Link(JoinHandle<()>);
+
+impl Link {
+    /// Tells what is left to tell, and ends.
+    pub async fn end(self, live: &Live) {
+        live.over.cancel();
+        if let Err(error) = self.0.await {
+            tracing::error!(%error, "telling other servers failed");
+        }
+    }
 }

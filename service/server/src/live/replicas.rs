@@ -3,8 +3,8 @@
 //! Notifications go out in groups, on a connection of their own and outside every transaction that stores cycles:
 //! they would serialise its commits. What does not fit or is not delivered shows as a gap, never as silence.
 
-use super::Live;
 use super::event::{Event, Kind};
+use super::{Live, machines};
 use crate::state::AppState;
 use feedwright_store::Notices;
 use serde::{Deserialize, Serialize};
@@ -36,33 +36,50 @@ struct ToldEvent {
     data: Value,
 }
 
-/// Tells and listens until the server stops; ends at once where the store is this server's alone.
+/// Listens until the server stops, and tells until nothing more happens on it; ends at once where the store is this server's alone.
 pub(super) async fn link(state: AppState) {
     let Some(notices) = state.store.notices() else { return };
     let outgoing = state.live.outgoing.lock().unwrap_or_else(PoisonError::into_inner).take();
     let Some(outgoing) = outgoing else { return };
     state.live.told.store(true, Ordering::Relaxed);
-    tokio::select! {
-        () = tell(&state, outgoing) => {}
-        () = listen(&state.live, &*notices) => {}
-        () = state.lifecycle.stopping() => {}
-    }
+    let hear = async {
+        tokio::select! {
+            () = listen(&state.live, &*notices) => {}
+            () = machines::look(&state) => {}
+            () = state.lifecycle.stopping() => {}
+        }
+    };
+    tokio::join!(tell(&state, outgoing), hear);
 }
 
+/// Tells what happens until nothing more does.
 async fn tell(state: &AppState, mut outgoing: mpsc::Receiver<Event>) {
-    while let Some(first) = outgoing.recv().await {
-        sleep(GATHER).await;
+    let over = &state.live.over;
+    loop {
+        let first = tokio::select! {
+            biased;
+            first = outgoing.recv() => first,
+            () = over.cancelled() => None,
+        };
+        let Some(first) = first else { return };
+        tokio::select! {
+            () = sleep(GATHER) => {}
+            () = over.cancelled() => {}
+        }
         let mut waiting = vec![first];
         while let Ok(event) = outgoing.try_recv() {
             waiting.push(event);
         }
         for (text, events) in packed(&state.live, waiting) {
             let store = state.store.clone();
-            // In a task of its own: the select above may be dropped, a query may not.
             let sent = state.lifecycle.spawn(async move { store.notify(&text).await }).await;
             if !matches!(sent, Ok(Ok(()))) {
                 tracing::debug!(events, "other servers could not be told");
                 state.live.untold.fetch_add(events, Ordering::Relaxed);
+                if over.is_cancelled() {
+                    // The leases tell them too, later.
+                    return;
+                }
             }
         }
     }
@@ -142,7 +159,7 @@ fn hear(live: &Live, text: &str) {
     }
     for ToldEvent { kind, machine, data } in told.events {
         match Kind::parse(&kind) {
-            Some(kind) => live.show(Event { kind, machine, data: data.into() }),
+            Some(kind) => live.show_of(Event { kind, machine, data: data.into() }, &told.from),
             // A newer server may tell of more than this one knows.
             None => tracing::debug!(kind, "an event of a kind that is not known"),
         }

@@ -30,8 +30,11 @@ const PROFILE_ACTIVE: &str = "profile_active";
 /// What is remembered of a machine that has a label. What each of its cycles changes is kept at hand: to look a series up
 /// by its labels takes longer than to count.
 struct Known {
-    /// Since when its recommendations leave the feed as it is, and why.
-    neutral: Option<(Timestamp, &'static str)>,
+    /// Since when its recommendations leave the feed as it is.
+    neutral_since: Option<Timestamp>,
+    /// Why the last of them does, as it is shown, and until when that is good: another replica may have made a better one, or nobody
+    /// asks any more.
+    neutral_shown: Option<(&'static str, Timestamp)>,
     /// Its cycles, by [`CycleOutcome`].
     cycles: [IntCounter; CycleOutcome::ALL.len()],
     /// Tool and beginning of the newest of them: that tool's wear is shown.
@@ -99,7 +102,8 @@ impl MachineMetrics {
             )?,
             neutral_since: new.gauges(
                 "feedwright_machine_recommendation_neutral_since_timestamp_seconds",
-                "Since when every recommendation that this process made for the machine leaves the feed as it is",
+                "Since when every recommendation that this process made for the machine leaves the feed as it is; \
+                 absent where the last one is not valid any more",
                 &["machine", "reason"],
             )?,
             others_silent: new.int_gauge(
@@ -124,7 +128,14 @@ impl MachineMetrics {
             }
             let cycles = CycleOutcome::ALL
                 .map(|outcome| self.cycles.with_label_values(&[machine.as_str(), outcome.as_str()]));
-            let new = Known { neutral: None, cycles, newest: None, wear_level: None, remaining_cycles: None };
+            let new = Known {
+                neutral_since: None,
+                neutral_shown: None,
+                cycles,
+                newest: None,
+                wear_level: None,
+                remaining_cycles: None,
+            };
             known.insert(machine.clone(), new);
         }
         known.get_mut(machine).map(run)
@@ -177,22 +188,36 @@ impl MachineMetrics {
             && !has(recommendation, PROFILE_ACTIVE);
         let machine = &recommendation.machine;
         self.labelled(machine, |known| {
-            let now = is_neutral.then(|| {
-                let since = known.neutral.map_or(recommendation.issued_at, |(since, _)| since);
-                (since, reason(recommendation))
-            });
-            if known.neutral == now {
+            let before = known.neutral_shown.map(|(reason, _)| reason);
+            let now = is_neutral.then(|| reason(recommendation));
+            known.neutral_since = now.map(|_| known.neutral_since.unwrap_or(recommendation.issued_at));
+            known.neutral_shown = now.map(|reason| (reason, recommendation.valid_until));
+            if before == now {
                 return;
             }
-            if let Some((_, before)) = known.neutral {
-                // It is there: it was set when it became known.
-                let _ = self.neutral_since.remove_label_values(&[machine.as_str(), before]);
+            if let Some(before) = before {
+                self.no_longer_neutral(machine, before);
             }
-            if let Some((since, reason)) = now {
+            if let Some((since, reason)) = known.neutral_since.zip(now) {
                 self.neutral_since.with_label_values(&[machine.as_str(), reason]).set(seconds(since));
             }
-            known.neutral = now;
         });
+    }
+
+    fn no_longer_neutral(&self, machine: &MachineId, reason: &str) {
+        // It is there: it was set when it became known.
+        let _ = self.neutral_since.remove_label_values(&[machine.as_str(), reason]);
+    }
+
+    /// Shows of no machine any more that its recommendations are neutral where the last one has run out. Since when they are stays
+    /// known: one that is asked now and then is neutral all the time.
+    pub(super) fn run_out(&self, now: Timestamp) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        for (machine, known) in known.iter_mut() {
+            if let Some((reason, _)) = known.neutral_shown.take_if(|(_, until)| *until < now) {
+                self.no_longer_neutral(machine, reason);
+            }
+        }
     }
 
     pub(super) fn round(&self, found: &Round) {

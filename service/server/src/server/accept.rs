@@ -31,11 +31,14 @@ const UNSENT: u32 = 64 * 1024;
 /// Waits so long after a failed accept: out of file descriptors is not cured by asking again at once.
 const AFTER_FAILED_ACCEPT: Duration = Duration::from_millis(100);
 
+/// Connections to the metrics' own listener: a Prometheus or two, and somebody who looks. They are beside those to the API: where
+/// all of these are taken is what the metrics are to tell.
+pub(super) const OF_METRICS: usize = 16;
+
 /// Accepts connections and serves them.
 #[derive(Clone)]
 pub(super) struct Acceptor {
     state: AppState,
-    permits: Arc<Semaphore>,
     listeners: TaskTracker,
     connections: TaskTracker,
     cut: CancellationToken,
@@ -43,31 +46,42 @@ pub(super) struct Acceptor {
 
 impl Acceptor {
     pub(super) fn new(state: AppState) -> Self {
-        let permits = Arc::new(Semaphore::new(state.config.server.max_connections));
         Self {
             state,
-            permits,
             listeners: TaskTracker::new(),
             connections: TaskTracker::new(),
             cut: CancellationToken::new(),
         }
     }
 
-    /// Serves what connects to `listener`, over TLS where there is an acceptor for it, until the shutdown begins.
-    pub(super) fn accept(&self, listener: TcpListener, router: Router, tls: Option<TlsAcceptor>) {
+    /// Serves what connects to `listener`, at most so many at a time and over TLS where there is an acceptor for it, until the
+    /// shutdown begins. The permit of the next one is held while it is waited for: listeners do not share theirs.
+    pub(super) fn accept(
+        &self,
+        listener: TcpListener,
+        most: usize,
+        router: Router,
+        tls: Option<TlsAcceptor>,
+    ) {
+        let permits = Arc::new(Semaphore::new(most));
         let (this, stopping) = (self.clone(), self.state.clone());
         self.listeners.spawn(async move {
             tokio::select! {
-                () = this.accept_forever(&listener, &router, tls.as_ref()) => {}
+                () = this.accept_forever((&listener, &permits), &router, tls.as_ref()) => {}
                 () = stopping.lifecycle.stopping() => {}
             }
         });
     }
 
-    async fn accept_forever(&self, listener: &TcpListener, router: &Router, tls: Option<&TlsAcceptor>) {
+    async fn accept_forever(
+        &self,
+        (listener, permits): (&TcpListener, &Arc<Semaphore>),
+        router: &Router,
+        tls: Option<&TlsAcceptor>,
+    ) {
         loop {
             // The permit comes first: beyond the bound, connections wait in the kernel's backlog, which is bounded.
-            let Ok(permit) = self.permits.clone().acquire_owned().await else { return };
+            let Ok(permit) = permits.clone().acquire_owned().await else { return };
             match listener.accept().await {
                 Ok((stream, peer)) => {
                     let (this, router, tls) = (self.clone(), router.clone(), tls.cloned());

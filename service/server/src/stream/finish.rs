@@ -167,11 +167,14 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
     state.lifecycle.spawn(async move {
         tokio::select! {
             () = tokio::time::sleep(waiting.config.stream.resume()) => {}
-            // The machine sends everything again to whoever serves next.
-            () = waiting.lifecycle.stopping() => return,
+            () = waiting.lifecycle.stopping() => {}
         }
         let Some((cycle, held)) = waiting.streams.take_left(&ownership) else { return };
         show(&waiting, &slot, MachineState::Disconnected);
+        if waiting.lifecycle.is_stopping() {
+            // The machine sends everything again to whoever serves next.
+            return;
+        }
         settle_left(&waiting, &slot, cycle).await;
         waiting.streams.give_back(held);
     });

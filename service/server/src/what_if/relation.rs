@@ -3,7 +3,7 @@
 use super::cycle::{ContactCycle, IdleLoads, Unusable};
 use crate::http::problem::Problem;
 use feedwright_core::cycle::Samples;
-use feedwright_core::friction::relation::{RelationConfig, RelationParams};
+use feedwright_core::friction::relation::{MOST_BINS, RelationConfig, RelationParams};
 use feedwright_core::friction::whatif::LoadRelations;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 use feedwright_core::summary::Context;
@@ -24,8 +24,9 @@ const MOST_EVENTS: u32 = 1000;
 /// Relative difference of commanded speeds that are one key's.
 const SAME_SPEED: f64 = 0.02;
 
-/// Widest relation: 512 bins of the core.
-const MOST_BINS: f64 = 512.0;
+/// Depths that relations reach to, mm: the last is the core's deepest. Which one a cycle is read from depends on nothing but its own
+/// depth, so that it is answered the same alone and among others; and they are few, so that cycles of about one depth share one.
+const REACHES_MM: [f64; 3] = [64.0, 512.0, 1000.0];
 
 /// What the cycles of a relation have in common. The profile's version is left out on purpose: cycles at other
 /// feeds of the same tool are what tells how the loads depend on the feed.
@@ -38,6 +39,8 @@ struct Key {
     strategy: Option<Strategy>,
     law: Option<String>,
     life_began: Option<Timestamp>,
+    /// Which of [`REACHES_MM`].
+    reach: usize,
 }
 
 /// A relation with what it was learned from.
@@ -105,6 +108,9 @@ impl Library {
         cycle: &ContactCycle,
     ) -> Result<Option<Arc<Learned>>, Problem> {
         let meta = &stored.cycle;
+        let Some(reach) = REACHES_MM.iter().position(|reach_mm| cycle.deepest_mm() <= *reach_mm) else {
+            return Ok(None);
+        };
         // A cycle that names no speed ran at its operation's.
         let operation_rpm =
             self.around(meta).await?.and_then(|around| around.operation.as_ref()?.spindle_speed_rpm);
@@ -116,12 +122,13 @@ impl Library {
             strategy: meta.strategy,
             law: meta.law_version.clone(),
             life_began: self.life_of(meta).await?,
+            reach,
         };
         if let Some(known) = self.learned.get(&key) {
             return Ok(known.clone());
         }
         let learned =
-            self.learn(meta, (operation_rpm, key.life_began), cycle.deepest_mm()).await?.map(Arc::new);
+            self.learn(meta, (operation_rpm, key.life_began), REACHES_MM[reach]).await?.map(Arc::new);
         self.learned.insert(key, learned.clone());
         Ok(learned)
     }
@@ -151,7 +158,7 @@ impl Library {
         &mut self,
         meta: &CycleMeta,
         (operation_rpm, from): (Option<f64>, Option<Timestamp>),
-        deepest_mm: f64,
+        reach_mm: f64,
     ) -> Result<Option<Learned>, Problem> {
         let filter = CycleFilter {
             machine: Some(meta.machine.clone()),
@@ -161,8 +168,10 @@ impl Library {
             to: None,
         };
         let rows = self.store.cycles(&filter, Page { after: None, limit: MOST_SCANNED }).await?;
-        let base = RelationParams::load(deepest_mm.max(1.0));
-        let params = RelationParams { bin_mm: base.bin_mm.max(base.depth_mm / MOST_BINS), ..base };
+        let base = RelationParams::load(reach_mm);
+        #[expect(clippy::cast_precision_loss, reason = "512 bins")]
+        let narrowest_mm = base.depth_mm / MOST_BINS as f64;
+        let params = RelationParams { bin_mm: base.bin_mm.max(narrowest_mm), ..base };
         let Ok(config) = RelationConfig::new(params) else { return Ok(None) };
         let mut relations = LoadRelations::new(config);
         let mut taught = Vec::new();

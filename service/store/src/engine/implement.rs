@@ -887,6 +887,13 @@ impl Store for Engine {
         })
     }
 
+    async fn leased_streams(&self, machines: &[MachineId], now: Timestamp) -> StoreResult<Vec<MachineId>> {
+        read!(self, |conn| {
+            let now = self.common_time(conn, now).await?;
+            streams::leased(conn, machines, now).await
+        })
+    }
+
     async fn release_stream(&self, machine: &MachineId, holder: &str, generation: i64) -> StoreResult<()> {
         let (machine, holder) = (machine.clone(), holder.to_owned());
         write!(self, |conn| streams::release(conn, &machine, &holder, generation).await)

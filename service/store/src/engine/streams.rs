@@ -79,6 +79,21 @@ pub(super) async fn renew(
     rows.iter().map(|(machine, generation)| Ok((id("machine_id", machine)?, *generation))).collect()
 }
 
+/// Those of these machines whose lease stands. What ends later than any lease was written by a clock that was ahead.
+pub(super) async fn leased(
+    conn: &mut Conn,
+    machines: &[MachineId],
+    now: Timestamp,
+) -> StoreResult<Vec<MachineId>> {
+    let rows: Vec<String> = sqlx::query_scalar::<Db, _>(dialect::LEASED)
+        .bind(now.micros())
+        .bind(after(now, LONGEST_LEASE).micros())
+        .bind(dialect::list(machines.iter().map(MachineId::as_str)))
+        .fetch_all(&mut *conn)
+        .await?;
+    rows.iter().map(|machine| id("machine_id", machine)).collect()
+}
+
 /// When a lease that is taken or prolonged now ends.
 fn after(now: Timestamp, lease: Duration) -> Timestamp {
     let lease_us = i64::try_from(lease.min(LONGEST_LEASE).as_micros()).unwrap_or(i64::MAX);

@@ -273,6 +273,10 @@ pub(super) const RENEW_LEASES: &str = "UPDATE stream_leases SET expires_at_us = 
      WHERE holder = $1 AND expires_at_us > 0 AND machine_id = ANY($3)
      RETURNING machine_id, generation";
 
+/// Those of a list of machines whose lease ends after the one time, and not after the other.
+pub(super) const LEASED: &str = "SELECT machine_id FROM stream_leases
+     WHERE expires_at_us > $1 AND expires_at_us <= $2 AND machine_id = ANY($3)";
+
 /// The server's clock as it is at this moment, µs, and not as it was when the transaction began.
 pub(super) async fn clock(conn: &mut Conn) -> StoreResult<Timestamp> {
     let now_us = sqlx::query_scalar("SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000000 AS BIGINT)");

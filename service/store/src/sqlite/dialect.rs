@@ -142,6 +142,10 @@ pub(super) const RENEW_LEASES: &str = "UPDATE stream_leases SET expires_at_us = 
      WHERE holder = $1 AND expires_at_us > 0 AND machine_id IN (SELECT value FROM json_each($3))
      RETURNING machine_id, generation";
 
+/// Those of a list of machines whose lease ends after the one time, and not after the other.
+pub(super) const LEASED: &str = "SELECT machine_id FROM stream_leases
+     WHERE expires_at_us > $1 AND expires_at_us <= $2 AND machine_id IN (SELECT value FROM json_each($3))";
+
 /// Notes when machines were last heard of, out of `[[machine, microseconds], …]`.
 pub(super) const NOTE_CONTACTS: &str = "INSERT INTO machine_contacts (machine_id, last_cycle_at_us)
      SELECT json_extract(value, '$[0]'), json_extract(value, '$[1]') FROM json_each($1) WHERE TRUE
