@@ -195,13 +195,13 @@ fn recordings_that_are_too_coarse_or_of_no_wear_say_so() {
             ..good.clone()
         }
     };
-    let period_s = good.time_s[1] - good.time_s[0];
     let reason = |cycle: RecordedCycle| {
         let text = optimise(&[cycle], &settings, Some(&first(&case))).unwrap_err();
         text.message().rsplit(' ').next().unwrap().to_owned()
     };
     for seconds in [0.3, 1.0] {
-        assert_eq!(reason(every((seconds / period_s).round() as usize)), "sampled_too_rarely", "{seconds} s");
+        let step = good.time_s.partition_point(|time| *time < good.time_s[0] + seconds);
+        assert_eq!(reason(every(step)), "sampled_too_rarely", "{seconds} s");
     }
     for wear in [f64::NAN, f64::INFINITY, -1.0, 0.0, 0.4, 3.1, 1e300] {
         assert_eq!(reason(RecordedCycle { wear_ratio: Some(wear), ..good.clone() }), "wear_out_of_range");
