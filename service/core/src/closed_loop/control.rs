@@ -22,6 +22,10 @@ pub const LOOP_LAW_VERSION: &str = "fac-2";
 /// read and an axis settles.
 const DRAWN_BACK_MM: f64 = 0.5;
 
+/// A tip that was drawn back is at the work again where it is less than so much above the deepest that it has been, mm: what
+/// an encoder's noise takes off. Above it the tip is in its own hole, in air.
+const AT_DEEPEST_MM: f64 = 0.02;
+
 /// How the law is set; from the configuration, checked when a cycle begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawSettings {
@@ -169,6 +173,13 @@ pub struct FrictionLoop {
     contact_at_ms: Option<f64>,
     /// The deepest that it has been, mm.
     deepest_mm: f64,
+    /// Whether it may be in the air of its own hole: it was drawn back, or nobody knows where it was meanwhile, and since then
+    /// it has not been at the deepest again.
+    returning: bool,
+    /// Time between contact and now in which it was not at the work, ms: nothing heats the material then.
+    away_ms: f64,
+    /// The last sample that was judged: its time, ms, and whether the tip was at the work.
+    judged: Option<(f64, bool)>,
 }
 
 /// What answers samples.
@@ -303,6 +314,9 @@ pub fn control(
             feeds_mm_min,
             contact_at_ms: None,
             deepest_mm: f64::NEG_INFINITY,
+            returning: false,
+            away_ms: 0.0,
+            judged: None,
         })),
         neutral,
         capped,
@@ -356,9 +370,7 @@ impl Control {
         age_ms: f64,
     ) -> (FeedOverride, LoopReasons, Option<PlungeStep>) {
         match self {
-            Self::Friction(friction) => {
-                (friction.state.withhold(&friction.config, time_ms), LoopReasons::NONE, None)
-            }
+            Self::Friction(friction) => (friction.withhold(time_ms), LoopReasons::NONE, None),
             Self::Plunge(plunge) => {
                 let (step, reasons) = plunge.withhold(time_ms, age_ms);
                 (FeedOverride::NEUTRAL, reasons, Some(step))
@@ -414,12 +426,19 @@ impl FrictionLoop {
         };
         if let Some(why) = why {
             let reasons = self.watch(seen).and(why);
-            return (self.state.withhold(&self.config, Some(seen.time_ms)), reasons);
+            return (self.withhold(Some(seen.time_ms)), reasons);
         }
         self.note_contact(seen);
+        if self.returning {
+            // In the air of the hole a light load says nothing about the work; a heavy one is met all the same.
+            self.state.settle(&self.config);
+        }
         let sample = seen.as_law_sample(self.contact_ms(seen));
         let before = self.state.ovr();
         let mut step = self.state.step(&self.config, &sample);
+        if step.relative_load.is_none() {
+            self.lose_sight();
+        }
         // The law acted: a neutral override stays exactly neutral.
         if let (Some(_), Some(permitted)) = (step.correction, self.permitted_percent(seen)) {
             self.state.keep_within_feed(&self.config, permitted, before, &mut step);
@@ -427,22 +446,50 @@ impl FrictionLoop {
         (step.ovr, step.reasons.into())
     }
 
-    /// Notes when the tip first is at the work, by samples that may be judged: a wrong stamp must not end the heating.
+    /// Takes a sample that may not be judged.
+    fn withhold(&mut self, time_ms: Option<f64>) -> FeedOverride {
+        self.lose_sight();
+        self.state.withhold(&self.config, time_ms)
+    }
+
+    /// Where the tip is until the next sample that may be judged, nobody knows: it may be drawn back.
+    fn lose_sight(&mut self) {
+        self.returning |= self.deepest_mm >= 0.0;
+    }
+
+    /// Notes where the tip is and when it first is at the work, by samples that may be judged: a wrong stamp must not end the
+    /// heating.
     fn note_contact(&mut self, seen: &Seen) {
         let Some(depth) = seen.depth_mm.filter(|_| seen.time_ms.is_finite()) else { return };
+        let was_at_work = self.deepest_mm >= 0.0;
+        if self.returning && depth >= self.deepest_mm - AT_DEEPEST_MM {
+            self.returning = false;
+            // What the drives read on the way through the hole is no memory of the work.
+            self.state.begin_anew(&self.config);
+        } else if was_at_work && (depth < 0.0 || depth < self.deepest_mm - DRAWN_BACK_MM) {
+            self.returning = true;
+        }
         self.deepest_mm = self.deepest_mm.max(depth);
+        let at_work = depth >= 0.0 && !self.returning;
         if depth >= 0.0 {
             self.contact_at_ms.get_or_insert(seen.time_ms);
         }
+        if let Some((before_ms, was_at_work)) = self.judged
+            && self.contact_at_ms.is_some_and(|at| before_ms >= at)
+            && !(was_at_work && at_work)
+        {
+            self.away_ms += seen.time_ms - before_ms;
+        }
+        self.judged = Some((seen.time_ms, at_work));
     }
 
-    /// Time since the tip first was at the work, ms: since the start of the cycle where depth is not sampled. `None` while it
-    /// is above the work or drawn back in the hole: that nothing loads it there says nothing about the work.
+    /// Time that the tip was at the work, ms: since the start of the cycle where depth is not sampled. `None` while it is above
+    /// the work or drawn back in the hole: that nothing loads it there says nothing about the work.
     fn contact_ms(&self, seen: &Seen) -> Option<f64> {
         match seen.depth_mm {
             None => Some(seen.time_ms),
             Some(depth) if depth < 0.0 || depth < self.deepest_mm - DRAWN_BACK_MM => None,
-            Some(_) => self.contact_at_ms.map(|at| seen.time_ms - at),
+            Some(_) => self.contact_at_ms.map(|at| seen.time_ms - at - self.away_ms),
         }
     }
 

@@ -1129,3 +1129,97 @@ proptest! {
         }
     }
 }
+
+/// A cycle of this heating time (ms) whose law only knows its loads.
+fn running_with_heating(heating_ms: f64) -> RunningCycle {
+    let (machine, operation, program) = (machine(), operation(Process::Friction), program());
+    let settings_of_law = LawSettings { heating_ms, ..law(OverloadHold::Off) };
+    let standing = standing(&machine, &operation, &program);
+    let control = control(&standing, &settings_of_law, PERIOD_MS, None).unwrap();
+    let timing = Timing::Period { period_ms: PERIOD_MS };
+    RunningCycle::new(begun(), control, (CHANNELS.to_vec(), timing), (Mode::Advise, settings()))
+}
+
+/// Goes from a depth (mm) to another at the program's feed under the override in force, at one load, and returns each answer
+/// with its depth.
+fn moved(
+    cycle: &mut RunningCycle,
+    (from, to): (f64, f64),
+    load: f64,
+) -> Vec<(f64, FeedOverride, LoopReasons)> {
+    let (mut depth, mut ovr) = (from, 100.0);
+    let mut answers = Vec::new();
+    while depth < to {
+        depth = (depth + (100.0 + 20.0 * depth) * ovr / 100.0 / 60.0 * 0.01).min(to);
+        let (answered, reasons) = drilled(cycle, &[(depth, load)])[0];
+        ovr = answered.percent();
+        answers.push((depth, answered, reasons));
+    }
+    answers
+}
+
+fn drawn_back(cycle: &mut RunningCycle, from: f64, to: f64) {
+    let steps = std::iter::successors(Some(from - 0.05), |depth| Some(depth - 0.05));
+    let steps: Vec<(f64, f64)> = steps.take_while(|depth| *depth >= to).map(|depth| (depth, 3.0)).collect();
+    drilled(cycle, &steps);
+}
+
+/// In the last half millimetre above the bottom nothing loads the tool yet: a law that took that for the work would meet it at
+/// the fastest feed that it permits.
+#[test]
+fn a_tool_that_comes_back_to_the_bottom_is_not_faster_before_it_meets_the_work() {
+    let mut cycle = running_with_heating(0.0);
+    moved(&mut cycle, (0.0, 3.0), 29.97);
+    drawn_back(&mut cycle, 3.0, 1.0);
+    let back = moved(&mut cycle, (1.0, 3.0), 3.0);
+    let in_air = back.iter().filter(|(depth, ..)| *depth < 3.0 - 0.02);
+    for (depth, ovr, reasons) in in_air {
+        assert!(ovr.percent() <= 100.0, "{depth} mm: {ovr:?}");
+        let settles = reasons.has_law(Reason::Settling);
+        assert_eq!(settles, *depth > 2.5, "{depth} mm: {reasons:?}");
+    }
+    // At the work the filters begin with what is read there, and the law rises once good samples have come.
+    let work = moved(&mut cycle, (3.0, 3.3), 20.0);
+    assert!(work[0].1.percent() <= 100.0, "{:?}", work[0]);
+    assert!(work.last().unwrap().1.percent() > 120.0, "{:?}", work.last());
+}
+
+#[test]
+fn what_loads_a_tool_on_its_way_back_to_the_bottom_lowers_at_once() {
+    let mut cycle = running_with_heating(0.0);
+    moved(&mut cycle, (0.0, 3.0), 29.97);
+    drawn_back(&mut cycle, 3.0, 1.0);
+    moved(&mut cycle, (1.0, 2.6), 3.0);
+    let chips = moved(&mut cycle, (2.6, 2.9), 60.0);
+    assert!(chips.last().unwrap().1.percent() < 50.0, "{:?}", chips.last());
+}
+
+/// Nobody saw the tool being drawn back; what comes next may be on its way down through its own hole.
+#[test]
+fn after_samples_that_were_not_judged_the_law_rises_only_from_the_deepest() {
+    let mut cycle = running_with_heating(0.0);
+    moved(&mut cycle, (0.0, 3.0), 29.97);
+    let missing = vec![(2.8, f64::NAN); 20];
+    drilled(&mut cycle, &missing);
+    let back = moved(&mut cycle, (2.6, 3.0), 3.0);
+    assert!(back.iter().filter(|(depth, ..)| *depth < 2.98).all(|(_, ovr, _)| ovr.percent() <= 100.0));
+    let work = moved(&mut cycle, (3.0, 3.3), 20.0);
+    assert!(work.last().unwrap().1.percent() > 120.0, "{:?}", work.last());
+}
+
+#[test]
+fn what_the_tool_is_out_of_the_work_does_not_heat_it() {
+    let mut cycle = running_with_heating(2000.0);
+    let heats = |reasons: &LoopReasons| reasons.has_law(Reason::Heating);
+    let before = moved(&mut cycle, (0.0, 2.0), 20.0);
+    assert!(before.len() < 120 && before.iter().all(|(.., reasons)| heats(reasons)));
+    drawn_back(&mut cycle, 2.0, 0.5);
+    // Two seconds out, more than what is left of the heating.
+    drilled(&mut cycle, &vec![(0.5, 3.0); 200]);
+    let back = moved(&mut cycle, (0.5, 2.0), 3.0);
+    assert!(back.iter().all(|(.., reasons)| heats(reasons)));
+    let work = moved(&mut cycle, (2.0, 6.0), 20.0);
+    let heated = before.len() + work.iter().filter(|(.., reasons)| heats(reasons)).count();
+    // Ten samples of the way out were no retreat yet.
+    assert!((188..=202).contains(&heated), "2 s at the work, {heated} samples");
+}

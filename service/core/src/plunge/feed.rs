@@ -280,6 +280,9 @@ fn feed_at(law: &DrillingLaw, diameter_mm: f64, bearable: f64) -> f64 {
     (bearable / unit).powf(1.0 / law.feed_exponent).min(MOST_FEED_MM_REV)
 }
 
+/// Feed below which there is none, mm/min, as in what a plunge saves: a machine that declares no least feed has one.
+const LEAST_FEED_MM_MIN: f64 = 1e-3;
+
 /// Plunge feed of one drill: S_bp = min(S_bp1, S_bp2), within the machine's range and the loop's bound.
 #[must_use]
 pub fn plunge_feed(
@@ -299,7 +302,7 @@ pub fn plunge_feed(
     } else {
         (torsion_feed_mm_rev * rpm, PlungeLimit::Torsion)
     };
-    let least = machine.0.least_feed_mm_min;
+    let least = machine.0.least_feed_mm_min.max(LEAST_FEED_MM_MIN);
     if feed < least {
         limit = PlungeLimit::Impossible;
     } else {

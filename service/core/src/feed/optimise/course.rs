@@ -2,7 +2,7 @@
 
 use super::dead::{Beside, lowest_in_air, told};
 use super::grid::Grid;
-use super::recording::{LoadSignal, RecordedCycle, SkipReason};
+use super::recording::{LoadSignal, RecordedCycle, SkipReason, WEAR_RATIOS};
 use crate::friction::relation::FeedSource;
 
 /// Fewest usable samples in contact.
@@ -25,6 +25,9 @@ const SMALLEST_LOAD: f64 = 0.3;
 
 /// Relative uncertainty of a load that is not told from none.
 const UNTOLD: f64 = 0.5;
+
+/// Longest time between two samples that tell what the tool did meanwhile, s.
+const LONGEST_STEP_S: f64 = 0.25;
 
 /// Largest disagreement between feed column and depth over time.
 const FEED_AGREES: std::ops::RangeInclusive<f64> = 0.7..=1.4;
@@ -79,11 +82,17 @@ impl Course {
         memory_s: f64,
         later_s: f64,
     ) -> Result<Self, SkipReason> {
+        if cycle.wear_ratio.is_some_and(|wear| !WEAR_RATIOS.contains(&wear)) {
+            return Err(SkipReason::WearOutOfRange);
+        }
         let mut samples = usable(cycle);
+        let period_s = median(samples.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect());
+        if period_s > LONGEST_STEP_S {
+            return Err(SkipReason::SampledTooRarely);
+        }
         if samples.len() < FEWEST_SAMPLES {
             return Err(SkipReason::TooShort);
         }
-        let period_s = median(samples.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect());
         let idle = idle.unwrap_or_else(|| idle_loads(&samples));
         let reading_sd = [0, 1].map(|drive| reading_sd(&samples, drive));
         let air = lowest_in_air(&samples);
@@ -122,10 +131,13 @@ impl Course {
     }
 }
 
-/// Samples in which every number is one, in strictly increasing time.
+/// Samples of the way in, in which every number is one, in strictly increasing time.
+///
+/// Loads that arrive late are not read beyond its end either: until the delay is known, what comes there may as well be the
+/// way out.
 fn usable(cycle: &RecordedCycle) -> Vec<Sample> {
     let mut samples: Vec<Sample> = Vec::with_capacity(cycle.time_s.len());
-    for at in 0..cycle.time_s.len() {
+    for at in 0..cycle.time_s.len().min(cycle.end_of_way() + 1) {
         let sample = Sample {
             time_s: cycle.time_s[at],
             depth_mm: cycle.depth_mm[at],
@@ -215,11 +227,17 @@ fn reading_sd(samples: &[Sample], drive: usize) -> f64 {
 
 fn check_feed(samples: &[Sample]) -> Result<(), SkipReason> {
     let (mut by_feed, mut by_depth) = (0.0, 0.0);
+    let mut rarely = true;
     for pair in samples.windows(2) {
-        by_feed += (pair[0].feed + pair[1].feed) / 2.0 / 60.0 * (pair[1].time_s - pair[0].time_s).min(0.25);
-        if pair[1].time_s - pair[0].time_s <= 0.25 {
+        let step_s = pair[1].time_s - pair[0].time_s;
+        by_feed += (pair[0].feed + pair[1].feed) / 2.0 / 60.0 * step_s.min(LONGEST_STEP_S);
+        if step_s <= LONGEST_STEP_S {
             by_depth += pair[1].depth_mm - pair[0].depth_mm;
+            rarely = false;
         }
+    }
+    if rarely {
+        return Err(SkipReason::SampledTooRarely);
     }
     if by_depth <= 0.0 {
         return Err(SkipReason::TooShort);

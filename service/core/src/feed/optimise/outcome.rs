@@ -15,7 +15,7 @@ const SCALES: std::ops::RangeInclusive<f64> = 0.7..=4.0;
 /// What a cycle did, measured as predictions tell it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Actual {
-    /// From contact to the end of the path, s.
+    /// From contact to the end of the path, s, where the tip first is at the deepest; dwelling and the way out are no part of it.
     pub time_s: f64,
     /// Largest filtered feed-drive load in contact, percent.
     pub peak_feed_drive_percent: f64,
@@ -55,7 +55,7 @@ impl Actual {
         };
         let mut before: Option<f64> = None;
         let set = settings.set_percent();
-        for at in 0..cycle.time_s.len() {
+        for at in 0..cycle.time_s.len().min(cycle.end_of_way() + 1) {
             let (time, depth) = (cycle.time_s[at], cycle.depth_mm[at]);
             let raw = [cycle.feed_drive_percent[at], cycle.spindle_percent[at]];
             if !(time.is_finite() && depth.is_finite() && raw.iter().all(|load| load.is_finite()))
@@ -97,12 +97,14 @@ pub struct Deviation {
     pub deviations: Option<f64>,
 }
 
-/// Filtered loads of every usable sample in contact, after the depth there.
+/// Filtered loads of every usable sample in contact on the way in, after the depth there.
 pub(super) fn filtered(cycle: &RecordedCycle, mut each: impl FnMut(f64, [f64; 2])) {
     let is_filtered = matches!(cycle.signal, LoadSignal::Filtered(_));
     let weights = FilterWeights::default();
     let mut filters = [LoadFilter::new(), LoadFilter::new()];
-    for at in 0..cycle.depth_mm.len().min(cycle.spindle_percent.len()).min(cycle.feed_drive_percent.len()) {
+    let lengths = [cycle.depth_mm.len(), cycle.spindle_percent.len(), cycle.feed_drive_percent.len()];
+    let rows = lengths.into_iter().fold(cycle.end_of_way() + 1, usize::min);
+    for at in 0..rows {
         let depth = cycle.depth_mm[at];
         let raw = [cycle.feed_drive_percent[at], cycle.spindle_percent[at]];
         if !(depth.is_finite() && raw.iter().all(|load| load.is_finite())) || depth < 0.0 {

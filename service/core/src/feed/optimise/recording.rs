@@ -11,6 +11,15 @@ pub const MOST_SAMPLES: usize = 200_000;
 /// Most cycles that are learned from: the latest ones.
 pub const MOST_CYCLES: usize = 40;
 
+/// Wear that a tool may have, as energy over that of the new one: what lies beyond is a mistake in either energy.
+pub(super) const WEAR_RATIOS: std::ops::RangeInclusive<f64> = 0.5..=3.0;
+
+/// Largest depth that is one, mm, as in the settings; a reading beyond it is a fault.
+const DEEPEST_MM: f64 = 1000.0;
+
+/// Short of the deepest by so much, mm, the tip may already stand: an encoder's noise adds that to a depth.
+const STANDING_MM: f64 = 0.02;
+
 /// What the recorded loads went through before they were recorded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LoadSignal {
@@ -62,6 +71,10 @@ pub enum SkipReason {
     TooManySamples,
     /// Too few usable samples in contact.
     TooShort,
+    /// Its samples lie too far apart: what happens between two of them is not known.
+    SampledTooRarely,
+    /// Its wear is none that a tool can have.
+    WearOutOfRange,
     /// Feed column and depth over time disagree, as mm/s taken for mm/min would.
     FeedContradictsDepth,
     /// The loads never rise above idle: nothing was drilled.
@@ -92,6 +105,8 @@ impl SkipReason {
             Self::LengthMismatch => "length_mismatch",
             Self::TooManySamples => "too_many_samples",
             Self::TooShort => "too_short",
+            Self::SampledTooRarely => "sampled_too_rarely",
+            Self::WearOutOfRange => "wear_out_of_range",
             Self::FeedContradictsDepth => "feed_contradicts_depth",
             Self::NoLoad => "no_load",
             Self::DeadFeedDriveLoad => "dead_feed_drive_load",
@@ -131,6 +146,29 @@ impl RecordedCycle {
             return Err(SkipReason::TooManySamples);
         }
         Ok(())
+    }
+
+    /// The row at which the tip first arrives at the deepest; the last one where no depth is a number.
+    ///
+    /// What comes after it is dwelling and the way out, whose time, way and loads are none of drilling: how much of them was
+    /// recorded must change nothing. The end of the way in, where the axis brakes, belongs to it as long as it goes deeper.
+    pub(super) fn end_of_way(&self) -> usize {
+        let loads = self.feed_drive_percent.iter().zip(&self.spindle_percent);
+        let known = self.time_s.iter().zip(&self.depth_mm).zip(loads).enumerate().filter_map(|(at, row)| {
+            let ((time, depth), (feed_drive, spindle)) = row;
+            let numbers = [time, depth, feed_drive, spindle].into_iter().all(|number| number.is_finite());
+            (numbers && *depth <= DEEPEST_MM).then_some((at, *depth))
+        });
+        let deepest = known.clone().map(|(_, depth)| depth).fold(f64::NEG_INFINITY, f64::max);
+        let mut way = known.skip_while(|(_, depth)| *depth < deepest - STANDING_MM);
+        let Some((mut end, mut reached)) = way.next() else { return self.depth_mm.len().saturating_sub(1) };
+        for (at, depth) in way {
+            if depth <= reached {
+                break;
+            }
+            (end, reached) = (at, depth);
+        }
+        end
     }
 }
 

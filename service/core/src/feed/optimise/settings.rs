@@ -1,6 +1,7 @@
 //! What a profile has to keep and what it is for.
 
 use super::profile::Knots;
+use super::recording::WEAR_RATIOS;
 use crate::friction::error::{Invalid, InvalidCode, between, positive};
 use crate::friction::program::HIGHEST_FEED_MM_MIN;
 
@@ -221,7 +222,7 @@ impl Settings {
             positive("watts_per_percent", watts, 1e6)?;
         }
         if let Some(wear) = p.wear_ratio {
-            between("wear_ratio", wear, 0.5, 3.0)?;
+            between("wear_ratio", wear, *WEAR_RATIOS.start(), *WEAR_RATIOS.end())?;
         }
         between("spread_scale", p.spread_scale, 0.25, 10.0)?;
         Ok(Self(params))

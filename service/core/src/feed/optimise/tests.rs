@@ -117,6 +117,97 @@ fn cycles_that_say_nothing_are_named_with_their_reason_and_none_at_all_is_refuse
     assert_eq!(reasons, expected);
 }
 
+/// The same cycle with what may follow the way in: dwelling for so long (s) with an encoder's noise (mm), and the way out to a
+/// depth (mm) at a feed (mm/min) that loads the feed drive (percent).
+fn followed_by(
+    cycle: &RecordedCycle,
+    (dwell_s, noise_mm): (f64, f64),
+    out: Option<(f64, f64, f64)>,
+) -> RecordedCycle {
+    let mut cycle = cycle.clone();
+    let (mut time, end) = (*cycle.time_s.last().unwrap(), *cycle.depth_mm.last().unwrap());
+    let mut push = |depth: f64, feed: f64, load: f64| {
+        time += 0.01;
+        cycle.time_s.push(time);
+        cycle.depth_mm.push(depth);
+        cycle.feed_mm_min.iter_mut().for_each(|column| column.push(feed));
+        cycle.feed_drive_percent.push(load);
+        cycle.spindle_percent.push(6.0);
+    };
+    let mut noise = Noise::seeded(3);
+    let mut dwell = dwell_s;
+    while dwell > 0.005 {
+        push(end - noise_mm * noise.uniform(), 0.0, 4.0);
+        dwell -= 0.01;
+    }
+    if let Some((feed, load, to_mm)) = out {
+        let mut depth = end;
+        while depth > to_mm {
+            depth -= feed / 60.0 * 0.01;
+            push(depth, -feed, load);
+        }
+    }
+    cycle
+}
+
+#[test]
+fn what_was_recorded_after_the_way_in_changes_no_advice() {
+    let case = case(4);
+    let settings = settings(&case.limits).unwrap();
+    let last = first(&case);
+    for with_feed in [true, false] {
+        let mut bare = cycles(&case, &[1.0, 0.9, 1.1]);
+        if !with_feed {
+            bare.iter_mut().for_each(|cycle| cycle.feed_mm_min = None);
+        }
+        let one = optimise(&bare, &settings, Some(&last)).unwrap();
+        assert_eq!((one.learned_from, one.skipped.len()), (3, 0));
+        let did = Actual::of(&bare[0], &settings, one.idle_percent[1]).unwrap();
+        for (dwell, out) in [
+            ((0.5, 0.0), None),
+            ((0.5, 0.015), None),
+            ((0.0, 0.0), Some((3000.0, 20.0, -1.0))),
+            ((0.5, 0.015), Some((3000.0, 20.0, -1.0))),
+            ((0.0, 0.0), Some((10_000.0, 300.0, -1.0))),
+            ((0.0, 0.0), Some((500.0, 15.0, settings.depth_mm / 2.0))),
+            ((2.0, 0.0), Some((5000.0, 300.0, settings.depth_mm / 2.0))),
+        ] {
+            let more: Vec<RecordedCycle> = bare.iter().map(|cycle| followed_by(cycle, dwell, out)).collect();
+            assert_eq!(optimise(&more, &settings, Some(&last)).unwrap(), one, "{dwell:?} {out:?}");
+            assert_eq!(Actual::of(&more[0], &settings, one.idle_percent[1]), Ok(did), "{dwell:?} {out:?}");
+        }
+    }
+}
+
+#[test]
+fn recordings_that_are_too_coarse_or_of_no_wear_say_so() {
+    let case = case(4);
+    let settings = settings(&case.limits).unwrap();
+    let good = cycles(&case, &[1.0]).remove(0);
+    let every = |step: usize| {
+        let thin = |column: &Vec<f64>| column.iter().copied().step_by(step).collect();
+        RecordedCycle {
+            time_s: thin(&good.time_s),
+            depth_mm: thin(&good.depth_mm),
+            feed_mm_min: good.feed_mm_min.as_ref().map(thin),
+            feed_drive_percent: thin(&good.feed_drive_percent),
+            spindle_percent: thin(&good.spindle_percent),
+            ..good.clone()
+        }
+    };
+    let reason = |cycle: RecordedCycle| {
+        let text = optimise(&[cycle], &settings, Some(&first(&case))).unwrap_err();
+        text.message().rsplit(' ').next().unwrap().to_owned()
+    };
+    for seconds in [0.3, 1.0] {
+        let step = good.time_s.partition_point(|time| *time < good.time_s[0] + seconds);
+        assert_eq!(reason(every(step)), "sampled_too_rarely", "{seconds} s");
+    }
+    for wear in [f64::NAN, f64::INFINITY, -1.0, 0.0, 0.4, 3.1, 1e300] {
+        assert_eq!(reason(RecordedCycle { wear_ratio: Some(wear), ..good.clone() }), "wear_out_of_range");
+    }
+}
+
 #[test]
 fn beyond_the_depth_of_an_aborted_cycle_the_feed_is_not_raised() {
     let case = case(4);

@@ -191,7 +191,7 @@ fn knots(check: &mut Checker, input: &ProfileInput, limits: Option<&Limits>) -> 
     knots
 }
 
-/// Largest acceleration between two knots, mm/s²: a = v·dv/dz with the larger v of the two.
+/// Largest acceleration between two knots at an override of 100 %, mm/s²: a = v·dv/dz with the larger v of the two.
 fn acceleration_mm_s2(left: Knot, right: Knot) -> f64 {
     let (from, to) = (super::whole(left.feed), super::whole(right.feed));
     let way_mm = super::whole(right.depth - left.depth);

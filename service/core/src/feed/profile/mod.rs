@@ -89,11 +89,11 @@ pub struct LimitsInput {
     pub feed_min_mm_min: f64,
     /// Fastest feed, mm/min.
     pub feed_max_mm_min: f64,
-    /// Largest acceleration along the path, mm/s².
+    /// Largest acceleration along the path, mm/s². Checked at an override of 100 %; one of o % takes (o/100)² of it.
     pub acceleration_mm_s2: f64,
     /// Lowest override under which the profile may run, %, above 0 and at most 100.
     pub override_min_percent: f64,
-    /// Highest override under which it may run, %, at least 100.
+    /// Highest override under which it may run, %, at least 100. That the axis follows every slope there is not checked.
     pub override_max_percent: f64,
     /// Set load L_set of the spindle drive, %.
     pub spindle_load_set_percent: Option<f64>,

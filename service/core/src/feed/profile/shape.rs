@@ -2,7 +2,8 @@
 
 use super::{Profile, SectionKind, whole};
 
-/// Below this relative change of feed ln(1 + r)/r is its own series to the last bit.
+/// Relative change of feed below which ln(1 + r)/r is taken as 1 − r/2: at 0 it is no number, and what is left out, r²/3,
+/// is below 4·10⁻¹³ of the time.
 const SERIES_BELOW: f64 = 1e-6;
 
 /// Time in s for `way_mm` while the feed runs linearly in depth from one value to the other (mm/min): ∫dz/F.

@@ -103,6 +103,19 @@ impl LawState {
         self.neutral(config.params().settling_samples, Reasons::default(), config).ovr
     }
 
+    /// The tool is at the work again: the filters start anew, and the law may not raise before `settling_samples` good
+    /// samples have come.
+    pub const fn begin_anew(&mut self, config: &LawConfig) {
+        self.loads = Loads::new();
+        self.settling = config.params().settling_samples;
+    }
+
+    /// The next sample raises nothing, whatever it reads: the tool may not be at the work. The law may lower.
+    pub const fn settle(&mut self, config: &LawConfig) {
+        let samples = config.params().settling_samples;
+        self.settling = if samples > 1 { samples } else { 1 };
+    }
+
     /// Looks for an overload in a sample that the law may not judge, because it came late or nobody knows whose the
     /// machine is: the tool met that load all the same. Returns whether it is one; the override is [`Self::withhold`]'s.
     ///

@@ -62,20 +62,23 @@ impl DepthProfile {
             return;
         }
         let (start, end) = (from_mm.max(0.0), to_mm.min(config.params().depth_mm));
+        let Some(first) = config.bin_of(start) else { return };
         let mut at = start;
-        while at < end
-            && let Some(bin) = config.bin_of(at)
-        {
+        // From bin to bin and not by the depth of the edge: an edge that is no binary fraction may, divided by the width, be
+        // rounded into the bin that it ends.
+        for (bin, cell) in self.bins.iter_mut().enumerate().skip(first) {
+            if at >= end {
+                break;
+            }
             #[expect(clippy::cast_precision_loss, reason = "at most 512 bins")]
-            let edge = ((bin + 1) as f64 * config.params().bin_mm).min(end);
-            // Rounding may leave the edge where we stand.
-            let until = if edge > at { edge } else { end };
-            let share = (until - at) / way;
-            let cell = &mut self.bins[bin];
-            cell.way_mm += until - at;
-            cell.time_s += share * time_s;
-            cell.total += share * total;
-            at = until;
+            let until = ((bin + 1) as f64 * config.params().bin_mm).min(end);
+            if until > at {
+                let share = (until - at) / way;
+                cell.way_mm += until - at;
+                cell.time_s += share * time_s;
+                cell.total += share * total;
+                at = until;
+            }
         }
     }
 

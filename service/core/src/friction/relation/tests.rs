@@ -20,6 +20,20 @@ fn cycle(feed: f64, factor: f64) -> DepthProfile {
     profile
 }
 
+/// 3 · 0.7 divided by 0.7 is rounded below 3: the depth of that edge, looked up, lies in the bin that it ends.
+#[test]
+fn an_edge_that_is_no_binary_fraction_ends_its_bin() {
+    let config = RelationConfig::new(RelationParams { bin_mm: 0.7, ..RelationParams::energy(10.0) }).unwrap();
+    assert_eq!(config.bin_of(3.0 * 0.7), Some(2));
+    let mut profile = DepthProfile::new(&config);
+    profile.add(&config, 1.5, 3.4, 1.9, 19.0);
+    for (bin, way) in [(1, 0.0), (2, 0.6), (3, 0.7), (4, 0.6), (5, 0.0)] {
+        let found = profile.bins()[bin];
+        let off = (found.way_mm - way).abs() + (found.time_s - way).abs() + (found.total - 10.0 * way).abs();
+        assert!(off < 1e-9, "bin {bin}: {found:?}");
+    }
+}
+
 #[test]
 fn the_slope_is_learned_from_programmed_feeds_and_its_uncertainty_shrinks() {
     let mut relation = Relation::new(config());

@@ -17,7 +17,7 @@ pub struct CycleSetup {
     pub spindle_rpm: f64,
     /// Wear of the tool in units of the wear law.
     pub wear: f64,
-    /// Way in the air before first contact in mm; the spindle spins up there.
+    /// Way in the air before first contact in mm; the spindle spins up there. With none it turns from the beginning.
     pub approach_mm: f64,
     /// IPO period in s.
     pub period_s: f64,
@@ -28,6 +28,11 @@ impl CycleSetup {
     #[must_use]
     pub const fn new(spindle_rpm: f64, wear: f64) -> Self {
         Self { spindle_rpm, wear, approach_mm: 1.5, period_s: 0.01 }
+    }
+
+    /// Spindle speed at the beginning, rpm: without an approach in which it could spin up it turns already.
+    pub(super) const fn first_rpm(&self) -> f64 {
+        if self.approach_mm > 0.0 { 0.0 } else { self.spindle_rpm }
     }
 }
 
@@ -104,7 +109,7 @@ impl Twin {
         between("spindle_rpm", setup.spindle_rpm, 1.0, 1e5)?;
         between("approach_mm", setup.approach_mm, 0.0, 100.0)?;
         positive("period_s", setup.period_s, 1.0)?;
-        let mut state = TwinState::new(setup.wear)?;
+        let mut state = TwinState::new(setup.wear)?.with_spindle_rpm(setup.first_rpm());
         if let Some(noise) = noise.as_deref_mut()
             && self.params().noise.cycle > 0.0
         {
@@ -116,7 +121,7 @@ impl Twin {
         let mut axis = AxisState::at_rest(-setup.approach_mm);
         let mut law_state = LawState::new();
         let mut figures = CycleFigures::default();
-        let mut rpm = if setup.approach_mm > 0.0 { 0.0 } else { setup.spindle_rpm };
+        let mut rpm = setup.first_rpm();
         let mut contact_s = None;
         for k in 0..MOST_SAMPLES {
             #[expect(clippy::cast_precision_loss, reason = "at most 60 000 samples")]

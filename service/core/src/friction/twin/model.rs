@@ -88,6 +88,12 @@ impl TwinState {
         })
     }
 
+    /// The same with a spindle that turns already: what it takes to spin it up was before.
+    #[must_use]
+    pub fn with_spindle_rpm(self, rpm: f64) -> Self {
+        Self { last_rpm: rpm.max(0.0), ..self }
+    }
+
     /// The same hole in material of another strength (1 is nominal), as it varies from piece to piece.
     #[must_use]
     pub fn with_strength(self, strength: f64) -> Self {

@@ -22,14 +22,17 @@ struct Step {
     omega: f64,
     /// Torque of spinning up, N·m.
     spin_up_nm: f64,
-    /// Bins that the step's energy goes to, with their shares; none in the air.
-    bins: [(usize, f64); 2],
+    /// Where its entries among the [`PreparedHole::shares`] end.
+    shares_to: usize,
 }
 
 /// A program on a machine, ready to be drilled.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PreparedHole {
     steps: Vec<Step>,
+    /// The bins that each step's energy goes to, with their shares, step after step; none in the air. A step may go through
+    /// many bins.
+    shares: Vec<(usize, f64)>,
     way: Vec<DepthBin>,
     config: RelationConfig,
     setup: CycleSetup,
@@ -52,7 +55,8 @@ impl Twin {
             return Ok(None);
         }
         let mut way = DepthProfile::new(bins);
-        let (mut steps, mut before, mut last_rpm) = (Vec::with_capacity(1024), 0.0, 0.0);
+        let (mut steps, mut before, mut last_rpm) = (Vec::with_capacity(1024), 0.0, setup.first_rpm());
+        let mut shares = Vec::with_capacity(1024);
         let figures = self.drill(strategy, setup, None, |sample| {
             let input = TwinInput {
                 depth_mm: sample.depth_mm,
@@ -61,15 +65,12 @@ impl Twin {
                 dt_s: setup.period_s,
             };
             let (new_nm, worn_nm) = self.cold_torque_nm(&input);
-            let mut shares = [(0, 0.0); 2];
             if sample.depth_mm > 0.0 {
                 way.add(bins, before, sample.depth_mm, setup.period_s, 0.0);
                 let mut alone = DepthProfile::new(bins);
                 alone.add(bins, before, sample.depth_mm, setup.period_s, 1.0);
                 let hit = alone.bins().iter().enumerate().filter(|(_, bin)| bin.total > 0.0);
-                for (place, (index, bin)) in shares.iter_mut().zip(hit) {
-                    *place = (index, bin.total);
-                }
+                shares.extend(hit.map(|(index, bin)| (index, bin.total)));
                 before = sample.depth_mm;
             }
             let change = (sample.spindle_rpm - last_rpm) * 2.0 * PI / 60.0 / setup.period_s;
@@ -79,11 +80,12 @@ impl Twin {
                 worn_nm,
                 omega: sample.spindle_rpm * 2.0 * PI / 60.0,
                 spin_up_nm: self.params().machine.spindle_inertia_kg_m2 * change,
-                bins: shares,
+                shares_to: shares.len(),
             });
         })?;
         let duration_s = figures.duration_s;
-        Ok(Some(PreparedHole { steps, way: way.bins().to_vec(), config: *bins, setup: *setup, duration_s }))
+        let way = way.bins().to_vec();
+        Ok(Some(PreparedHole { steps, shares, way, config: *bins, setup: *setup, duration_s }))
     }
 
     /// Drills a prepared hole: the energy over depth as the spindle load over idle tells it, and the cycle time in s.
@@ -109,6 +111,7 @@ impl Twin {
         let per_nm = torque_energy_j(1.0, rpm, dt_s);
         let (mut hot, mut fluctuation) = (0.0, 0.0);
         let mut energy = vec![0.0; hole.way.len()];
+        let mut shared = 0;
         for step in &hole.steps {
             let mut reading_nm = 0.0;
             if let Some(noise) = noise.as_deref_mut() {
@@ -124,9 +127,10 @@ impl Twin {
                 strength * f64::max(1.0 + fluctuation, 0.0) * soft * (step.new_nm + wear * step.worn_nm);
             hot = keep * hot + gain * torque_nm * step.omega;
             let joules = per_nm * (torque_nm + step.spin_up_nm + reading_nm);
-            for (bin, share) in step.bins {
-                energy[bin] += share * joules;
+            for (bin, share) in &hole.shares[shared..step.shares_to] {
+                energy[*bin] += share * joules;
             }
+            shared = step.shares_to;
         }
         let bins = hole.way.iter().zip(energy).map(|(bin, total)| DepthBin { total, ..*bin });
         (DepthProfile::of_bins(&hole.config, bins), hole.duration_s)

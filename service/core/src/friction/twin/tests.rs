@@ -3,6 +3,7 @@
 use super::*;
 use crate::friction::noise::Noise;
 use crate::friction::program::Strategy;
+use crate::friction::relation::{RelationConfig, RelationParams};
 use proptest::prelude::*;
 
 fn twin() -> Twin {
@@ -188,6 +189,40 @@ fn the_spindle_shows_a_load_peak_while_it_spins_up_in_the_air() {
     let last_in_air = samples.iter().rfind(|s| s.depth_mm < 0.0).unwrap();
     close(last_in_air.process.spindle_percent, idle, 1e-9);
     assert!(samples.iter().all(|s| s.depth_mm > 0.0 || s.process.torque_nm.abs() < 1e-12));
+}
+
+#[test]
+fn without_an_approach_the_spindle_turns_from_the_beginning() {
+    let constant = strategies().constant;
+    let usual = drill(&constant, 0.0);
+    let setup = CycleSetup { approach_mm: 0.0, ..CycleSetup::new(PAPER_SPINDLE_RPM, 0.0) };
+    let (samples, figures) = twin().record(&constant, &setup, None).unwrap();
+    close(samples[0].spindle_rpm, PAPER_SPINDLE_RPM, 1e-9);
+    // Idle and first contact: nothing of spinning up.
+    assert!(samples[0].process.spindle_percent < 15.0, "{:?}", samples[0]);
+    close(figures.spindle_percent.value, usual.spindle_percent.value, 0.02 * usual.spindle_percent.value);
+    let bins = RelationConfig::new(RelationParams::energy(PAPER_END_DEPTH_MM)).unwrap();
+    let hole = twin().prepare(&constant, &setup, &bins).unwrap().unwrap();
+    let (prepared, _) = twin().drill_prepared(&hole, 0.0, None);
+    close(prepared.total(), figures.energy_j - figures.thrust_energy_j, 1.0);
+}
+
+#[test]
+fn a_step_through_many_bins_loses_no_energy_of_a_prepared_hole() {
+    let constant = strategies().constant;
+    let setup = CycleSetup::new(PAPER_SPINDLE_RPM, 0.0);
+    let bins = |bin_mm| {
+        RelationConfig::new(RelationParams { bin_mm, ..RelationParams::energy(PAPER_END_DEPTH_MM) }).unwrap()
+    };
+    // At 0.05 mm a bin, a fast step goes through several.
+    let fast =
+        Strategy::new("fast", constant.program.scaled(8.0).unwrap(), PAPER_END_DEPTH_MM, None).unwrap();
+    let total = |bins: &RelationConfig| {
+        let hole = twin().prepare(&fast, &setup, bins).unwrap().unwrap();
+        twin().drill_prepared(&hole, 0.0, None).0.total()
+    };
+    let (wide, narrow) = (total(&bins(1.0)), total(&bins(0.05)));
+    close(narrow, wide, 1e-6 * wide);
 }
 
 #[test]

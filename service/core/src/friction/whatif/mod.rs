@@ -4,6 +4,9 @@
 //! scaled by the feed ratio to the slope that the new tool's cycles showed there. The answer stands beside what
 //! happened and beside the model's error on the very cycle: its loads predicted without the anchor, and the
 //! cycle's own control run again.
+//!
+//! A sample stands for the way and the time behind it. The first one, at contact, has none: it counts for the peaks of what
+//! happened, and for no time and no energy, as the prediction begins there too.
 
 use super::energy::torque_energy_j;
 use super::error::{Invalid, InvalidCode, all_finite, between, positive, same_length};
@@ -17,6 +20,14 @@ const MOST_SAMPLES: usize = 60_000;
 
 /// Samples on either side over which the anchor's loads are averaged.
 const ANCHOR_HALF_WINDOW: usize = 2;
+
+/// Slopes of a load over the feed that are believed. A load over idle does not fall where the tool is driven faster: where
+/// few cycles show it, other things differed. Steeper than the square is no drilling either (the feed optimiser's bound).
+const SLOPES: std::ops::RangeInclusive<f64> = 0.0..=2.0;
+
+/// Feed over the recorded one to which a load is scaled; beyond it the load stays, as it does where the axis stands. With
+/// [`SLOPES`] a load is then at most 10 000 times the recorded one, and a number.
+const RATIOS: std::ops::RangeInclusive<f64> = 0.01..=100.0;
 
 /// A stored cycle as columns of equal length, one entry per IPO cycle, from first contact on.
 #[derive(Debug, Clone, Copy)]
@@ -147,10 +158,15 @@ pub struct RunFigures {
 }
 
 impl RunFigures {
-    fn take(&mut self, cycle: &StoredCycle<'_>, limits: &LoadLimits, feed_drive: f64, spindle: f64) {
-        self.duration_s += cycle.period_s;
+    fn peak(&mut self, feed_drive: f64, spindle: f64) {
         self.peak_feed_drive_percent = self.peak_feed_drive_percent.max(feed_drive);
         self.peak_spindle_percent = self.peak_spindle_percent.max(spindle);
+    }
+
+    /// Takes the period that ends with a sample of these loads.
+    fn take(&mut self, cycle: &StoredCycle<'_>, limits: &LoadLimits, feed_drive: f64, spindle: f64) {
+        self.duration_s += cycle.period_s;
+        self.peak(feed_drive, spindle);
         if let Some(joules) = cycle.joules(spindle) {
             *self.energy_j.get_or_insert(0.0) += joules;
         }
@@ -184,16 +200,49 @@ pub struct WhatIf {
     pub predicted: RunFigures,
     /// The model's error on the cycle itself.
     pub error: SelfError,
-    /// Share of the predicted way at depths or feeds that the relation has never seen (feed more than twice or
-    /// less than half the recorded one).
+    /// Share of the predicted way at depths that the relation has never seen, or at feeds far from what happened there (more
+    /// than twice or less than half the recorded one).
     pub extrapolated: f64,
+}
+
+impl WhatIf {
+    /// Whether every figure is a number.
+    fn is_finite(&self) -> bool {
+        let run = |figures: &RunFigures| {
+            let RunFigures {
+                duration_s,
+                peak_feed_drive_percent,
+                peak_spindle_percent,
+                energy_j,
+                overload_s,
+            } = *figures;
+            [duration_s, peak_feed_drive_percent, peak_spindle_percent, energy_j.unwrap_or(0.0), overload_s]
+        };
+        let SelfError {
+            feed_drive_rms_points,
+            spindle_rms_points,
+            duration_relative,
+            energy_relative,
+            peak_points,
+        } = self.error;
+        let error = [
+            feed_drive_rms_points,
+            spindle_rms_points,
+            duration_relative,
+            energy_relative.unwrap_or(0.0),
+            peak_points.0,
+            peak_points.1,
+            self.extrapolated,
+        ];
+        run(&self.happened).into_iter().chain(run(&self.predicted)).chain(error).all(f64::is_finite)
+    }
 }
 
 /// Runs a stored cycle under `other` control and, to know the error, again under its `own`.
 ///
 /// # Errors
-/// When columns or parameters are out of range, when the relations know nothing at the cycle's depths, or when
-/// the other control would not finish the hole within 60 000 samples.
+/// When columns or parameters are out of range, when the relations know nothing at the cycle's depths, when
+/// the other control would not finish the hole within 60 000 samples, or when a figure would be no number.
 pub fn what_if(
     cycle: &StoredCycle<'_>,
     relations: &LoadRelations,
@@ -206,7 +255,11 @@ pub fn what_if(
     axis.check().map_err(|error| error.within("axis"))?;
     let anchor = Anchor::new(cycle, relations)?;
     let mut happened = RunFigures::default();
-    for (&feed_drive, &spindle) in cycle.feed_drive_percent.iter().zip(cycle.spindle_percent) {
+    let mut loads = cycle.feed_drive_percent.iter().zip(cycle.spindle_percent);
+    if let Some((&feed_drive, &spindle)) = loads.next() {
+        happened.peak(feed_drive, spindle);
+    }
+    for (&feed_drive, &spindle) in loads {
         happened.take(cycle, limits, feed_drive, spindle);
     }
     let (again, _) = anchor.run(axis, limits, own, |_| {})?;
@@ -223,7 +276,14 @@ pub fn what_if(
             again.peak_spindle_percent - happened.peak_spindle_percent,
         ),
     };
-    Ok(WhatIf { happened, predicted, error, extrapolated })
+    let answer = WhatIf { happened, predicted, error, extrapolated };
+    if answer.is_finite() { Ok(answer) } else { Err(no_number()) }
+}
+
+fn no_number() -> Invalid {
+    let text =
+        "its depths or loads, or those that the relations have seen, are so large that a figure is no number";
+    Invalid::new("cycle", InvalidCode::NotFinite, text)
 }
 
 /// One sample of a predicted cycle.
@@ -273,6 +333,8 @@ struct Anchor<'a> {
     relations: &'a LoadRelations,
     rows: Vec<AnchorRow>,
     slopes: Vec<(f64, f64)>,
+    /// Whether both relations have seen a cycle in the bin.
+    seen: Vec<bool>,
 }
 
 impl<'a> Anchor<'a> {
@@ -309,11 +371,19 @@ impl<'a> Anchor<'a> {
             return Err(Invalid::new("cycle", InvalidCode::NotIdentifiable, text));
         }
         let bins = relations.spindle.config().bins();
-        let slope = |relation: &Relation, bin| relation.slope(bin).map_or(0.0, |slope| slope.value);
+        let slope = |relation: &Relation, bin| {
+            relation.slope(bin).map_or(0.0, |slope| slope.value.clamp(*SLOPES.start(), *SLOPES.end()))
+        };
         let slopes = (0..bins)
             .map(|bin| (slope(&relations.feed_drive, bin), slope(&relations.spindle, bin)))
             .collect();
-        Ok(Self { cycle, relations, rows, slopes })
+        let seen = (0..bins)
+            .map(|bin| {
+                relations.feed_drive.feed_mm_min(bin).is_some()
+                    && relations.spindle.feed_mm_min(bin).is_some()
+            })
+            .collect();
+        Ok(Self { cycle, relations, rows, slopes, seen })
     }
 
     fn row_at(&self, depth_mm: f64) -> AnchorRow {
@@ -321,16 +391,25 @@ impl<'a> Anchor<'a> {
         self.rows[after.saturating_sub(1)]
     }
 
-    /// Loads in percent at a depth and feed, and whether the feed is far from the recorded one.
-    fn loads(&self, depth_mm: f64, feed_mm_min: f64) -> (f64, f64, bool) {
+    /// Loads in percent at a depth and feed, and whether nobody has seen it: the depth is none of the relations', or the
+    /// feed far from the recorded one.
+    ///
+    /// # Errors
+    /// When a load would be no number.
+    fn loads(&self, depth_mm: f64, feed_mm_min: f64) -> Result<(f64, f64, bool), Invalid> {
         let row = self.row_at(depth_mm);
-        let (feed_slope, spindle_slope) = self.slopes[self.relations.spindle.config().nearest_bin(depth_mm)];
+        let config = self.relations.spindle.config();
+        let bin = config.nearest_bin(depth_mm);
+        let (feed_slope, spindle_slope) = self.slopes[bin];
         let ratio = feed_mm_min.max(0.0) / row.feed_mm_min;
-        (
-            self.cycle.feed_drive_idle_percent + row.feed_drive * ratio.powf(feed_slope),
-            self.cycle.spindle_idle_percent + row.spindle * ratio.powf(spindle_slope),
-            !(0.5..=2.0).contains(&ratio),
-        )
+        let scale = ratio.clamp(*RATIOS.start(), *RATIOS.end());
+        let feed_drive = self.cycle.feed_drive_idle_percent + row.feed_drive * scale.powf(feed_slope);
+        let spindle = self.cycle.spindle_idle_percent + row.spindle * scale.powf(spindle_slope);
+        if !(feed_drive.is_finite() && spindle.is_finite()) {
+            return Err(no_number());
+        }
+        let seen = self.seen[bin] && depth_mm <= config.params().depth_mm;
+        Ok((feed_drive, spindle, !seen || !(0.5..=2.0).contains(&ratio)))
     }
 
     /// Runs a control over the recorded depths; returns its figures and the share of the way that extrapolates.
@@ -351,7 +430,7 @@ impl<'a> Anchor<'a> {
             let before = state.depth_mm();
             let programmed = control.program.feed_at(before);
             let done = state.step(axis, programmed, law.ovr().percent(), last, dt);
-            let (feed_drive, spindle, far) = self.loads(state.depth_mm(), state.feed_mm_min());
+            let (feed_drive, spindle, far) = self.loads(state.depth_mm(), state.feed_mm_min())?;
             if far {
                 outside += state.depth_mm() - before;
             }

@@ -161,3 +161,116 @@ fn the_course_is_what_the_figures_sum_up() {
     assert!((highest(|one| one.feed_drive_percent) - answer.predicted.peak_feed_drive_percent).abs() < 1e-12);
     assert!(course.windows(2).all(|pair| pair[0].depth_mm <= pair[1].depth_mm));
 }
+
+/// A cycle at one feed (mm/min) in which both drives have one load over idle, percent.
+fn even(feed_mm_min: f64, period_s: f64, count: u32, load: f64) -> Columns {
+    let depth = (0..count).map(|k| feed_mm_min / 60.0 * period_s * f64::from(k)).collect();
+    let loads = vec![5.0 + load; count as usize];
+    Columns { depth, feed_drive: loads.clone(), spindle: loads }
+}
+
+fn stored_even(columns: &Columns, period_s: f64) -> StoredCycle<'_> {
+    StoredCycle {
+        period_s,
+        feed_drive_idle_percent: 5.0,
+        spindle_idle_percent: 5.0,
+        spindle_rated_torque_nm: Some(10.0),
+        ..stored(columns)
+    }
+}
+
+fn even_control(feed_mm_min: f64) -> Control {
+    Control { program: FeedProgram::constant(feed_mm_min).unwrap(), law: None }
+}
+
+/// Relations of holes of 4 mm, one at each feed, mm/min, with that load over idle, percent.
+fn relations_of(holes: &[(f64, f64)]) -> LoadRelations {
+    let mut relations = LoadRelations::new(RelationConfig::new(RelationParams::load(10.0)).unwrap());
+    for &(feed, load) in holes {
+        let mut columns = even(feed, 0.01, 1000, load);
+        let count = columns.depth.partition_point(|depth| *depth <= 4.0);
+        for column in [&mut columns.depth, &mut columns.feed_drive, &mut columns.spindle] {
+            column.truncate(count);
+        }
+        relations.observe(&stored_even(&columns, 0.01), FeedSource::Programmed).unwrap();
+    }
+    relations
+}
+
+const UNLIMITED: LoadLimits = LoadLimits { feed_drive_percent: None, spindle_percent: None };
+const SLOW_AXIS: AxisLimits = AxisLimits { acceleration_mm_s2: 300.0, override_latency_ipo: 2 };
+
+/// A few cycles that differ in more than their feed can show a load that falls with it; at the end of the way, where the axis
+/// comes to stand, such a power of the feed has no bound.
+#[test]
+fn a_slope_that_falls_is_not_believed_and_every_load_is_a_number() {
+    let relations = relations_of(&[(100.0, 40.0), (200.0, 20.0), (400.0, 10.0)].repeat(5));
+    assert!(relations.spindle().slope(1).unwrap().value < -0.5);
+    for count in 90..120 {
+        let columns = even(200.0, 0.01, count, 20.0);
+        let cycle = stored_even(&columns, 0.01);
+        for feed in [25.0, 50.0, 100.0, 200.0, 600.0, 1000.0] {
+            let course = predicted_course(&cycle, &relations, &SLOW_AXIS, &even_control(feed)).unwrap();
+            for sample in course {
+                assert!((5.0..=25.001).contains(&sample.spindle_percent), "{feed} mm/min: {sample:?}");
+            }
+        }
+    }
+    // Steeper than the square is not believed either: 8 times the load at twice the feed.
+    let steep = relations_of(&[(100.0, 2.0), (200.0, 16.0), (400.0, 128.0)].repeat(5));
+    assert!(steep.spindle().slope(1).unwrap().value > 2.2);
+    let columns = even(100.0, 0.01, 201, 2.0);
+    let (own, other) = (even_control(100.0), even_control(200.0));
+    let answer = what_if(&stored_even(&columns, 0.01), &steep, &SLOW_AXIS, &UNLIMITED, &own, &other).unwrap();
+    assert!((answer.predicted.peak_spindle_percent - (5.0 + 2.0 * 4.0)).abs() < 1e-6, "{answer:?}");
+}
+
+#[test]
+fn figures_that_would_be_no_numbers_are_refused() {
+    let relations = relations_of(&[(100.0, 20.0), (200.0, 25.0)]);
+    let control = even_control(200.0);
+    for load in [1e200, 1e308] {
+        let columns = even(200.0, 0.01, 101, load);
+        let cycle = stored_even(&columns, 0.01);
+        let refused = what_if(&cycle, &relations, &SLOW_AXIS, &UNLIMITED, &control, &control).unwrap_err();
+        assert_eq!((refused.field(), refused.code()), ("cycle", InvalidCode::NotFinite), "{load}");
+    }
+}
+
+#[test]
+fn what_happened_and_what_is_predicted_are_summed_over_the_same_samples() {
+    let relations = relations_of(&[(120.0, 20.0), (120.0, 20.0)]);
+    let columns = even(120.0, 0.1, 21, 20.0);
+    let control = even_control(120.0);
+    // An axis that does not brake: the prediction is the cycle, sample for sample.
+    let axis = AxisLimits { acceleration_mm_s2: 1e5, override_latency_ipo: 0 };
+    let limits = LoadLimits { feed_drive_percent: Some(10.0), spindle_percent: None };
+    let answer =
+        what_if(&stored_even(&columns, 0.1), &relations, &axis, &limits, &control, &control).unwrap();
+    let close = |one: f64, other: f64| assert!((one - other).abs() < 1e-4 * other, "{answer:?}");
+    close(answer.happened.duration_s, 2.0);
+    close(answer.predicted.duration_s, 2.0);
+    close(answer.happened.overload_s, answer.predicted.overload_s);
+    close(answer.predicted.energy_j.unwrap(), answer.happened.energy_j.unwrap());
+    assert!(
+        answer.error.duration_relative.abs() < 1e-9 && answer.error.energy_relative.unwrap().abs() < 1e-4
+    );
+    // 20 % of 10 N·m at the speed for 2 s.
+    close(
+        answer.happened.energy_j.unwrap(),
+        2.0 * PAPER_SPINDLE_RPM * 2.0 * std::f64::consts::PI / 60.0 * 2.0,
+    );
+}
+
+#[test]
+fn a_way_at_depths_that_no_cycle_has_seen_is_extrapolated() {
+    let relations = relations_of(&[(120.0, 20.0), (120.0, 20.0)]);
+    let control = even_control(120.0);
+    // The relations know 4 mm: of 5 mm a fifth is not known, of 4 mm nothing is.
+    for (count, share) in [(201, 0.0), (251, 0.2), (601, 8.0 / 12.0)] {
+        let columns = even(120.0, 0.01, count, 20.0);
+        let cycle = stored_even(&columns, 0.01);
+        let answer = what_if(&cycle, &relations, &SLOW_AXIS, &UNLIMITED, &control, &control).unwrap();
+        assert!((answer.extrapolated - share).abs() < 0.02, "{count}: {answer:?}");
+    }
+}

@@ -56,6 +56,22 @@ fn every_limit_binds_somewhere_in_a_tool_table() {
 }
 
 #[test]
+fn a_feed_that_is_none_is_not_advised_though_the_machine_declares_no_least() {
+    let mut law =
+        DrillingLaw { coefficient: 1e9, diameter_exponent: 1.0, feed_exponent: 0.01, correction: 1.0 };
+    let torque = DrillingLaw { coefficient: 1.0, feed_exponent: 0.8, ..law };
+    let without_least = machine(0.0, 1e5);
+    for exponent in [0.01, 0.05, 0.3] {
+        law.feed_exponent = exponent;
+        let Ok(material) = Material::new(MaterialInput { name: "hard".into(), thrust: law, torque }) else {
+            continue;
+        };
+        let found = plunge_feed(&drill(0.5, 300.0), &material, &without_least, None);
+        assert_eq!((found.feed_mm_min, found.limit), (None, PlungeLimit::Impossible), "{found:?}");
+    }
+}
+
+#[test]
 fn a_slow_loop_bounds_the_feed_and_the_bite_is_told() {
     // Four samples of 8 ms and an answer 10 ms old at 3000 mm/min: more than 2 mm.
     let input = LoopLatencyInput {

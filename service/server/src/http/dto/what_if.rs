@@ -262,7 +262,8 @@ pub struct WhatIfAnswer {
     pub predicted: RunBody,
     /// How wrong the model is on this very cycle: how far to trust it.
     pub model_error: ModelErrorBody,
-    /// Share of the predicted way at feeds more than twice or less than half of what ran there.
+    /// Share of the predicted way at feeds more than twice or less than half of what ran there, or at depths that the load–feed relation has
+    /// never seen.
     pub extrapolated_ratio: f64,
     /// What the load–feed relation was learned from.
     pub relation: RelationBody,
