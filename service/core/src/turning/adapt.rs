@@ -250,7 +250,8 @@ impl Adaptation {
 
     /// Refuses an estimate that is no number: laws of an extreme entry overflow in an interval that is valid by itself.
     fn hold_finite(&self) -> Result<(), FieldError> {
-        let is_finite = self.mean.iter().chain(self.covariance.iter().flatten()).all(|value| value.is_finite());
+        let is_finite =
+            self.mean.iter().chain(self.covariance.iter().flatten()).all(|value| value.is_finite());
         if is_finite { Ok(()) } else { Err(too_extreme()) }
     }
 

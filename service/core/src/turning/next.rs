@@ -328,8 +328,12 @@ mod tests {
             |(wear, power, force, scatter, reference_depth_mm, kept)| {
                 let paper = TurningModel::alaskari_oraby_2017().data().clone();
                 let mut data = ModelInput { power, force, ..paper.clone() };
-                (data.wear.coefficient, data.wear.speed_exponent, data.wear.feed_exponent, data.wear.time_exponent) =
-                    wear;
+                (
+                    data.wear.coefficient,
+                    data.wear.speed_exponent,
+                    data.wear.feed_exponent,
+                    data.wear.time_exponent,
+                ) = wear;
                 let spread = &mut data.scatter;
                 (spread.wear_log_sd, spread.power_log_sd, spread.force_log_sd) = scatter;
                 data.reference_depth_mm = reference_depth_mm;
