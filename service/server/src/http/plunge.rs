@@ -100,7 +100,7 @@ fn lengths(rows: &[StoredCycle], usual: Process) -> (Vec<f64>, Vec<f64>) {
 
 /// How long a cycle took, ms: samples may be of a part of it.
 fn length_ms(row: &StoredCycle) -> Option<f64> {
-    match (row.summary.duration_ms, row.cycle.reported.duration_ms) {
+    match (row.summary.duration_ms, row.cycle.reported_duration_ms) {
         (Some(sampled), Some(reported)) => Some(sampled.max(reported)),
         (sampled, reported) => sampled.or(reported),
     }
