@@ -150,7 +150,8 @@ async fn an_edge_has_cut_what_its_operation_stated_then(store: Arc<dyn Store>) {
     let other_limits = |setup: TurningSetup| TurningSetup { caution_sigmas: 2.0, ..setup };
     let mended = stating(2.5, Some(80.0));
     put(Operation { turning: mended.turning.clone().map(other_limits), ..mended }, 4, 260).await;
-    assert!(cut().await.iter().all(|cut| cut.is_some_and(|(_, _, caution)| caution == 2.0)));
+    let mended = deep.map(|(depth, diameter, _)| (depth, diameter, 2.0));
+    assert_eq!(cut().await, [mended, mended, mended, Some((1.5, Some(40.0), 2.0))]);
 }
 
 async fn what_was_kept_in_part_or_has_no_time_is_told_of_an_edge(store: Arc<dyn Store>) {
