@@ -15,6 +15,7 @@ SELECT create_reference_table('tools');
 SELECT create_reference_table('tool_events');
 SELECT create_reference_table('operations');
 SELECT create_reference_table('operation_asks');
+SELECT create_reference_table('operation_setups');
 -- By machine too, but written together with the audit and the registry's generation, which stay on the coordinator: a
 -- change of one shard alone is committed apart from them, one of a table with a copy on each node is not.
 SELECT create_reference_table('calibrations');

@@ -19,6 +19,7 @@ use crate::machine::{FeedLimits, Machine};
 use crate::operation::Operation;
 use crate::units::{Process, Timestamp};
 use crate::wear::{Level, Remaining, ToolState, Verdict};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Version of the rules below; part of every recommendation.
 pub const LAW_VERSION: &str = "profile-2";
@@ -108,9 +109,9 @@ pub enum DataQuality {
     Good,
     /// Too few cycles yet, or conditions that are to be confirmed.
     Limited,
-    /// The last cycle that counted is older than data stays good.
+    /// The last cycle that counted, or where none did the last one, is older than data stays good.
     Stale,
-    /// No usable cycle.
+    /// No cycle at all: the tool has run none that is known.
     Missing,
 }
 
@@ -179,7 +180,7 @@ pub struct Recommendation {
     pub remaining: Option<Remaining>,
     /// How good the data is.
     pub quality: DataQuality,
-    /// Age of the newest cycle of the tool, ms.
+    /// Age of the tool's last cycle that counted, and only where none did of its last one, ms; `None` where there is no cycle.
     pub data_age_ms: Option<i64>,
     /// What the operation's process adds, where the operation asks for it and enough is known.
     pub process_advice: Option<ProcessAdvice>,
@@ -206,8 +207,9 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
 
     let data_age_ms = verdict.age_ms(now);
     let quality = quality(verdict, data_age_ms, settings);
+    let stale = quality == DataQuality::Stale;
     let mut action = action(verdict.state);
-    let profile = profile(question, action, quality == DataQuality::Stale, &mut say);
+    let profile = profile(question, action, stale, &mut say);
     if !question.tool_registered {
         say("tool_unregistered", "the tool is not registered: its cycles are kept and counted once it is");
     }
@@ -235,11 +237,12 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     for (code, why) in &verdict.reasons {
         say(code, why);
     }
-    if quality == DataQuality::Stale {
-        say("data_stale", "the tool's last cycle is older than data stays good");
+    if stale {
+        say("data_stale", "the tool's last cycle that counted is older than data stays good");
     }
-    let process_advice =
-        operation.and_then(|operation| process::advise(question, operation, &mut action, &mut say));
+    let process_advice = operation.and_then(|operation| {
+        held(&mut action, &mut say, |action, say| process::advise(question, operation, stale, action, say))
+    });
     let reference_cycle = reference_cycle(question, action, &mut say);
     // Whoever runs the profile runs it within what was set for it as well.
     let of_profile = profile.map(|one| one.profile.limits());
@@ -281,6 +284,24 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         reasons,
         law_version: LAW_VERSION.to_owned(),
     }
+}
+
+/// What `advise` adds; nothing, with the reason, where it panics.
+///
+/// A recommendation is made in the transaction that stores the cycle: a fault in a process's computations must not keep a
+/// machine from handing in what it ran, again and again. The panic itself is told by the process's panic hook.
+fn held<S: FnMut(&str, &str)>(
+    action: &mut Action,
+    say: &mut S,
+    advise: impl FnOnce(&mut Action, &mut S) -> Option<ProcessAdvice>,
+) -> Option<ProcessAdvice> {
+    let before = *action;
+    // Of what it leaves half-way the action is set back, and what was said holds.
+    catch_unwind(AssertUnwindSafe(|| advise(action, say))).unwrap_or_else(|_| {
+        *action = before;
+        say("process_advice_failed", "what the process adds could not be computed: run the program as it is");
+        None
+    })
 }
 
 /// The reference cycle that is due, unless the tool has to be looked at first.

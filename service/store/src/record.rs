@@ -382,6 +382,9 @@ pub struct CycleMeta {
     pub spindle_speed_rpm: Option<f64>,
     /// How it ended.
     pub outcome: feedwright_core::cycle::Outcome,
+    /// How long it took as the control reports, ms; `None` where it does not. The summary's length is that of the samples, where
+    /// there are any.
+    pub reported_duration_ms: Option<f64>,
 }
 
 /// Which cycles a list asks for; all given conditions hold.

@@ -12,7 +12,7 @@ mod saved;
 mod service;
 
 pub(crate) use advice::{ProcessAdviceBody, ProfileAdviceBody};
-pub(crate) use cut::{CutRow, EdgeCycleRow, ReportedCutRow};
+pub(crate) use cut::{CutRow, EdgeCycleRow, ReportedCutRow, TurnedAs};
 #[cfg(test)]
 pub(crate) use cycle::tests::RANGES as CYCLE_RANGES;
 pub(crate) use cycle::{CycleRow, CycleWithSamples, cycle_columns};
@@ -21,7 +21,7 @@ pub(crate) use feed_profile::{
     ActiveProfileRow, FeedProfileRow, ProfileVersionRow, is_content_of, wear_from_column,
 };
 pub(crate) use fleet::FleetCycleRow;
-pub(crate) use library::{ModelRow, content_json, setup_json};
+pub(crate) use library::{ModelRow, content_json, setup_json, setup_of};
 pub(crate) use registry::{
     CalibrationRow, MachineRow, OperationRow, ToolRow, calibration_json, machine_json, operation_json,
     tool_json,

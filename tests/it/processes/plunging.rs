@@ -76,6 +76,15 @@ async fn savings_follow_the_paper_and_recorded_cycles_show_the_real_ones() {
     let none = shop.get("/v1/plunge/recorded?operation=P1&most_cycles=0").await;
     assert_eq!((none.status, &none.body["errors"][0]["path"]), (422, &json!("most_cycles")), "{}", none.text);
     assert_eq!(shop.get("/v1/plunge/recorded?operation=P9").await.status, 404);
+    // Samples are often of a part of a cycle; how long it took the control reports.
+    for number in [7, 8] {
+        let cycle = json!({"cycle_id": format!("p{number}"), "tool": "T1", "operation": "P1", "started_at": at(number),
+            "process": "plunge", "reported": {"duration_ms": 6400.0},
+            "samples": {"period_ms": 10, "feed_drive_load_percent": vec![10.0; 200]}});
+        assert_eq!(shop.cycle("M1", &cycle).await.status, 201);
+    }
+    let answer = shop.get("/v1/plunge/recorded?operation=P1").await;
+    assert!((answer.body["saved_s"].as_f64().unwrap() - 1.7).abs() < 1e-9, "{}", answer.text);
     // Of one that stopped half-way the length says nothing, whoever stopped it.
     for (number, outcome) in [(5, "completed"), (6, "aborted")] {
         let cycle = json!({"cycle_id": format!("p{number}"), "tool": "T1", "operation": "P1", "started_at": at(number),

@@ -119,6 +119,86 @@ async fn what_is_not_known_advises_nothing_and_says_why() {
 }
 
 #[tokio::test]
+async fn an_edge_is_worn_by_what_was_run_and_not_by_what_was_sampled() {
+    // A minute at a fixed pair that tells nothing but itself; with samples of ten seconds of it, or with the operation changed since.
+    let minute = |number: i64| {
+        json!({"cycle_id": format!("t{number}"), "tool": "E1", "operation": "L1", "started_at": at(number * 6),
+            "spindle_speed_rpm": 600, "reported": {"duration_ms": 60000, "feed_mm_rev": 0.4}})
+    };
+    let after = async |change: &dyn Fn(&mut Value)| {
+        let shop = opened().await;
+        mount(&shop, "mounted_new").await;
+        for number in 1..=3 {
+            let mut cycle = minute(number);
+            change(&mut cycle);
+            assert_eq!(shop.cycle("M1", &cycle).await.status, 201);
+        }
+        shop
+    };
+    let told = asked(&after(&|_| ()).await).await["process_advice"].clone();
+    assert_eq!(told["turning"]["elapsed_min"], 3.0, "{told}");
+    let sampled = |cycle: &mut Value| {
+        cycle["samples"] = json!({"period_ms": 100, "spindle_power_watts": vec![1000.0; 100]});
+    };
+    let shop = after(&sampled).await;
+    assert_eq!(asked(&shop).await["process_advice"], told, "ten seconds of samples say nothing of a minute");
+    // Another depth and diameter from now on.
+    let mut changed = operation("alaskari-oraby-2017");
+    changed["turning"]["depth_mm"] = 1.5.into();
+    changed["turning"]["diameter_mm"] = 40.0.into();
+    let put = shop.client.put(shop.url("/v1/operations/L1")).header("if-match", "\"1\"").json(&changed);
+    assert_eq!(shop.send(put).await.status, 200);
+    let turning = asked(&shop).await["process_advice"]["turning"].clone();
+    assert_eq!(turning["corrections"]["wear_mm"], told["turning"]["corrections"]["wear_mm"], "{turning}");
+    // Of one that was kept in part, or has no time, nobody knows how it wore the edge.
+    shop.cut_short("t2").await;
+    assert!(says(&asked(&shop).await, "turning_history_untold"));
+    let shop = after(&|cycle| {
+        if cycle["cycle_id"] == "t2" {
+            cycle["started_at"] = "1999-01-01T00:00:00Z".into();
+        }
+    })
+    .await;
+    let untold = asked(&shop).await;
+    assert!(says(&untold, "turning_history_untold") && untold["process_advice"].is_null(), "{untold}");
+}
+
+#[tokio::test]
+async fn an_edge_of_long_ago_gets_no_pair_and_one_whose_wear_speeds_up_is_answered() {
+    let shop = opened().await;
+    let event = json!({"kind": "mounted_new", "at": "2026-05-01T06:00:00Z", "reason": "as the story goes"});
+    assert_eq!(shop.post("/v1/tools/E1/events", &event).await.status, 201);
+    let plan = intervals(&shop).await;
+    let mut long_ago = cut(1, &plan[0]);
+    long_ago["started_at"] = "2026-05-01T07:00:00Z".into();
+    let answer = shop.cycle("M1", &long_ago).await;
+    let advice = &answer.body["recommendation"];
+    assert!(says(advice, "data_stale") && !says(advice, "turning_advised"), "{advice}");
+    assert!(advice["process_advice"]["turning"]["next"].is_null());
+    assert_eq!(advice["override_percent"], 100.0);
+
+    let mut entry = shop.get("/v1/models/turning/alaskari-oraby-2017").await.body;
+    for told in ["model", "id", "version", "updated_at"] {
+        entry.as_object_mut().unwrap().remove(told);
+    }
+    entry["wear"]["time_exponent"] = 1.2.into();
+    entry["wear"]["coefficient"] = 2e-3.into();
+    let put = shop.put("/v1/models/turning/faster", &entry).await;
+    assert_eq!(put.status, 201, "{}", put.text);
+    let mut faster = operation("faster");
+    faster["turning"]["accumulation"] = "state".into();
+    assert_eq!(shop.put("/v1/operations/L2", &faster).await.status, 201);
+    mount(&shop, "mounted_new").await;
+    let mut first =
+        cut(2, &json!({"speed_m_min": 120.0, "feed_mm_rev": 0.3, "force_n": 600.0, "power_kw": 2.2389}));
+    first["operation"] = "L2".into();
+    let answer = shop.cycle("M1", &first).await;
+    assert_eq!(answer.status, 201, "{}", answer.text);
+    let turning = &answer.body["recommendation"]["process_advice"]["turning"];
+    assert!(turning["corrections"]["wear_mm"]["value"].is_number(), "{}", answer.text);
+}
+
+#[tokio::test]
 async fn a_setup_belongs_to_its_process_and_its_numbers_are_checked() {
     let shop = Shop::open().await;
     let put = async |body: Value| super::refusal(&shop.put("/v1/operations/X", &body).await);

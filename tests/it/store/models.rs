@@ -8,7 +8,7 @@ use feedwright_core::recommend::{EdgeHistory, Knowledge, RecommendSettings};
 use feedwright_core::turning::{Accumulation, JobInput, TurningModel, TurningSetup};
 use feedwright_core::units::Process;
 use feedwright_store::{
-    Committed, Model, ModelContent, ModelKind, Page, Precondition, PutOutcome, Store, StoreError,
+    Committed, Model, ModelContent, ModelKind, NewCycle, Page, Precondition, PutOutcome, Store, StoreError,
 };
 use std::sync::Arc;
 
@@ -16,6 +16,8 @@ stories!(
     the_library_starts_with_the_papers_entry,
     entries_are_put_by_version_and_kinds_do_not_mix,
     an_edge_is_known_by_what_it_has_cut,
+    an_edge_has_cut_what_its_operation_stated_then,
+    what_was_kept_in_part_or_has_no_time_is_told_of_an_edge,
 );
 
 const ALL: u32 = 10;
@@ -97,4 +99,92 @@ async fn an_edge_is_known_by_what_it_has_cut(store: Arc<dyn Store>) {
     assert_eq!(cuts().await, [Some(102.0)]);
     let none = store.knowledge(&operation("O9"), &"T1".try_into().unwrap()).await.unwrap();
     assert_eq!(none, Knowledge::None);
+}
+
+async fn known(store: &dyn Store) -> EdgeHistory {
+    match store.knowledge(&turned(), &"T1".try_into().unwrap()).await.unwrap() {
+        Knowledge::Turning { history, .. } => history,
+        other => panic!("{other:?}"),
+    }
+}
+
+async fn stored(store: &dyn Store, new: NewCycle) {
+    let outcome = store.commit_cycles(vec![new], at(9000), RecommendSettings::default()).await;
+    assert!(matches!(outcome[..], [Ok(Committed::Stored(_))]), "{outcome:?}");
+}
+
+async fn an_edge_has_cut_what_its_operation_stated_then(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    mounted(&*store, "T1", 30).await;
+    let stating = |depth_mm, diameter_mm| {
+        let setup = turned().turning.map(|setup| TurningSetup { depth_mm, diameter_mm, ..setup });
+        Operation { turning: setup, ..turned() }
+    };
+    let put = async |operation, version, seconds| {
+        let put =
+            store.put_operation(operation, Precondition::Version(version), &engineer(), at(seconds)).await;
+        assert_eq!(put.unwrap(), PutOutcome::Changed(version + 1));
+    };
+    put(stating(2.5, Some(80.0)), 1, 40).await;
+    for n in [1, 2] {
+        stored(&*store, Run { sampled: false, ..Run::nth(n) }.new_cycle()).await;
+    }
+    let cut = async || match known(&*store).await {
+        EdgeHistory::Cycles(cycles) => cycles
+            .into_iter()
+            .map(|cycle| cycle.setup.map(|setup| (setup.depth_mm, setup.diameter_mm, setup.caution_sigmas)))
+            .collect::<Vec<_>>(),
+        other => panic!("{other:?}"),
+    };
+    let deep = Some((2.5, Some(80.0), 1.5));
+    assert_eq!(cut().await, [deep, deep]);
+    put(stating(1.5, Some(40.0)), 2, 150).await;
+    assert_eq!(cut().await, [deep, deep], "what was cut stays cut so");
+    // One that was run before the change comes after it.
+    stored(&*store, Run { sampled: false, ..Run::nth(4) }.new_cycle()).await;
+    stored(&*store, Run { sampled: false, seconds: 149, ..Run::nth(3) }.new_cycle()).await;
+    assert_eq!(cut().await, [deep, deep, deep, Some((1.5, Some(40.0), 1.5))]);
+    // What is none of the cut's geometry is mended for all of it, and a change back changes nothing either.
+    put(stating(2.5, Some(80.0)), 3, 250).await;
+    assert_eq!(cut().await, [deep, deep, deep, Some((1.5, Some(40.0), 1.5))]);
+    let other_limits = |setup: TurningSetup| TurningSetup { caution_sigmas: 2.0, ..setup };
+    let mended = stating(2.5, Some(80.0));
+    put(Operation { turning: mended.turning.clone().map(other_limits), ..mended }, 4, 260).await;
+    let mended = deep.map(|(depth, diameter, _)| (depth, diameter, 2.0));
+    assert_eq!(cut().await, [mended, mended, mended, Some((1.5, Some(40.0), 2.0))]);
+}
+
+async fn what_was_kept_in_part_or_has_no_time_is_told_of_an_edge(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let put = store.put_operation(turned(), Precondition::Version(1), &engineer(), at(1)).await;
+    assert_eq!(put.unwrap(), PutOutcome::Changed(2));
+    // 1999-01-01, and when it came.
+    let untimed = |n: u32, came: i64| {
+        let seconds = 915_148_800 - at(0).micros() / 1_000_000 + i64::from(n);
+        NewCycle { received_at: at(came), ..Run { seconds, ..Run::nth(n) }.new_cycle() }
+    };
+    stored(&*store, untimed(90, 50)).await;
+    mounted(&*store, "T1", 60).await;
+    let mut draft = Run::nth(2).draft();
+    draft.reported.duration_ms = Some(60_000.0);
+    stored(&*store, super::given::new_cycle(Cycle::new(draft).unwrap())).await;
+    stored(&*store, NewCycle { cut_short: true, ..Run::nth(3).new_cycle() }).await;
+    let EdgeHistory::Cycles(cycles) = known(&*store).await else {
+        panic!("what came before the edge is not its own")
+    };
+    let told: Vec<_> = cycles
+        .iter()
+        .map(|cycle| (cycle.duration_ms, cycle.reported_duration_ms, cycle.sample_count, cycle.cut_short))
+        .collect();
+    assert_eq!(
+        told,
+        [(Some(2000.0), Some(60_000.0), 20, false), (Some(2000.0), None, 20, true)],
+        "both lengths are told, and what was kept in part"
+    );
+    assert!((cycles[0].coverage - 1.0).abs() < 1e-12);
+    stored(&*store, untimed(91, 300)).await;
+    assert_eq!(known(&*store).await, EdgeHistory::Untimed);
+    // The next edge has cut none of it.
+    mounted(&*store, "T1", 400).await;
+    assert_eq!(known(&*store).await, EdgeHistory::Cycles(Vec::new()));
 }

@@ -7,12 +7,16 @@ use super::profile::{Profile, ProfileHash};
 use crate::cycle::ProfileVersion;
 use crate::machine::FeedLimits;
 use crate::operation::Operation;
-use crate::wear::{ToolState, Verdict};
+use crate::wear::{Exclusion, ToolState, Verdict};
 
 /// Commanded speeds that differ by no more are the same speed, as in the wear's baselines.
 const SAME_SPEED: f64 = 0.02;
 /// Depths that differ by no more are the same depth, mm.
 pub const SAME_DEPTH_MM: f64 = 0.0005;
+
+/// After so many cycles of a life of which none says how worn the tool is, it is no new one any more: as many as outdate a level,
+/// before there is one to tell its window.
+const NEW_FOR_CYCLES: u64 = 20;
 
 /// An active version.
 #[derive(Debug, Clone, PartialEq)]
@@ -182,12 +186,17 @@ fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
     let unknown = |why: &str| Err(("profile_wear_unknown", format!("{why}: no feed profile is handed out")));
     let mounted_new = verdict.life > 0 && verdict.started_unworn;
     match (verdict.state, verdict.level) {
+        // Before anything that is said of a new tool: what is known of it may be of cycles that have no place in its life, and
+        // those that have one may not have come.
+        (_, _) if stale => unknown("the tool's wear is older than data stays good"),
         // Mounted new and not judged yet: it is what a profile for new tools is made for.
         (ToolState::Unknown, None) if mounted_new && verdict.cycles == 0 => Ok(1.0),
         // Also where a level is told: it is of before what cannot be counted, or too uncertain to go by.
         (ToolState::Unknown, _) => unknown("the tool's wear is not known"),
-        (_, _) if stale => unknown("the tool's wear is older than data stays good"),
-        (ToolState::Learning, None) if mounted_new => Ok(1.0),
+        (ToolState::Learning, None) if mounted_new => match unknown_cycles(verdict) {
+            0..=NEW_FOR_CYCLES => Ok(1.0),
+            cycles => unknown(&format!("none of {cycles} cycles since the tool was new says how worn it is")),
+        },
         (_, None) => unknown("the tool's wear is not known"),
         (_, Some(level)) if verdict.indicators.masked_by_control => {
             // Under a law that slows the feed the energy hides the wear and the time shows it: in the process model,
@@ -201,6 +210,15 @@ fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
         // The level that decides, and never a lower one than the energy as run already shows.
         (_, Some(level)) => Ok(level.value.max(level.as_run)),
     }
+}
+
+/// Cycles of the life that may have worn the tool and say nothing of it: all that cut, without those that one baseline is learnt
+/// from. Of cycles that are spread over many conditions no baseline comes to its end, however long the tool works.
+fn unknown_cycles(verdict: &Verdict) -> u64 {
+    let idle = [Exclusion::Aborted, Exclusion::Incomplete, Exclusion::AirCut, Exclusion::BrokenSuspected];
+    let idle: u64 = idle.iter().map(|why| verdict.excluded[*why as usize]).sum();
+    let learnt = verdict.baselines.iter().map(|baseline| u64::from(baseline.learnt_from)).max();
+    verdict.cycles.saturating_sub(idle).saturating_sub(learnt.unwrap_or(0))
 }
 
 #[cfg(test)]
@@ -285,6 +303,11 @@ mod tests {
             let stale = choose(&band, &operation(), &limits(), &verdict, (true, true));
             assert_eq!(stale.unwrap_err().0, "profile_wear_unknown", "{:?}", verdict.state);
         }
+        // The last cycle that is known is of long ago, by a clock that was never set, or the tool's life before.
+        let mounted = Verdict { cycles: 0, state: ToolState::Unknown, ..worn(None) };
+        let stale = choose(&band, &operation(), &limits(), &mounted, (true, true));
+        assert_eq!(stale.unwrap_err().0, "profile_wear_unknown", "nobody knows what it has cut since");
+        assert_eq!(chosen(&band, &mounted), Ok("new".into()));
         let outdated = Verdict { state: ToolState::Unknown, ..worn(Some(1.0)) };
         assert_eq!(chosen(&band, &outdated), Err("profile_wear_unknown"), "a level of before");
         let held = choose(&band, &operation(), &limits(), &worn(Some(1.0)), (false, false));
@@ -292,6 +315,46 @@ mod tests {
         let narrow = FeedLimits::new(10.0, 500.0, 5.0, 200.0).unwrap();
         let outside = choose(&band, &operation(), &narrow, &worn(Some(1.0)), (true, false));
         assert_eq!(outside.unwrap_err().0, "profile_outside_machine");
+    }
+
+    #[test]
+    fn a_tool_whose_baselines_never_stand_is_new_only_for_so_long() {
+        let band = [active("new", None, 1.10)];
+        let learning = |cycles, learnt: &[u32], idle| {
+            let key = crate::wear::BaselineKey {
+                machine: "M1".try_into().unwrap(),
+                operation: "bushing-m8".try_into().unwrap(),
+                spindle_speed_rpm: None,
+                basis: crate::summary::EnergyBasis::MeasuredPower,
+                idle_subtracted: false,
+                in_contact: true,
+                energy_scale: 0,
+                strategy: None,
+                law_version: None,
+                profile: None,
+            };
+            let baseline = |learnt_from: &u32| crate::wear::BaselineEvidence {
+                key: key.clone(),
+                learnt_from: *learnt_from,
+                needed: 100,
+                baseline_joules: None,
+                level_at_entry: 1.0,
+                operator_override_percent: None,
+            };
+            let mut verdict =
+                Verdict { cycles, baselines: learnt.iter().map(baseline).collect(), ..worn(None) };
+            verdict.excluded[Exclusion::AirCut as usize] = idle;
+            verdict
+        };
+        let of = |cycles, learnt: &[u32], idle| chosen(&band, &learning(cycles, learnt, idle));
+        assert_eq!(of(90, &[90], 0), Ok("new".into()), "a long baseline that is being learnt");
+        assert_eq!(of(150, &[2; 75], 0), Err("profile_wear_unknown"), "spread over 75 speeds");
+        assert_eq!(of(22, &[2; 11], 0), Ok("new".into()));
+        assert_eq!(of(23, &[2; 12], 0), Err("profile_wear_unknown"));
+        assert_eq!(of(23, &[2; 12], 1), Ok("new".into()), "one cut only air");
+        let holds_still =
+            |cycles| holds(&band[0], &learning(cycles, &[2], 0), false).map_err(|(code, _)| code);
+        assert_eq!((holds_still(22), holds_still(23)), (Ok(()), Err("profile_wear_unknown")));
     }
 
     #[test]

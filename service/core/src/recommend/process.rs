@@ -7,6 +7,7 @@ use super::{Action, Question};
 use crate::ids::ModelId;
 use crate::operation::Operation;
 use crate::plunge::{self, MachineInput, Material, PLUNGE_LAW_VERSION, PlungeLimit, PlungeSetup};
+use crate::summary::COVERAGE_FLOOR;
 use crate::turning::{
     AdaptationInput, Binding, Chosen, Corrections, Cut, EdgeInterval, EdgeState, Job, Limit,
     MAX_EDGE_INTERVALS, Measured, NextCut, Readings, TURNING_LAW_VERSION, TurningModel, TurningSetup,
@@ -41,6 +42,8 @@ pub enum EdgeHistory {
     NotNew,
     /// More cycles than [`MAX_EDGE_CYCLES`].
     TooLong,
+    /// Cycles whose clock was never set have come since a new edge was mounted: nobody knows whether it cut them.
+    Untimed,
     /// Every cycle since, in the order in which they were run.
     Cycles(Vec<EdgeCycle>),
 }
@@ -48,10 +51,18 @@ pub enum EdgeHistory {
 /// What one cycle of an edge tells; absent where it does not.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EdgeCycle {
-    /// How its operation is turned.
+    /// How its operation is turned, at the depth and the diameter that held when it was run.
     pub setup: Option<TurningSetup>,
-    /// Length, ms.
+    /// Length of what was sampled, ms; the one reported where no time was sampled.
     pub duration_ms: Option<f64>,
+    /// Length as reported, ms.
+    pub reported_duration_ms: Option<f64>,
+    /// Number of its samples.
+    pub sample_count: u32,
+    /// Share of the sampled time that is no gap, 0 to 1.
+    pub coverage: f64,
+    /// Whether the server kept only a part of it.
+    pub cut_short: bool,
     /// Cutting speed as reported, m/min.
     pub speed_m_min: Option<f64>,
     /// Spindle speed, 1/min.
@@ -60,7 +71,7 @@ pub struct EdgeCycle {
     pub feed_mm_rev: Option<f64>,
     /// Power at its end, W.
     pub power_watts: Option<f64>,
-    /// The spindle's energy from measured power, J.
+    /// The spindle's energy from measured power, between its first and its last sample, J.
     pub spindle_joules: Option<f64>,
     /// Thrust force at its end, N.
     pub force_newtons: Option<f64>,
@@ -72,8 +83,7 @@ impl EdgeCycle {
     /// The interval it stands for; none where speed, feed or length are not told.
     fn interval(&self, setup: &TurningSetup) -> Option<EdgeInterval> {
         let speed = self.speed_m_min.or_else(|| setup.speed_m_min(self.spindle_rpm?))?;
-        let minutes = self.duration_ms.filter(|duration| *duration > 0.0)? / 60_000.0;
-        let mean = self.spindle_joules.filter(|joules| *joules > 0.0);
+        let minutes = self.length_ms().filter(|length| *length > 0.0)? / 60_000.0;
         Some(EdgeInterval {
             depth_mm: setup.depth_mm,
             cut: Cut::new(speed, self.feed_mm_rev?).ok()?,
@@ -83,8 +93,33 @@ impl EdgeCycle {
                 force_n: self.force_newtons,
                 wear_mm: self.wear_mm,
             },
-            mean_power_kw: mean.map(|joules| joules / (minutes * 60_000.0)),
+            mean_power_kw: self.mean_power_kw(),
         })
+    }
+
+    /// How long the edge cut, ms. Samples may be of a part of it, and a report of less than was sampled: the longer one wears more.
+    fn length_ms(&self) -> Option<f64> {
+        match (self.duration_ms, self.reported_duration_ms) {
+            (Some(sampled), Some(reported)) => Some(sampled.max(reported)),
+            (sampled, reported) => sampled.or(reported),
+        }
+    }
+
+    /// Mean power over it, kW; none where samples cover too little of it to speak for the whole.
+    ///
+    /// The energy is the sum of trapezoids between samples, one fewer than there are samples, a gap as long as a usual one: over the
+    /// time of these it is a mean whatever the rate of sampling. That time is told exactly for samples in a fixed period and for
+    /// evenly spaced stamps; one sample alone stands for its own period.
+    fn mean_power_kw(&self) -> Option<f64> {
+        let joules = self.spindle_joules.filter(|joules| *joules > 0.0)?;
+        let covered_ms = self.duration_ms? * self.coverage;
+        if self.sample_count == 0 || covered_ms <= 0.0 || covered_ms < COVERAGE_FLOOR * self.length_ms()? {
+            return None;
+        }
+        let count = f64::from(self.sample_count);
+        let between = if self.sample_count > 1 { (count - 1.0) / count } else { 1.0 };
+        // J/ms is kW.
+        Some(joules / (covered_ms * between))
     }
 }
 
@@ -156,10 +191,12 @@ pub struct PlungeAdvice {
     pub bite_mm: Option<f64>,
 }
 
-/// What the operation's process adds, with the reasons for it or against it.
+/// What the operation's process adds, with the reasons for it or against it; `stale` tells whether the tool's data is older than
+/// data stays good, which has been said.
 pub(super) fn advise(
     question: &Question<'_>,
     operation: &Operation,
+    stale: bool,
     action: &mut Action,
     say: &mut impl FnMut(&str, &str),
 ) -> Option<ProcessAdvice> {
@@ -169,7 +206,7 @@ pub(super) fn advise(
             None
         }
         (Process::Turning, Some(setup), _) => {
-            turning(question, setup, action, say).map(ProcessAdvice::Turning)
+            turning(question, setup, stale, action, say).map(ProcessAdvice::Turning)
         }
         (Process::Plunge, _, None) => {
             say("no_plunge_material", "the operation names no material: run its program as it is");
@@ -183,6 +220,7 @@ pub(super) fn advise(
 fn turning(
     question: &Question<'_>,
     setup: &TurningSetup,
+    stale: bool,
     action: &mut Action,
     say: &mut impl FnMut(&str, &str),
 ) -> Option<TurningAdvice> {
@@ -229,6 +267,8 @@ fn turning(
         }
         // A unit slip and a dead sensor look like an edge that bears more: unknown never raises the feed.
         Ok(_) if corrections.implausible() => {}
+        // What the edge has cut since then may just not have come: the reason is `data_stale`.
+        Ok(_) if stale => {}
         Ok(chosen) => advice.next = offered(question, setup, &chosen, *action, say),
     }
     Some(advice)
@@ -258,6 +298,12 @@ fn known(
                 "the edge has more cycles than are looked at: mount a new one",
             ));
         }
+        EdgeHistory::Untimed => {
+            return Err((
+                "turning_history_untold",
+                "cycles whose clock was never set have come since the edge was mounted: its wear is not known",
+            ));
+        }
         EdgeHistory::Cycles(cycles) => cycles,
     };
     let mut intervals = Vec::with_capacity(cycles.len());
@@ -268,6 +314,12 @@ fn known(
                 "the edge has cut in an operation without this model: its wear is not known",
             ));
         };
+        if cycle.cut_short {
+            return Err((
+                "turning_history_untold",
+                "the server kept only a part of a cycle of the edge: its wear is not known",
+            ));
+        }
         let Some(interval) = cycle.interval(of) else {
             return Err((
                 "turning_history_untold",

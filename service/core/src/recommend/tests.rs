@@ -130,6 +130,14 @@ fn turning(recommendation: &Recommendation) -> &TurningAdvice {
     }
 }
 
+/// Samples of so many ms and such a number, of a spindle that draws so many watts all the time.
+fn sampled(cycle: &mut EdgeCycle, (duration_ms, count): (f64, u32), watts: f64) {
+    cycle.duration_ms = Some(duration_ms);
+    (cycle.sample_count, cycle.coverage) = (count, 1.0);
+    let between = if count > 1 { f64::from(count - 1) / f64::from(count) } else { 1.0 };
+    cycle.spindle_joules = Some(watts * duration_ms * 1e-3 * between);
+}
+
 fn plausible(cycle: &mut EdgeCycle, outcome: Outcome) {
     cycle.power_watts = Some(outcome.power_kw * 1000.0);
     cycle.force_newtons = Some(outcome.force_n);
@@ -154,7 +162,7 @@ fn readings_that_cannot_be_true_advise_no_pair_and_are_named() {
         }),
         ("no wear ever", |cycle, _| cycle.wear_mm = Some(0.0)),
         ("force in kN", |cycle, outcome| cycle.force_newtons = Some(outcome.force_n / 1000.0)),
-        ("mean power of a dead channel", |cycle, _| cycle.spindle_joules = Some(60.0)),
+        ("mean power of a dead channel", |cycle, _| sampled(cycle, (60_000.0, 600), 1.0)),
     ];
     for caution in [0.0, 2.0] {
         for (what, tell) in slips {
@@ -209,6 +217,114 @@ fn a_pair_beyond_the_machines_feeds_is_not_advised_and_says_which_end() {
         assert!(says(&advice, code) && !says(&advice, "turning_advised"), "{:?}", advice.reasons);
     }
     assert!(turning(&at((feed, feed * 2.0))).next.is_some(), "the end itself belongs to the range");
+}
+
+#[test]
+fn an_edge_is_as_old_as_its_cycles_took_and_not_as_what_was_sampled_of_them() {
+    let told = edge(4, 0.0, |_, _| ());
+    let as_told = turned(told.clone(), 0.0, WIDE, ToolState::Good);
+    // Ten seconds of each minute were sampled; or all of it, and the control reports the time before the last sample.
+    for (sampled_ms, reported_ms) in [(10_000.0, 60_000.0), (60_000.0, 10_000.0), (0.0, 60_000.0)] {
+        let with = |mut cycle: EdgeCycle| {
+            cycle.duration_ms = (sampled_ms > 0.0).then_some(sampled_ms);
+            cycle.reported_duration_ms = Some(reported_ms);
+            cycle
+        };
+        let cycles = told.iter().cloned().map(with).collect();
+        assert_eq!(turned(cycles, 0.0, WIDE, ToolState::Good), as_told, "{sampled_ms} ms sampled");
+    }
+    assert!((turning(&as_told).elapsed_min - 4.0).abs() < 1e-12);
+}
+
+#[test]
+fn mean_power_is_the_same_at_every_rate_of_sampling_and_none_where_much_is_missing() {
+    let of = |duration_ms, count, coverage: f64| {
+        let tell = |cycle: &mut EdgeCycle, outcome: Outcome| {
+            sampled(cycle, (duration_ms, count), outcome.power_kw * 1000.0);
+            cycle.reported_duration_ms = Some(60_000.0);
+            cycle.coverage = coverage;
+            cycle.spindle_joules = cycle.spindle_joules.map(|joules| joules * coverage);
+        };
+        let advice = turned(edge(3, 0.0, tell), 0.0, WIDE, ToolState::Good);
+        let TurningAdvice { corrections, readings, .. } = turning(&advice);
+        (readings.power, corrections.power_factor.value)
+    };
+    let (readings, factor) = of(60_000.0, 60_000, 1.0);
+    assert_eq!(readings, 3);
+    for count in [1, 2, 6, 60, 600] {
+        let (readings, other) = of(60_000.0, count, 1.0);
+        assert_eq!(readings, 3);
+        assert!((other - factor).abs() < 1e-9, "{count} samples: {other}, {factor}");
+    }
+    // A gap counts as one usual interval in the energy and in the time.
+    let (readings, other) = of(60_000.0, 600, 0.96);
+    assert!(readings == 3 && (other - factor).abs() < 1e-9, "{other}, {factor}");
+    assert_eq!(of(60_000.0, 600, 0.94).0, 0, "much of it was not sampled");
+    assert_eq!(of(10_000.0, 100, 1.0).0, 0, "ten seconds say nothing of a minute");
+    assert_eq!(of(60_000.0, 0, 1.0).0, 0, "no samples");
+}
+
+#[test]
+fn what_nobody_knows_of_an_edge_advises_no_pair() {
+    let mut cycles = edge(3, 0.0, plausible);
+    cycles[1].cut_short = true;
+    let short = turned(cycles, 0.0, WIDE, ToolState::Good);
+    let operation = Operation { turning: Some(setup(0.0)), ..operation(Process::Turning) };
+    let model = Some(Box::new(TurningModel::alaskari_oraby_2017()));
+    let untimed = Knowledge::Turning { model, history: EdgeHistory::Untimed };
+    for advice in [short, asked(&operation, &untimed, WIDE, ToolState::Good)] {
+        assert!(says(&advice, "turning_history_untold") && advice.process_advice.is_none(), "{advice:?}");
+    }
+}
+
+#[test]
+fn stale_data_advises_no_pair() {
+    let operation = Operation { turning: Some(setup(0.0)), ..operation(Process::Turning) };
+    let model = Some(Box::new(TurningModel::alaskari_oraby_2017()));
+    let history = EdgeHistory::Cycles(edge(3, 0.0, plausible));
+    let knowledge = Knowledge::Turning { model, history };
+    let settings = RecommendSettings::default();
+    let counted = Timestamp::from_micros(0);
+    let of_age = |age_ms: i64| {
+        let verdict = Verdict {
+            state: ToolState::Good,
+            last_counted_at: Some(counted),
+            ..Verdict::unknown("no_cycles", "nothing was run")
+        };
+        recommend(&Question {
+            now: counted.plus_millis(age_ms),
+            machine: &machine(WIDE.0, WIDE.1),
+            operation_id: &operation.id,
+            operation: Some(&operation),
+            tool_id: &"T1".try_into().unwrap(),
+            tool_registered: true,
+            verdict: &verdict,
+            knowledge: &knowledge,
+            profiles: &[],
+            ran: None,
+            settings,
+        })
+    };
+    assert!(turning(&of_age(settings.stale_after_ms)).next.is_some());
+    let stale = of_age(settings.stale_after_ms + 1);
+    assert!(says(&stale, "data_stale") && !says(&stale, "turning_advised"), "{:?}", stale.reasons);
+    assert_eq!((turning(&stale).next, stale.override_percent), (None, 100.0));
+}
+
+#[test]
+fn a_panic_of_what_a_process_adds_costs_that_alone() {
+    let mut said = Vec::new();
+    let mut say = |code: &str, _: &str| said.push(code.to_owned());
+    let mut action = Action::Run;
+    let advice = held(&mut action, &mut say, |action, say| {
+        *action = Action::ChangeTool;
+        say("turning_edge_spent", "half-way");
+        let none: [f64; 0] = [];
+        assert!(!none.is_empty(), "as the test wants it");
+        None
+    });
+    assert_eq!((advice, action), (None, Action::Run));
+    assert_eq!(said, ["turning_edge_spent", "process_advice_failed"]);
 }
 
 #[test]

@@ -115,6 +115,15 @@ impl Corrections {
     pub const fn implausible(&self) -> bool {
         self.gated || self.at_bound
     }
+
+    fn are_finite(&self) -> bool {
+        let all = [self.wear_mm, self.wear_factor, self.power_factor, self.force_factor];
+        all.iter().all(|one| one.value.is_finite() && one.low.is_finite() && one.high.is_finite())
+    }
+}
+
+fn too_extreme() -> FieldError {
+    FieldError::new("cut", Problem::Inconsistent("is so extreme that nothing can be learnt"))
 }
 
 /// What becomes of a reading further off than the gate.
@@ -165,7 +174,8 @@ impl Adaptation {
     /// Takes one interval of `minutes` cut with `cut`, and what was read at its end.
     ///
     /// # Errors
-    /// A reading or duration that is not finite, not positive or absurd; the estimate then stays as it was.
+    /// A reading or duration that is not finite, not positive or absurd, and an interval so extreme that no estimate of it
+    /// is finite; the estimate then stays as it was.
     pub fn observe(
         &mut self,
         job: &Job,
@@ -179,35 +189,33 @@ impl Adaptation {
         read.wear_mm.map_or(Ok(0.0), |value| within("wear_mm", value, 0.0, 100.0))?;
         let mut next = self.clone();
         next.gated = false;
-        next.advance(job, cut, minutes);
+        next.advance(job, cut, minutes)?;
         let settings = self.settings.0;
         let data = job.model().data();
         if let Some(value) = read.wear_mm {
-            next.correct(value - next.mean[WEAR], [1.0, 0.0, 0.0, 0.0], settings.wear_sd_mm.powi(2));
+            next.correct(value - next.mean[WEAR], [1.0, 0.0, 0.0, 0.0], settings.wear_sd_mm.powi(2))?;
         }
         if let Some(value) = read.power_kw {
             let wear = next.mean[WEAR];
             let off = value.ln() - job.power_kw(cut, wear).ln() - next.mean[POWER_FACTOR];
             let noise = settings.power_log_sd.powi(2) + data.scatter.power_log_sd.powi(2);
-            next.correct(off, [data.power.wear_exponent / wear, 0.0, 1.0, 0.0], noise);
+            next.correct(off, [data.power.wear_exponent / wear, 0.0, 1.0, 0.0], noise)?;
         }
         if let Some(value) = read.force_n {
             let wear = next.mean[WEAR];
             let off = value.ln() - job.force_n(cut, wear).ln() - next.mean[FORCE_FACTOR];
             let noise = settings.force_log_sd.powi(2) + data.scatter.force_log_sd.powi(2);
-            next.correct(off, [data.force.wear_exponent / wear, 0.0, 0.0, 1.0], noise);
+            next.correct(off, [data.force.wear_exponent / wear, 0.0, 0.0, 1.0], noise)?;
         }
-        if next.mean.iter().any(|value| !value.is_finite()) {
-            return Err(FieldError::new(
-                "cut",
-                Problem::Inconsistent("is so extreme that nothing can be learnt"),
-            ));
+        let learnt = next.corrections();
+        if !learnt.are_finite() {
+            return Err(too_extreme());
         }
         *self = next;
-        Ok(self.corrections())
+        Ok(learnt)
     }
 
-    fn advance(&mut self, job: &Job, cut: Cut, minutes: f64) {
+    fn advance(&mut self, job: &Job, cut: Cut, minutes: f64) -> Result<(), FieldError> {
         let power = job.measure_power();
         let before = self.mean[WEAR];
         let gained = job.wear_gain_over(self.elapsed_min, minutes)
@@ -216,7 +224,9 @@ impl Adaptation {
         let after = job.wear_of(job.measure(before) + gained).max(LEAST_WEAR_MM);
         let grown = after - before;
         // Slopes of AW = (AW₀^q + G·e^(q·x))^(1/q) in AW₀ and x; 1 and G where q = 1.
-        let kept = (before / after).powf(power - 1.0);
+        // A new edge is known to be new: its wear covaries with nothing, so nothing of it is kept, although the slope itself
+        // has no bound there where q < 1.
+        let kept = if before > 0.0 { (before / after).powf(power - 1.0) } else { 0.0 };
         let learnt = after.powf(1.0 - power) * gained;
         self.elapsed_min += minutes;
         self.mean[WEAR] = after;
@@ -233,17 +243,31 @@ impl Adaptation {
         for factor in [WEAR_FACTOR, POWER_FACTOR, FORCE_FACTOR] {
             p[factor][factor] += drift;
         }
+        // Rounding must not leave the wear with negative uncertainty.
+        p[WEAR][WEAR] = p[WEAR][WEAR].max(0.0);
+        self.hold_finite()
     }
 
-    fn correct(&mut self, off: f64, slope: [f64; 4], noise: f64) {
+    /// Refuses an estimate that is no number: laws of an extreme entry overflow in an interval that is valid by itself.
+    fn hold_finite(&self) -> Result<(), FieldError> {
+        let is_finite =
+            self.mean.iter().chain(self.covariance.iter().flatten()).all(|value| value.is_finite());
+        if is_finite { Ok(()) } else { Err(too_extreme()) }
+    }
+
+    fn correct(&mut self, off: f64, slope: [f64; 4], noise: f64) -> Result<(), FieldError> {
         let cross: [f64; 4] =
             std::array::from_fn(|i| (0..4).map(|j| self.covariance[i][j] * slope[j]).sum::<f64>());
         let variance = noise + (0..4).map(|i| slope[i] * cross[i]).sum::<f64>();
+        // The gate is made of it: of no number, or of a negative one by rounding, there is none to hold a reading to.
+        if off.is_nan() || !variance.is_finite() || variance <= 0.0 {
+            return Err(too_extreme());
+        }
         let gate = self.settings.0.gate_sigmas * variance.sqrt();
         if off.abs() > gate {
             self.gated = true;
             if self.beyond_gate == BeyondGate::LeftOut {
-                return;
+                return Ok(());
             }
         }
         let off = off.clamp(-gate, gate);
@@ -260,6 +284,7 @@ impl Adaptation {
             self.mean[factor] = self.mean[factor].clamp(-bound, bound);
         }
         self.mean[WEAR] = self.mean[WEAR].max(LEAST_WEAR_MM);
+        self.hold_finite()
     }
 
     /// State of the edge as estimated.
@@ -295,10 +320,14 @@ impl Adaptation {
     /// limits in about 97 of 100 cases.
     ///
     /// # Errors
-    /// `caution_sigmas` not finite or outside 0..=5.
+    /// `caution_sigmas` not finite or outside 0..=5, or so many of an estimate so unsure that no coefficient is finite.
     pub fn corrected(&self, job: &Job, caution_sigmas: f64) -> Result<Job, FieldError> {
         within("caution_sigmas", caution_sigmas, 0.0, 5.0)?;
-        let [wear, power, force] = self.factors(caution_sigmas);
+        let factors = self.factors(caution_sigmas);
+        if factors.iter().any(|factor| !factor.is_finite()) {
+            return Err(too_extreme());
+        }
+        let [wear, power, force] = factors;
         Ok(job.with_model(job.model().scaled(wear, power, force)))
     }
 

@@ -201,7 +201,10 @@ pub fn next_cut(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::turning::{JobInput, greedy_plan};
+    use crate::turning::{
+        Accumulation, DomainInput, JobInput, Limits, LoadLaw, ModelInput, Range, TurningModel, greedy_plan,
+    };
+    use proptest::prelude::*;
 
     fn told(measured: impl Fn(&Chosen) -> Measured) -> (Job, Vec<EdgeInterval>) {
         let job = Job::new(JobInput::alaskari_oraby_2017()).unwrap();
@@ -272,5 +275,139 @@ mod tests {
         let refused = next_cut(&job, AdaptationInput::default(), 0.0, EdgeState::FRESH, &intervals);
         let (index, error) = refused.unwrap_err();
         assert_eq!((index, error.field(), error.code()), (Some(3), "power_kw", "not_finite"));
+    }
+
+    /// Wear that grows faster and faster: a new edge has no slope of it by its own state.
+    #[test]
+    fn a_new_edge_whose_wear_speeds_up_is_read_like_any_other() {
+        let mut data = TurningModel::alaskari_oraby_2017().data().clone();
+        (data.wear.time_exponent, data.wear.coefficient) = (1.2, 2e-3);
+        let model = TurningModel::new(data).unwrap();
+        let accumulation = Accumulation::State;
+        let job = Job::new(JobInput { model, accumulation, ..JobInput::alaskari_oraby_2017() }).unwrap();
+        let cut = Cut::new(120.0, 0.3).unwrap();
+        let expected = job.predict(EdgeState::FRESH, cut);
+        let interval = |power_kw| EdgeInterval {
+            depth_mm: 2.5,
+            cut,
+            minutes: 1.0,
+            measured: Measured { power_kw: Some(power_kw), ..Measured::default() },
+            mean_power_kw: None,
+        };
+        let read = next(&job, &[interval(2.2389)], 2.0);
+        assert!(read.state.wear_mm().is_finite() && read.corrections.power_factor.value.is_finite());
+        // What is as expected teaches nothing: the new edge itself is known to be new.
+        let learnt = next(&job, &[interval(expected.power_kw)], 0.0).corrections;
+        assert!((learnt.power_factor.value - 1.0).abs() < 1e-9, "{learnt:?}");
+        assert!((learnt.wear_mm.value - expected.wear_mm).abs() < 1e-9, "{learnt:?}");
+        assert!(learnt.wear_mm.low < learnt.wear_mm.value, "the law itself is not known to the last digit");
+    }
+
+    /// Any number that an entry may have between two ends, as likely small as large.
+    fn wide(low: f64, high: f64) -> impl Strategy<Value = f64> {
+        (low.ln()..=high.ln()).prop_map(move |log| log.exp().clamp(low, high))
+    }
+
+    fn law() -> impl Strategy<Value = LoadLaw> {
+        (wide(1e-12, 1e12), -3.0..=3.0_f64, wide(0.01, 3.0), -3.0..=3.0_f64, wide(0.05, 5.0)).prop_map(
+            |(coefficient, speed_exponent, feed_exponent, depth_exponent, wear_exponent)| LoadLaw {
+                coefficient,
+                speed_exponent,
+                feed_exponent,
+                depth_exponent,
+                wear_exponent,
+            },
+        )
+    }
+
+    /// Every entry that the library takes, near to the paper's or nowhere near.
+    fn entry() -> impl Strategy<Value = TurningModel> {
+        let wear = (wide(1e-12, 1e6), -3.0..=3.0_f64, wide(0.01, 3.0), wide(0.05, 3.0));
+        let scatter = (wide(1e-6, 2.0), wide(1e-6, 2.0), wide(1e-6, 2.0));
+        (wear, law(), law(), scatter, wide(1e-3, 100.0), 0..8_u8).prop_map(
+            |(wear, power, force, scatter, reference_depth_mm, kept)| {
+                let paper = TurningModel::alaskari_oraby_2017().data().clone();
+                let mut data = ModelInput { power, force, ..paper.clone() };
+                (
+                    data.wear.coefficient,
+                    data.wear.speed_exponent,
+                    data.wear.feed_exponent,
+                    data.wear.time_exponent,
+                ) = wear;
+                let spread = &mut data.scatter;
+                (spread.wear_log_sd, spread.power_log_sd, spread.force_log_sd) = scatter;
+                data.reference_depth_mm = reference_depth_mm;
+                if kept & 1 == 0 {
+                    (data.power, data.force) = (paper.power, paper.force);
+                }
+                if kept & 2 == 0 {
+                    data.wear = crate::turning::WearLaw { time_exponent: wear.3, ..paper.wear };
+                }
+                if kept & 4 == 0 {
+                    (data.scatter, data.reference_depth_mm) = (paper.scatter, paper.reference_depth_mm);
+                }
+                TurningModel::new(data).unwrap()
+            },
+        )
+    }
+
+    fn cut_so() -> impl Strategy<Value = EdgeInterval> {
+        let usual = (50.0..200.0_f64, 0.06..0.6_f64, 0.1..5.0_f64);
+        let any = (wide(1e-3, 1e5), wide(1e-6, 100.0), wide(1e-6, 1440.0));
+        let read = (
+            prop::option::of(wide(1e-9, 1e6)),
+            prop::option::of(wide(1e-9, 1e9)),
+            prop::option::of(0.0..=100.0_f64),
+            prop::option::of(wide(1e-9, 1e6)),
+        );
+        (prop_oneof![usual, any], wide(1e-3, 100.0), read).prop_map(
+            |((speed, feed, minutes), depth_mm, (power_kw, force_n, wear_mm, mean_power_kw))| EdgeInterval {
+                depth_mm,
+                cut: Cut::new(speed, feed).unwrap(),
+                minutes,
+                measured: Measured { power_kw, force_n, wear_mm },
+                mean_power_kw,
+            },
+        )
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(512))]
+
+        #[test]
+        fn no_entry_and_no_history_panics_or_answers_with_what_is_no_number(
+            model in entry(),
+            intervals in prop::collection::vec(cut_so(), 1..6),
+            (by_state, continuous) in any::<(bool, bool)>(),
+            (caution, drift, max_factor) in (0.0..=5.0_f64, 0.0..=1.0_f64, 1.0..=100.0_f64),
+        ) {
+            let domain = if continuous {
+                let (speed_m_min, feed_mm_rev) = (Range { min: 1e-3, max: 1e5 }, Range { min: 1e-6, max: 100.0 });
+                DomainInput::Continuous { speed_m_min, feed_mm_rev }
+            } else {
+                JobInput::alaskari_oraby_2017().domain
+            };
+            let accumulation = if by_state { Accumulation::State } else { Accumulation::ElapsedTime };
+            let limits = Limits { power_kw: 7.0, force_n: 1500.0, wear_mm: 0.3 };
+            let input = JobInput { model, domain, accumulation, limits, ..JobInput::alaskari_oraby_2017() };
+            let job = Job::new(input).unwrap();
+            let settings = AdaptationInput { drift_log_sd: drift, max_factor, ..AdaptationInput::default() };
+            // An interval too extreme to learn from is refused by name; whatever is answered is a number.
+            if let Ok(found) = next_cut(&job, settings, caution, EdgeState::FRESH, &intervals) {
+                let Corrections { wear_mm, wear_factor, power_factor, force_factor, .. } = found.corrections;
+                for one in [wear_mm, wear_factor, power_factor, force_factor] {
+                    prop_assert!(one.value.is_finite() && one.low.is_finite() && one.high.is_finite(), "{one:?}");
+                    prop_assert!(one.low <= one.value && one.value <= one.high, "{one:?}");
+                }
+                prop_assert!(found.state.wear_mm().is_finite() && found.state.elapsed_min().is_finite());
+                if let Ok(chosen) = found.choice {
+                    let out = chosen.outcome;
+                    let told = [out.wear_mm, out.power_kw, out.force_n, out.removal_mm3_min];
+                    prop_assert!(told.iter().all(|value| value.is_finite()), "{chosen:?}");
+                    prop_assert!(out.power_kw <= limits.power_kw && out.force_n <= limits.force_n, "{chosen:?}");
+                    prop_assert!(out.wear_mm <= limits.wear_mm, "{chosen:?}");
+                }
+            }
+        }
     }
 }

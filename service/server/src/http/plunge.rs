@@ -53,7 +53,7 @@ pub(super) async fn saving(
 /// The real saving: lengths of an operation's completed cycles tagged `plunge` against those tagged `drilling`.
 ///
 /// Looks at the newest cycles of the operation, 10 000 at the most; `complete` tells whether that is all of them. A cycle
-/// without a tag counts as what its operation is.
+/// without a tag counts as what its operation is. A cycle is as long as its samples, or as the control reports where that is longer.
 #[utoipa::path(get, path = "/v1/plunge/recorded", tag = "plunge", params(RecordedQuery),
     responses((status = 200, body = RecordedSavingBody),
         (status = 404, description = "There is no such operation", body = ProblemDocument<'static>),
@@ -93,7 +93,15 @@ fn lengths(rows: &[StoredCycle], usual: Process) -> (Vec<f64>, Vec<f64>) {
             Process::Drilling => &mut without,
             _ => continue,
         };
-        lengths.extend(row.summary.duration_ms);
+        lengths.extend(length_ms(row));
     }
     (with, without)
+}
+
+/// How long a cycle took, ms: samples may be of a part of it.
+fn length_ms(row: &StoredCycle) -> Option<f64> {
+    match (row.summary.duration_ms, row.cycle.reported_duration_ms) {
+        (Some(sampled), Some(reported)) => Some(sampled.max(reported)),
+        (sampled, reported) => sampled.or(reported),
+    }
 }

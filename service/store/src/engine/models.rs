@@ -1,6 +1,6 @@
 //! The model library, and what an edge has cut.
 
-use super::{Conn, Db, audit, dialect, tools};
+use super::{Conn, Db, audit, dialect, operations, tools};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
@@ -9,7 +9,10 @@ use crate::rows::{CutRow, EdgeCycleRow, ModelRow, Place, content_json, count};
 use feedwright_core::ids::{ModelId, ToolId};
 use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{EdgeHistory, Knowledge, MAX_EDGE_CYCLES};
+use feedwright_core::summary::EARLIEST_CLOCK;
 use feedwright_core::units::Timestamp;
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 macro_rules! select {
     ($tail:literal) => {
@@ -147,8 +150,12 @@ async fn history(conn: &mut Conn, tool: &ToolId) -> StoreResult<EdgeHistory> {
             (machine.as_str(), seq.map_or(Ok(-1), |seq| count("seq", seq))?, cycle.as_str())
         }
     };
+    if came_untimed(conn, tool, *at).await? {
+        return Ok(EdgeHistory::Untimed);
+    }
     let rows: Vec<EdgeCycleRow> = sqlx::query_as::<Db, _>(
-        "SELECT o.setup, c.duration_ms, k.cutting_speed_m_min,
+        "SELECT c.operation_id, o.setup, o.updated_at_us AS setup_since_us, c.started_at_us, c.duration_ms,
+                c.reported_duration_ms, c.sample_count, c.coverage, c.flags, k.cutting_speed_m_min,
                 COALESCE(c.median_spindle_speed_rpm, c.spindle_speed_rpm) AS spindle_rpm, k.feed_mm_rev,
                 k.spindle_power_watts, c.measured_power_spindle_joules AS spindle_joules,
                 COALESCE(k.thrust_newtons, c.max_thrust_newtons) AS force_newtons, k.edge_wear_mm
@@ -171,5 +178,28 @@ async fn history(conn: &mut Conn, tool: &ToolId) -> StoreResult<EdgeHistory> {
     if rows.len() > MAX_EDGE_CYCLES {
         return Ok(EdgeHistory::TooLong);
     }
-    rows.iter().map(EdgeCycleRow::cycle).collect::<StoreResult<_>>().map(EdgeHistory::Cycles)
+    let mut stated = BTreeMap::new();
+    for row in &rows {
+        if let (Entry::Vacant(unknown), Some(since)) = (stated.entry(&row.operation_id), row.setup_since_us) {
+            let (setup, since) = (row.setup.as_deref(), Timestamp::from_micros(since));
+            unknown.insert(operations::turnings_until_now(conn, &row.operation_id, setup, since).await?);
+        }
+    }
+    let cycle = |row: &EdgeCycleRow| row.cycle(stated.get(&row.operation_id).map_or(&[], Vec::as_slice));
+    rows.iter().map(cycle).collect::<StoreResult<_>>().map(EdgeHistory::Cycles)
+}
+
+/// Whether cycles of a tool whose clock was never set have come since its edge was new. By their own time they stand before every
+/// edge that is told of, so that none would count them.
+async fn came_untimed(conn: &mut Conn, tool: &ToolId, new_at: Timestamp) -> StoreResult<bool> {
+    let found: Option<i64> = sqlx::query_scalar::<Db, _>(
+        "SELECT CAST(1 AS BIGINT) FROM cycles
+         WHERE tool_id = $1 AND started_at_us < $2 AND received_at_us >= $3 LIMIT 1",
+    )
+    .bind(tool.as_str())
+    .bind(EARLIEST_CLOCK.micros())
+    .bind(new_at.micros())
+    .fetch_optional(&mut *conn)
+    .await?;
+    Ok(found.is_some())
 }

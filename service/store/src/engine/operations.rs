@@ -5,7 +5,7 @@ use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
 use crate::record::{Actor, Page, Precondition, PutOutcome, Versioned};
-use crate::rows::{OperationRow, count, operation_json, optional_float, setup_json};
+use crate::rows::{OperationRow, TurnedAs, count, operation_json, optional_float, setup_json, setup_of};
 use feedwright_core::ids::OperationId;
 use feedwright_core::operation::{Ask, DatedOperation, Operation};
 use feedwright_core::units::Timestamp;
@@ -112,6 +112,59 @@ async fn note_asks(conn: &mut Conn, operation: &Operation, now: Timestamp) -> St
     .bind(optional_float("spindle_speed_rpm", ask.spindle_speed_rpm)?)
     .execute(&mut *conn)
     .await?;
+    Ok(())
+}
+
+/// Depths and diameters that an operation's turning is noted to have stated, in the order of time.
+async fn noted_turnings(conn: &mut Conn, id: &str) -> StoreResult<Vec<TurnedAs>> {
+    let rows: Vec<(i64, String)> = sqlx::query_as::<Db, _>(
+        "SELECT from_us, setup FROM operation_setups WHERE operation_id = $1 ORDER BY from_us",
+    )
+    .bind(id)
+    .fetch_all(&mut *conn)
+    .await?;
+    let mut stated = Vec::with_capacity(rows.len());
+    for (from, setup) in rows {
+        let turning = setup_of(Some(&setup))?.0;
+        stated.extend(turning.map(|setup| TurnedAs::of(&setup, Timestamp::from_micros(from))));
+    }
+    Ok(stated)
+}
+
+/// Depths and diameters that an operation's turning has stated, in the order of time, up to what `setup` states since a time: a
+/// server of before changes an operation without noting it.
+pub(super) async fn turnings_until_now(
+    conn: &mut Conn,
+    id: &str,
+    setup: Option<&str>,
+    since: Timestamp,
+) -> StoreResult<Vec<TurnedAs>> {
+    let mut stated = noted_turnings(conn, id).await?;
+    if let Some(now) = setup_of(setup)?.0.map(|setup| TurnedAs::of(&setup, since))
+        && stated.last().is_none_or(|last| !last.is_as(&now))
+    {
+        stated.push(now);
+    }
+    Ok(stated)
+}
+
+/// Notes how an operation is turned from now on, where it is; what it states first holds for what came before as well.
+async fn note_turning(conn: &mut Conn, operation: &Operation, now: Timestamp) -> StoreResult<()> {
+    let Some(setup) = &operation.turning else { return Ok(()) };
+    let known = noted_turnings(conn, operation.id.as_str()).await?;
+    // As with what is asked for: what is noted later holds later, whatever the clock says.
+    let from = known.last().map_or(ALWAYS, |last| now.max(Timestamp::from_micros(last.from.micros() + 1)));
+    let turned = TurnedAs::of(setup, from);
+    if known.last().is_some_and(|last| last.is_as(&turned)) {
+        return Ok(());
+    }
+    let setup = setup_json(operation.turning.as_ref(), None)?;
+    sqlx::query::<Db>("INSERT INTO operation_setups (operation_id, from_us, setup) VALUES ($1, $2, $3)")
+        .bind(operation.id.as_str())
+        .bind(from.micros())
+        .bind(setup.map(|setup| setup.to_string()))
+        .execute(&mut *conn)
+        .await?;
     Ok(())
 }
 
@@ -236,9 +289,12 @@ pub(super) async fn put(
     audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
     // What stands here so far may be from a server of before, which notes nothing.
     if let Some(existing) = &existing {
-        note_asks(conn, &existing.value, existing.updated_at.min(now)).await?;
+        let since = existing.updated_at.min(now);
+        note_asks(conn, &existing.value, since).await?;
+        note_turning(conn, &existing.value, since).await?;
     }
     note_asks(conn, operation, now).await?;
+    note_turning(conn, operation, now).await?;
     let judged_otherwise = !judged_alike(existing.as_ref().map(|existing| &existing.value), operation)
         && number_change(conn, &operation.id).await?;
     Ok((outcome, judged_otherwise))

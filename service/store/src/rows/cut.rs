@@ -1,9 +1,11 @@
 //! What is kept of a turning cut, and what an edge's history is read back as.
 
-use super::{library::setup_of, optional_float};
+use super::{library::setup_of, number, optional_float};
 use crate::error::StoreResult;
-use feedwright_core::cycle::{Cycle, ReportedCut};
+use feedwright_core::cycle::{Cycle, Flag, Flags, ReportedCut};
 use feedwright_core::recommend::EdgeCycle;
+use feedwright_core::turning::TurningSetup;
+use feedwright_core::units::Timestamp;
 
 /// A row of `cycle_cuts`.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,11 +60,47 @@ impl From<ReportedCutRow> for ReportedCut {
     }
 }
 
+/// Depth and diameter that an operation's turning stated from a time on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct TurnedAs {
+    /// From when on; the first one holds for what came before it as well.
+    pub(crate) from: Timestamp,
+    pub(crate) depth_mm: f64,
+    pub(crate) diameter_mm: Option<f64>,
+}
+
+impl TurnedAs {
+    pub(crate) const fn of(setup: &TurningSetup, from: Timestamp) -> Self {
+        Self { from, depth_mm: setup.depth_mm, diameter_mm: setup.diameter_mm }
+    }
+
+    /// Whether both state the same.
+    pub(crate) fn is_as(&self, other: &Self) -> bool {
+        (self.depth_mm, self.diameter_mm) == (other.depth_mm, other.diameter_mm)
+    }
+}
+
+/// A setup as it stands now, at the depth and the diameter that held at a time, of what was stated one after the other. A diameter
+/// that nobody had told yet is the one that was told next: it says what was turned all along.
+pub(crate) fn as_then(setup: TurningSetup, stated: &[TurnedAs], at: Timestamp) -> TurningSetup {
+    let place = stated.iter().rposition(|one| one.from <= at).unwrap_or(0);
+    let Some(then) = stated.get(place) else { return setup };
+    let diameter_mm = stated[place..].iter().find_map(|one| one.diameter_mm);
+    TurningSetup { depth_mm: then.depth_mm, diameter_mm, ..setup }
+}
+
 /// One cycle of an edge with its operation's setup.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct EdgeCycleRow {
-    setup: Option<String>,
+    pub(crate) operation_id: String,
+    pub(crate) setup: Option<String>,
+    pub(crate) setup_since_us: Option<i64>,
+    started_at_us: i64,
     duration_ms: Option<f64>,
+    reported_duration_ms: Option<f64>,
+    sample_count: i64,
+    coverage: f64,
+    flags: i64,
     cutting_speed_m_min: Option<f64>,
     spindle_rpm: Option<f64>,
     feed_mm_rev: Option<f64>,
@@ -73,10 +111,17 @@ pub(crate) struct EdgeCycleRow {
 }
 
 impl EdgeCycleRow {
-    pub(crate) fn cycle(&self) -> StoreResult<EdgeCycle> {
+    /// The cycle, turned as its operation stated when it began.
+    pub(crate) fn cycle(&self, stated: &[TurnedAs]) -> StoreResult<EdgeCycle> {
+        let setup = setup_of(self.setup.as_deref())?.0;
+        let flags = Flags::from_bits(number("flags", self.flags)?);
         Ok(EdgeCycle {
-            setup: setup_of(self.setup.as_deref())?.0,
+            setup: setup.map(|setup| as_then(setup, stated, Timestamp::from_micros(self.started_at_us))),
             duration_ms: self.duration_ms,
+            reported_duration_ms: self.reported_duration_ms,
+            sample_count: number("sample_count", self.sample_count)?,
+            coverage: self.coverage,
+            cut_short: flags.contains(Flag::CutShort),
             speed_m_min: self.cutting_speed_m_min,
             spindle_rpm: self.spindle_rpm.filter(|rpm| *rpm > 0.0),
             feed_mm_rev: self.feed_mm_rev,
@@ -86,5 +131,42 @@ impl EdgeCycleRow {
             force_newtons: self.force_newtons.filter(|force| *force > 0.0),
             wear_mm: self.edge_wear_mm,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use feedwright_core::turning::{Accumulation, JobInput};
+
+    #[test]
+    fn a_cycle_is_turned_as_was_stated_when_it_began() {
+        let JobInput { interval_min, limits, domain, .. } = JobInput::alaskari_oraby_2017();
+        let now = TurningSetup {
+            model: "m".try_into().unwrap(),
+            depth_mm: 1.0,
+            diameter_mm: Some(40.0),
+            interval_min,
+            limits,
+            domain,
+            accumulation: Accumulation::State,
+            caution_sigmas: 0.0,
+        };
+        let from = Timestamp::from_micros;
+        let stated = [
+            TurnedAs { from: from(-100), depth_mm: 2.5, diameter_mm: None },
+            TurnedAs { from: from(100), depth_mm: 2.0, diameter_mm: Some(80.0) },
+            TurnedAs::of(&now, from(200)),
+        ];
+        let then = |at: i64| {
+            let setup = as_then(now.clone(), &stated, from(at));
+            assert_eq!(TurningSetup { depth_mm: 1.0, diameter_mm: Some(40.0), ..setup.clone() }, now);
+            (setup.depth_mm, setup.diameter_mm)
+        };
+        assert_eq!(then(-1000), (2.5, Some(80.0)), "the first holds for what came before");
+        assert_eq!(then(99), (2.5, Some(80.0)));
+        assert_eq!(then(100), (2.0, Some(80.0)));
+        assert_eq!(then(200), (1.0, Some(40.0)));
+        assert_eq!(as_then(now.clone(), &[], from(0)), now);
     }
 }

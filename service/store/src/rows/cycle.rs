@@ -484,6 +484,7 @@ impl CycleRow {
             reference: self.reference()?,
             spindle_speed_rpm: self.spindle_speed_rpm,
             outcome: word("outcome", &self.outcome, Outcome::parse)?,
+            reported_duration_ms: self.reported_duration_ms,
         })
     }
 

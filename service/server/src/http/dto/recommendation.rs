@@ -227,10 +227,11 @@ pub struct ToolStateBody {
 /// Quality and age of the data.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct DataBody {
-    /// `good`, `limited`, `stale` or `missing`.
+    /// `good`, `limited`, `stale` or `missing`: no cycle at all.
     #[schema(example = "good")]
     pub quality: &'static str,
-    /// Age of the tool's newest cycle when the recommendation was made, ms.
+    /// Age of the tool's last cycle that counted, and only where none did of its last one, when the recommendation was made, ms;
+    /// null where there is no cycle.
     pub age_ms: Option<i64>,
 }
 
