@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { mkdir, readdir, readFile } from "node:fs/promises";
 import { Browser, heap, processor, violations } from "./browser.js";
-import { HOSTILE, OPERATION, Shop } from "./shop.js";
+import { HOSTILE, OPERATION, Shop, dense } from "./shop.js";
 
 const SHOTS = new URL("../../target/browser/", import.meta.url).pathname;
 const WEB = new URL("../../service/server/src/ui/web/", import.meta.url).pathname;
@@ -459,6 +459,23 @@ await check("cycle: zoomed, panned and read by keyboard; compared with the new t
     await page.locator("#xaxis button[value=t]").click();
     assert.match(await page.locator("#xname").textContent(), /Time/);
     assert.deepEqual(await violations(page), []);
+  });
+});
+
+await check("cycle: an event that was taken back begins no life to compare with", async () => {
+  const cycle = (i) => ({ ...dense(400), cycle_id: `taken-${i}`, tool: "taken-tool", started_at: new Date(Date.now() - (20 - i) * 60_000).toISOString() });
+  const machine = (await shop.ask("GET", "/v1/machines/dense-1")).body;
+  for (const name of ["id", "version", "updated_at"]) delete machine[name];
+  await shop.ask("PUT", "/v1/machines/taken-1", machine);
+  await shop.ask("PUT", "/v1/tools/taken-tool", { name: "An event taken back", tool_type: "d8" });
+  for (let i = 0; i < 12; i++) await shop.ask("POST", "/v1/machines/taken-1/cycles", cycle(i));
+  const found = async (page) => { await page.go("/cycle?machine=taken-1&id=taken-11&compare=new"); await page.locator("#refkey svg").waitFor(); return page.locator("#refkey").textContent(); };
+  await withPage({ role: "viewer" }, async (page) => {
+    const before = await found(page);
+    const { body: event } = await shop.ask("POST", "/v1/tools/taken-tool/events", { kind: "changed", at: cycle(5.5).started_at, reason: "recorded on the wrong tool" });
+    assert.notEqual(await found(page), before, "a life that begins later is another one");
+    await shop.ask("POST", `/v1/tools/taken-tool/events/${event.id}/revoke`);
+    assert.equal(await found(page), before);
   });
 });
 
