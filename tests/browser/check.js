@@ -979,6 +979,18 @@ await check("settings: what fails is told beside its button, a late answer is no
   });
 });
 
+await check("settings: a list that is longer than it shows says so", async () => {
+  await withPage({ role: "engineer" }, async (page) => {
+    await page.go("/settings#quarantine");
+    assert.equal(await page.getByText("there are more").count(), 0);
+    const kept = (i) => ({ id: `00000000-0000-7000-8000-${String(i).padStart(12, "0")}`, machine: "sim-1", cycle_id: `c-${i}`, code: "cycle_conflict", received_at: new Date().toISOString(), size_bytes: 2048 });
+    await page.route("**/v1/quarantine?*", (route) => route.fulfill({ json: { items: Array.from({ length: 1000 }, (_, i) => kept(i)), next_cursor: "more" } }));
+    await page.go("/settings");
+    await page.go("/settings#quarantine");
+    await page.getByText(/These are 1.000; there are more/).waitFor();
+  });
+});
+
 await check("leaving: what is not saved does not go without a question", async () => {
   await withPage({ role: "engineer" }, async (page) => {
     const dialog = page.locator("dialog[open]");
