@@ -1195,6 +1195,9 @@ await check("a clock that is wrong, a tool without a cycle, a machine that is no
     await page.go("/");
     const ages = await page.locator("#rows tr .c-ago").allTextContents();
     assert.ok(ages.filter((text) => /\d/.test(text)).every((text) => !/3\d\s?min/.test(text)), `${ages}`);
+    await page.go("/tool?id=odd-tool");
+    assert.match(await page.locator("#evidence").textContent(), /ago/);
+    assert.doesNotMatch(await page.locator("#evidence").textContent(), /[3-9]\d\s?min|\d\s?h\b/, "half an hour of the viewer's clock");
     await page.go("/tool?id=new-tool");
     await page.locator("#say").waitFor();
     await page.go("/tool?id=nobody");
@@ -1214,6 +1217,13 @@ await check("offline: said with its time, and taken back by itself", async () =>
     assert.ok(await page.locator("#rows tr").count() > 5, "what was known stays");
     await page.unroute("**/v1/fleet?*");
     await page.locator("#offline").waitFor({ state: "detached" });
+    // A proxy that answers 200 with a page of its own is no server either, and the page goes on asking.
+    await page.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
+    await page.route("**/v1/fleet?*", (route) => route.fulfill({ status: 200, contentType: "text/html", body: "<html>back in a minute</html>" }));
+    await page.getByText(/No connection to the server since/).waitFor();
+    await page.unroute("**/v1/fleet?*");
+    await page.locator("#offline").waitFor({ state: "detached" });
+    assert.ok(await page.locator("#rows tr").count() > 5);
   });
 });
 
