@@ -218,9 +218,9 @@ async fn a_shop_that_is_told_to_stop_leaves_no_token_behind() {
     let shop = Shop::open().await;
     let binary = tokio::task::spawn_blocking(binary).await.unwrap();
     let mut running = Command::new(binary)
-        .args(["simulate", "--server", &shop.address, "--machines", "2", "--cycles", "20000", "--rate", "5"])
+        .args(["simulate", "--server", &shop.address, "--until", "2026-05-04T06:30:00Z"])
+        .args(["--machines", "2", "--cycles", "20000", "--rate", "5"])
         .env("FEEDWRIGHT_TOKEN", &shop.admin)
-        .stderr(Stdio::null())
         .spawn()
         .unwrap();
     while tokens(&shop).await.len() < 2 {
