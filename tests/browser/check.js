@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { mkdir, readdir, readFile } from "node:fs/promises";
 import { Browser, heap, processor, violations } from "./browser.js";
-import { HOSTILE, OPERATION, Shop } from "./shop.js";
+import { HOSTILE, OPERATION, Shop, dense } from "./shop.js";
 
 const SHOTS = new URL("../../target/browser/", import.meta.url).pathname;
 const WEB = new URL("../../service/server/src/ui/web/", import.meta.url).pathname;
@@ -459,6 +459,23 @@ await check("cycle: zoomed, panned and read by keyboard; compared with the new t
     await page.locator("#xaxis button[value=t]").click();
     assert.match(await page.locator("#xname").textContent(), /Time/);
     assert.deepEqual(await violations(page), []);
+  });
+});
+
+await check("cycle: an event that was taken back begins no life to compare with", async () => {
+  const cycle = (i) => ({ ...dense(400), cycle_id: `taken-${i}`, tool: "taken-tool", started_at: new Date(Date.now() - (20 - i) * 60_000).toISOString() });
+  const machine = (await shop.ask("GET", "/v1/machines/dense-1")).body;
+  for (const name of ["id", "version", "updated_at"]) delete machine[name];
+  await shop.ask("PUT", "/v1/machines/taken-1", machine);
+  await shop.ask("PUT", "/v1/tools/taken-tool", { name: "An event taken back", tool_type: "d8" });
+  for (let i = 0; i < 12; i++) await shop.ask("POST", "/v1/machines/taken-1/cycles", cycle(i));
+  const found = async (page) => { await page.go("/cycle?machine=taken-1&id=taken-11&compare=new"); await page.locator("#refkey svg").waitFor(); return page.locator("#refkey").textContent(); };
+  await withPage({ role: "viewer" }, async (page) => {
+    const before = await found(page);
+    const { body: event } = await shop.ask("POST", "/v1/tools/taken-tool/events", { kind: "changed", at: cycle(5.5).started_at, reason: "recorded on the wrong tool" });
+    assert.notEqual(await found(page), before, "a life that begins later is another one");
+    await shop.ask("POST", `/v1/tools/taken-tool/events/${event.id}/revoke`);
+    assert.equal(await found(page), before);
   });
 });
 
@@ -962,6 +979,18 @@ await check("settings: what fails is told beside its button, a late answer is no
   });
 });
 
+await check("settings: a list that is longer than it shows says so", async () => {
+  await withPage({ role: "engineer" }, async (page) => {
+    await page.go("/settings#quarantine");
+    assert.equal(await page.getByText("there are more").count(), 0);
+    const kept = (i) => ({ id: `00000000-0000-7000-8000-${String(i).padStart(12, "0")}`, machine: "sim-1", cycle_id: `c-${i}`, code: "cycle_conflict", received_at: new Date().toISOString(), size_bytes: 2048 });
+    await page.route("**/v1/quarantine?*", (route) => route.fulfill({ json: { items: Array.from({ length: 1000 }, (_, i) => kept(i)), next_cursor: "more" } }));
+    await page.go("/settings");
+    await page.go("/settings#quarantine");
+    await page.getByText(/These are 1.000; there are more/).waitFor();
+  });
+});
+
 await check("leaving: what is not saved does not go without a question", async () => {
   await withPage({ role: "engineer" }, async (page) => {
     const dialog = page.locator("dialog[open]");
@@ -1166,6 +1195,9 @@ await check("a clock that is wrong, a tool without a cycle, a machine that is no
     await page.go("/");
     const ages = await page.locator("#rows tr .c-ago").allTextContents();
     assert.ok(ages.filter((text) => /\d/.test(text)).every((text) => !/3\d\s?min/.test(text)), `${ages}`);
+    await page.go("/tool?id=odd-tool");
+    assert.match(await page.locator("#evidence").textContent(), /ago/);
+    assert.doesNotMatch(await page.locator("#evidence").textContent(), /[3-9]\d\s?min|\d\s?h\b/, "half an hour of the viewer's clock");
     await page.go("/tool?id=new-tool");
     await page.locator("#say").waitFor();
     await page.go("/tool?id=nobody");
@@ -1185,6 +1217,13 @@ await check("offline: said with its time, and taken back by itself", async () =>
     assert.ok(await page.locator("#rows tr").count() > 5, "what was known stays");
     await page.unroute("**/v1/fleet?*");
     await page.locator("#offline").waitFor({ state: "detached" });
+    // A proxy that answers 200 with a page of its own is no server either, and the page goes on asking.
+    await page.waitForFunction(() => document.querySelector("#live")?.dataset.state === "live");
+    await page.route("**/v1/fleet?*", (route) => route.fulfill({ status: 200, contentType: "text/html", body: "<html>back in a minute</html>" }));
+    await page.getByText(/No connection to the server since/).waitFor();
+    await page.unroute("**/v1/fleet?*");
+    await page.locator("#offline").waitFor({ state: "detached" });
+    assert.ok(await page.locator("#rows tr").count() > 5);
   });
 });
 

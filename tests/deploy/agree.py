@@ -153,6 +153,10 @@ def image():
     [line] = re.findall(r"^ENV (.*)$", text, re.M)
     found = dict(pair.split("=", 1) for pair in line.split())
     expect(f"EXPOSE {found['FEEDWRIGHT__SERVER__LISTEN'].split(':')[1]}\n" in text, "Containerfile: EXPOSE is another port")
+    # A bare Debian trusts nobody: what is documented for this image needs the system's certificate authorities in it.
+    last = re.split(r"^FROM ", text, flags=re.M)[-1]
+    roots = re.search(r"^COPY .*/etc/ssl/certs/ca-certificates\.crt$", last, re.M)
+    expect(roots, "Containerfile: no certificate authorities, so that sslmode=verify-full and https trust nobody")
     return found
 
 

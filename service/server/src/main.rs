@@ -2,6 +2,7 @@
 
 use feedwright_server::cli::{Cli, run};
 use feedwright_server::config::ConfigError;
+use std::io::Write;
 use std::num::NonZero;
 use std::process::ExitCode;
 use std::thread::available_parallelism;
@@ -35,7 +36,8 @@ fn main() -> ExitCode {
     match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("feedwright: {error:#}");
+            // Who closed standard error does not want to know; the exit code says it too.
+            drop(writeln!(std::io::stderr().lock(), "feedwright: {error:#}"));
             match error.downcast_ref::<ConfigError>() {
                 Some(_) => NOT_ACCEPTED.into(),
                 None => ExitCode::FAILURE,

@@ -83,6 +83,9 @@ pub enum ReplayError {
         /// The last thing that went wrong.
         detail: String,
     },
+    /// It was told to stop.
+    #[error("it was told to stop; started again it goes on")]
+    Stopped,
     /// The service's answer cannot be read.
     #[error("{path}: unreadable answer: {detail}")]
     Answer {

@@ -3,7 +3,7 @@
 use crate::http::commands::binary;
 use crate::shop::Shop;
 use serde_json::Value;
-use std::process::Output;
+use std::process::{Output, Stdio};
 use tokio::process::Command;
 
 async fn simulate(shop: &Shop, arguments: &[&str]) -> Output {
@@ -214,6 +214,48 @@ async fn where_one_machine_fails_no_token_of_the_others_stays_behind() {
 }
 
 #[tokio::test]
+async fn a_shop_that_is_told_to_stop_leaves_no_token_behind() {
+    let shop = Shop::open().await;
+    let binary = tokio::task::spawn_blocking(binary).await.unwrap();
+    let mut running = Command::new(binary)
+        .args(["simulate", "--server", &shop.address, "--until", "2026-05-04T06:30:00Z"])
+        .args(["--machines", "2", "--cycles", "20000", "--rate", "5"])
+        .env("FEEDWRIGHT_TOKEN", &shop.admin)
+        .spawn()
+        .unwrap();
+    while tokens(&shop).await.len() < 2 {
+        assert!(running.try_wait().unwrap().is_none(), "it ended by itself");
+    }
+    let process = running.id().unwrap().to_string();
+    assert!(Command::new("kill").args(["-INT", &process]).status().await.unwrap().success());
+    assert!(!running.wait().await.unwrap().success(), "half a shift is none");
+    let tokens = tokens(&shop).await;
+    assert!(tokens.iter().all(|token| token["revoked_at"].is_string()), "{tokens:?}");
+}
+
+/// A terminal that was closed, or `head`: what is posted is posted, and no token stays behind.
+#[tokio::test]
+async fn a_replay_that_nobody_reads_goes_on_to_its_end() {
+    let shop = Shop::open().await;
+    let binary = tokio::task::spawn_blocking(binary).await.unwrap();
+    let mut running = Command::new(binary)
+        .args(["replay", "michigan-smart", "--url", &shop.address, "--report"])
+        .env("FEEDWRIGHT_TOKEN", &shop.admin)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop((running.stdout.take(), running.stderr.take()));
+    let ended = running.wait().await.unwrap();
+    assert!(ended.success(), "{ended}");
+    let made = shop.get("/v1/tokens?limit=1000").await;
+    let replays = |token: &&Value| token["name"] == "replay of michigan-smart";
+    let replays = made.body["items"].as_array().unwrap().iter().filter(replays);
+    let revoked: Vec<bool> = replays.map(|token| token["revoked_at"].is_string()).collect();
+    assert_eq!(revoked, [true], "{}", made.text);
+}
+
+#[tokio::test]
 async fn a_rate_is_kept() {
     let shop = Shop::open().await;
     let began = std::time::Instant::now();
@@ -221,7 +263,7 @@ async fn a_rate_is_kept() {
     // Twenty cycles at twenty a second: the first two at once, so nine tenths of a second at the least.
     assert!(began.elapsed().as_secs_f64() >= 0.85, "{report}");
     assert!(report["cycles_per_second"].as_f64().unwrap() <= 23.0, "{report}");
-    for rate in ["0", "-1", "NaN", "inf"] {
+    for rate in ["0", "-1", "NaN", "inf", "1e-300"] {
         let refused = simulate(&shop, &["--machines", "1", &format!("--rate={rate}")]).await;
         assert!(!refused.status.success(), "{rate}");
     }

@@ -9,7 +9,7 @@ use feedwright_server::replay::fleet::MachineTokens;
 use feedwright_server::replay::progress::Progress;
 use feedwright_server::replay::recordings::read_embedded;
 use feedwright_server::replay::report;
-use feedwright_server::replay::run::{Options, Outcome, run};
+use feedwright_server::replay::run::{Options, Outcome, run, run_until};
 use feedwright_server::replay::{Plan, ReplayError};
 use feedwright_server::server::{RunningServer, Server};
 use feedwright_store::{SqliteOptions, SqliteStore};
@@ -72,6 +72,13 @@ impl Service {
             }
         }
         all
+    }
+
+    /// Every token of a machine.
+    async fn machines_tokens(&self) -> Vec<Value> {
+        let tokens = self.get("/v1/tokens").await;
+        let items = tokens["items"].as_array().unwrap().iter();
+        items.filter(|token| token["role"] == "machine").cloned().collect()
     }
 
     /// How many cycles of the recording's tools there are.
@@ -165,6 +172,71 @@ async fn an_interrupted_replay_started_again_loses_and_doubles_nothing() {
     let machines = tokens["items"].as_array().unwrap().iter().filter(|token| token["role"] == "machine");
     let revoked: Vec<bool> = machines.map(|token| token["revoked_at"].is_string()).collect();
     assert_eq!(revoked, [true, true]);
+}
+
+/// A replay that takes about so many seconds, in a task of its own; begun when its machine's token is there.
+async fn slow(
+    service: &Arc<Service>,
+    plan: &Arc<Plan>,
+    seconds: f64,
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> tokio::task::JoinHandle<Result<Outcome, ReplayError>> {
+    #[expect(clippy::cast_precision_loss, reason = "a speed")]
+    let speed = (plan.end_us() - plan.cycles[0].started_us) as f64 / 1e6 / seconds;
+    let options = Options { speed: Some(speed), ..ALONE };
+    let begun = tokio::spawn({
+        let (service, plan) = (service.clone(), plan.clone());
+        async move {
+            let progress = &mut Progress::Silent;
+            run_until(&plan, &service.office, MachineTokens::Make, options, progress, stop).await
+        }
+    });
+    while service.machines_tokens().await.is_empty() {
+        tokio::task::yield_now().await;
+    }
+    begun
+}
+
+/// The second takes the first one's token for left behind; the first has another made, and both end well.
+#[tokio::test]
+async fn two_replays_of_one_recording_at_once_both_end_well() {
+    let service = Arc::new(Service::start().await);
+    let plan = Arc::new(read_embedded("michigan-smart", None).unwrap());
+    let first = slow(&service, &plan, 8.0, std::future::pending()).await;
+    let second = service.replay(&plan, ALONE).await.unwrap();
+    let first = first.await.unwrap().unwrap();
+    assert_eq!((first.posted(), second.posted()), (plan.cycles.len(), plan.cycles.len()));
+    assert_eq!(first.new + second.new, plan.cycles.len(), "{:?} {:?}", first.problems, second.problems);
+    let tokens = service.machines_tokens().await;
+    assert_eq!(tokens.len(), 3, "{tokens:?}");
+    assert!(tokens.iter().all(|token| token["revoked_at"].is_string()), "{tokens:?}");
+}
+
+/// What a person revokes stays revoked.
+#[tokio::test]
+async fn a_replay_whose_token_somebody_revoked_ends() {
+    let service = Arc::new(Service::start().await);
+    let plan = Arc::new(read_embedded("michigan-smart", None).unwrap());
+    let begun = slow(&service, &plan, 20.0, std::future::pending()).await;
+    let id = service.machines_tokens().await[0]["id"].as_str().unwrap().to_owned();
+    assert!(service.office.delete(&format!("/v1/tokens/{id}")).await.unwrap().status.is_success());
+    let refused = begun.await.unwrap();
+    assert!(matches!(refused, Err(ReplayError::Refused { status: 401, .. })), "{refused:?}");
+    assert_eq!(service.machines_tokens().await.len(), 1);
+}
+
+#[tokio::test]
+async fn a_replay_that_is_told_to_stop_leaves_no_token_behind() {
+    let service = Arc::new(Service::start().await);
+    let plan = Arc::new(read_embedded("michigan-smart", None).unwrap());
+    let (tell, told) = tokio::sync::oneshot::channel::<()>();
+    let stop = async { told.await.unwrap() };
+    let begun = slow(&service, &plan, 86_400.0, stop).await;
+    tell.send(()).unwrap();
+    let stopped = begun.await.unwrap();
+    assert!(matches!(stopped, Err(ReplayError::Stopped)), "{stopped:?}");
+    let tokens = service.machines_tokens().await;
+    assert!(tokens.iter().all(|token| token["revoked_at"].is_string()), "{tokens:?}");
 }
 
 /// A replay that moved its times after all: nothing that is stored changes.

@@ -43,7 +43,7 @@ async fn history(given: &Given) {
         mounted(&*store, id, -10).await;
     }
     let run = |n: u32| Run {
-        machine: if n % 4 == 0 { "M2" } else { "M1" },
+        machine: if n.is_multiple_of(4) { "M2" } else { "M1" },
         tool: ["T1", "T1", "T2", "T3"][n as usize / 4 % 4].to_owned(),
         operation: if n < 700 || n / 4 % 4 == 3 { "O2" } else { "O1" },
         sampled: false,

@@ -1,10 +1,11 @@
 //! `feedwright replay`: posts a recording to a service, as a machine would.
 
+use super::{print, stop};
 use crate::replay::client::Client;
 use crate::replay::fleet::MachineTokens;
-use crate::replay::progress::Progress;
+use crate::replay::progress::{Progress, tell};
 use crate::replay::recordings::{embedded, read_embedded, read_folder};
-use crate::replay::run::{Options, run as post};
+use crate::replay::run::{Options, run_until as post};
 use crate::replay::{Plan, Start, report, shift};
 use anyhow::Context;
 use clap::Args;
@@ -53,6 +54,11 @@ pub struct Arguments {
     report: bool,
 }
 
+/// A minute of the recording in most of a day: slower is a slip, and waits of ages are more than a clock can hold.
+const SLOWEST: f64 = 0.001;
+/// Far above what any service acknowledges.
+const FASTEST: f64 = 1e9;
+
 #[derive(Debug, Clone, Copy)]
 enum Speed {
     Max,
@@ -62,16 +68,16 @@ enum Speed {
 fn parse_speed(text: &str) -> Result<Speed, String> {
     match text.parse::<f64>() {
         _ if text == "max" => Ok(Speed::Max),
-        Ok(times) if times.is_finite() && times > 0.0 => Ok(Speed::Times(times)),
-        _ => Err("needs max or a number above 0".to_owned()),
+        Ok(times) if (SLOWEST..=FASTEST).contains(&times) => Ok(Speed::Times(times)),
+        _ => Err(format!("needs max or a number from {SLOWEST} to {FASTEST}")),
     }
 }
 
 /// Runs the command.
 pub async fn run(args: Arguments) -> anyhow::Result<()> {
     let plan = read(&args)?;
-    let client = Client::new(&args.url, args.token, Duration::from_secs(args.patience_seconds))?
-        .telling(|line| eprintln!("{line}"));
+    let client =
+        Client::new(&args.url, args.token, Duration::from_secs(args.patience_seconds))?.telling(tell);
     let state = args.state.unwrap_or_else(|| format!("feedwright-replay-{}.json", plan.name).into());
     let now_us = jiff::Timestamp::now().as_microsecond();
     let shift_us = shift::choose(args.start, &plan, client.base(), now_us, &state)?;
@@ -82,11 +88,12 @@ pub async fn run(args: Arguments) -> anyhow::Result<()> {
     let tokens = args.machine_token.map_or(MachineTokens::Make, MachineTokens::Given);
     let mut progress = Progress::for_cycles(plan.cycles.len());
     let options = Options { shift_us, speed, batch: usize::from(args.batch) };
-    let outcome = post(&plan, &client, tokens, options, &mut progress).await?;
-    print!("{}", report::summary(&plan, &outcome));
-    print!("{}", report::tools(&plan, &client).await?);
+    let stop = stop::once_and_twice();
+    let outcome = post(&plan, &client, tokens, options, &mut progress, stop.cancelled()).await?;
+    print(&report::summary(&plan, &outcome))?;
+    print(&report::tools(&plan, &client).await?)?;
     if args.report {
-        print!("\n{}", report::table(&plan, &outcome));
+        print(&format!("\n{}", report::table(&plan, &outcome)))?;
     }
     anyhow::ensure!(outcome.refused == 0, "{} cycles were refused and are not kept", outcome.refused);
     Ok(())
@@ -110,4 +117,19 @@ fn read(args: &Arguments) -> anyhow::Result<Plan> {
         }
     };
     Ok(read_embedded(&args.recording, mapping.as_deref())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_speed_is_one_that_a_clock_can_wait_for() {
+        assert!(matches!(parse_speed("max"), Ok(Speed::Max)));
+        assert!(matches!(parse_speed("0.5"), Ok(Speed::Times(_))));
+        for wrong in ["0", "-1", "1e-300", "1e300", "inf", "NaN", "fast"] {
+            let said = parse_speed(wrong).unwrap_err();
+            assert!(said.contains("0.001"), "{wrong}: {said}");
+        }
+    }
 }

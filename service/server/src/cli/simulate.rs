@@ -10,7 +10,7 @@ mod report;
 
 pub use fault::Fault;
 
-use super::{Settings, print};
+use super::{Settings, print, stop};
 use crate::http::dto::time;
 use crate::replay::client::Client;
 use anyhow::{Context, ensure};
@@ -30,6 +30,10 @@ const MOST_MACHINES: u32 = 200;
 const MOST_CYCLES: u32 = 100_000;
 /// From the beginning of one cycle to that of the next on the machines' clocks, ms.
 const CADENCE_MS: i64 = 20_000;
+
+/// Cycles per second: one in a quarter of an hour, and more than any server takes.
+const SLOWEST_RATE: f64 = 0.001;
+const FASTEST_RATE: f64 = 1e5;
 
 /// Longest wait for a server that does not answer or has no room.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -87,7 +91,11 @@ fn secret(text: &str) -> Result<SecretString, String> {
 /// Drives the server and prints what became of it all.
 pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()> {
     ensure!((0.0..=1.0).contains(&arguments.fault_share), "--fault-share must be within 0 and 1");
-    ensure!(arguments.rate.is_none_or(|rate| rate > 0.0 && rate <= 1e5), "--rate must be above 0");
+    let rates = SLOWEST_RATE..=FASTEST_RATE;
+    ensure!(
+        arguments.rate.is_none_or(|rate| rates.contains(&rate)),
+        "--rate must be within {SLOWEST_RATE} and {FASTEST_RATE}"
+    );
     ensure!(
         arguments.tolerance.is_none_or(|tolerance| tolerance > 0.0 && tolerance < 1.0),
         "--tolerance must be within 0 and 1"
@@ -105,7 +113,9 @@ pub async fn run(settings: &Settings, arguments: Arguments) -> anyhow::Result<()
     let plans = (1..=arguments.machines).map(|number| plan(&arguments, number, begin));
     let plans = plans.collect::<anyhow::Result<Vec<Plan>>>()?;
     let begun = Instant::now();
-    let report = drive_all(&office, plans).await?;
+    let told = stop::once_and_twice();
+    let report = drive_all(&office, plans, &told.child_token()).await?;
+    ensure!(!told.is_cancelled(), "it was told to stop");
     print(&format!("{}\n", report.json(begun.elapsed().as_secs_f64())?))?;
     report.refusals.check(report.posts())?;
     arguments.tolerance.map_or(Ok(()), |tolerance| report.check(tolerance))
@@ -140,10 +150,9 @@ fn plan(arguments: &Arguments, number: u32, begin: Timestamp) -> anyhow::Result<
 
 /// All machines side by side. Where one fails the others stop, and end as they do otherwise: a token that is left behind
 /// is one that nobody knows of.
-async fn drive_all(office: &Client, plans: Vec<Plan>) -> anyhow::Result<Report> {
-    let stop = CancellationToken::new();
+async fn drive_all(office: &Client, plans: Vec<Plan>, stop: &CancellationToken) -> anyhow::Result<Report> {
     let machines = plans.into_iter().map(|plan| async {
-        let report = drive(office.clone(), plan, &stop).await;
+        let report = drive(office.clone(), plan, stop).await;
         if report.is_err() {
             stop.cancel();
         }

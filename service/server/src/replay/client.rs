@@ -238,4 +238,4 @@ fn told_wait(response: &Response) -> Option<Duration> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -24,33 +24,81 @@ pub(super) struct Fleet {
     clients: BTreeMap<MachineId, Client>,
     anyone: Client,
     made: Vec<String>,
+    /// Tokens of other runs of this recording that were there when this one last had its own made.
+    others: BTreeSet<String>,
 }
 
 impl Fleet {
+    /// Has a token made for each machine, where none is given; those that a run before left behind are revoked.
+    ///
+    /// Nobody can tell whether that run was killed or goes on somewhere else. So own tokens are made first: a run that finds
+    /// its own revoked sees by them that another has begun, and has others made ([`Self::replace`]).
     pub(super) async fn gather(
         plan: &Plan,
         office: &Client,
         tokens: MachineTokens,
     ) -> Result<Self, ReplayError> {
-        let mut fleet = match tokens {
-            MachineTokens::Given(token) => {
-                let anyone = office.with_token(token);
-                return Ok(Self { clients: BTreeMap::new(), anyone, made: Vec::new() });
-            }
-            MachineTokens::Make => {
-                let anyone = office.clone();
-                Self { clients: BTreeMap::new(), anyone, made: Vec::new() }
-            }
+        let mut fleet = Self {
+            clients: BTreeMap::new(),
+            anyone: office.clone(),
+            made: Vec::new(),
+            others: BTreeSet::new(),
         };
-        dismiss_left_over(plan, office).await?;
-        let machines: BTreeSet<&MachineId> = plan.cycles.iter().map(|cycle| &cycle.machine).collect();
-        for machine in machines {
-            if let Err(error) = fleet.enlist(plan, office, machine).await {
-                fleet.dismiss(office).await?;
-                return Err(error);
-            }
+        if let MachineTokens::Given(token) = tokens {
+            fleet.anyone = office.with_token(token);
+            return Ok(fleet);
+        }
+        let there = namesakes(plan, office).await?;
+        fleet.others = there.iter().map(|token| token.id.clone()).collect();
+        if let Err(error) = fleet.take_over(plan, office, &there).await {
+            fleet.dismiss(office).await?;
+            return Err(error);
         }
         Ok(fleet)
+    }
+
+    async fn take_over(
+        &mut self,
+        plan: &Plan,
+        office: &Client,
+        there: &[Namesake],
+    ) -> Result<(), ReplayError> {
+        let machines: BTreeSet<&MachineId> = plan.cycles.iter().map(|cycle| &cycle.machine).collect();
+        for machine in machines {
+            self.enlist(plan, office, machine).await?;
+        }
+        for token in there.iter().filter(|token| token.is_valid) {
+            revoke(office, &token.id).await?;
+        }
+        Ok(())
+    }
+
+    /// Has another token made for a machine whose own is refused, where another run of the recording has begun since: that
+    /// one took it for left behind. Otherwise somebody revoked it, and that stands: it says that there is none.
+    pub(super) async fn replace(
+        &mut self,
+        plan: &Plan,
+        office: &Client,
+        machine: &MachineId,
+    ) -> Result<bool, ReplayError> {
+        if !self.clients.contains_key(machine) {
+            return Ok(false);
+        }
+        let there = namesakes(plan, office).await?;
+        let is_new = |token: &Namesake| {
+            token.machine == machine.as_str()
+                && !self.made.contains(&token.id)
+                && !self.others.contains(&token.id)
+        };
+        if !there.iter().any(is_new) {
+            return Ok(false);
+        }
+        // Of this machine only: those of the others are still to tell what became of theirs.
+        self.others.extend(
+            there.into_iter().filter(|token| token.machine == machine.as_str()).map(|token| token.id),
+        );
+        self.enlist(plan, office, machine).await?;
+        Ok(true)
     }
 
     async fn enlist(&mut self, plan: &Plan, office: &Client, machine: &MachineId) -> Result<(), ReplayError> {
@@ -97,23 +145,37 @@ async fn revoke(office: &Client, id: &str) -> Result<(), ReplayError> {
     expect_success("DELETE", &path, &office.delete(&path).await?)
 }
 
-/// Revokes the tokens of a replay that was killed: their secrets died with it.
-async fn dismiss_left_over(plan: &Plan, office: &Client) -> Result<(), ReplayError> {
+/// A machine's token that is called as those of this recording's replays are.
+struct Namesake {
+    id: String,
+    machine: String,
+    is_valid: bool,
+}
+
+/// The tokens of every replay of this recording.
+async fn namesakes(plan: &Plan, office: &Client) -> Result<Vec<Namesake>, ReplayError> {
     let name = name_of(plan);
+    let mut found = Vec::new();
     let mut path = "/v1/tokens?limit=500".to_owned();
     loop {
         let page = office.get(&path).await?;
         expect_success("GET", &path, &page)?;
         let page = page.json();
         for token in page["items"].as_array().into_iter().flatten() {
-            let valid = token["revoked_at"].is_null() && token["role"] == "machine";
-            if let Some(id) = token["id"].as_str().filter(|_| valid && token["name"] == name.as_str()) {
-                revoke(office, id).await?;
+            let (Some(id), Some(machine)) = (token["id"].as_str(), token["machine"].as_str()) else {
+                continue;
+            };
+            if token["name"] == name.as_str() && token["role"] == "machine" {
+                found.push(Namesake {
+                    id: id.to_owned(),
+                    machine: machine.to_owned(),
+                    is_valid: token["revoked_at"].is_null(),
+                });
             }
         }
         match page["next_cursor"].as_str() {
             Some(cursor) => path = format!("/v1/tokens?limit=500&cursor={cursor}"),
-            None => return Ok(()),
+            None => return Ok(found),
         }
     }
 }

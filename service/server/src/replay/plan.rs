@@ -82,7 +82,7 @@ impl RecordedCycle {
             "cycle_id": self.id.as_str(),
             "tool": self.tool.as_str(),
             "operation": self.operation.as_str(),
-            "started_at": rfc3339(self.started_us + shift_us)?,
+            "started_at": rfc3339(self.started_us.saturating_add(shift_us))?,
             "samples": samples,
         });
         if let Some(speed) = self.spindle_speed_rpm {
@@ -103,13 +103,14 @@ pub fn rfc3339(micros: i64) -> Result<String, ReplayError> {
 }
 
 impl Plan {
-    /// Reads `files` (name and content) by `mapping_text`. Files whose name has another shape are not part of it.
+    /// Reads `files` (name and content) by `mapping_text`. Files whose name has another shape are not part of it; their
+    /// ending may be written in capitals, as controls and old file systems do.
     pub fn read(mapping_text: &str, files: &[(String, Vec<u8>)]) -> Result<Self, ReplayError> {
         let mapping = Mapping::parse(mapping_text)?;
         let wanted = mapping.columns();
         let delimiter = u8::try_from(mapping.delimiter).unwrap_or(b',');
         let mut named: Vec<_> =
-            files.iter().filter_map(|file| Some((file, mapping.files.read(&file.0)?))).collect();
+            files.iter().filter_map(|file| Some((file, read_name(&mapping.files, &file.0)?))).collect();
         named.sort_by(|a, b| a.0.0.cmp(&b.0.0));
         if named.is_empty() {
             let message = format!("no file is named like {:?}", mapping.files.as_str());
@@ -154,6 +155,14 @@ impl Plan {
     }
 }
 
+/// What the holes of `shape` hold in a file's name.
+fn read_name(shape: &Template, name: &str) -> Option<Values> {
+    shape.read(name).or_else(|| {
+        let (stem, ending) = name.rsplit_once('.')?;
+        shape.read(&format!("{stem}.{}", ending.to_ascii_lowercase()))
+    })
+}
+
 fn refuse_doubled_ids(cycles: &[RecordedCycle]) -> Result<(), ReplayError> {
     let mut seen = BTreeSet::new();
     match cycles.iter().find(|cycle| !seen.insert((&cycle.machine, &cycle.id))) {
@@ -185,8 +194,7 @@ impl Reader<'_> {
             let cycle = self.cycle(name, table, piece, values)?;
             self.cycles.push(cycle);
         }
-        self.timeline.end_file(table.rows());
-        Ok(())
+        self.timeline.end_file(table)
     }
 
     fn cycle(

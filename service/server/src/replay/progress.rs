@@ -1,10 +1,15 @@
 //! How far a replay is: a bar on a terminal, plain lines elsewhere.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 
 /// Plain lines come once per this share of the whole.
 const LINES: usize = 10;
+
+/// A line for whoever looks, on standard error. Where nobody does any more the work goes on all the same.
+pub fn tell(line: &str) {
+    drop(writeln!(std::io::stderr().lock(), "{line}"));
+}
 
 /// Shows how far a replay is.
 #[derive(Debug)]
@@ -48,7 +53,7 @@ impl Progress {
                 let before = tenth(*done);
                 *done += count;
                 if tenth(*done) > before {
-                    eprintln!("{done} of {total} cycles answered");
+                    tell(&format!("{done} of {total} cycles answered"));
                 }
             }
             Self::Silent => {}

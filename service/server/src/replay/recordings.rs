@@ -54,7 +54,8 @@ pub fn read_folder(folder: &Path, mapping: Option<&Path>) -> Result<Plan, Replay
         let path = entry.map_err(|error| refuse(folder, &error))?.path();
         let named = path.file_name().and_then(|name| name.to_str()).map(str::to_owned);
         // Only CSV files are read into memory: a folder may hold photographs of the machine too.
-        if let (Some(name), Some("csv")) = (named, path.extension().and_then(|ext| ext.to_str())) {
+        let is_csv = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("csv"));
+        if let (Some(name), true) = (named, is_csv) {
             let bytes = std::fs::read(&path).map_err(|error| refuse(&path, &error))?;
             files.push((name, bytes));
         }
@@ -98,6 +99,20 @@ mod tests {
             .collect();
         assert_eq!(used, ["vicomtech-14", "vicomtech-6", "vicomtech-9"]);
         assert!(plan.cycles.iter().all(|cycle| cycle.channels[0].1.len() == 3));
+    }
+
+    #[test]
+    fn a_folder_is_read_whole_however_endings_are_written() {
+        let folder = std::env::temp_dir().join(format!("feedwright-endings-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join(MAPPING_FILE), crate::replay::mapping::tests::SMALL).unwrap();
+        for name in ["A.CSV", "b.csv", "c.Csv"] {
+            std::fs::write(folder.join(name), "p\n1\n2\n").unwrap();
+        }
+        std::fs::write(folder.join("d.txt"), [0xff]).unwrap();
+        let plan = read_folder(&folder, None);
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(plan.unwrap().cycles.len(), 3);
     }
 
     #[test]

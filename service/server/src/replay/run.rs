@@ -8,6 +8,7 @@ use super::refusals::Refusals;
 use super::{Plan, RecordedCycle, ReplayError};
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
+use std::pin::pin;
 use std::time::{Duration, Instant};
 
 /// Problems that the summary keeps; the rest are only counted.
@@ -84,9 +85,28 @@ pub async fn run(
     options: Options,
     progress: &mut Progress,
 ) -> Result<Outcome, ReplayError> {
-    register(plan, office, options.shift_us).await?;
-    let fleet = Fleet::gather(plan, office, tokens).await?;
-    let posted = post(plan, &fleet, options, progress).await;
+    run_until(plan, office, tokens, options, progress, std::future::pending()).await
+}
+
+/// The same, which ends where `stop` comes: with [`ReplayError::Stopped`], and without tokens that it had made.
+pub async fn run_until(
+    plan: &Plan,
+    office: &Client,
+    tokens: MachineTokens,
+    options: Options,
+    progress: &mut Progress,
+    stop: impl Future<Output = ()>,
+) -> Result<Outcome, ReplayError> {
+    let mut stop = pin!(stop);
+    tokio::select! {
+        registered = register(plan, office, options.shift_us) => registered?,
+        () = &mut stop => return Err(ReplayError::Stopped),
+    }
+    let mut fleet = Fleet::gather(plan, office, tokens).await?;
+    let posted = tokio::select! {
+        posted = post(plan, office, &mut fleet, options, progress) => posted,
+        () = &mut stop => Err(ReplayError::Stopped),
+    };
     progress.finish();
     // Whatever happened, no token stays behind that nobody knows.
     let dismissed = fleet.dismiss(office).await;
@@ -97,7 +117,8 @@ pub async fn run(
 
 async fn post(
     plan: &Plan,
-    fleet: &Fleet,
+    office: &Client,
+    fleet: &mut Fleet,
     options: Options,
     progress: &mut Progress,
 ) -> Result<Outcome, ReplayError> {
@@ -112,11 +133,17 @@ async fn post(
         if let (Some(speed), Some(last)) = (options.speed, group.last()) {
             wait_for(since, last.started_us + last.duration_us - first_us, speed).await;
         }
-        let client = fleet.client(&head.machine);
-        if options.batch > 1 {
-            post_batch(group, client, options.shift_us, &mut outcome).await?;
-        } else {
-            post_one(head, client, options.shift_us, &mut outcome).await?;
+        loop {
+            let client = fleet.client(&head.machine);
+            let posted = if options.batch > 1 {
+                post_batch(group, client, options.shift_us, &mut outcome).await
+            } else {
+                post_one(head, client, options.shift_us, &mut outcome).await
+            };
+            let is_refused = matches!(posted, Err(ReplayError::Refused { status: 401, .. }));
+            if !is_refused || !fleet.replace(plan, office, &head.machine).await? {
+                break posted?;
+            }
         }
         progress.advance(group.len(), group[group.len() - 1].tool.as_str());
         rest = tail;
@@ -149,10 +176,8 @@ async fn register(plan: &Plan, client: &Client, shift_us: i64) -> Result<(), Rep
     }
     for mount in &registrations.mounts {
         let path = format!("/v1/tools/{}/events", mount.tool);
-        let at = rfc3339(mount.at_us + shift_us)?;
-        let known = client.get(&path).await?;
-        expect_success("GET", &path, &known)?;
-        if events(&known.json()).any(|event| event["kind"] == mount.kind && same_time(&event["at"], &at)) {
+        let at = rfc3339(mount.at_us.saturating_add(shift_us))?;
+        if has_event(client, &path, mount.kind, &at).await? {
             continue;
         }
         let mut body = json!({ "kind": mount.kind, "at": at });
@@ -163,6 +188,23 @@ async fn register(plan: &Plan, client: &Client, shift_us: i64) -> Result<(), Rep
         expect_success("POST", &path, &answer)?;
     }
     Ok(())
+}
+
+/// Whether a tool has an event of this kind at this time, on whichever page of its list.
+async fn has_event(client: &Client, path: &str, kind: &str, at: &str) -> Result<bool, ReplayError> {
+    let mut page_path = format!("{path}?limit=1000");
+    loop {
+        let page = client.get(&page_path).await?;
+        expect_success("GET", &page_path, &page)?;
+        let page = page.json();
+        if events(&page).any(|event| event["kind"] == kind && same_time(&event["at"], at)) {
+            return Ok(true);
+        }
+        match page["next_cursor"].as_str() {
+            Some(cursor) => page_path = format!("{path}?limit=1000&cursor={cursor}"),
+            None => return Ok(false),
+        }
+    }
 }
 
 /// The events of a tool, whether the list is bare or a page.
@@ -276,7 +318,23 @@ async fn post_batch(
 
 #[cfg(test)]
 mod tests {
+    use super::super::client::tests::service;
     use super::*;
+
+    #[tokio::test]
+    async fn an_event_is_looked_for_on_every_page() {
+        const FIRST: &str = "HTTP/1.1 200 OK\r\nconnection: close\r\n\r\n\
+            {\"items\":[{\"kind\":\"changed\",\"at\":\"2020-01-01T00:00:00Z\"}],\"next_cursor\":\"c\"}";
+        const LAST: &str = "HTTP/1.1 200 OK\r\nconnection: close\r\n\r\n\
+            {\"items\":[{\"kind\":\"mounted_new\",\"at\":\"2020-01-02T00:00:00Z\"}],\"next_cursor\":null}";
+        for (at, found) in [("2020-01-02T00:00:00Z", true), ("2020-01-03T00:00:00Z", false)] {
+            let (address, task) = service(&[FIRST, LAST]).await;
+            let client = Client::new(&address, None, Duration::from_secs(30)).unwrap();
+            let has = has_event(&client, "/v1/tools/t/events", "mounted_new", at).await.unwrap();
+            assert_eq!(has, found, "{at}");
+            assert_eq!(task.await.unwrap(), 2);
+        }
+    }
 
     #[test]
     fn events_are_found_in_a_list_or_a_page() {

@@ -132,12 +132,21 @@ impl TryFrom<String> for Template {
     }
 }
 
-/// A cell as it goes into an id: a number without superfluous zeros, so that `6.0` and `6` name one thing.
+/// A cell as it goes into an id: of a plain decimal without the zeros at its end, so that `6.0` and `6` name one thing.
+///
+/// It stays text: what reads as a number may be a serial number, of which no digit, leading zero or `E` is superfluous.
 pub fn tidy(cell: &str) -> String {
     let cell = cell.trim();
-    match cell.parse::<f64>() {
-        Ok(number) if number.is_finite() => format!("{number}"),
-        _ => cell.to_owned(),
+    let Some((whole, fraction)) = cell.split_once('.') else { return cell.to_owned() };
+    let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    let magnitude = whole.strip_prefix('-').unwrap_or(whole);
+    let plain = magnitude == "0" || (!magnitude.is_empty() && !magnitude.starts_with('0'));
+    if !plain || !digits(magnitude) || !digits(fraction) {
+        return cell.to_owned();
+    }
+    match fraction.trim_end_matches('0') {
+        "" => whole.to_owned(),
+        fraction => format!("{whole}.{fraction}"),
     }
 }
 
@@ -179,9 +188,24 @@ mod tests {
     }
 
     #[test]
-    fn tidies_numbers_only() {
+    fn tidies_plain_decimals_only() {
         assert_eq!(tidy("6.0"), "6");
         assert_eq!(tidy(" 2.50 "), "2.5");
+        assert_eq!(tidy("-0.30"), "-0.3");
+        for serial in [
+            "12345678901234567890",
+            "12345678901234567891",
+            "1E5",
+            "100000",
+            "0815",
+            "007.10",
+            "1.0E5",
+            "1.2.0",
+            ".50",
+            "-",
+        ] {
+            assert_eq!(tidy(serial), serial);
+        }
         assert_eq!(tidy("unworn"), "unworn");
         assert_eq!(tidy("inf"), "inf");
     }

@@ -5,7 +5,9 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
 
 /// Answers one connection after another with the given bytes; an empty answer hangs up.
-async fn service(answers: &'static [&'static str]) -> (String, tokio::task::JoinHandle<usize>) {
+pub(in crate::replay) async fn service(
+    answers: &'static [&'static str],
+) -> (String, tokio::task::JoinHandle<usize>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = format!("http://{}", listener.local_addr().unwrap());
     let task = tokio::spawn(async move {

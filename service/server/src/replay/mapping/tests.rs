@@ -63,6 +63,8 @@ fn time_must_be_said_once() {
         SMALL.replace("period = \"100 ms\"", ""),
         SMALL.replace("\"100 ms\"", "\"100\""),
         SMALL.replace("\"100 ms\"", "\"0 ms\""),
+        SMALL.replace("\"100 ms\"", "\"1e300 h\""),
+        SMALL.replace("\"100 ms\"", "\"100 ms\"\nbetween_files = \"1e300 h\""),
         SMALL.replace("start = \"2020-01-01T00:00:00Z\"", ""),
         SMALL.replace("start = \"2020-01-01T00:00:00Z\"", "start = \"yesterday\""),
         SMALL.replace("period = \"100 ms\"", "column = \"t\"\nunit = \"rfc3339\""),

@@ -3,6 +3,11 @@
 use crate::replay::quantity::{Dimension, Unit, quantity};
 use serde::Deserialize;
 
+/// Longest distance of two rows, ms: a day. More is a slip of a unit.
+const LONGEST_PERIOD_MS: f64 = 86_400_000.0;
+/// Longest time between files or cycles, ms: ten years.
+const LONGEST_GAP_MS: f64 = 3653.0 * 86_400_000.0;
+
 /// When rows were taken: either one per period, or a column says.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -47,10 +52,10 @@ impl TimeRule {
         match (&self.period, &self.column, self.unit.as_deref()) {
             (Some(period), None, None) => {
                 let period_ms = quantity(period, Dimension::Time)?;
-                if period_ms > 0.0 {
+                if period_ms > 0.0 && period_ms <= LONGEST_PERIOD_MS {
                     Ok(Clock::Period(period_ms))
                 } else {
-                    Err("time.period: must be above 0".to_owned())
+                    Err("time.period: must be above 0 and a day at most".to_owned())
                 }
             }
             (None, Some(_), Some("rfc3339")) => Ok(Clock::Rfc3339),
@@ -80,8 +85,8 @@ impl TimeRule {
         let gap = |path: &str, text: &Option<String>| match text {
             None => Ok(0.0),
             Some(text) => match quantity(text, Dimension::Time)? {
-                gap if gap >= 0.0 => Ok(gap),
-                _ => Err(format!("{path}: must not be negative")),
+                gap if (0.0..=LONGEST_GAP_MS).contains(&gap) => Ok(gap),
+                _ => Err(format!("{path}: must not be negative, and ten years at most")),
             },
         };
         Ok((

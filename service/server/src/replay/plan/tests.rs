@@ -56,6 +56,38 @@ fn a_bad_cell_and_a_doubled_id_are_refused() {
 }
 
 #[test]
+fn times_that_no_calendar_has_are_refused_with_their_line() {
+    let column = |unit: &str, start: &str| {
+        SMALL
+            .replace("period = \"100 ms\"", &format!("column = \"t\"\nunit = \"{unit}\""))
+            .replace("start = \"2020-01-01T00:00:00Z\"", start)
+    };
+    let counted = column("h", "start = \"2020-01-01T00:00:00Z\"");
+    for (text, rows, line) in [
+        (column("unix_s", ""), "t,p\n1e300,1\n2e300,2\n", "line 2,"),
+        (column("unix_s", ""), "t,p\n1,1\n2,1\n3,1\n1e300,2\n", "line 4,"),
+        (column("unix_ms", ""), "t,p\n9e15,1\n", "line 2,"),
+        (counted.clone(), "t,p\n0,1\n1e300,2\n", "line 2,"),
+        (counted, "t,p\n0,1\n1,2\n1e9,1\n1e9,1\n", "line 4,"),
+        (SMALL.replace("2020-01-01T00:00:00Z", "9999-12-30T22:00:00.9Z"), "p\n1\n2\n", "time: "),
+    ] {
+        let said = Plan::read(&text, &files(&[rows])).unwrap_err().to_string();
+        assert!(said.contains(line) && said.contains("calendar"), "{said}");
+    }
+}
+
+#[test]
+fn a_name_may_end_in_capitals() {
+    let rows = b"p\n1\n2\n".to_vec();
+    let both = [("A.CSV".to_owned(), rows.clone()), ("b.csv".to_owned(), rows.clone())];
+    let plan = Plan::read(SMALL, &both).unwrap();
+    let ids: Vec<&str> = plan.cycles.iter().map(|cycle| cycle.id.as_str()).collect();
+    assert_eq!(ids, ["A-000", "b-000"]);
+    let doubled = [("a.CSV".to_owned(), rows.clone()), ("a.csv".to_owned(), rows)];
+    assert!(Plan::read(SMALL, &doubled).unwrap_err().to_string().contains("comes twice"));
+}
+
+#[test]
 fn a_counter_column_gives_stamps_from_the_start_of_the_cycle() {
     let text =
         SMALL.replace("period = \"100 ms\"", "column = \"t\"\nunit = \"s\"\nbetween_files = \"1 min\"");

@@ -56,7 +56,8 @@ export function keep(work, beat, { least = 2000, drawn = false } = {}) {
       last = Date.now();
       plan(again ? least : beat);
     } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
+      // A fault of the page's own is told where faults are told; the page goes on asking, and does not call itself fresh.
+      if (!(error instanceof ApiError)) { freshness("connecting"); plan(beat); throw error; }
       if (passing(error)) { offline(true); freshness("offline"); plan(RETRY_MS); return; }
       // What is refused at first is all there is to show; later it leaves what is there.
       offline(false);
@@ -84,9 +85,9 @@ export function listen(query, handlers, unheard = () => {}) {
       if (!source) return;
       if (source.readyState === EventSource.CLOSED) open(); else if (source.readyState !== EventSource.OPEN) later();
     } catch (error) {
+      later();
       if (!(error instanceof ApiError)) throw error;
       if (passing(error)) { offline(true); freshness("offline"); }
-      later();
     }
   }
   function open() {

@@ -282,7 +282,7 @@ function verdict() {
 async function compareNew() {
   // The last of the cycles that the baseline of this tool's life was learnt from.
   const c = A.cycle, [wear, events] = await Promise.all([get(`/v1/tools/${segment(c.tool)}/wear`), get(`/v1/tools/${segment(c.tool)}/events?limit=1000`)]);
-  const begins = events.items.filter((event) => event.kind !== "conditions_confirmed" && Date.parse(event.at) <= Date.parse(c.started_at)).map((event) => event.at).sort().at(-1);
+  const begins = events.items.filter((event) => event.kind !== "conditions_confirmed" && !event.revoked_at && Date.parse(event.at) <= Date.parse(c.started_at)).map((event) => event.at).sort().at(-1);
   const baseline = wear.baselines.find((one) => one.operation === c.operation && one.machine === c.machine && one.strategy === c.strategy);
   const page = await get(`/v1/cycles?tool=${segment(c.tool)}&machine=${segment(c.machine)}&operation=${segment(c.operation)}&limit=50${begins ? `&from=${segment(begins)}` : ""}`);
   const usable = page.items.filter((one) => one.has_samples && one.outcome === "completed" && one.strategy === c.strategy).slice(0, Math.max(1, baseline?.needed ?? 5));

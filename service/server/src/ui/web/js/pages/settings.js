@@ -11,7 +11,7 @@ import { keep, opening } from "../live.js";
 import { date, moment, num, unit } from "../format.js";
 import { t, told } from "../text.js";
 
-const BEAT_MS = 15_000, MOST = 5000, AUDIT_PAGE = 100, DETAIL = 160;
+const BEAT_MS = 15_000, MOST = 5000, MOST_KEPT = 1000, AUDIT_PAGE = 100, DETAIL = 160;
 const references = ["unknown", "rated_power", "continuous_rating", "rated_torque", "maximum_current"];
 const processes = ["friction", "drilling", "plunge", "turning", "vibratory", "milling"];
 /** What a registration holds: path in the body, kind of input, unit. */
@@ -59,6 +59,8 @@ async function did(signal, what) {
     $("#said").insertAdjacentHTML("beforeend", String(failure(error, t("error.load"))));
   }
 }
+/** That there is more than a list shows; what is settled makes room for it. */
+const cut = (items, complete, key = "set.cut") => complete ? "" : html`<p class="muted">${t(key, { count: num(items.length) })}</p>`;
 
 async function registry(kind) {
   const spec = KINDS[kind];
@@ -69,7 +71,7 @@ async function registry(kind) {
     const { items, complete } = await all(spec.path, MOST, { signal });
     known = items;
     return html`${items.length ? table(head, items.map((one) => html`<tr><th scope="row">${one.id}</th>${spec.columns.map((column) => html`<td>${cell(one, column)}</td>`)}<td class="num">${num(one.version)}</td><td class="nowrap">${date(one.updated_at)}</td><td class="num">${action(who, spec.route, t("set.edit"), { kind: `quiet edit`, id: `edit-${one.id}` })}</td></tr>`)) : empty(t(`set.${kind}None`), t(`set.${kind}NoneText`))}
-    ${complete ? "" : html`<p class="muted">${t("set.cut", { count: num(items.length) })}</p>`}`;
+    ${cut(items, complete)}`;
   });
   const id = kind === "machines" ? asked.get("machine") : null;
   asked.delete("machine");
@@ -141,15 +143,15 @@ async function edit(id) {
 function alarms() {
   const route = "POST /v1/alarms/{id}/acknowledge", head = html`<th scope="col">${t("set.alarm")}</th><th scope="col">${t("col.machine")}</th><th scope="col">${t("col.tool")}</th><th scope="col">${t("set.says")}</th><th scope="col">${t("set.raised")}</th>${doing}`;
   return listing(html`<div class="set-head"><p class="muted">${t("set.alarmsWhat")}</p></div>${shut(route)}<div id="said"></div>`, async (signal) => {
-    const recent = (await all("/v1/alarms?open=true", MOST, { signal })).items.reverse();
-    return recent.length ? table(head, recent.map((one) => html`<tr><td><span class="flag ${["worn", "broken_suspected", "overload"].includes(one.kind) ? "act" : "plan"}">${icon(["worn", "broken_suspected", "overload"].includes(one.kind) ? "act" : "plan")}<span>${t(`alarm.${one.kind}`)}</span></span></td><td>${one.machine ?? ""}</td><td>${one.tool ? html`<a href="/tool?id=${segment(one.tool)}">${one.tool}</a>` : ""}</td><td class="wide">${one.message}</td><td class="nowrap">${moment(one.raised_at)}</td><td class="num">${one.acknowledged_by ? html`<span class="faint">${t("set.acknowledged")}</span>` : action(who, route, t("set.acknowledge"), { kind: "quiet ack", id: `ack-${one.id}` })}</td></tr>`)) : empty(t("set.alarmsNone"), t("set.alarmsNoneText"));
+    const { items, complete } = await all("/v1/alarms?open=true", MOST, { signal }), recent = items.reverse();
+    return recent.length ? html`${cut(recent, complete, "set.more")}${table(head, recent.map((one) => html`<tr><td><span class="flag ${["worn", "broken_suspected", "overload"].includes(one.kind) ? "act" : "plan"}">${icon(["worn", "broken_suspected", "overload"].includes(one.kind) ? "act" : "plan")}<span>${t(`alarm.${one.kind}`)}</span></span></td><td>${one.machine ?? ""}</td><td>${one.tool ? html`<a href="/tool?id=${segment(one.tool)}">${one.tool}</a>` : ""}</td><td class="wide">${one.message}</td><td class="nowrap">${moment(one.raised_at)}</td><td class="num">${one.acknowledged_by ? html`<span class="faint">${t("set.acknowledged")}</span>` : action(who, route, t("set.acknowledge"), { kind: "quiet ack", id: `ack-${one.id}` })}</td></tr>`))}` : empty(t("set.alarmsNone"), t("set.alarmsNoneText"));
   });
 }
 function quarantine() {
   const route = "POST /v1/quarantine/{id}", head = html`<th scope="col">${t("col.machine")}</th><th scope="col">${t("nav.cycle")}</th><th scope="col">${t("set.why")}</th><th scope="col" class="num">${t("set.size")}</th><th scope="col">${t("set.received")}</th>${doing}`;
   return listing(html`<div class="set-head"><p class="muted">${t("set.quarantineWhat")}</p></div>${shut(route)}<div id="said"></div>`, async (signal) => {
-    const { items } = await all("/v1/quarantine?open=true", 1000, { signal });
-    return items.length ? table(head, items.map((one) => html`<tr><th scope="row">${one.machine}</th><td>${one.cycle_id ?? ""}</td><td class="wide"><b>${one.code}</b> ${one.problem?.detail ?? ""}</td><td class="num nowrap">${one.size_bytes == null ? "" : unit(one.size_bytes / 1024, "KiB", 1)}</td><td class="nowrap">${moment(one.received_at)}</td><td class="num nowrap">${action(who, route, t("set.discard"), { kind: "quiet settle", id: `settle-${one.id}` })}</td></tr>`)) : empty(t("set.quarantineNone"), t("set.quarantineNoneText"));
+    const { items, complete } = await all("/v1/quarantine?open=true", MOST_KEPT, { signal });
+    return items.length ? html`${cut(items, complete, "set.more")}${table(head, items.map((one) => html`<tr><th scope="row">${one.machine}</th><td>${one.cycle_id ?? ""}</td><td class="wide"><b>${one.code}</b> ${one.problem?.detail ?? ""}</td><td class="num nowrap">${one.size_bytes == null ? "" : unit(one.size_bytes / 1024, "KiB", 1)}</td><td class="nowrap">${moment(one.received_at)}</td><td class="num nowrap">${action(who, route, t("set.discard"), { kind: "quiet settle", id: `settle-${one.id}` })}</td></tr>`))}` : empty(t("set.quarantineNone"), t("set.quarantineNoneText"));
   });
 }
 /** A token that was made and is not shown yet: it is alive, and shown once. */
@@ -165,8 +167,8 @@ async function tokens() {
   const { signal } = visit, machines = await all("/v1/machines", MOST, { signal }), head = html`<th scope="col">${t("field.name")}</th><th scope="col">${t("set.role")}</th><th scope="col">${t("col.machine")}</th><th scope="col">${t("tool.id")}</th><th scope="col">${t("set.made")}</th>${doing}`;
   await listing(html`<div class="set-head"><p class="muted">${t("set.tokensWhat")}</p></div><div id="said"></div>
     <form class="panel body set-form" id="make" novalidate aria-labelledby="make-h"><h2 id="make-h">${t("set.tokensAdd")}</h2><div class="set-fields"><div class="field"><label for="f-name">${t("field.name")}</label><input type="text" id="f-name" maxlength="200"><p class="said" id="f-name-said"></p></div><div class="field"><label for="f-role">${t("set.role")}</label><select id="f-role">${["viewer", "engineer", "approver", "admin", "machine"].map((role) => html`<option value="${role}">${t(`role.${role}`)}</option>`)}</select><p class="said" id="f-role-said"></p></div><div class="field" id="of-machine" hidden><label for="f-machine">${t("col.machine")}</label><select id="f-machine">${machines.items.map((one) => html`<option>${one.id}</option>`)}</select><p class="said" id="f-machine-said"></p></div></div><div id="edit-said"></div><div class="knot-tools"><button class="btn primary" type="submit">${t("set.make")}</button></div></form>`, async (signal) => {
-    const { items } = await all("/v1/tokens", MOST, { signal });
-    return table(head, items.sort((a, b) => Boolean(a.revoked_at) - Boolean(b.revoked_at) || b.id.localeCompare(a.id)).map((one) => html`<tr class="${one.revoked_at ? "gone" : ""}"><th scope="row">${one.name}</th><td>${t(`role.${one.role}`)}</td><td>${one.machine ?? ""}</td><td><code>${one.id}</code></td><td class="nowrap">${date(one.created_at)}</td><td class="num nowrap">${one.revoked_at ? html`<span class="faint">${t("set.revokedAt", { date: date(one.revoked_at) })}</span>` : html`<button class="btn quiet revoke" data-name="${one.name}" id="revoke-${one.id}">${t("set.revoke")}</button>`}</td></tr>`));
+    const { items, complete } = await all("/v1/tokens", MOST, { signal });
+    return html`${cut(items, complete, "set.more")}${table(head, items.sort((a, b) => Boolean(a.revoked_at) - Boolean(b.revoked_at) || b.id.localeCompare(a.id)).map((one) => html`<tr class="${one.revoked_at ? "gone" : ""}"><th scope="row">${one.name}</th><td>${t(`role.${one.role}`)}</td><td>${one.machine ?? ""}</td><td><code>${one.id}</code></td><td class="nowrap">${date(one.created_at)}</td><td class="num nowrap">${one.revoked_at ? html`<span class="faint">${t("set.revokedAt", { date: date(one.revoked_at) })}</span>` : html`<button class="btn quiet revoke" data-name="${one.name}" id="revoke-${one.id}">${t("set.revoke")}</button>`}</td></tr>`))}`;
   });
   const form = $("#make"), role = $("#f-role"), ofMachine = () => { $("#of-machine").hidden = role.value !== "machine"; };
   untouched(form);

@@ -4,7 +4,7 @@ import { action, closed, shell } from "../shell.js";
 import { busy } from "../actions.js";
 import { confirm } from "../dialog.js";
 import { empty, failure, notice, progress, skeleton } from "../states.js";
-import { ApiError, all, get, may, post, segment, session, wholeFleet } from "../api.js";
+import { ApiError, all, get, may, post, segment, serverNow, session, wholeFleet } from "../api.js";
 import { NB, age, dayMonth, num, rounded, signed, unit } from "../format.js";
 import { FONT, X, Y, chart, clip, dpr, halo, limit, line, phone, ready, splits, token, vline } from "../charts.js";
 import { Track } from "../track.js";
@@ -185,7 +185,7 @@ function facts(wear) {
 }
 function evidence(wear) {
   const left = wear.remaining, [base] = wear.baselines, reasons = Object.entries(wear.excluded), basis = base ? t(`basis.${base.basis}`) : t("unknown"), last = wear.last_cycle_at;
-  const ago = last ? age(Date.now() - Date.parse(last), last) : null;
+  const ago = last ? age(serverNow() - Date.parse(last), last) : null;
   if (wear.cycles === 0) return ago ? t("tool.evidenceBefore", { age: ago }) : "";
   return [
     left && wear.state !== "worn" ? t("tool.evidenceLeft", { low: rounded(left.low), high: rounded(left.high) }) : null,
@@ -274,7 +274,7 @@ function frame() {
         const kind = $("#event-kind").value;
         await show();
         const before = already(kind);
-        if (before) await confirm({ title: t("tool.againTitle"), text: t("tool.againText", { event: told("event", kind), age: age(Date.now() - Date.parse(before.recorded_at), before.recorded_at) }), label: t("tool.again"), work: () => record(kind) });
+        if (before) await confirm({ title: t("tool.againTitle"), text: t("tool.againText", { event: told("event", kind), age: age(serverNow() - Date.parse(before.recorded_at), before.recorded_at) }), label: t("tool.again"), work: () => record(kind) });
         else await record(kind);
       } catch (error) { if (!(error instanceof ApiError)) throw error; fill($("#event-said"), failure(error)); }
     });
