@@ -9,8 +9,8 @@ mod loads;
 mod scan;
 
 pub use course::energy_course;
-pub(crate) use digest::relation_config;
 pub use digest::{DIGEST_DEPTH_MM, DepthDigest, MOST_DIGEST_BINS, MOST_DIGEST_BYTES, way_in_contact};
+pub(crate) use digest::{SURFACE_MM, relation_config};
 pub use energy::{Energy, EnergyBasis, IdlePower, MOST_JOULES};
 pub(crate) use loads::median_in_place;
 pub use loads::{Peak, PeakShift, median};
@@ -21,8 +21,10 @@ use crate::operation::Operation;
 use crate::units::Timestamp;
 
 /// Version of the summary's rules; stored with every summary, so that a change of rules shows.
-pub const SUMMARY_VERSION: u32 = 6;
-/// The version before: a recording that began at the surface had the period before it in its contact, and stamps that are all the
+pub const SUMMARY_VERSION: u32 = 7;
+/// The version before: its median speed was that of all samples, standstill and all.
+const STANDSTILL_AS_SPEED_VERSION: u32 = 6;
+/// The version before that: a recording that began at the surface had the period before it in its contact, and stamps that are all the
 /// same were no time and no energy.
 const SURFACE_AS_WORK_VERSION: u32 = 5;
 /// The version before that: it left out what a control reports of channels that it does not sample, where it samples any.
@@ -33,6 +35,10 @@ pub const COVERAGE_FLOOR: f64 = 0.95;
 
 /// A cycle that stays short of this share of the operation's depth is incomplete.
 pub const DEPTH_FLOOR: f64 = 0.9;
+
+/// A spindle turns at this share of its fastest sample or above, and of what it is commanded. Below it are an encoder's noise at rest and
+/// the begin of spinning up; nothing is cut at a tenth of the speed.
+pub const LEAST_TURNING: f64 = 0.1;
 
 /// Device times before this are a clock that was never set: 2000-01-01T00:00:00Z.
 pub const EARLIEST_CLOCK: Timestamp = Timestamp::from_micros(946_684_800_000_000);
@@ -89,7 +95,7 @@ pub struct CycleSummary {
     pub mean_override_percent: Option<f64>,
     /// Mean operator's override over time, %.
     pub operator_override_percent: Option<f64>,
-    /// Median spindle speed, rpm.
+    /// Median of the sampled spindle speed while it turns, in the work where depth was sampled and says so, rpm; `None` where it never does.
     pub median_spindle_speed_rpm: Option<f64>,
     /// Depth at which the spindle load has fallen to half of its maximum, mm: the steadier second indicator.
     pub spindle_load_fall_depth_mm: Option<f64>,
@@ -120,10 +126,18 @@ pub fn is_summarised_alike(version: u32, cycle: &Cycle) -> bool {
                 || SampleClock::of(samples).duration_ms <= 0.0
         })
     };
+    let stood = || {
+        let speed = cycle.samples.as_ref().and_then(|samples| samples.column(Channel::SpindleSpeedRpm));
+        speed.is_some_and(|speed| {
+            let turning = cycle.samples.as_ref().and_then(loads::turning_speed);
+            turning.map(f64::to_bits) != Some(median(speed).to_bits())
+        })
+    };
     match version {
         SUMMARY_VERSION => true,
-        SURFACE_AS_WORK_VERSION => !began_otherwise(),
-        WITHOUT_REPORTED_VERSION => !is_mixed() && !began_otherwise(),
+        STANDSTILL_AS_SPEED_VERSION => !stood(),
+        SURFACE_AS_WORK_VERSION => !began_otherwise() && !stood(),
+        WITHOUT_REPORTED_VERSION => !is_mixed() && !began_otherwise() && !stood(),
         _ => false,
     }
 }
@@ -246,7 +260,7 @@ fn of_samples(samples: &Samples, cycle: &Cycle, context: Context<'_>) -> CycleSu
             .or(unsampled(Channel::FeedDriveLoadPercent, reported.mean_feed_drive_load_percent)),
         mean_override_percent,
         operator_override_percent: operator_override.or(reported.operator_override_percent),
-        median_spindle_speed_rpm: column(Channel::SpindleSpeedRpm).map(loads::median),
+        median_spindle_speed_rpm: loads::turning_speed(samples),
         spindle_load_fall_depth_mm: loads::fall_depth(samples),
         coverage: clock.coverage,
         digest,

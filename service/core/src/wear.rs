@@ -25,8 +25,8 @@ mod tests;
 pub use facts::{CycleFacts, OrderKey};
 pub use fold::{FOLD_VERSION, FoldSettings, ToolFold};
 pub use verdict::{
-    BaselineEvidence, BaselineKey, Exclusion, ExclusionCounts, FeedEvidence, Level, LevelBasis, MOST_LEVEL,
-    Masked, ReferenceCycles, Remaining, SecondIndicators, ToolState, Trend, Verdict,
+    BaselineEvidence, BaselineKey, Earlier, Exclusion, ExclusionCounts, FeedEvidence, Level, LevelBasis,
+    MOST_LEVEL, Masked, ReferenceCycles, Remaining, SecondIndicators, ToolState, Trend, Verdict,
 };
 
 /// The level at which a tool is worn, latched until it is changed, reground or reset.

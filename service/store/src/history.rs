@@ -40,7 +40,7 @@ impl<'a> Walk<'a> {
         let (facts, settings) = row.facts()?;
         let place = Place::of(&facts.order);
         while let Some(event) = self.events.get(self.next).filter(|event| event.place <= place) {
-            self.fold.event(event.kind);
+            self.fold.event(event.kind, event.at);
             self.next += 1;
         }
         self.fold.cycle(&facts, settings.as_ref());
@@ -81,7 +81,7 @@ pub(crate) fn verdict_after(fold: &ToolFold, events: &[PlacedEvent]) -> Verdict 
         [] => fold.verdict(),
         following => {
             let mut fold = fold.clone();
-            following.iter().for_each(|event| fold.event(event.kind));
+            following.iter().for_each(|event| fold.event(event.kind, event.at));
             fold.verdict()
         }
     }

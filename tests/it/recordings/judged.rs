@@ -97,7 +97,7 @@ pub(super) fn judge(name: &str) -> Judged {
     let mut folds: BTreeMap<String, ToolFold> = BTreeMap::new();
     for mount in &plan.registrations.mounts {
         let mut fold = ToolFold::awaiting_mount();
-        fold.event(ToolEventKind::parse(mount.kind).unwrap());
+        fold.event(ToolEventKind::parse(mount.kind).unwrap(), Timestamp::from_micros(0));
         folds.insert(mount.tool.clone(), fold);
     }
     let mut seen = Vec::new();
@@ -106,7 +106,7 @@ pub(super) fn judge(name: &str) -> Judged {
         let context = Context { machine: &machine, calibration: None, operation: Some(&operation) };
         let settings = FoldSettings::of(&operation);
         let fold = folds.get_mut(recorded.tool.as_str()).unwrap();
-        fold.cycle(&CycleFacts::of(&cycle, &summarise(&cycle, context)), Some(&settings));
+        fold.cycle(&CycleFacts::of(&cycle, &summarise(&cycle, context), cycle.started_at), Some(&settings));
         let verdict = fold.verdict();
         seen.push(Seen {
             tool: recorded.tool.as_str().to_owned(),

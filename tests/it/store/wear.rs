@@ -8,6 +8,7 @@ use feedwright_core::cycle::{Cycle, Flag, Reported};
 use feedwright_core::operation::WearSettings;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::{ToolEvent, ToolEventKind};
+use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{CycleFacts, Exclusion, FoldSettings, ToolFold, ToolState, Verdict};
 use feedwright_store::{Actor, Committed, Doubt, NewCycle, Precondition, Repair, Store, StoredToolEvent};
 use proptest::prelude::*;
@@ -29,6 +30,8 @@ stories!(
     an_event_that_a_clock_which_was_ahead_told_is_revoked_and_told_again,
     wherever_an_event_stands_it_is_as_if_it_had_not_been_told_once_it_is_revoked,
     cycles_that_were_cut_short_do_not_count_however_they_arrive,
+    cycles_without_a_clock_make_the_life_unknown_in_which_they_came_in,
+    a_cycle_of_before_new_conditions_is_told_over_the_baseline_of_then,
 );
 
 mod tables {
@@ -54,7 +57,7 @@ fn naive(runs: &[Run], mounted_first: bool, settings: WearSettings) -> Verdict {
         .iter()
         .map(|run| {
             let new = run.new_cycle();
-            CycleFacts::of(&new.cycle, &new.summary)
+            CycleFacts::of(&new.cycle, &new.summary, new.received_at)
         })
         .collect();
     facts.sort_by(|a, b| a.order.cmp(&b.order));
@@ -62,7 +65,7 @@ fn naive(runs: &[Run], mounted_first: bool, settings: WearSettings) -> Verdict {
     let mut fold = ToolFold::default();
     if mounted_first {
         fold = ToolFold::awaiting_mount();
-        fold.event(ToolEventKind::MountedNew);
+        fold.event(ToolEventKind::MountedNew, at(0));
     }
     for facts in &facts {
         fold.cycle(facts, Some(&settings));
@@ -383,6 +386,78 @@ async fn an_event_that_a_clock_which_was_ahead_told_is_revoked_and_told_again(st
     assert_eq!(lines.len(), 1, "{lines:?}");
     assert_eq!((lines[0].0.as_str(), lines[0].1.as_str()), (engineer().token.as_str(), "tool/T1"));
     assert!(lines[0].2.contains(&format!("\"event\":{}", told.id)), "{lines:?}");
+}
+
+/// Whenever the cycles come in, together or one by one, before what has a place or after it.
+async fn cycles_without_a_clock_make_the_life_unknown_in_which_they_came_in(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let who = engineer();
+    let unset = |tool: &str, n: u32, received: i64| {
+        let mut draft = Run { tool: tool.to_owned(), id: format!("u{tool}{n}"), ..Run::nth(n) }.draft();
+        draft.started_at = Timestamp::from_micros(915_148_800_000_000 + i64::from(n) * 1_000_000);
+        let new = new_cycle(Cycle::new(draft).unwrap());
+        NewCycle { received_at: at(received), ..new }
+    };
+    let set = |tool: &str, n: u32| {
+        Run { tool: tool.to_owned(), id: format!("s{tool}{n}"), ..Run::nth(n) }.new_cycle()
+    };
+    let commit_all = async |cycles: Vec<NewCycle>| {
+        for stored in store.commit_cycles(cycles, at(100_000), RecommendSettings::default()).await {
+            assert!(matches!(stored, Ok(Committed::Stored(_))), "{stored:?}");
+        }
+    };
+    for (tool, together) in [("T2", false), ("T3", true), ("T4", false)] {
+        let id = tool.try_into().unwrap();
+        store.put_tool(super::given::tool(tool), Precondition::Absent, &who, at(0)).await.unwrap();
+        mounted(&*store, tool, 0).await;
+        let mut cycles: Vec<NewCycle> = (1..=300).map(|n| set(tool, n)).collect();
+        cycles.extend((1..=6).map(|n| unset(tool, n, 10_000 + i64::from(n))));
+        if tool == "T4" {
+            cycles.rotate_right(6);
+        }
+        if together {
+            commit_all(cycles).await;
+        } else {
+            for some in cycles.chunks(150) {
+                commit_all(some.to_vec()).await;
+            }
+        }
+        let verdict = store.verdict(&id).await.unwrap();
+        assert_eq!((verdict.state, verdict.cycles), (ToolState::Unknown, 300), "{tool}: {verdict:?}");
+        assert!(verdict.reasons.iter().any(|(code, _)| *code == "clock_suspect"), "{verdict:?}");
+        assert_clean(&*store).await;
+        // A life that begins after them, and as if it had not been told once that is revoked.
+        let changed = event(ToolEventKind::Changed, at(20_000));
+        let told = store.add_tool_event(&id, changed, &who, at(20_000)).await.unwrap().unwrap().id;
+        commit_all((400..410).map(|n| set(tool, n)).collect()).await;
+        assert_eq!(store.verdict(&id).await.unwrap().state, ToolState::Good, "{tool}");
+        assert_clean(&*store).await;
+        store.revoke_tool_event(&id, told, &who, at(30_000)).await.unwrap().unwrap();
+        assert_eq!(store.verdict(&id).await.unwrap().state, ToolState::Unknown);
+        assert_clean(&*store).await;
+    }
+}
+
+async fn a_cycle_of_before_new_conditions_is_told_over_the_baseline_of_then(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let (id, who) = ("T1".try_into().unwrap(), engineer());
+    let run = |n: u32| Run { sampled: false, load: if n <= 20 { 30.0 } else { 45.0 }, ..Run::nth(n) };
+    commit(&*store, &(1..=30).map(run).collect::<Vec<_>>()).await;
+    let confirmed = event(ToolEventKind::ConditionsConfirmed, at(30 * 60 + 30));
+    store.add_tool_event(&id, confirmed, &who, at(9_000)).await.unwrap().unwrap();
+    commit(&*store, &(31..=50).map(run).collect::<Vec<_>>()).await;
+    let life = store.life(&id, 100).await.unwrap();
+    let of_cycles = life.cycles.iter().map(|cycle| {
+        let ratio = life.verdict.ratio_of(&cycle.facts, cycle.settings.as_ref()?);
+        ratio.map(|ratio| (ratio * 100.0).round())
+    });
+    let ratios: Vec<_> = of_cycles.collect();
+    let expected = |n: usize| Some(if (20..30).contains(&n) { 150.0 } else { 100.0 });
+    assert_eq!(ratios, (0..50).map(expected).collect::<Vec<_>>());
+    let row = store.fleet_machine(&"M1".try_into().unwrap(), 60).await.unwrap().unwrap();
+    let at_a_glance: Vec<_> = row.energy_ratios.iter().map(|ratio| Some((ratio * 100.0).round())).collect();
+    assert_eq!(at_a_glance, ratios);
+    assert_clean(&*store).await;
 }
 
 /// A checkpoint stands before the place and after it, the named cycle comes late, and the first life begins otherwise.

@@ -29,7 +29,12 @@ const LIMIT_RISE: f64 = crate::wear::WORN_LEVEL - 1.0;
 #[derive(Debug, Clone, Copy)]
 pub enum Reference<'a> {
     /// Reference cycles were run: their own relation, at the feeds at which they ran.
-    Measured(&'a Relation),
+    Measured {
+        /// Energy of the reference cycles over depth and feed.
+        relation: &'a Relation,
+        /// The wear that it was learned at; 1 is the new tool.
+        level_at_entry: f64,
+    },
     /// Nothing but the reference feed is known, mm/min: the key's own relation is asked there.
     Feed(f64),
 }
@@ -87,15 +92,17 @@ fn carried(
     level_at_entry: f64,
 ) -> Option<(Estimate, f64)> {
     let feed_of = |bin: usize| match reference {
-        Reference::Measured(known) => known.feed_mm_min(bin),
+        Reference::Measured { relation, .. } => relation.feed_mm_min(bin),
         Reference::Feed(feed) => Some(feed),
     };
-    let at_reference = match reference {
-        Reference::Measured(known) => known.predict_each(energy, |bin, _| feed_of(bin)),
-        Reference::Feed(_) => relation.predict_each(energy, |bin, _| feed_of(bin)),
+    // A relation that was learned in mid-life predicts the tool of then: its energy is so many times the new tool's.
+    let (asked, times_new) = match reference {
+        Reference::Measured { relation, level_at_entry } => (relation, level_at_entry),
+        Reference::Feed(_) => (relation, level_at_entry),
     };
+    let at_reference = asked.predict_each(energy, |bin, _| feed_of(bin));
     let (mut extra, mut by_exponent, mut distance) = (0.0, 0.0, 0.0);
-    let (mut carried, mut new_tool) = (Prediction::default(), Prediction::default());
+    let (mut carried, mut as_learned) = (Prediction::default(), Prediction::default());
     for (index, (bin, need)) in energy.bins().iter().zip(needed).enumerate() {
         let (Some(need), Some(other)) = (need, at_reference[index]) else { continue };
         let (Some(feed), Some(slow)) = (bin.feed_mm_min(), feed_of(index)) else { continue };
@@ -107,19 +114,21 @@ fn carried(
         by_exponent += here * faster.ln();
         distance += other.total * faster.ln().abs();
         carried = carried.plus(need.times(carry));
-        new_tool = new_tool.plus(other);
+        as_learned = as_learned.plus(other);
     }
-    if new_tool.total <= 0.0 {
+    if as_learned.total <= 0.0 {
         return None;
     }
-    let rise = extra / new_tool.total;
-    let exponent = DRAG_FEED_EXPONENT_SD * by_exponent / new_tool.total;
-    let scale = rise * new_tool.sd() / new_tool.total;
-    let known = carried.sd() / new_tool.total;
+    // All of it as shares of what the new tool needs there.
+    let new_tool = as_learned.total / times_new;
+    let rise = extra / new_tool;
+    let exponent = DRAG_FEED_EXPONENT_SD * by_exponent / new_tool;
+    let scale = rise * as_learned.sd() / as_learned.total;
+    let known = carried.sd() / new_tool;
     let sd = known.hypot(exponent).hypot(scale);
     // Where the tool drags is not known before it does: it may be anywhere the new tool needs energy.
-    let at_limit = DRAG_FEED_EXPONENT_SD * LIMIT_RISE * distance / new_tool.total;
-    let scale_at_limit = LIMIT_RISE * new_tool.sd() / new_tool.total;
+    let at_limit = DRAG_FEED_EXPONENT_SD * LIMIT_RISE * distance / as_learned.total;
+    let scale_at_limit = LIMIT_RISE * as_learned.sd() / as_learned.total;
     Some((Estimate { value: level_at_entry + rise, sd }, known.hypot(at_limit).hypot(scale_at_limit)))
 }
 
@@ -170,6 +179,39 @@ mod tests {
         }
     }
 
+    /// A relation that cycles of a tool of that level taught, at the reference feed.
+    fn learned_at(level: f64) -> Relation {
+        let mut relation = Relation::new(config());
+        for _ in 0..20 {
+            relation.observe(&hole(REFERENCE_MM_MIN, level - 1.0, 0.0), Per::Depth, FeedSource::Programmed);
+        }
+        relation
+    }
+
+    #[test]
+    fn what_a_relation_of_mid_life_says_is_of_the_tool_of_then() {
+        // 5 % over the tool of 1.05 are 1.1025 times the new one.
+        let (relation, energy) = (learned_at(1.05), hole(REFERENCE_MM_MIN, 1.05 * 1.05 - 1.0, 0.0));
+        let found = compensate(&relation, Some(Reference::Feed(REFERENCE_MM_MIN)), &energy, 1.05).unwrap();
+        let carried = found.at_reference_feed.unwrap();
+        assert!((found.at_own_feed.value - 1.1025).abs() < 1e-6, "{found:?}");
+        assert!((carried.value - found.at_own_feed.value).abs() < 1e-9, "{found:?}");
+        // Reference cycles that were met later: their rise counts from the wear of then, and the wear so far from the key's own.
+        let late = learned_at(1.04);
+        for (level_at_entry, reference) in [(1.05, &relation), (1.04, &late)] {
+            let known = Reference::Measured { relation: reference, level_at_entry };
+            let carried =
+                compensate(&relation, Some(known), &energy, 1.05).unwrap().at_reference_feed.unwrap();
+            assert!((carried.value - 1.1025).abs() < 1e-6, "{level_at_entry}: {carried:?}");
+        }
+        // What is not known of it grows alike.
+        let new = learned_at(1.0);
+        let risen = hole(REFERENCE_MM_MIN, 0.05, 0.0);
+        let of_new = compensate(&new, Some(Reference::Feed(REFERENCE_MM_MIN)), &risen, 1.0).unwrap();
+        let times = carried.sd / of_new.at_reference_feed.unwrap().sd;
+        assert!((times - 1.05).abs() < 1e-6, "{times}");
+    }
+
     #[test]
     fn a_slower_feed_is_no_wear_once_it_is_compensated() {
         let relation = learned(300.0, FeedSource::Programmed);
@@ -185,7 +227,8 @@ mod tests {
         let slow = learned(REFERENCE_MM_MIN, FeedSource::Programmed);
         for exponent in [0.0, 0.2, -0.2] {
             let worn = hole(300.0, 0.10, exponent);
-            let found = compensate(&relation, Some(Reference::Measured(&slow)), &worn, 1.0).unwrap();
+            let known = Reference::Measured { relation: &slow, level_at_entry: 1.0 };
+            let found = compensate(&relation, Some(known), &worn, 1.0).unwrap();
             assert!(found.at_own_feed.value < 1.09, "{found:?}");
             let carried = found.at_reference_feed.unwrap();
             assert!((carried.value - 1.10).abs() < 2.0 * carried.sd && carried.sd > 0.015, "{carried:?}");

@@ -22,9 +22,11 @@ const FORMATS: [u8; 2] = [1, 2];
 const WAY_MM: f64 = 1e-3;
 const TIME_S: f64 = 1e-5;
 const ENERGY_J: f64 = 1e-3;
-/// Depth at the surface that is still the surface, and depth short of the deepest that is already the end, mm: what an
+/// Depth at the surface that is still the surface, mm.
+pub(crate) const SURFACE_MM: f64 = 0.02;
+/// The same, and depth short of the deepest that is already the end, mm: what an
 /// encoder's noise or a standing axis adds.
-const STANDING_MM: f64 = 0.02;
+const STANDING_MM: f64 = SURFACE_MM;
 /// A contact that the loads show later than so many mm, or after this part of the way to breakthrough, is none.
 const LATEST_CONTACT_MM: f64 = 1.0;
 const LATEST_CONTACT: f64 = 0.5;

@@ -1,6 +1,6 @@
 //! Maxima with their place, medians, the falling edge of the spindle load, and flags seen in the samples.
 
-use super::scan;
+use super::{LEAST_TURNING, SURFACE_MM, scan};
 use crate::cycle::{Channel, Flag, Flags, Samples};
 use crate::invalid::Range;
 
@@ -43,6 +43,24 @@ const FALLEN: f64 = 0.5;
 pub(super) fn peak(values: &[f64], depth: Option<&[f64]>, samples: &Samples) -> Peak {
     let at = first_largest(values).unwrap_or(0);
     Peak { value: values[at], depth_mm: depth.map(|depth| depth[at]), time_ms: Some(samples.time_ms(at)) }
+}
+
+/// Median of the spindle speed over samples in the work at which it turns, rpm: how long a recording stands or spins up before it says
+/// nothing of the speed that cut. Where depth was not sampled, or says nothing of work, over all at which it turns; `None` where none is.
+pub(super) fn turning_speed(samples: &Samples) -> Option<f64> {
+    let speed = samples.column(Channel::SpindleSpeedRpm)?;
+    let fastest = speed.iter().fold(0.0, |fastest: f64, rpm| fastest.max(rpm.abs()));
+    let turns = |rpm: f64| rpm != 0.0 && rpm.abs() >= LEAST_TURNING * fastest;
+    let depth = samples.column(Channel::DepthMm);
+    let of = |in_work: &dyn Fn(usize) -> bool| {
+        let chosen = speed.iter().enumerate().filter(|(at, rpm)| turns(**rpm) && in_work(*at));
+        chosen.map(|(_, rpm)| *rpm).collect::<Vec<f64>>()
+    };
+    let mut chosen = depth.map(|depth| of(&|at| depth[at] > SURFACE_MM)).unwrap_or_default();
+    if chosen.is_empty() {
+        chosen = of(&|_| true);
+    }
+    (!chosen.is_empty()).then(|| median_in_place(&mut chosen))
 }
 
 /// Place of the largest value, of the first where several are.

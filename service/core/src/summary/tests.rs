@@ -344,6 +344,40 @@ fn of_a_channel_that_is_not_sampled_the_control_s_word_counts() {
 }
 
 #[test]
+fn the_speed_is_that_of_the_work_however_long_the_recording_stands_before_it() {
+    let speed = |columns: Vec<(Channel, Vec<f64>)>| {
+        let cycle = every_10_ms(columns);
+        (told(&cycle, &machine(LoadReference::Unknown), None).median_spindle_speed_rpm, cycle)
+    };
+    let spun = |standing: usize, rest: &[f64]| {
+        let mut speeds = vec![0.0; standing];
+        speeds.extend(rest);
+        speeds
+    };
+    // At rest and spinning up for longer than it cuts; an encoder at rest may say a little.
+    let begun = spun(50, &[3.0, -2.0, 100.0, 2399.0, 2400.0, 2401.0]);
+    let (found, cycle) = speed(vec![(Channel::SpindleSpeedRpm, begun.clone())]);
+    assert_eq!(found, Some(2400.0));
+    assert!(
+        !is_summarised_alike(6, &cycle) && !is_summarised_alike(5, &cycle) && !is_summarised_alike(4, &cycle)
+    );
+    // What turned before the work is not asked where depth says when that was.
+    let mut depth = vec![-1.0; begun.len()];
+    depth.splice(begun.len() - 2.., [0.5, 1.0]);
+    let (found, _) = speed(vec![(Channel::SpindleSpeedRpm, begun.clone()), (Channel::DepthMm, depth)]);
+    assert_eq!(found, Some(2400.5));
+    // Depth that never says work leaves what turns.
+    let air = vec![-1.0; begun.len()];
+    assert_eq!(speed(vec![(Channel::SpindleSpeedRpm, begun), (Channel::DepthMm, air)]).0, Some(2400.0));
+    // One that turns the other way has a speed, and one that never turns has none.
+    assert_eq!(speed(vec![(Channel::SpindleSpeedRpm, spun(9, &[-500.0, -510.0, -505.0]))]).0, Some(-505.0));
+    let (found, standing) = speed(vec![(Channel::SpindleSpeedRpm, vec![0.0; 9])]);
+    assert!(found.is_none() && !is_summarised_alike(6, &standing));
+    let (found, steady) = speed(vec![(Channel::SpindleSpeedRpm, vec![2400.0, 2380.0, 2420.0])]);
+    assert!(found == Some(2400.0) && is_summarised_alike(6, &steady) && is_summarised_alike(4, &steady));
+}
+
+#[test]
 fn the_course_of_an_energy_ends_at_the_whole() {
     let n = 40;
     let wave =

@@ -115,8 +115,11 @@ impl ToolFold {
         let (relation, profile) = (key.relation.as_ref()?, digest?.profile()?);
         let reference = if varies_feed(key.key.strategy) {
             let measured = self.keys.iter().find(|other| other.is_reference_of(key));
-            let measured = measured.and_then(|other| other.relation.as_ref());
-            measured.map(Reference::Measured).or_else(|| key.reference_feed_mm_min.map(Reference::Feed))
+            let measured = measured.and_then(|other| {
+                let (relation, level_at_entry) = (other.relation.as_ref()?, other.level_at_entry);
+                Some(Reference::Measured { relation, level_at_entry })
+            });
+            measured.or_else(|| key.reference_feed_mm_min.map(Reference::Feed))
         } else {
             None
         };

@@ -2,10 +2,10 @@
 
 use super::basis::{CompensatedRatio, FeedMemory, KEPT_RATIOS};
 use super::facts::OrderKey;
-use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold};
+use super::fold::{FOLD_VERSION, LAST_EXCLUDED, MAX_KEYS, ToolFold, UNPLACED_CYCLES};
 use super::key::{Baseline, Change, KeyState, Measured, Usual};
 use super::trend::{Told, TrendPoints};
-use super::verdict::{BaselineKey, Exclusion};
+use super::verdict::{BaselineKey, Earlier, Exclusion};
 use crate::cycle::ProfileVersion;
 use crate::friction::relation::Relation;
 use crate::ids::{CycleId, MachineId, OperationId, ProfileId};
@@ -258,9 +258,7 @@ fields!(Measured {
     number,
     worked,
     level,
-    machine,
-    cycle,
-    started_us,
+    order,
     joules,
     duration_ms,
     depth_mm,
@@ -280,6 +278,7 @@ fields!(Baseline {
 });
 fields!(Usual { joules, duration_ms, depth_mm, breakthrough_mm });
 fields!(Change { before, back });
+fields!(Earlier { until, joules });
 /// Found anew of what was read.
 impl Field for Told {
     fn put(&self, _: &mut Vec<u8>) {}
@@ -299,6 +298,7 @@ fields!(KeyState {
     knows_since,
     last_usual,
     before,
+    earlier,
     learning,
     baseline,
     recent,
@@ -319,6 +319,8 @@ fields!(ToolFold {
     life,
     unworn,
     awaiting_mount,
+    known_at_us,
+    unplaced_us,
     announced_until,
     answered_at,
     cycles,
@@ -327,6 +329,7 @@ fields!(ToolFold {
     since_gap,
     gap_ended,
     counted,
+    taught,
     last_counted,
     last_counted_us,
     unmeasured,
@@ -366,6 +369,7 @@ impl ToolFold {
         let fold: Self = Field::take(input)?;
         let sound = fold.keys.len() <= MAX_KEYS
             && fold.last_excluded.len() <= LAST_EXCLUDED
+            && fold.unplaced_us.len() <= UNPLACED_CYCLES + 1
             && fold.current.is_none_or(|at| at < fold.keys.len())
             && fold.last_counted <= fold.cycles
             && fold.worked <= fold.cycles

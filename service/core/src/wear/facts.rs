@@ -2,7 +2,7 @@
 
 use crate::cycle::{Cycle, Flag, Flags, ProfileVersion};
 use crate::ids::{CycleId, MachineId, OperationId, RecommendationId};
-use crate::summary::{CycleSummary, DepthDigest, EnergyBasis, IdlePower};
+use crate::summary::{CycleSummary, DepthDigest, EnergyBasis, IdlePower, LEAST_TURNING};
 use crate::units::{Strategy, Timestamp};
 
 /// The place of a cycle in its tool's history: device time first, then what tells equal times apart.
@@ -25,8 +25,12 @@ pub struct CycleFacts {
     pub order: OrderKey,
     /// What was machined.
     pub operation: OperationId,
-    /// Spindle speed commanded with the cycle, rpm; the operation's where the cycle names none.
+    /// When it came in, by the server's clock.
+    pub received_at: Timestamp,
+    /// Spindle speed commanded with the cycle, rpm; `None` where it names none.
     pub spindle_speed_rpm: Option<f64>,
+    /// Median of the speed that was sampled, rpm.
+    pub sampled_speed_rpm: Option<f64>,
     /// How the feed was chosen.
     pub strategy: Option<Strategy>,
     /// Which version of the law ran.
@@ -56,8 +60,8 @@ pub struct CycleFacts {
 }
 
 impl CycleFacts {
-    /// Takes the facts out of a cycle and its summary.
-    pub fn of(cycle: &Cycle, summary: &CycleSummary) -> Self {
+    /// Takes the facts out of a cycle that came in then, and its summary.
+    pub fn of(cycle: &Cycle, summary: &CycleSummary, received_at: Timestamp) -> Self {
         let energy = summary.best_energy().map(|energy| {
             let net = matches!(energy.idle, IdlePower::Subtracted { .. });
             (energy.basis, net, energy.total_joules)
@@ -70,7 +74,9 @@ impl CycleFacts {
                 cycle: cycle.id.clone(),
             },
             operation: cycle.operation.clone(),
-            spindle_speed_rpm: cycle.spindle_speed_rpm.or(summary.median_spindle_speed_rpm),
+            received_at,
+            spindle_speed_rpm: cycle.spindle_speed_rpm,
+            sampled_speed_rpm: summary.median_spindle_speed_rpm,
             strategy: cycle.strategy,
             law_version: cycle.law_version.clone(),
             profile: cycle.profile.clone(),
@@ -102,6 +108,17 @@ impl CycleFacts {
             Some(digest) => (true, digest.joules(), Some(digest.duration_ms())),
             None => (false, joules, self.duration_ms),
         })
+    }
+
+    /// The speed that it is compared under, rpm: the one that it names; else the sampled one, which also tells an operator's spindle
+    /// override; else `asked`, that of its operation.
+    ///
+    /// A sampled speed of 0 or below, or below [`LEAST_TURNING`] of what is asked for, is none that cut: summaries of before version 7 have
+    /// the standstill before the cut in their median.
+    pub fn speed_rpm(&self, asked: Option<f64>) -> Option<f64> {
+        let least = asked.map_or(0.0, |asked| LEAST_TURNING * asked);
+        let sampled = self.sampled_speed_rpm.filter(|rpm| *rpm > 0.0 && *rpm >= least);
+        self.spindle_speed_rpm.filter(|rpm| *rpm > 0.0).or(sampled).or(asked)
     }
 
     /// Whether it is a reference cycle: one feed from end to end.

@@ -15,6 +15,9 @@ use proptest::strategy::Strategy as _;
 
 const REFERENCE_MM_MIN: f64 = 100.0;
 
+/// When events are told that begin no story of time.
+const TOLD: Timestamp = Timestamp::from_micros(0);
+
 fn needs(feed: f64) -> f64 {
     40.0 * (feed / 200.0_f64).powf(-0.6)
 }
@@ -42,7 +45,9 @@ fn facts(number: u32, strategy: Option<Strategy>, profile: &DepthProfile) -> Cyc
             cycle: CycleId::try_from(format!("c{number}").as_str()).unwrap(),
         },
         operation: OperationId::try_from("O1").unwrap(),
+        received_at: Timestamp::from_micros(1_700_000_001_000_000 + i64::from(number) * 10_000_000),
         spindle_speed_rpm: Some(2500.0),
+        sampled_speed_rpm: None,
         strategy,
         law_version: None,
         profile: None,
@@ -338,7 +343,7 @@ fn a_new_life_begins_with_reference_cycles_where_the_last_one_needed_them() {
     let mut life = Life::new(Some(10));
     life.run(Some(Strategy::FAc), &hole(|_| 350.0, 0.0));
     assert!(life.due());
-    life.fold.event(ToolEventKind::Changed);
+    life.fold.event(ToolEventKind::Changed, TOLD);
     let references = life.fold.verdict().feed.references.unwrap();
     assert_eq!((references.due_in, references.learnt, references.count), (0, false, 0));
     life.settings.wear.reference_every_cycles = None;
@@ -419,8 +424,8 @@ proptest! {
         let (mut whole, mut stored) = (ToolFold::default(), ToolFold::default());
         for (k, mut cycle) in cycles.into_iter().enumerate() {
             if let Some((at, kind)) = event && at == k {
-                whole.event(ToolEventKind::ALL[kind]);
-                stored.event(ToolEventKind::ALL[kind]);
+                whole.event(ToolEventKind::ALL[kind], TOLD);
+                stored.event(ToolEventKind::ALL[kind], TOLD);
             }
             cycle.order.cycle = CycleId::try_from(format!("c{k}").as_str()).unwrap();
             whole.cycle(&cycle, Some(&settings));

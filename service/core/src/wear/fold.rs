@@ -7,17 +7,17 @@ use super::basis::{FeedMemory, varies_feed};
 use super::facts::{CycleFacts, OrderKey};
 use super::key::{Change, HELD_DIGESTS, KeyState, Look, Measured, Usual};
 use super::trend::TrendPoints;
-use super::verdict::{BaselineKey, Exclusion, ExclusionCounts};
+use super::verdict::{BaselineKey, Earlier, Exclusion, ExclusionCounts};
 use super::{WARNING_CLEARED_LEVEL, WARNING_LEVEL, WORN_LEVEL};
 use crate::cycle::Flag;
 use crate::ids::{CycleId, MachineId};
 use crate::operation::{Ask, Operation, WINDOW_CYCLES, WearSettings};
 use crate::summary::{COVERAGE_FLOOR, DEPTH_FLOOR, median};
 use crate::tool::ToolEventKind;
-use crate::units::{Process, Strategy};
+use crate::units::{Process, Strategy, Timestamp};
 
 /// Version of the fold's rules and of its stored form; a stored state of another version is refolded.
-pub const FOLD_VERSION: u16 = 8;
+pub const FOLD_VERSION: u16 = 9;
 
 /// Keys kept in one life; the one not run for longest makes room. A tool that serves more is not compared well.
 pub(super) const MAX_KEYS: usize = 256;
@@ -31,6 +31,8 @@ const MAX_SUSPECTS: usize = 64;
 pub(super) const LEAST_RATIOS: usize = 5;
 /// Cycles off the usual that make a lasting step, where the level's window is not smaller still.
 const LASTING: usize = 3;
+/// So many cycles whose clock was never set may have worn a tool before nobody knows it; as many as a baseline is learnt from unless told.
+pub(super) const UNPLACED_CYCLES: usize = 5;
 /// Cycles within which a step that was announced has to come, or four windows: one that comes later is another one.
 const ANNOUNCED_CYCLES: u64 = 20;
 /// After so many cycles of which none says how worn the tool is, or four windows, nobody knows it.
@@ -91,6 +93,10 @@ pub struct ToolFold {
     pub(super) unworn: bool,
     /// Whether the tool is known to be mounted only later: cycles before that have a wrong clock.
     pub(super) awaiting_mount: bool,
+    /// When the life began by an event, or somebody confirmed the tool since, µs.
+    pub(super) known_at_us: Option<i64>,
+    /// When the newest cycles whose clock was never set came in, of whichever life they are, oldest first, µs: one more than may be.
+    pub(super) unplaced_us: Vec<i64>,
     /// Running number of the last cycle for which an engineer's announcement of changed conditions holds, which came before a step
     /// was seen; 0 without one.
     pub(super) announced_until: u64,
@@ -107,6 +113,8 @@ pub struct ToolFold {
     /// How many cycles may have worn the tool when that ended last: reference cycles of before decide nothing any more.
     pub(super) gap_ended: u64,
     pub(super) counted: u64,
+    /// Baselines that were completed.
+    pub(super) taught: u64,
     pub(super) last_counted: u64,
     pub(super) last_counted_us: Option<i64>,
     /// Cycles that really cut, as far as is known, but could not be measured, since the last counted one.
@@ -138,6 +146,8 @@ impl Default for ToolFold {
             life: 0,
             unworn: true,
             awaiting_mount: false,
+            known_at_us: None,
+            unplaced_us: Vec::new(),
             announced_until: 0,
             answered_at: None,
             cycles: 0,
@@ -146,6 +156,7 @@ impl Default for ToolFold {
             since_gap: None,
             gap_ended: 0,
             counted: 0,
+            taught: 0,
             last_counted: 0,
             last_counted_us: None,
             unmeasured: 0,
@@ -183,19 +194,27 @@ impl ToolFold {
         self.last.as_ref()
     }
 
-    /// Applies an event that takes effect before the next cycle.
-    pub fn event(&mut self, kind: ToolEventKind) {
+    /// Applies an event that takes effect before the next cycle, and happened at `at`.
+    pub fn event(&mut self, kind: ToolEventKind, at: Timestamp) {
         if kind.begins_life() {
             *self = Self {
                 last: self.last.take(),
                 life: self.life + 1,
                 unworn: kind.starts_unworn(),
                 feeds: self.feeds.next_life(),
+                known_at_us: Some(at.micros()),
+                unplaced_us: std::mem::take(&mut self.unplaced_us),
                 ..Self::default()
             };
             return;
         }
+        // Of a life that no event began the cycles without a place are in its books.
+        self.known_at_us = self.known_at_us.map(|known| known.max(at.micros()));
         let level = self.standing();
+        // Cycles that were held since they looked like those of before are no part of what is confirmed.
+        let changed = self.keys.iter_mut().filter(|key| key.change.is_some());
+        let mut held: Vec<(Measured, Exclusion)> = changed.flat_map(KeyState::take_held).collect();
+        self.leave_out_held(&mut held);
         // Told twice, or of what is suspected, it announces nothing; nor where nothing is usual yet that a step could leave.
         let mut announced = self.suspects.is_empty()
             && self.answered_at != Some(self.cycles)
@@ -207,7 +226,7 @@ impl ToolFold {
             key.after_gap = false;
             key.stepped = false;
             if key.change.is_some() {
-                key.relearn(level.unwrap_or(1.0));
+                key.relearn(level.unwrap_or(1.0), None);
             }
         }
         let holds = ANNOUNCED_CYCLES.max(4 * u64::from(self.window));
@@ -227,6 +246,9 @@ impl ToolFold {
         self.last = Some(facts.order.clone());
         self.cycles += 1;
         self.worked += 1;
+        if facts.flags.contains(Flag::ClockSuspect) {
+            self.note_unplaced(facts.received_at.micros());
+        }
         self.note_feeds(facts, settings);
         let (compared, settings) = match self.countable(facts, settings) {
             Ok(found) => found,
@@ -240,6 +262,7 @@ impl ToolFold {
         };
         let (in_contact, joules, duration_ms) = compared;
         let at = self.key_of(facts, in_contact, settings);
+        self.keys[at].note_next(&facts.order);
         let mut cycle = Measured::of(facts, (joules, duration_ms), (self.cycles, self.worked));
         if !settings.is_friction {
             cycle.digest = None;
@@ -248,8 +271,8 @@ impl ToolFold {
         self.current = Some(at);
         self.keys[at].used = self.cycles;
         self.keys[at].seen += 1;
-        let (counted, learning) = (self.counted, self.keys[at].baseline.is_none());
-        if learning {
+        let (counted, taught) = (self.counted, self.taught);
+        if self.keys[at].baseline.is_none() {
             self.learn(at, cycle);
         } else if self.keys[at].override_differs(&cycle) {
             self.leave_out_for_override(at, &cycle);
@@ -258,12 +281,28 @@ impl ToolFold {
         } else {
             self.compare(at, cycle);
         }
-        if self.counted > counted && !(learning && self.keys[at].baseline.is_some()) {
+        if self.counted > counted && self.taught == taught {
             self.judge();
         }
         if settings.is_friction && self.masked(self.decision()).is_some() {
             self.feeds.masked += 1;
         }
+    }
+
+    /// Notes that a cycle came in of which nobody knows when it was run: a life that had begun by then may be its.
+    fn note_unplaced(&mut self, received_us: i64) {
+        let place = self.unplaced_us.partition_point(|known| *known <= received_us);
+        self.unplaced_us.insert(place, received_us);
+        if self.unplaced_us.len() > UNPLACED_CYCLES + 1 {
+            self.unplaced_us.remove(0);
+        }
+    }
+
+    /// Whether so many cycles of which nobody knows when they were run have come in since the life began that nobody knows how worn the
+    /// tool is. Of a life that no event began they are the first cycles.
+    pub(super) fn is_unplaced(&self) -> bool {
+        let since = self.known_at_us.map(|known| self.unplaced_us.iter().filter(|at| **at >= known).count());
+        since.is_some_and(|since| since > UNPLACED_CYCLES)
     }
 
     /// Notes how the tool is used; whether it is worn does not depend on it.
@@ -313,17 +352,17 @@ impl ToolFold {
         if let Some(at) = key.among(self.keys.iter().map(KeyState::key)) {
             return at;
         }
-        let level = self.level();
-        if level.is_none() && self.unmeasured > u64::from(settings.wear.baseline_cycles) {
-            // It has worked unmeasured for so long that its first measured cycles are no new tool's.
-            self.unworn = false;
-        }
         // A speed that is changed in mid-life is often changed because of the wear: the level that is carried over
         // then says nothing good until somebody confirms the new conditions.
-        let speed_changed = level.is_some() && self.keys.iter().any(|known| known.differs_in_speed(&key));
+        let speed_changed =
+            self.level().is_some() && self.keys.iter().any(|known| known.differs_in_speed(&key));
         let mut state = KeyState::new(key, settings.wear, self.standing().unwrap_or(1.0));
         if speed_changed || self.evicted {
             state.unconfirmed = !self.take_announcement(self.cycles);
+        }
+        if self.evicted {
+            // It may be one that had to make room.
+            state.earlier.push(Earlier { until: Some(facts.order.clone()), joules: None });
         }
         if self.keys.len() < MAX_KEYS {
             self.keys.push(state);
@@ -334,12 +373,13 @@ impl ToolFold {
         let rank = |at: &usize| (self.keys[*at].change.is_some(), self.keys[*at].used);
         let oldest = (0..self.keys.len()).min_by_key(rank).unwrap_or(0);
         state.unconfirmed |= self.keys[oldest].change.is_some();
-        self.keys[oldest] = state;
+        let mut held = std::mem::replace(&mut self.keys[oldest], state).take_held();
+        self.leave_out_held(&mut held);
         oldest
     }
 
     fn learn(&mut self, at: usize, cycle: Measured) {
-        let level = self.standing().unwrap_or(1.0);
+        let (level, is_first) = (self.standing().unwrap_or(1.0), self.level().is_none());
         let key = &mut self.keys[at];
         // Two cycles that agree are what "after good cycles" takes: one alone may itself be the odd one.
         let centre = key.learning_centre(2);
@@ -351,8 +391,17 @@ impl ToolFold {
             return;
         }
         if cycle.joules <= 0.0 {
-            self.leave_out(&cycle, Exclusion::AirCut);
+            if key.is_unmeasured(&cycle) {
+                self.unmeasured += 1;
+                self.leave_out(&cycle, Exclusion::NoEnergy);
+            } else {
+                self.leave_out(&cycle, Exclusion::AirCut);
+            }
             return;
+        }
+        if key.learning.is_empty() && is_first && self.unmeasured > u64::from(key.needed) {
+            // It has worked unmeasured for so long that its first measured cycles are no new tool's.
+            self.unworn = false;
         }
         if centre.is_some_and(|centre| key.look(&cycle, &centre) == Look::Usual) {
             key.last_usual = key.last_usual.max(cycle.number);
@@ -375,6 +424,7 @@ impl ToolFold {
             key.knows_since = Some(number);
         }
         if let Some(judged) = key.complete() {
+            self.taught += u64::from(self.keys[at].baseline.is_some());
             for (cycle, why) in judged {
                 match why {
                     None => self.count_taught(at, cycle),
@@ -455,12 +505,13 @@ impl ToolFold {
         let level = self.standing();
         let key = &mut self.keys[at];
         let level_step = key.off_is_level() || key.off_is_another_sheet(&usual);
+        let first = key.off.first().map(|cycle| cycle.order.clone());
         let off = std::mem::take(&mut key.off);
         let begun = off.first().map_or(self.cycles, |cycle| cycle.number);
         if !level_step {
             off.into_iter().for_each(|cycle| self.count(at, cycle));
         } else if self.take_announcement(begun) {
-            self.keys[at].relearn(level.unwrap_or(1.0));
+            self.keys[at].relearn(level.unwrap_or(1.0), first);
             off.into_iter().for_each(|cycle| self.learn(at, cycle));
         } else {
             self.keys[at].change = Some(Change { before: usual, back: Vec::new() });
@@ -618,7 +669,7 @@ impl ToolFold {
         self.counted += 1;
         self.last_counted = self.last_counted.max(cycle.number);
         key.last_usual = key.last_usual.max(cycle.number);
-        self.last_counted_us = self.last_counted_us.max(Some(cycle.started_us));
+        self.last_counted_us = self.last_counted_us.max(Some(cycle.order.started_at.micros()));
         self.unmeasured = 0;
         let (after_gap, worked) = (key.after_gap, cycle.worked);
         key.keep(cycle);
@@ -701,8 +752,14 @@ impl ToolFold {
         }
     }
 
+    /// Leaves cycles out that were held, in the order in which they were run.
+    fn leave_out_held(&mut self, held: &mut [(Measured, Exclusion)]) {
+        held.sort_by_key(|(cycle, _)| cycle.number);
+        held.iter().for_each(|(cycle, why)| self.leave_out(cycle, *why));
+    }
+
     fn leave_out(&mut self, cycle: &Measured, why: Exclusion) {
-        self.exclude(&cycle.machine, &cycle.cycle, why);
+        self.exclude(&cycle.order.machine, &cycle.order.cycle, why);
     }
 
     fn exclude(&mut self, machine: &MachineId, cycle: &CycleId, why: Exclusion) {

@@ -2,7 +2,7 @@
 
 use super::WARNING_LEVEL;
 use super::basis::Decision;
-use super::fold::{ToolFold, outdated_after};
+use super::fold::{ToolFold, UNPLACED_CYCLES, outdated_after};
 use super::key::KeyState;
 use super::trend::remaining;
 use super::verdict::{
@@ -34,7 +34,12 @@ impl ToolFold {
     }
 
     fn judged(&self, decision: Option<Decision>) -> Option<Level> {
-        if self.unworn { self.level_evidence(decision) } else { None }
+        if self.is_known_new() { self.level_evidence(decision) } else { None }
+    }
+
+    /// Whether the first measured cycles are known to be those of a tool that had not worked before.
+    fn is_known_new(&self) -> bool {
+        self.unworn && !self.is_unplaced()
     }
 
     /// What the fold says now.
@@ -51,7 +56,7 @@ impl ToolFold {
             Some(LevelBasis::AsRun) | None => &self.trend,
         };
         let level = self.judged(decision);
-        let trend = if self.unworn { points.trend() } else { None };
+        let trend = if self.is_known_new() { points.trend() } else { None };
         let sure = matches!(state, ToolState::Good | ToolState::Warning);
         let remaining = match (&trend, &decision) {
             (Some(trend), Some(decision)) if sure && decision.basis.is_some() => {
@@ -74,7 +79,7 @@ impl ToolFold {
             },
             feed: self.feed_evidence(decision),
             life: self.life,
-            started_unworn: self.unworn,
+            started_unworn: self.is_known_new(),
             baselines: baselines.into_iter().map(evidence).collect(),
             cycles: self.cycles,
             counted: self.counted,
@@ -123,7 +128,7 @@ impl ToolFold {
             );
         }
         let percent = decision.map_or(0.0, |decision| 100.0 * (decision.level - 1.0));
-        let against = if self.unworn { "the new tool" } else { "its first measured cycles" };
+        let against = if self.is_known_new() { "the new tool" } else { "its first measured cycles" };
         if !self.suspects.is_empty() {
             let n = self.excluded[Exclusion::BrokenSuspected as usize];
             say(
@@ -151,6 +156,16 @@ impl ToolFold {
                 ),
             );
             return ToolState::Changed;
+        }
+        if self.is_unplaced() {
+            say(
+                "clock_suspect",
+                format!(
+                    "more than {UNPLACED_CYCLES} cycles whose clock was never set have come in since this life began: nobody knows which \
+                     of them wore the tool"
+                ),
+            );
+            return ToolState::Unknown;
         }
         let Some(key) = current else {
             let (code, why) = self.why_nothing();
@@ -281,6 +296,7 @@ fn evidence(key: &KeyState) -> BaselineEvidence {
         learnt_from: key.learnt_from(),
         needed: key.needed,
         baseline_joules: key.baseline.as_ref().map(|baseline| baseline.joules),
+        earlier: key.earlier.clone(),
         level_at_entry: key.level_at_entry,
         operator_override_percent: key.baseline.as_ref().and_then(|baseline| baseline.operator_percent),
     }

@@ -1,12 +1,11 @@
 //! One baseline key: learning its baseline, and telling usual cycles from unusual ones.
 
-use super::facts::CycleFacts;
+use super::facts::{CycleFacts, OrderKey};
 use super::fold::FoldSettings;
-use super::verdict::{BaselineKey, Exclusion, MOST_LEVEL, Verdict};
+use super::verdict::{BaselineKey, Earlier, Exclusion, MOST_LEVEL, Verdict};
 use crate::friction::relation::{FeedSource, Per, Relation};
-use crate::ids::{CycleId, MachineId};
 use crate::operation::WearSettings;
-use crate::summary::{DepthDigest, EnergyBasis, median, relation_config};
+use crate::summary::{DepthDigest, EnergyBasis, SURFACE_MM, median, relation_config};
 use crate::units::Strategy;
 
 /// Below this share of what is usual, hardly anything was cut.
@@ -52,6 +51,8 @@ const NOISE_KNOWN: usize = 6;
 const USUAL_LENGTH: usize = 5;
 /// Counted cycles that the second indicators are the median of.
 const INDICATOR_LENGTH: usize = 5;
+/// Baselines of before that are kept, to tell what a cycle was compared with; what came before the oldest is told no ratio.
+const EARLIER_BASELINES: usize = 8;
 /// Digests that are held while a baseline is being learnt: more cycles make the relation hardly better.
 pub(super) const HELD_DIGESTS: usize = 64;
 /// Cycles that a relation is learnt from at the least.
@@ -68,9 +69,7 @@ pub(super) struct Measured {
     pub(super) worked: u64,
     /// The tool's level when a baseline was learnt from it; 1 for others.
     pub(super) level: f64,
-    pub(super) machine: MachineId,
-    pub(super) cycle: CycleId,
-    pub(super) started_us: i64,
+    pub(super) order: OrderKey,
     pub(super) joules: f64,
     pub(super) duration_ms: Option<f64>,
     pub(super) depth_mm: Option<f64>,
@@ -92,9 +91,7 @@ impl Measured {
             number,
             worked,
             level: 1.0,
-            machine: facts.order.machine.clone(),
-            cycle: facts.order.cycle.clone(),
-            started_us: facts.order.started_at.micros(),
+            order: facts.order.clone(),
             joules,
             duration_ms,
             depth_mm: facts.max_depth_mm,
@@ -168,6 +165,8 @@ pub(super) struct KeyState {
     pub(super) last_usual: u64,
     /// What was usual before it was to be learnt anew.
     pub(super) before: Option<Usual>,
+    /// Baselines of before, oldest first; the last one holds until the next cycle where that has yet to come.
+    pub(super) earlier: Vec<Earlier>,
     /// Cycles the baseline is being learnt from, in order; empty once it is complete.
     pub(super) learning: Vec<Measured>,
     pub(super) baseline: Option<Baseline>,
@@ -228,7 +227,7 @@ impl BaselineKey {
         Self {
             machine: facts.order.machine.clone(),
             operation: facts.operation.clone(),
-            spindle_speed_rpm: facts.spindle_speed_rpm.or(settings.spindle_speed_rpm),
+            spindle_speed_rpm: facts.speed_rpm(settings.spindle_speed_rpm),
             basis,
             idle_subtracted,
             in_contact,
@@ -265,13 +264,14 @@ impl BaselineKey {
 }
 
 impl Verdict {
-    /// Energy of a cycle of the tool's current life over that of the new tool that it is compared with, at most
-    /// [`MOST_LEVEL`] either way; `None` where it has none, or the new tool's is not known.
+    /// Energy of a cycle of the tool's current life over that of the new tool that it was compared with, at most
+    /// [`MOST_LEVEL`] either way: a baseline that was learnt anew says nothing of the cycles before. `None` where it has none, or the
+    /// new tool's is not known.
     pub fn ratio_of(&self, facts: &CycleFacts, settings: &FoldSettings) -> Option<f64> {
         let (in_contact, joules, _) = facts.compared(settings.is_friction)?;
         let key = BaselineKey::of(facts, in_contact, settings);
         let place = key.among(self.baselines.iter().map(|baseline| &baseline.key))?;
-        let baseline = self.baselines.get(place)?.baseline_joules?;
+        let baseline = self.baselines.get(place)?.joules_at(&facts.order)?;
         (baseline > 0.0).then(|| (joules / baseline).clamp(-MOST_LEVEL, MOST_LEVEL))
     }
 }
@@ -289,6 +289,7 @@ impl KeyState {
             knows_since: None,
             last_usual: 0,
             before: None,
+            earlier: Vec::new(),
             learning: Vec::new(),
             baseline: None,
             recent: Vec::new(),
@@ -353,22 +354,55 @@ impl KeyState {
         (relation.cycles() >= LEAST_RELATION).then_some(relation)
     }
 
-    /// Forgets the baseline and learns a new one that carries `level` over.
-    pub(super) fn relearn(&mut self, level: f64) {
+    /// Forgets the baseline and learns a new one that carries `level` over; the old one holds for what came before the cycle at `from`,
+    /// or before the key's next one where nobody knows it yet. What is held must have been taken out before.
+    pub(super) fn relearn(&mut self, level: f64, from: Option<OrderKey>) {
         let settings = WearSettings {
             baseline_cycles: self.needed,
             window_cycles: self.window,
             ..WearSettings::default()
         };
         let before = self.confirmed_usual();
+        let joules = self.baseline.as_ref().map(|baseline| baseline.joules);
+        let mut earlier = std::mem::take(&mut self.earlier);
+        earlier.push(Earlier { until: from, joules });
+        if earlier.len() > EARLIER_BASELINES {
+            earlier.remove(0);
+            earlier[0].joules = None;
+        }
         *self = Self {
             used: self.used,
             knows_since: self.knows_since,
             last_usual: self.last_usual,
             before: before.or(self.before),
+            earlier,
             reference_feed_mm_min: self.reference_feed_mm_min,
             ..Self::new(self.key.clone(), settings, level)
         };
+    }
+
+    /// Whether a cycle of no energy, or of less, says that nothing was measured, and not that nothing was cut: the tool went into the
+    /// work, or a spindle's whole power was nothing, which even idling is not.
+    pub(super) fn is_unmeasured(&self, cycle: &Measured) -> bool {
+        let whole_power = self.key.basis == EnergyBasis::MeasuredPower && !self.key.idle_subtracted;
+        whole_power || cycle.depth_mm.is_some_and(|reached| reached > SURFACE_MM)
+    }
+
+    /// A cycle of it has come: what holds until the next one does no more.
+    pub(super) fn note_next(&mut self, order: &OrderKey) {
+        if let Some(last) = self.earlier.last_mut() {
+            last.until.get_or_insert_with(|| order.clone());
+        }
+    }
+
+    /// Cycles that are neither counted nor left out yet, in order, which are not held any more.
+    pub(super) fn take_held(&mut self) -> Vec<(Measured, Exclusion)> {
+        let learning = std::mem::take(&mut self.learning).into_iter();
+        let off = std::mem::take(&mut self.off).into_iter();
+        let back = self.change.as_mut().map(|change| std::mem::take(&mut change.back)).unwrap_or_default();
+        let learning = learning.map(|cycle| (cycle, Exclusion::BaselineOutlier));
+        let changed = off.chain(back).map(|cycle| (cycle, Exclusion::ConditionsChanged));
+        learning.chain(changed).collect()
     }
 
     /// Whether the operator's override keeps `cycle` from being compared with the baseline.
@@ -613,17 +647,15 @@ impl KeyState {
     /// Looks for a lasting step among the cycles being learnt from: a baseline must not straddle it. Returns the
     /// cycles before a step, which are left out; `None` while too few cycles have come after one to tell.
     fn settle_learning_step(&mut self) -> Option<Vec<(Measured, Option<Exclusion>)>> {
-        let cut: Vec<usize> = (0..self.learning.len())
-            .filter(|&k| {
-                let energies: Vec<f64> = self.learning.iter().map(|cycle| cycle.joules).collect();
-                within(energies[k], median(&energies), 1.0 / UNDERCUT)
-            })
-            .collect();
-        let energies: Vec<f64> = cut.iter().map(|&k| self.learning[k].joules).collect();
-        let Some(step) = (1..energies.len()).find(|&split| is_step(&energies[..split], &energies[split..]))
-        else {
+        let energies: Vec<f64> = self.learning.iter().map(|cycle| cycle.joules).collect();
+        if energies.is_empty() {
             return Some(Vec::new());
-        };
+        }
+        let centre = median(&energies);
+        let cut: Vec<usize> =
+            (0..energies.len()).filter(|&k| within(energies[k], centre, 1.0 / UNDERCUT)).collect();
+        let energies: Vec<f64> = cut.iter().map(|&k| energies[k]).collect();
+        let Some(step) = first_step(&energies) else { return Some(Vec::new()) };
         if energies.len() - step < LASTING_LEARNT {
             return None;
         }
@@ -687,6 +719,46 @@ fn is_step(before: &[f64], after: &[f64]) -> bool {
     (high / low - 1.0).abs() > STEP_UNKNOWN_NOISE && steady(before, low) && steady(after, high)
 }
 
+/// Where energies first divide into two runs that make a step.
+///
+/// It is asked with every cycle of a baseline of up to 500: most places are told from what the least and the largest energy on either
+/// side allow the medians to be, and medians are found of the few that are left.
+fn first_step(energies: &[f64]) -> Option<usize> {
+    let after = spans(energies.iter().rev().copied());
+    let before = spans(energies.iter().copied());
+    (1..energies.len())
+        .filter(|&split| may_be_step(before[split - 1], after[energies.len() - split - 1]))
+        .find(|&split| is_step(&energies[..split], &energies[split..]))
+}
+
+/// The least and the largest of the values so far, at each.
+fn spans(values: impl Iterator<Item = f64>) -> Vec<(f64, f64)> {
+    let so_far = values.scan((f64::INFINITY, f64::NEG_INFINITY), |(least, most), value| {
+        (*least, *most) = (least.min(value), most.max(value));
+        Some((*least, *most))
+    });
+    so_far.collect()
+}
+
+/// Whether two runs of energies with these least and largest values can make a step. The median of a steady run lies among its values and
+/// no further than [`LEARNT_SCATTER`] from either end.
+fn may_be_step(before: (f64, f64), after: (f64, f64)) -> bool {
+    /// What rounding may do to a comparison of ratios, many times over.
+    const SLACK: f64 = 1e-9;
+    if before.0 < f64::MIN_POSITIVE || after.0 < f64::MIN_POSITIVE {
+        // Where numbers are not rounded by a share of themselves, nothing is told beforehand.
+        return true;
+    }
+    let medians = |(least, most): (f64, f64)| {
+        (least.max(most / (1.0 + LEARNT_SCATTER)), most.min(least / (1.0 - LEARNT_SCATTER)))
+    };
+    let ((low_least, low_most), (high_least, high_most)) = (medians(before), medians(after));
+    let steady = low_least <= low_most * (1.0 + SLACK) && high_least <= high_most * (1.0 + SLACK);
+    let apart = high_most * (1.0 + SLACK) >= low_least * (1.0 + STEP_UNKNOWN_NOISE)
+        || high_least * (1.0 - SLACK) <= low_most * (1.0 - STEP_UNKNOWN_NOISE);
+    steady && apart
+}
+
 /// Median of the largest group of depths that are one sheet's; the first of several that are as large.
 fn commonest(depths: &[f64]) -> Option<f64> {
     let alike = |depth: f64| {
@@ -710,4 +782,51 @@ fn sigma(differences: &[f64]) -> Option<f64> {
 
 fn step(differences: &[f64]) -> f64 {
     sigma(differences).map_or(STEP_UNKNOWN_NOISE, |sigma| (STEP_SIGMAS * sigma).clamp(STEP_MIN, STEP_MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{first_step, is_step, may_be_step, spans};
+    use proptest::prelude::{Just, ProptestConfig, Strategy, prop, prop_assert_eq, prop_oneof, proptest};
+
+    fn first_step_by_all_medians(energies: &[f64]) -> Option<usize> {
+        (1..energies.len()).find(|&split| is_step(&energies[..split], &energies[split..]))
+    }
+
+    /// Energies of up to two levels that scatter by up to a quarter, of any size, some far off.
+    fn energies() -> impl Strategy<Value = Vec<f64>> {
+        let scale = prop_oneof![3 => Just(2000.0), 1 => Just(1e18), 1 => Just(1e-310), 1 => Just(5e-324)];
+        let step = prop_oneof![2 => 0.7..1.4, 1 => Just(1.15), 1 => Just(0.85), 1 => Just(1.0 / 0.9)];
+        (scale, step, 0.0..0.25, 0..40_usize, prop::collection::vec((-1.0..1.0, 0..60_u8), 0..80)).prop_map(
+            |(scale, step, scatter, at, noise)| {
+                let energy = |(k, (noise, odd)): (usize, (f64, u8))| {
+                    let level = if k < at { 1.0 } else { step };
+                    let odd = if odd == 0 { 1.5 } else { 1.0 };
+                    scale * level * odd * (1.0 + scatter * noise)
+                };
+                noise.into_iter().enumerate().map(energy).collect()
+            },
+        )
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4096))]
+
+        /// What is told beforehand leaves out no step.
+        #[test]
+        fn a_step_is_found_where_all_medians_find_it(energies in energies()) {
+            prop_assert_eq!(first_step(&energies), first_step_by_all_medians(&energies));
+        }
+    }
+
+    /// With every cycle of a baseline of 500 the place of a step is asked for: of noise, hardly any median is.
+    #[test]
+    fn of_a_long_baseline_few_medians_are_asked_for() {
+        let energies: Vec<f64> =
+            (0..1000_u32).map(|k| 2000.0 * (1.0 + 0.08 * (f64::from(k) * 2.399).sin())).collect();
+        let (before, after) = (spans(energies.iter().copied()), spans(energies.iter().rev().copied()));
+        let asked = (1..energies.len())
+            .filter(|&split| may_be_step(before[split - 1], after[energies.len() - split - 1]));
+        assert!(asked.count() < 20);
+    }
 }

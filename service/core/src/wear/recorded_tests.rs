@@ -186,7 +186,7 @@ impl Shop {
         let cycle = Cycle::new(draft).unwrap();
         let context =
             Context { machine: &self.machine, calibration: self.calibration.as_ref(), operation: None };
-        CycleFacts::of(&cycle, &summarise(&cycle, context))
+        CycleFacts::of(&cycle, &summarise(&cycle, context), cycle.started_at)
     }
 
     fn drill(&mut self, hole: Hole) -> Verdict {
@@ -359,7 +359,7 @@ fn a_confirmed_sheet_has_a_baseline_of_its_own_that_carries_the_wear() {
         shop.drill(Hole { wear: 0.4 * LIMIT, sheet: 1.3, ..Hole::USUAL });
     }
     assert_eq!(shop.fold.verdict().state, ToolState::Changed);
-    shop.fold.event(crate::tool::ToolEventKind::ConditionsConfirmed);
+    shop.fold.event(crate::tool::ToolEventKind::ConditionsConfirmed, Timestamp::from_micros(0));
     for _ in 0..10 {
         shop.drill(Hole { wear: 0.4 * LIMIT, sheet: 1.3, ..Hole::USUAL });
     }

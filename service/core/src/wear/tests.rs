@@ -11,6 +11,9 @@ use proptest::prelude::*;
 
 const NEW: f64 = 1992.0;
 
+/// When events are told that begin no story of time.
+const TOLD: Timestamp = Timestamp::from_micros(0);
+
 fn settings() -> FoldSettings {
     FoldSettings {
         wear: WearSettings::default(),
@@ -30,7 +33,9 @@ fn facts(number: u32, joules: f64) -> CycleFacts {
             cycle: CycleId::try_from(format!("c{number}").as_str()).unwrap(),
         },
         operation: OperationId::try_from("O1").unwrap(),
+        received_at: Timestamp::from_micros(1_700_000_001_000_000 + i64::from(number) * 10_000_000),
         spindle_speed_rpm: Some(2500.0),
+        sampled_speed_rpm: None,
         strategy: Some(FeedStrategy::FConst),
         law_version: None,
         profile: None,
@@ -111,7 +116,7 @@ fn a_new_tool_is_learnt_then_good_then_warned_of_then_worn_for_good() {
     assert_eq!(life.ratios(&[1.07; 3]).state, ToolState::Warning, "at the limit is over it");
     assert_eq!(life.ratios(&[1.1; 3]).state, ToolState::Worn, "at the limit is over it");
     assert_eq!(life.ratios(&[1.0; 10]).state, ToolState::Worn, "latched");
-    life.fold.event(ToolEventKind::Reground);
+    life.fold.event(ToolEventKind::Reground, TOLD);
     let verdict = life.ratios(&[1.05; 5]);
     assert_eq!((verdict.state, verdict.life), (ToolState::Good, 2));
     assert!((verdict.level.unwrap().as_run - 1.0).abs() < 1e-12, "a regrind has a baseline of its own");
@@ -270,7 +275,7 @@ fn what_is_usual_of_a_key_met_since_does_not_clear_a_broken_tool() {
     assert_eq!((verdict.state, excluded(&verdict, Exclusion::AirCut)), (ToolState::Good, 3));
     // So does whoever has looked at the tool.
     assert_eq!(life.ratio(0.02).state, ToolState::BrokenSuspected);
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(life.fold.verdict().state, ToolState::Good);
 }
 
@@ -285,7 +290,7 @@ fn a_key_that_is_met_or_learnt_anew_after_the_last_usual_cycle_clears_no_broken_
     let mut anew = Life::learnt();
     (0..8).for_each(|_| drop(elsewhere(&mut anew, 1.0, "other")));
     anew.ratios(&[1.3; 4]);
-    anew.fold.event(ToolEventKind::ConditionsConfirmed);
+    anew.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(elsewhere(&mut anew, 0.05, "other").state, ToolState::BrokenSuspected);
     assert_eq!(anew.ratios(&[0.05; 8]).state, ToolState::BrokenSuspected);
 }
@@ -294,7 +299,7 @@ fn a_key_that_is_met_or_learnt_anew_after_the_last_usual_cycle_clears_no_broken_
 fn a_confirmed_step_is_none_to_hardly_anything() {
     let mut life = Life::learnt();
     life.ratios(&[1.3; 4]);
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(life.ratios(&[0.05; 12]).state, ToolState::BrokenSuspected);
     assert_eq!(life.ratios(&[1.3; 6]).state, ToolState::Good, "it was air");
     // A key that was learnt by a broken tool alone vouches for nothing, also once it is complete.
@@ -304,7 +309,7 @@ fn a_confirmed_step_is_none_to_hardly_anything() {
     assert_eq!(elsewhere(&mut broken, 0.05, "new").state, ToolState::BrokenSuspected);
     // One that had been known before a step was announced does, once its cycles agree again.
     let mut announced = Life::learnt();
-    announced.fold.event(ToolEventKind::ConditionsConfirmed);
+    announced.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     announced.ratio(0.05);
     assert_eq!(announced.ratios(&[1.3; 10]).state, ToolState::Good);
 }
@@ -328,7 +333,7 @@ fn confirmed_conditions_carry_the_wear_of_when_they_are_run() {
     let mut life = Life::learnt();
     (0..8).for_each(|_| drop(elsewhere(&mut life, 1.0, "other")));
     life.ratios(&[1.3; 4]);
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     // It wears elsewhere before the confirmed conditions are run again.
     for k in 1..=16 {
         elsewhere(&mut life, 1.0 + 0.005 * f64::from(k), "other");
@@ -343,13 +348,13 @@ fn confirmed_conditions_carry_the_wear_of_when_they_are_run() {
 fn what_is_confirmed_of_a_suspected_tool_announces_no_step() {
     let mut life = Life::learnt();
     life.ratios(&[0.05; 2]);
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(life.fold.verdict().state, ToolState::Good);
     assert_eq!(life.ratios(&[1.4; 4]).state, ToolState::Changed);
     // An announcement holds for what the tool ran before, whatever it is learning now.
     let mut told = Life::learnt();
     elsewhere(&mut told, 1.0, "other");
-    told.fold.event(ToolEventKind::ConditionsConfirmed);
+    told.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_ne!(told.ratios(&[1.4; 4]).state, ToolState::Changed);
 }
 
@@ -369,7 +374,7 @@ fn changed_conditions_stay_changed_whatever_the_tool_does_elsewhere() {
     assert_eq!(life.ratios(&[1.3; 4]).state, ToolState::Changed);
     let states: Vec<ToolState> = (0..8).map(|_| elsewhere(&mut life, 1.3, "other").state).collect();
     assert_eq!(states, [ToolState::Changed; 8]);
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(elsewhere(&mut life, 1.3, "other").state, ToolState::Good);
 }
 
@@ -377,17 +382,17 @@ fn changed_conditions_stay_changed_whatever_the_tool_does_elsewhere() {
 fn a_step_long_after_it_was_announced_or_confirmed_twice_is_alarmed() {
     let mut twice = Life::learnt();
     twice.ratios(&[1.3; 4]);
-    (0..3).for_each(|_| twice.fold.event(ToolEventKind::ConditionsConfirmed));
+    (0..3).for_each(|_| twice.fold.event(ToolEventKind::ConditionsConfirmed, TOLD));
     twice.ratio(1.3);
-    twice.fold.event(ToolEventKind::ConditionsConfirmed);
+    twice.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     twice.ratios(&[1.3; 8]);
     assert_eq!(twice.ratios(&[1.7; 4]).state, ToolState::Changed, "it was the first one that was confirmed");
     let mut late = Life::learnt();
-    late.fold.event(ToolEventKind::ConditionsConfirmed);
+    late.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     late.ratios(&[1.0; 20]);
     assert_eq!(late.ratios(&[1.3; 4]).state, ToolState::Changed, "20 cycles after it was announced");
     let mut soon = Life::learnt();
-    soon.fold.event(ToolEventKind::ConditionsConfirmed);
+    soon.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     soon.ratios(&[1.0; 15]);
     assert_ne!(soon.ratios(&[1.3; 4]).state, ToolState::Changed);
 }
@@ -460,7 +465,7 @@ fn confirmed_conditions_carry_the_wear_over() {
     life.ratios(&[1.06; 6]);
     life.ratios(&[1.06 * 0.7; 4]);
     assert_eq!(life.fold.verdict().state, ToolState::Changed);
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(life.ratio(1.06 * 0.7).state, ToolState::Learning);
     let verdict = life.ratios(&[1.06 * 0.7; 4]);
     assert!((verdict.level.unwrap().as_run - 1.06).abs() < 1e-9, "{verdict:?}");
@@ -471,7 +476,7 @@ fn confirmed_conditions_carry_the_wear_over() {
 #[test]
 fn conditions_announced_before_the_step_are_not_alarmed() {
     let mut life = Life::learnt();
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     let states: Vec<ToolState> = (0..8).map(|_| life.ratio(1.34).state).collect();
     assert!(!states.contains(&ToolState::Changed) && !states.contains(&ToolState::Worn), "{states:?}");
     assert_eq!(states[7], ToolState::Good);
@@ -515,10 +520,10 @@ fn another_key_met_in_mid_life_carries_the_wear_and_coming_back_uses_the_old_bas
     // A speed changed in mid-life is not called good on a level that was only carried over.
     assert_eq!((verdict.state, why(&verdict).last().copied()), (ToolState::Changed, Some("speed_changed")));
     let mut confirmed = Life { fold: life.fold.clone(), number: life.number };
-    confirmed.fold.event(ToolEventKind::ConditionsConfirmed);
+    confirmed.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(slow(&mut confirmed, 1500.0).state, ToolState::Good);
     let mut announced = Life::learnt();
-    announced.fold.event(ToolEventKind::ConditionsConfirmed);
+    announced.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     let states: Vec<ToolState> = (0..6).map(|_| slow(&mut announced, 1500.0).state).collect();
     assert_eq!(states[5], ToolState::Good, "{states:?}");
     assert!((verdict.level.unwrap().as_run - 1.06).abs() < 1e-9);
@@ -572,7 +577,7 @@ fn cycles_at_another_operator_override_are_not_compared() {
 #[test]
 fn a_tool_that_starts_worn_has_no_new_tool_baseline() {
     let mut life = Life::new();
-    life.fold.event(ToolEventKind::MountedUsed);
+    life.fold.event(ToolEventKind::MountedUsed, TOLD);
     let verdict = life.ratios(&[1.0; 8]);
     assert_eq!((verdict.state, verdict.level, verdict.remaining), (ToolState::Unknown, None, None));
     assert!(why(&verdict).contains(&"no_new_tool_baseline"));
@@ -594,7 +599,7 @@ fn cycles_before_the_tool_was_mounted_have_a_wrong_clock() {
     (1..=6).for_each(|k| fold.cycle(&facts(k, NEW), Some(&settings())));
     let verdict = fold.verdict();
     assert_eq!((verdict.state, excluded(&verdict, Exclusion::ClockSuspect)), (ToolState::Unknown, 6));
-    fold.event(ToolEventKind::MountedNew);
+    fold.event(ToolEventKind::MountedNew, TOLD);
     (7..=11).for_each(|k| fold.cycle(&facts(k, NEW), Some(&settings())));
     let verdict = fold.verdict();
     assert_eq!((verdict.state, verdict.life, verdict.cycles), (ToolState::Good, 1, 5));
@@ -670,7 +675,7 @@ fn a_level_that_nobody_knows_any_more_is_not_carried_over_as_one_that_is_known()
         ToolState::Changed,
         "of this baseline nobody knows all the same"
     );
-    life.fold.event(ToolEventKind::ConditionsConfirmed);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(elsewhere(&mut life, 1).state, ToolState::Good);
 
     // Others that are learnt meanwhile, one after the other, are no gap.
@@ -684,7 +689,7 @@ fn a_level_that_nobody_knows_any_more_is_not_carried_over_as_one_that_is_known()
     }
     let mut told = Life::learnt();
     unmeasured(&mut told, 300);
-    told.fold.event(ToolEventKind::ConditionsConfirmed);
+    told.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(elsewhere(&mut told, 6).state, ToolState::Good, "confirmed beforehand");
 }
 
@@ -763,7 +768,7 @@ fn after_long_unmeasured_work_the_window_of_before_calls_no_tool_good_that_may_b
     let mut told = Life::learnt();
     unmeasured(&mut told, 300);
     assert_eq!(told.ratio(1.08).state, ToolState::Unknown);
-    told.fold.event(ToolEventKind::ConditionsConfirmed);
+    told.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(told.ratio(1.02).state, ToolState::Good);
 }
 
@@ -843,6 +848,14 @@ fn any_cycle() -> impl proptest::strategy::Strategy<Value = CycleFacts> {
         })
 }
 
+/// Cycles that are neither counted nor left out yet.
+fn held(fold: &ToolFold) -> u64 {
+    let of_key = |key: &super::key::KeyState| {
+        key.learning.len() + key.off.len() + key.change.as_ref().map_or(0, |change| change.back.len())
+    };
+    fold.keys.iter().map(of_key).sum::<usize>() as u64
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
@@ -856,8 +869,8 @@ proptest! {
         let mut stored = ToolFold::default();
         for (k, mut cycle) in cycles.into_iter().enumerate() {
             if let Some((at, kind)) = event && at == k {
-                whole.event(ToolEventKind::ALL[kind]);
-                stored.event(ToolEventKind::ALL[kind]);
+                whole.event(ToolEventKind::ALL[kind], TOLD);
+                stored.event(ToolEventKind::ALL[kind], TOLD);
             }
             cycle.order.cycle = CycleId::try_from(format!("c{k}").as_str()).unwrap();
             whole.cycle(&cycle, Some(&settings()));
@@ -870,16 +883,18 @@ proptest! {
 
     /// Every cycle is counted, left out with a reason, or still held: none is lost, none is counted twice.
     #[test]
-    fn every_cycle_is_accounted_for(cycles in prop::collection::vec(any_cycle(), 1..120)) {
+    fn every_cycle_is_accounted_for(
+        cycles in prop::collection::vec((any_cycle(), prop::bool::weighted(0.1)), 1..120),
+    ) {
         let mut fold = ToolFold::default();
-        for cycle in &cycles {
+        for (cycle, is_confirmed) in &cycles {
+            if *is_confirmed {
+                fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
+            }
             fold.cycle(cycle, Some(&settings()));
             let verdict = fold.verdict();
-            let held: usize = fold.keys.iter()
-                .map(|key| key.learning.len() + key.off.len() + key.change.as_ref().map_or(0, |c| c.back.len()))
-                .sum();
             let left_out: u64 = verdict.excluded.iter().sum();
-            prop_assert_eq!(verdict.counted + left_out + held as u64, verdict.cycles);
+            prop_assert_eq!(verdict.counted + left_out + held(&fold), verdict.cycles);
             prop_assert!(verdict.level.is_none_or(|level| level.as_run.is_finite()));
             prop_assert!(!verdict.reasons.is_empty());
         }
@@ -926,7 +941,7 @@ fn a_baseline_does_not_straddle_a_step() {
     let mut confirmed = Life::new();
     confirmed.ratios(&[1.0, 1.0, 1.0, 1.34, 1.34, 1.34, 1.34, 1.34]);
     assert_eq!(confirmed.fold.verdict().state, ToolState::Changed);
-    confirmed.fold.event(ToolEventKind::ConditionsConfirmed);
+    confirmed.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
     assert_eq!(confirmed.ratio(1.34).state, ToolState::Good);
 }
 
@@ -978,4 +993,236 @@ fn steps_are_told_among_noise() {
         worn += u32::from(life.fold.verdict().state == ToolState::Worn);
     }
     assert!(worn >= 97, "{worn} of 100");
+}
+
+#[test]
+fn a_baseline_that_is_learnt_in_the_cycle_that_tells_a_step_is_no_verdict_either() {
+    let mut life = Life::new();
+    let settings = FoldSettings {
+        wear: WearSettings { baseline_cycles: 3, window_cycles: 5, ..WearSettings::default() },
+        ..settings()
+    };
+    let mut run = |fold: &mut ToolFold, ratios: &[f64]| {
+        for ratio in ratios {
+            life.number += 1;
+            fold.cycle(&facts(life.number, ratio * NEW), Some(&settings));
+        }
+        fold.verdict()
+    };
+    let mut fold = ToolFold::default();
+    let verdict = run(&mut fold, &[1.0, 1.0, 1.0, 1.02, 1.04, 1.06, 1.09, 1.09, 1.09, 1.12, 1.12]);
+    assert_eq!(verdict.state, ToolState::Warning);
+    fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
+    let verdict = run(&mut fold, &[1.36, 1.40, 1.47]);
+    assert!(verdict.baselines[0].baseline_joules.is_some(), "learnt anew: {verdict:?}");
+    assert_eq!(verdict.state, ToolState::Warning, "{verdict:?}");
+}
+
+#[test]
+fn what_was_held_when_changed_conditions_are_confirmed_is_left_out_with_a_reason() {
+    let mut life = Life::learnt();
+    life.ratios(&[1.3, 1.3, 1.3]);
+    let verdict = life.ratios(&[1.0, 1.0]);
+    assert_eq!((verdict.state, held(&life.fold)), (ToolState::Changed, 2));
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
+    let verdict = life.fold.verdict();
+    assert_eq!((verdict.cycles, verdict.counted, held(&life.fold)), (10, 5, 0));
+    assert_eq!(excluded(&verdict, Exclusion::ConditionsChanged), 5, "{verdict:?}");
+    let named: Vec<&str> = verdict.last_excluded.iter().map(|(_, cycle, _)| cycle.as_str()).collect();
+    assert_eq!(named, ["c6", "c7", "c8", "c9", "c10"]);
+}
+
+#[test]
+fn what_a_key_held_that_makes_room_is_left_out_with_a_reason() {
+    let mut life = Life::new();
+    for law in 0..300 {
+        let verdict = elsewhere(&mut life, 1.0, &format!("law-{law}"));
+        let left_out: u64 = verdict.excluded.iter().sum();
+        assert_eq!(verdict.counted + left_out + held(&life.fold), verdict.cycles, "{law}");
+    }
+}
+
+/// A cycle whose power sensor says nothing, or the opposite.
+fn without_power(cycle: &mut CycleFacts, joules: f64) {
+    cycle.energy = Some((EnergyBasis::RatedPower, false, joules));
+    cycle.max_depth_mm = Some(8.0);
+}
+
+#[test]
+fn a_sensor_that_measures_nothing_does_not_keep_a_tool_learning() {
+    for joules in [0.0, -NEW] {
+        let mut life = Life::new();
+        for n in 0..20 {
+            let verdict = life.with(|cycle| without_power(cycle, joules));
+            assert_eq!(verdict.state, ToolState::Learning, "{n}");
+        }
+        let verdict = life.with(|cycle| without_power(cycle, joules));
+        assert_eq!((verdict.state, excluded(&verdict, Exclusion::NoEnergy)), (ToolState::Unknown, 21));
+        assert!(why(&verdict).contains(&"level_outdated"), "{verdict:?}");
+        // The sensor is mended: these are no new tool's first cycles.
+        let mended = |cycle: &mut CycleFacts| without_power(cycle, NEW);
+        (0..8).for_each(|_| drop(life.with(mended)));
+        let verdict = life.fold.verdict();
+        assert!(!verdict.started_unworn && verdict.level.is_none(), "{verdict:?}");
+    }
+    // A spindle's whole power is nothing only where nothing was measured, whether or not depth was.
+    let mut drill = Life::new();
+    let stuck = |cycle: &mut CycleFacts| cycle.energy = Some((EnergyBasis::MeasuredPower, false, 0.0));
+    (0..21).for_each(|_| drop(drill.with(stuck)));
+    assert_eq!(drill.fold.verdict().state, ToolState::Unknown);
+}
+
+#[test]
+fn what_cut_air_wears_no_tool_however_often() {
+    for (net, depth) in [(false, Some(0.0)), (true, None)] {
+        let mut life = Life::new();
+        for _ in 0..60 {
+            let verdict = life.with(|cycle| {
+                cycle.energy = Some((EnergyBasis::MeasuredPower, net, -0.5));
+                cycle.max_depth_mm = depth;
+                if !net {
+                    cycle.energy = Some((EnergyBasis::Dynamometer, false, -0.5));
+                }
+            });
+            assert_eq!(verdict.state, ToolState::Learning, "{verdict:?}");
+        }
+        assert_eq!(excluded(&life.fold.verdict(), Exclusion::AirCut), 60);
+        assert_eq!(life.ratios(&[1.0; 5]).state, ToolState::Good);
+    }
+}
+
+/// The time of a story, s.
+const fn second(second: i64) -> Timestamp {
+    Timestamp::from_micros(1_700_000_000_000_000 + second * 1_000_000)
+}
+
+/// A cycle whose clock was never set, and that came in then.
+fn unset(number: u32, received_s: i64) -> CycleFacts {
+    let mut cycle = facts(number, NEW);
+    cycle.order.started_at = Timestamp::from_micros(915_148_800_000_000 + i64::from(number));
+    cycle.order.cycle = CycleId::try_from(format!("u{number}").as_str()).unwrap();
+    cycle.received_at = second(received_s);
+    cycle.flags.insert(Flag::ClockSuspect);
+    cycle
+}
+
+#[test]
+fn a_life_during_which_cycles_without_a_clock_came_in_is_unknown() {
+    let unsets = |received: &[i64]| {
+        let mut fold = ToolFold::awaiting_mount();
+        for (number, received_s) in (1..).zip(received) {
+            fold.cycle(&unset(number, *received_s), Some(&settings()));
+            fold = ToolFold::from_bytes(&fold.to_bytes()).unwrap();
+        }
+        fold
+    };
+    let six = [600, 610, 620, 630, 640, 650];
+    let mut fold = unsets(&six);
+    let verdict = fold.verdict();
+    assert_eq!((verdict.state, verdict.cycles), (ToolState::Unknown, 6), "nobody mounted it yet");
+    fold.event(ToolEventKind::MountedNew, second(500));
+    let verdict = fold.verdict();
+    assert_eq!((verdict.state, why(&verdict)), (ToolState::Unknown, vec!["clock_suspect"]));
+    assert_eq!((verdict.cycles, verdict.started_unworn), (0, false), "it may have worked");
+
+    // In mid-life too, and no matter that its other cycles are well: but what is worn stays worn.
+    let mut used = Life { fold, number: 100 };
+    let verdict = used.ratios(&[1.0; 8]);
+    assert_eq!((verdict.state, verdict.level), (ToolState::Unknown, None), "{verdict:?}");
+    used.ratios(&[1.06; 6]);
+    let verdict = used.ratios(&[1.11; 8]);
+    assert_eq!(verdict.state, ToolState::Worn);
+    used.fold.event(ToolEventKind::Changed, second(3_000));
+    assert_eq!(used.ratios(&[1.0; 8]).state, ToolState::Good, "the next tool has not run without a clock");
+
+    // Somebody who looked at the tool since has the last word.
+    let mut confirmed = unsets(&six);
+    confirmed.event(ToolEventKind::MountedNew, second(500));
+    let mut confirmed = Life { fold: confirmed, number: 100 };
+    confirmed.ratios(&[1.0; 8]);
+    confirmed.fold.event(ToolEventKind::ConditionsConfirmed, second(3_000));
+    assert_eq!(confirmed.ratio(1.0).state, ToolState::Good);
+
+    // What came in before the life began is not its, in whatever order it was run; and a few are no matter.
+    for (received, state) in [
+        (&[100, 110, 120, 130, 140, 150, 160, 600][..], ToolState::Good),
+        (&[600, 610, 620, 630, 640][..], ToolState::Good),
+        (&[650, 100, 640, 110, 630, 600, 120, 610, 620][..], ToolState::Unknown),
+    ] {
+        let mut fold = unsets(received);
+        fold.event(ToolEventKind::MountedNew, second(500));
+        let verdict = Life { fold, number: 100 }.ratios(&[1.0; 8]);
+        assert_eq!(verdict.state, state, "{received:?}");
+    }
+}
+
+#[test]
+fn a_sampled_standstill_is_no_speed() {
+    let asked = FoldSettings { spindle_speed_rpm: Some(2400.0), ..settings() };
+    let speed = |named: Option<f64>, sampled: Option<f64>| {
+        let mut cycle = facts(1, NEW);
+        (cycle.spindle_speed_rpm, cycle.sampled_speed_rpm) = (named, sampled);
+        cycle.speed_rpm(asked.spindle_speed_rpm)
+    };
+    assert_eq!(speed(None, None), Some(2400.0));
+    assert_eq!(
+        speed(None, Some(2160.0)),
+        Some(2160.0),
+        "the operator's override tells another speed than the operation"
+    );
+    assert_eq!(speed(Some(2300.0), Some(2160.0)), Some(2300.0), "what the cycle names is believed first");
+    for standing in [0.0, -3.0, 120.0] {
+        assert_eq!(speed(None, Some(standing)), Some(2400.0), "{standing}");
+    }
+    // Recordings with as much standstill as work, as summaries of before told them.
+    let mut fold = ToolFold::default();
+    for number in 1..=30_u32 {
+        let mut cycle = facts(number, NEW);
+        cycle.spindle_speed_rpm = None;
+        cycle.sampled_speed_rpm = Some(if number % 2 == 0 { 0.0 } else { 2400.0 });
+        fold.cycle(&cycle, Some(&asked));
+    }
+    let verdict = fold.verdict();
+    assert_eq!(
+        (verdict.state, verdict.counted, verdict.baselines.len()),
+        (ToolState::Good, 30, 1),
+        "{verdict:?}"
+    );
+}
+
+#[test]
+fn a_cycle_is_told_over_the_baseline_that_it_was_compared_with() {
+    let ratio = |verdict: &Verdict, number: u32, ratio: f64| {
+        verdict
+            .ratio_of(&facts(number, ratio * NEW), &settings())
+            .map(|ratio| (1000.0 * ratio).round() / 1000.0)
+    };
+    let mut life = Life::learnt();
+    life.ratios(&[1.0, 1.0, 1.0, 1.5, 1.5, 1.5, 1.5]);
+    life.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
+    let learning = life.ratios(&[1.5, 1.5]);
+    assert_eq!(
+        (ratio(&learning, 8, 1.0), ratio(&learning, 12, 1.5), ratio(&learning, 14, 1.5)),
+        (Some(1.0), Some(1.5), None)
+    );
+    let learnt = life.ratios(&[1.5; 6]);
+    assert_eq!((ratio(&learnt, 8, 1.0), ratio(&learnt, 12, 1.5)), (Some(1.0), Some(1.5)));
+    assert_eq!((ratio(&learnt, 13, 1.5), ratio(&learnt, 20, 1.5)), (Some(1.0), Some(1.0)));
+    // A step that was announced: the baseline is another one from its first cycle on.
+    let mut announced = Life::learnt();
+    announced.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
+    let verdict = announced.ratios(&[1.0, 1.5, 1.5, 1.5, 1.5, 1.5]);
+    assert_eq!((ratio(&verdict, 6, 1.0), ratio(&verdict, 7, 1.5)), (Some(1.0), Some(1.0)), "{verdict:?}");
+    // Of many only the newest are kept, and what came before them is told none.
+    let mut many = Life::learnt();
+    for step in 1..=12 {
+        let at = 1.3_f64.powi(step);
+        many.ratios(&[at; 3]);
+        many.fold.event(ToolEventKind::ConditionsConfirmed, TOLD);
+        many.ratios(&[at; 6]);
+    }
+    let verdict = many.fold.verdict();
+    assert_eq!(ratio(&verdict, 5, 1.0), None);
+    assert_eq!(ratio(&verdict, many.number, 1.3_f64.powi(12)), Some(1.0));
+    assert_eq!(ToolFold::from_bytes(&many.fold.to_bytes()), Some(many.fold));
 }

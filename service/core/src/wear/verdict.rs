@@ -71,7 +71,7 @@ pub enum Exclusion {
     BrokenSuspected = 3,
     /// It began before its tool was mounted, or its clock was never set.
     ClockSuspect = 4,
-    /// No joules: neither power nor a rating is known.
+    /// No joules: neither power nor a rating is known, or what was measured of a cycle in the work is nothing.
     NoEnergy = 5,
     /// Samples cover less than 95 % of it.
     LowCoverage = 6,
@@ -167,10 +167,31 @@ pub struct BaselineEvidence {
     pub needed: u32,
     /// The baseline B, J; `None` while it is being learnt.
     pub baseline_joules: Option<f64>,
+    /// Those of before that it was learnt anew after, oldest first.
+    pub earlier: Vec<Earlier>,
     /// The level that the tool had when the key was first met; 1 for a new tool.
     pub level_at_entry: f64,
     /// Median operator's override of the baseline's cycles, %.
     pub operator_override_percent: Option<f64>,
+}
+
+/// A baseline that does not hold any more.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Earlier {
+    /// The first cycle that it does not hold for; `None` where that has yet to come.
+    pub until: Option<OrderKey>,
+    /// It, J; `None` where it is not known any more.
+    pub joules: Option<f64>,
+}
+
+impl BaselineEvidence {
+    /// The baseline that a cycle of that place was compared with, J.
+    pub(super) fn joules_at(&self, order: &OrderKey) -> Option<f64> {
+        match self.earlier.iter().find(|earlier| earlier.until.as_ref().is_none_or(|until| order < until)) {
+            Some(earlier) => earlier.joules,
+            None => self.baseline_joules,
+        }
+    }
 }
 
 /// What a level rests on.

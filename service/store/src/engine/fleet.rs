@@ -17,7 +17,7 @@ const MOST_ALARMS: u32 = 2000;
 const LAST_CYCLES: &str = concat!(
     "SELECT ",
     wear::facts_columns!(),
-    ", c.tool_id, c.received_at_us, c.outcome
+    ", c.tool_id, c.outcome
      FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
      WHERE c.machine_id = $1 ORDER BY c.started_at_us DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $2"
 );

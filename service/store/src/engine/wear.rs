@@ -140,7 +140,7 @@ fn readable(version: i64, stored: &[u8]) -> Option<ToolFold> {
 /// The columns of a [`FactsRow`], of `cycles c LEFT JOIN operations o`.
 macro_rules! facts_columns {
     () => {
-        "c.machine_id, c.cycle_id, c.operation_id, c.started_at_us, c.seq, c.strategy, c.law_version, c.profile_id,
+        "c.machine_id, c.cycle_id, c.operation_id, c.started_at_us, c.received_at_us, c.seq, c.strategy, c.law_version, c.profile_id,
          c.profile_version, c.spindle_speed_rpm, c.median_spindle_speed_rpm, c.dynamometer_joules,
          c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts, c.rated_power_joules,
          c.reported_energy_joules, c.duration_ms, c.max_depth_mm, c.energy_scale, c.spindle_load_fall_depth_mm,

@@ -43,6 +43,7 @@ pub(crate) struct FactsRow {
     pub(crate) cycle_id: String,
     pub(crate) operation_id: String,
     pub(crate) started_at_us: i64,
+    pub(crate) received_at_us: i64,
     pub(crate) seq: Option<i64>,
     pub(crate) strategy: Option<String>,
     pub(crate) law_version: Option<String>,
@@ -90,6 +91,7 @@ impl FactsRow {
             cycle_id: row.cycle_id.clone(),
             operation_id: row.operation_id.clone(),
             started_at_us: row.started_at_us,
+            received_at_us: row.received_at_us,
             seq: row.seq,
             strategy: row.strategy.clone(),
             law_version: row.law_version.clone(),
@@ -178,7 +180,9 @@ impl FactsRow {
         let facts = CycleFacts {
             order: self.order()?,
             operation: id("operation_id", &self.operation_id)?,
-            spindle_speed_rpm: self.spindle_speed_rpm.or(self.median_spindle_speed_rpm),
+            received_at: Timestamp::from_micros(self.received_at_us),
+            spindle_speed_rpm: self.spindle_speed_rpm,
+            sampled_speed_rpm: self.median_spindle_speed_rpm,
             strategy: self
                 .strategy
                 .as_deref()

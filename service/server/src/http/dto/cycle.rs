@@ -244,7 +244,7 @@ pub struct SummaryBody {
     pub mean_override_percent: Option<f64>,
     /// Mean operator's override, %.
     pub operator_override_percent: Option<f64>,
-    /// Median spindle speed, rpm.
+    /// Median of the sampled spindle speed while it turns, in the work where depth was sampled, rpm.
     pub median_spindle_speed_rpm: Option<f64>,
     /// Depth at which the spindle load has fallen to half of its maximum, mm.
     pub spindle_load_fall_depth_mm: Option<f64>,

@@ -74,7 +74,7 @@ pub struct FleetMachineBody {
     pub cadence_ms: Option<i64>,
     /// How worn the tool of the newest cycle is.
     pub wear: Option<WearBody<'static>>,
-    /// Energies of those of the newest cycles that this tool ran in its current life, each over the baseline that it is compared
+    /// Energies of those of the newest cycles that this tool ran in its current life, each over the baseline that it was compared
     /// with, oldest first: 1 is the new tool. Cycles without energy, or whose baseline does not stand yet, are left out.
     pub energy_ratios: Vec<f64>,
     /// Its open alarms, oldest first.

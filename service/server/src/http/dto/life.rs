@@ -36,7 +36,7 @@ pub struct LifeBody {
     pub strategy: Vec<Option<&'static str>>,
     /// Energy of each as it is compared, J: of friction drilling from contact to full depth, where depth was sampled.
     pub energy_joules: Vec<Option<f64>>,
-    /// That over the baseline it is compared with: 1 is the new tool. Null where there is none.
+    /// That over the baseline it was compared with, also where that was learnt anew since: 1 is the new tool. Null where there is none.
     pub energy_ratio: Vec<Option<f64>>,
     /// The level that was judged after each, as `wear.level.value` says it of the last: 1 is the new tool. Null before
     /// there was one.

@@ -61,7 +61,7 @@ pub struct WearBody<'a> {
     pub feed: FeedEvidenceBody,
     /// Which life of the tool this is, counted from 1.
     pub life: u32,
-    /// Whether the life began with an unworn tool.
+    /// Whether the life is known to have begun with an unworn tool.
     pub started_unworn: bool,
     /// Baselines of this life, the one that ran last first.
     pub baselines: Vec<BaselineBody<'a>>,
