@@ -209,7 +209,7 @@ mod tests {
             .collect();
         let mut sorted = numbers.clone();
         sorted.sort_unstable();
-        assert_eq!(sorted, (1..=30).collect::<Vec<_>>(), "each once");
+        assert_eq!(sorted, (1..=31).collect::<Vec<_>>(), "each once");
         assert_eq!(numbered_after("SELECT $2, $1, '' WHERE $10", 3), "SELECT $5, $4, '' WHERE $13");
     }
 }

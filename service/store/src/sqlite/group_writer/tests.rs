@@ -253,7 +253,7 @@ fn what_tables_are_checked_against_is_held_before() {
         // Counts that begin at 1 or 0 and go up by one.
         let counts: Vec<&str> = ranges.iter().map(|(column, ..)| column.as_str()).collect();
         let expected: &[&str] =
-            if table == "tool_wear" { &["fold_version", "folded", "version"] } else { &[] };
+            if table == "tool_wear" { &["fold_version", "folded", "judging_change", "version"] } else { &[] };
         assert_eq!(counts, expected, "{table}");
     }
 }
