@@ -340,6 +340,7 @@ mod tests {
                 baseline_joules: None,
                 level_at_entry: 1.0,
                 operator_override_percent: None,
+                earlier: Vec::new(),
             };
             let mut verdict =
                 Verdict { cycles, baselines: learnt.iter().map(baseline).collect(), ..worn(None) };
