@@ -599,7 +599,7 @@ async fn whatever_wear_reads_of_a_cycle_is_held_against_what_was_taken_in(given:
     let source = include_str!("../../../service/store/src/engine/wear.rs");
     let (_, columns) = source.split_once("macro_rules! facts_columns").unwrap();
     let (columns, _) = columns.split_once("o.baseline_cycles").unwrap();
-    let columns: BTreeSet<&str> = columns
+    let mut columns: BTreeSet<&str> = columns
         .split("c.")
         .skip(1)
         .map(|rest| rest.split(|c: char| c != '_' && !c.is_ascii_alphanumeric()).next().unwrap())
@@ -608,7 +608,8 @@ async fn whatever_wear_reads_of_a_cycle_is_held_against_what_was_taken_in(given:
         columns.len() > 25 && columns.contains("flags") && columns.contains("recommendation_id"),
         "{columns:?}"
     );
-    // Their receipt, which wear does not read, names the cycles: one with samples, and one without.
+    // Their receipt, which wear reads of cycles without a clock alone, names the cycles: one with samples, and one without.
+    assert!(columns.remove("received_at_us"));
     for (seconds, cycle) in [(1800, "c00003"), (4800, "c00008")] {
         let here = format!("received_at_us = {}", at(seconds).plus_millis(3000).micros());
         let mut changes = Vec::new();
