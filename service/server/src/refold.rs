@@ -53,14 +53,35 @@ async fn round(state: &AppState) {
                 AWAY
             }
         };
-        // Only the waiting is cut short, never a statement.
-        tokio::select! {
-            () = tokio::time::sleep(pause) => {}
-            () = state.lifecycle.stopping() => break,
-        }
+        rest(state, pause).await;
     }
     if made > 0 {
         tracing::info!(tools = made, "outdated folds were made anew");
+    }
+    note_unchanged(state).await;
+}
+
+/// Only the waiting is cut short, never a statement.
+async fn rest(state: &AppState, pause: Duration) {
+    tokio::select! {
+        () = tokio::time::sleep(pause) => {}
+        () = state.lifecycle.stopping() => {}
+    }
+}
+
+/// Has those that need not follow a change say so: the next round would look through their tools' cycles again.
+async fn note_unchanged(state: &AppState) {
+    let mut after: Option<ToolId> = None;
+    while !state.lifecycle.is_stopping() {
+        let (begun, from) = (Instant::now(), after.clone());
+        match state.commit(|store| async move { store.note_unchanged_folds(from.as_ref()).await }).await {
+            Ok(Some(last)) => after = Some(last),
+            Ok(None) => return,
+            Err(error) => {
+                return tracing::warn!(%error, "the next round looks again at folds that need not follow a change");
+            }
+        }
+        rest(state, (begun.elapsed() * PAUSES).max(LEAST_PAUSE)).await;
     }
 }
 

@@ -326,6 +326,9 @@ pub trait Store: Send + Sync + 'static {
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
     /// The next registered tool after `after` with a fold that an earlier version of the rules made, or that is behind a change of an operation.
     async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>>;
+    /// Writes to the next folds after those of `after` that they need not follow changes of operations which their tools never ran, so that nobody
+    /// looks again; whose was the last. `None` behind the last.
+    async fn note_unchanged_folds(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>>;
     /// Makes such folds of a tool anew, durably, and has its alarms follow; `false` where there are none any more.
     async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair` says so. A tool whose

@@ -152,7 +152,13 @@ async fn folds_follow_one_by_one_with_their_alarms(given: &Given) {
     assert!(!wanted.is_empty());
     given.raw("DELETE FROM alarms").await.unwrap();
     let followed = follow(&*store).await;
-    assert_eq!(followed, ["T1", "T2", "T3"].map(|tool| ToolId::try_from(tool).unwrap()));
+    assert_eq!(followed, ["T1", "T2"].map(|tool| ToolId::try_from(tool).unwrap()), "T3 did not run it");
+    let numbers = "SELECT judging_change FROM tool_wear ORDER BY tool_id, machine_id";
+    assert_eq!(given.numbers(numbers).await, [1, 1, 1, 0]);
+    let states = given.wear_states().await;
+    let last = store.note_unchanged_folds(None).await.unwrap().expect("T3");
+    assert_eq!((last.as_str(), store.note_unchanged_folds(Some(&last)).await.unwrap()), ("T3", None));
+    assert_eq!((given.numbers(numbers).await, given.wear_states().await), (vec![1, 1, 1, 1], states));
     assert_eq!(told(&*store).await, after);
     assert_eq!(alarms(&*store).await, wanted);
     let check = store.check_wear(Repair::No).await.unwrap();

@@ -1,6 +1,6 @@
 //! The model library, what operations say of their process, and what an edge has cut.
 
-use super::given::{Run, at, engineer, mounted, operation, shop, stories};
+use super::given::{Given, Run, at, engineer, mounted, operation, shop, stories};
 use feedwright_core::cycle::{Cycle, ReportedCut};
 use feedwright_core::operation::Operation;
 use feedwright_core::plunge::{DrillingLaw, Material, MaterialInput};
@@ -19,6 +19,11 @@ stories!(
     an_edge_has_cut_what_its_operation_stated_then,
     what_was_kept_in_part_or_has_no_time_is_told_of_an_edge,
 );
+
+mod tables {
+    super::stories!(with tables: what_was_set_up_for_another_process_is_no_turning);
+    use super::what_was_set_up_for_another_process_is_no_turning;
+}
 
 const ALL: u32 = 10;
 
@@ -144,14 +149,29 @@ async fn an_edge_has_cut_what_its_operation_stated_then(store: Arc<dyn Store>) {
     stored(&*store, Run { sampled: false, ..Run::nth(4) }.new_cycle()).await;
     stored(&*store, Run { sampled: false, seconds: 149, ..Run::nth(3) }.new_cycle()).await;
     assert_eq!(cut().await, [deep, deep, deep, Some((1.5, Some(40.0), 1.5))]);
-    // What is none of the cut's geometry is mended for all of it, and a change back changes nothing either.
+    // What may have been declared too small is mended by what is larger, and what is none of the cut's geometry for all of it.
     put(stating(2.5, Some(80.0)), 3, 250).await;
-    assert_eq!(cut().await, [deep, deep, deep, Some((1.5, Some(40.0), 1.5))]);
+    assert_eq!(cut().await, [deep; 4]);
     let other_limits = |setup: TurningSetup| TurningSetup { caution_sigmas: 2.0, ..setup };
     let mended = stating(2.5, Some(80.0));
     put(Operation { turning: mended.turning.clone().map(other_limits), ..mended }, 4, 260).await;
     let mended = deep.map(|(depth, diameter, _)| (depth, diameter, 2.0));
-    assert_eq!(cut().await, [mended, mended, mended, Some((1.5, Some(40.0), 2.0))]);
+    assert_eq!(cut().await, [mended; 4]);
+}
+
+/// As after the migration that notes what is set up: there it is of whichever process.
+async fn what_was_set_up_for_another_process_is_no_turning(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    let plunge = "INSERT INTO operation_setups (operation_id, from_us, setup)
+                  VALUES ('O1', -9000000000000000000, '{}')";
+    given.raw(plunge).await.unwrap();
+    store.put_operation(turned(), Precondition::Version(1), &engineer(), at(1)).await.unwrap();
+    assert_eq!(given.numbers("SELECT COUNT(*) FROM operation_setups").await, [1]);
+    stored(&*store, Run { sampled: false, ..Run::nth(1) }.new_cycle()).await;
+    let EdgeHistory::Cycles(cycles) = known(&*store).await else { panic!("an edge that has cut") };
+    let depth = turned().turning.map(|setup| setup.depth_mm);
+    assert_eq!(cycles[0].setup.as_ref().map(|setup| setup.depth_mm), depth);
 }
 
 async fn what_was_kept_in_part_or_has_no_time_is_told_of_an_edge(store: Arc<dyn Store>) {

@@ -507,6 +507,10 @@ impl FrictionLoop {
     }
 
     fn watch(&mut self, seen: &Seen) -> LoopReasons {
+        // Also by what came too late to be judged, as where a cycle goes on at another server: the hole is as deep as it was cut.
+        if let Some(depth) = seen.depth_mm.filter(|depth| depth.is_finite()) {
+            self.deepest_mm = self.deepest_mm.max(depth);
+        }
         let mut reasons = law::Reasons::default();
         let contact_ms = self.contact_ms(seen);
         if self.state.watch(&self.config, &seen.as_law_sample(contact_ms)) {

@@ -186,11 +186,11 @@ fn wear_level(verdict: &Verdict, stale: bool) -> Result<f64, Withheld> {
     let unknown = |why: &str| Err(("profile_wear_unknown", format!("{why}: no feed profile is handed out")));
     let mounted_new = verdict.life > 0 && verdict.started_unworn;
     match (verdict.state, verdict.level) {
-        // Before anything that is said of a new tool: what is known of it may be of cycles that have no place in its life, and
-        // those that have one may not have come.
-        (_, _) if stale => unknown("the tool's wear is older than data stays good"),
-        // Mounted new and not judged yet: it is what a profile for new tools is made for.
+        // Mounted new and not judged yet: it is what a profile for new tools is made for. What data is of before, old or not, is another
+        // tool's; one whose cycles may have come without a clock is not known to be new.
         (ToolState::Unknown, None) if mounted_new && verdict.cycles == 0 => Ok(1.0),
+        // Before anything else that is said of a new tool: of its newest cycles none may have come.
+        (_, _) if stale => unknown("the tool's wear is older than data stays good"),
         // Also where a level is told: it is of before what cannot be counted, or too uncertain to go by.
         (ToolState::Unknown, _) => unknown("the tool's wear is not known"),
         (ToolState::Learning, None) if mounted_new => match unknown_cycles(verdict) {

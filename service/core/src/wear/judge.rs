@@ -157,7 +157,14 @@ impl ToolFold {
             );
             return ToolState::Changed;
         }
-        if self.is_unplaced() {
+        if self.warned && current.is_some() {
+            say("warning", format!("energy is {percent:+.1} % against {against}"));
+            return ToolState::Warning;
+        }
+        // What is known to have changed stays so, whatever else is not known.
+        let is_changed =
+            |key: &KeyState| key.baseline.is_some() && (key.stepped || key.unconfirmed || key.after_gap);
+        if self.is_unplaced() && !current.is_some_and(is_changed) {
             say(
                 "clock_suspect",
                 format!(
@@ -172,10 +179,6 @@ impl ToolFold {
             say(code, why);
             return ToolState::Unknown;
         };
-        if self.warned {
-            say("warning", format!("energy is {percent:+.1} % against {against}"));
-            return ToolState::Warning;
-        }
         if key.baseline.is_none() {
             let (have, need) = (key.learnt_from(), key.needed);
             say("learning", format!("{have} of {need} cycles that a baseline needs"));

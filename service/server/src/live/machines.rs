@@ -94,10 +94,12 @@ impl Machines {
 pub(super) async fn look(state: &AppState) {
     let mut due = interval(state.config.stream.lease());
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut unleased = BTreeSet::new();
     loop {
         due.tick().await;
         let doubted = state.live.locked_machines().of_others(&state.live.boot);
         if doubted.is_empty() {
+            unleased.clear();
             continue;
         }
         let asked: Vec<MachineId> =
@@ -106,7 +108,7 @@ pub(super) async fn look(state: &AppState) {
         // In a task of its own: whoever waits here may be dropped, a query may not.
         let leased = state.lifecycle.spawn(async move { store.leased_streams(&asked, now).await }).await;
         match leased {
-            Ok(Ok(leased)) => end(state, &doubted, &leased.into_iter().collect()),
+            Ok(Ok(leased)) => unleased = end(state, &doubted, &leased.into_iter().collect(), &unleased),
             Ok(Err(error)) => {
                 tracing::debug!(%error, "which streams are held is not known until the next look");
             }
@@ -115,13 +117,27 @@ pub(super) async fn look(state: &AppState) {
     }
 }
 
-/// Shows the end of streams that nobody holds.
-fn end(state: &AppState, doubted: &[Doubted], leased: &BTreeSet<MachineId>) {
+/// Shows the end of streams that nobody held `before`, at the last look, nor holds now; which nobody holds now. At one look alone it may be
+/// that who holds it has not come to prolong it since the database was away.
+fn end(
+    state: &AppState,
+    doubted: &[Doubted],
+    leased: &BTreeSet<MachineId>,
+    before: &BTreeSet<MachineId>,
+) -> BTreeSet<MachineId> {
     let resume = state.config.stream.resume();
+    let mut unleased = BTreeSet::new();
     for one in doubted {
         let Ok(machine) = MachineId::try_from(one.machine.as_str()) else { continue };
         let may_come_back = one.interrupted.is_some_and(|since| since < resume);
-        if leased.contains(&machine) || may_come_back || !state.live.locked_machines().forget(one) {
+        if leased.contains(&machine) || may_come_back {
+            continue;
+        }
+        if !before.contains(&machine) {
+            unleased.insert(machine);
+            continue;
+        }
+        if !state.live.locked_machines().forget(one) {
             continue;
         }
         tracing::info!(%machine, "another server's stream has ended without a word");
@@ -129,6 +145,7 @@ fn end(state: &AppState, doubted: &[Doubted], leased: &BTreeSet<MachineId>) {
         let event = Event::machine(&machine, MachineState::Disconnected, None, state.clock.now());
         state.live.show(event);
     }
+    unleased
 }
 
 #[cfg(test)]

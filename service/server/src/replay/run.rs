@@ -103,10 +103,7 @@ pub async fn run_until(
         () = &mut stop => return Err(ReplayError::Stopped),
     }
     let mut fleet = Fleet::gather(plan, office, tokens).await?;
-    let posted = tokio::select! {
-        posted = post(plan, office, &mut fleet, options, progress) => posted,
-        () = &mut stop => Err(ReplayError::Stopped),
-    };
+    let posted = post(plan, office, &mut fleet, options, progress, &mut stop).await;
     progress.finish();
     // Whatever happened, no token stays behind that nobody knows.
     let dismissed = fleet.dismiss(office).await;
@@ -121,6 +118,7 @@ async fn post(
     fleet: &mut Fleet,
     options: Options,
     progress: &mut Progress,
+    stop: &mut (impl Future<Output = ()> + Unpin),
 ) -> Result<Outcome, ReplayError> {
     let since = Instant::now();
     let mut outcome = Outcome::default();
@@ -131,14 +129,24 @@ async fn post(
         let alike = rest.iter().take(options.batch.max(1)).take_while(|cycle| cycle.machine == head.machine);
         let (group, tail) = rest.split_at(alike.count());
         if let (Some(speed), Some(last)) = (options.speed, group.last()) {
-            wait_for(since, last.started_us + last.duration_us - first_us, speed).await;
+            tokio::select! {
+                () = wait_for(since, last.started_us + last.duration_us - first_us, speed) => {}
+                () = &mut *stop => return Err(ReplayError::Stopped),
+            }
         }
         loop {
             let client = fleet.client(&head.machine);
-            let posted = if options.batch > 1 {
-                post_batch(group, client, options.shift_us, &mut outcome).await
-            } else {
-                post_one(head, client, options.shift_us, &mut outcome).await
+            let posting = async {
+                if options.batch > 1 {
+                    post_batch(group, client, options.shift_us, &mut outcome).await
+                } else {
+                    post_one(head, client, options.shift_us, &mut outcome).await
+                }
+            };
+            // Never while a token is made: it would be valid, and nobody would know of it.
+            let posted = tokio::select! {
+                posted = posting => posted,
+                () = &mut *stop => return Err(ReplayError::Stopped),
             };
             let is_refused = matches!(posted, Err(ReplayError::Refused { status: 401, .. }));
             if !is_refused || !fleet.replace(plan, office, &head.machine).await? {

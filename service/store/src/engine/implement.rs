@@ -156,9 +156,13 @@ impl Engine {
     async fn follow_change(&self, now: Timestamp) {
         let (until, mut after) = (Instant::now() + FOLLOWED_AT_ONCE, None);
         while Instant::now() < until {
-            let tool = match self.next_outdated_fold(after.as_ref()).await {
-                Ok(Some(tool)) => tool,
-                Ok(None) => return,
+            let tool = match self.look_for_outdated(after.as_ref()).await {
+                Ok(wear::Looked::Found(tool)) => tool,
+                Ok(wear::Looked::NoneUpTo(tool)) => {
+                    after = Some(tool);
+                    continue;
+                }
+                Ok(wear::Looked::End) => return,
                 Err(error) => {
                     return tracing::warn!(%error, "folds do not follow a changed operation at once");
                 }
@@ -168,6 +172,10 @@ impl Engine {
             }
             after = Some(tool);
         }
+    }
+
+    async fn look_for_outdated(&self, after: Option<&ToolId>) -> StoreResult<wear::Looked> {
+        read!(self, |conn| wear::next_outdated(conn, after).await)
     }
 
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
@@ -723,7 +731,14 @@ impl Store for Engine {
     }
 
     async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
-        read!(self, |conn| wear::next_outdated(conn, after).await)
+        let mut after = after.cloned();
+        loop {
+            match self.look_for_outdated(after.as_ref()).await? {
+                wear::Looked::Found(tool) => return Ok(Some(tool)),
+                wear::Looked::NoneUpTo(tool) => after = Some(tool),
+                wear::Looked::End => return Ok(None),
+            }
+        }
     }
 
     async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool> {
@@ -736,6 +751,15 @@ impl Store for Engine {
             alarms::follow_verdict(conn, &tool, &verdict, now).await?;
             Ok(true)
         })
+    }
+
+    async fn note_unchanged_folds(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
+        let after = after.map_or_else(String::new, ToString::to_string);
+        let (judging_change, rows) = snapshot!(self, |conn| wear::next_unchanged(conn, &after).await)?;
+        let Some((_, last)) = rows.last() else { return Ok(None) };
+        let last = crate::rows::id("tool_id", last)?;
+        write!(self, |conn| wear::note_unchanged(conn, judging_change, &rows).await)?;
+        Ok(Some(last))
     }
 
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck> {

@@ -159,12 +159,16 @@ async fn note_turning(conn: &mut Conn, operation: &Operation, now: Timestamp) ->
         return Ok(());
     }
     let setup = setup_json(operation.turning.as_ref(), None)?;
-    sqlx::query::<Db>("INSERT INTO operation_setups (operation_id, from_us, setup) VALUES ($1, $2, $3)")
-        .bind(operation.id.as_str())
-        .bind(from.micros())
-        .bind(setup.map(|setup| setup.to_string()))
-        .execute(&mut *conn)
-        .await?;
+    // What stands there already is of another process, of which nothing was turned.
+    sqlx::query::<Db>(
+        "INSERT INTO operation_setups (operation_id, from_us, setup) VALUES ($1, $2, $3)
+         ON CONFLICT (operation_id, from_us) DO UPDATE SET setup = excluded.setup",
+    )
+    .bind(operation.id.as_str())
+    .bind(from.micros())
+    .bind(setup.map(|setup| setup.to_string()))
+    .execute(&mut *conn)
+    .await?;
     Ok(())
 }
 

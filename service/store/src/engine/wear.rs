@@ -725,6 +725,14 @@ pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) ->
     wear.verdict(conn).await
 }
 
+/// Whether a row of `tool_wear` is of a tool that ran, on its machine, what changed since.
+macro_rules! judged_otherwise {
+    () => {
+        "EXISTS (SELECT 1 FROM cycles c WHERE c.tool_id = w.tool_id AND c.machine_id = w.machine_id
+             AND c.operation_id IN (SELECT o.operation_id FROM operations o WHERE o.judging_change > w.judging_change))"
+    };
+}
+
 /// From where on a tool's cycles are judged otherwise than before the changes of operations after one of a number, by machine.
 async fn judged_otherwise_since(
     conn: &mut Conn,
@@ -746,21 +754,85 @@ async fn judged_otherwise_since(
     places.collect()
 }
 
-/// The next registered tool after `after` with a fold that an earlier version of the rules made, or that is behind a change of an
-/// operation. One of a later version is a newer server's, which judges by it.
-pub(super) async fn next_outdated(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
+/// Folds that are looked at in one statement: of each all cycles of its tool may be.
+const LOOKED_AT: i64 = 50;
+
+/// What a look for outdated folds came to.
+pub(super) enum Looked {
+    /// The next tool that has one.
+    Found(ToolId),
+    /// There is none up to this tool.
+    NoneUpTo(ToolId),
+    /// There is none any more.
+    End,
+}
+
+/// Looks at the next registered tools after `after` for a fold that an earlier version of the rules made, or that is behind a change of an
+/// operation which its tool ran. One of a later version is a newer server's, which judges by it.
+pub(super) async fn next_outdated(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Looked> {
     let judging_change = operations::last_judging_change(conn).await?;
-    let next: Option<String> = sqlx::query_scalar::<Db, _>(
-        "SELECT w.tool_id FROM tool_wear w JOIN tools t ON t.tool_id = w.tool_id
+    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(concat!(
+        "SELECT w.tool_id, CAST(CASE WHEN w.fold_version < $1 OR ",
+        judged_otherwise!(),
+        " THEN 1 ELSE 0 END AS BIGINT)
+         FROM tool_wear w JOIN tools t ON t.tool_id = w.tool_id
          WHERE (w.fold_version < $1 OR w.fold_version = $1 AND w.judging_change < $3)
-           AND w.tool_id > $2 AND t.tool_id > $2 ORDER BY w.tool_id LIMIT 1",
-    )
+           AND w.tool_id > $2 AND t.tool_id > $2 ORDER BY w.tool_id LIMIT $4"
+    ))
     .bind(i64::from(FOLD_VERSION))
     .bind(after.map_or("", ToolId::as_str))
     .bind(judging_change)
-    .fetch_optional(&mut *conn)
+    .bind(LOOKED_AT)
+    .fetch_all(&mut *conn)
     .await?;
-    next.as_deref().map(|tool| id("tool_id", tool)).transpose()
+    if let Some((tool, _)) = rows.iter().find(|(_, outdated)| *outdated == 1) {
+        return Ok(Looked::Found(id("tool_id", tool)?));
+    }
+    let Some((last, _)) = rows.last() else { return Ok(Looked::End) };
+    // Of the last one there may be more machines, where a page is full.
+    let is_full = count("rows", rows.len() as u64)? == LOOKED_AT;
+    let whole = rows.iter().rev().map(|(tool, _)| tool).find(|tool| is_full && *tool != last);
+    Ok(Looked::NoneUpTo(id("tool_id", whole.unwrap_or(last))?))
+}
+
+/// Machine and tool of the next folds that are behind a change of an operation which their tools never ran, and the number of that change:
+/// whatever is counted in them later is judged by what is in force then.
+pub(super) async fn next_unchanged(
+    conn: &mut Conn,
+    after: &str,
+) -> StoreResult<(i64, Vec<(String, String)>)> {
+    let judging_change = operations::last_judging_change(conn).await?;
+    let rows = sqlx::query_as::<Db, _>(concat!(
+        "SELECT w.machine_id, w.tool_id FROM tool_wear w
+         WHERE w.judging_change < $1 AND w.tool_id > $2 AND NOT ",
+        judged_otherwise!(),
+        " ORDER BY w.tool_id LIMIT $3"
+    ))
+    .bind(judging_change)
+    .bind(after)
+    .bind(LOOKED_AT)
+    .fetch_all(&mut *conn)
+    .await?;
+    Ok((judging_change, rows))
+}
+
+/// Writes to folds that they have gone along with a change; their versions stay, as nothing else is otherwise.
+pub(super) async fn note_unchanged(
+    conn: &mut Conn,
+    judging_change: i64,
+    rows: &[(String, String)],
+) -> StoreResult<()> {
+    for (machine, tool) in rows {
+        sqlx::query::<Db>(
+            "UPDATE tool_wear SET judging_change = $3 WHERE machine_id = $1 AND tool_id = $2 AND judging_change < $3",
+        )
+        .bind(machine)
+        .bind(tool)
+        .bind(judging_change)
+        .execute(&mut *conn)
+        .await?;
+    }
+    Ok(())
 }
 
 /// Makes a tool's folds of earlier versions anew, and those that are behind a change of an operation; the tool's name is locked by

@@ -80,13 +80,18 @@ impl TurnedAs {
     }
 }
 
-/// A setup as it stands now, at the depth and the diameter that held at a time, of what was stated one after the other. A diameter
-/// that nobody had told yet is the one that was told next: it says what was turned all along.
+/// A setup as it stands now, at the depth and the diameter that held at a time, of what was stated one after the other, or those of now
+/// where they are larger: what was declared too small is mended by what is declared now, and an edge is taken for more worn rather than for
+/// less. A diameter that nobody had told yet is the one that was told next: it says what was turned all along.
 pub(crate) fn as_then(setup: TurningSetup, stated: &[TurnedAs], at: Timestamp) -> TurningSetup {
     let place = stated.iter().rposition(|one| one.from <= at).unwrap_or(0);
     let Some(then) = stated.get(place) else { return setup };
     let diameter_mm = stated[place..].iter().find_map(|one| one.diameter_mm);
-    TurningSetup { depth_mm: then.depth_mm, diameter_mm, ..setup }
+    let diameter_mm = match (diameter_mm, setup.diameter_mm) {
+        (Some(then), Some(now)) => Some(then.max(now)),
+        (then, now) => then.or(now),
+    };
+    TurningSetup { depth_mm: then.depth_mm.max(setup.depth_mm), diameter_mm, ..setup }
 }
 
 /// One cycle of an edge with its operation's setup.
@@ -168,5 +173,9 @@ mod tests {
         assert_eq!(then(100), (2.0, Some(80.0)));
         assert_eq!(then(200), (1.0, Some(40.0)));
         assert_eq!(as_then(now.clone(), &[], from(0)), now);
+        // Declared too small, and mended.
+        let deeper = TurningSetup { depth_mm: 2.2, diameter_mm: Some(90.0), ..now };
+        let setup = as_then(deeper, &stated, from(100));
+        assert_eq!((setup.depth_mm, setup.diameter_mm), (2.2, Some(90.0)));
     }
 }
