@@ -114,6 +114,15 @@ impl CycleSummary {
     }
 }
 
+/// How long a cycle took, ms, by its samples and by what was reported of it. Samples may be of a part of it, and a report of less than was
+/// sampled: the longer one.
+pub fn longest_ms(sampled: Option<f64>, reported: Option<f64>) -> Option<f64> {
+    match (sampled, reported) {
+        (Some(sampled), Some(reported)) => Some(sampled.max(reported)),
+        (sampled, reported) => sampled.or(reported),
+    }
+}
+
 /// Whether a summary of that version of the rules is what [`summarise`] makes of the cycle.
 pub fn is_summarised_alike(version: u32, cycle: &Cycle) -> bool {
     let is_mixed = || {

@@ -267,6 +267,36 @@ async fn plants_in_schemas_of_their_own_do_not_hear_each_other() {
     given.removed().await;
 }
 
+/// Partitions have the same names in every schema.
+#[tokio::test]
+async fn a_plant_makes_its_own_partitions_where_another_one_is_in_its_search_path() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    given.raw("CREATE SCHEMA trial").await.unwrap();
+    let open = async |path: &str| {
+        let address = format!("{}?options[search_path]={path}", given.address());
+        PostgresStore::open(&address, PostgresOptions::default()).await.unwrap()
+    };
+    open("trial").await.close().await;
+    let public = open("public").await;
+    assert_eq!(public.make_partitions(at(0), 3).await.unwrap(), 3);
+    let trial = open("trial,public").await;
+    assert_eq!(trial.make_partitions(at(0), 3).await.unwrap(), 3);
+    assert_eq!(trial.make_partitions(at(0), 3).await.unwrap(), 0);
+    let made = "SELECT COUNT(*) FROM pg_inherits WHERE inhparent = 'trial.cycle_samples'::REGCLASS
+        AND inhrelid = 'trial.cycle_samples_202602'::REGCLASS";
+    assert_eq!(given.numbers(made).await, [1]);
+    // One that was moved elsewhere is still this table's.
+    given.raw("CREATE SCHEMA slow").await.unwrap();
+    given.raw("ALTER TABLE trial.cycle_samples_202602 SET SCHEMA slow").await.unwrap();
+    assert_eq!(trial.make_partitions(at(0), 3).await.unwrap(), 0);
+    for plant in [public, trial] {
+        plant.close().await;
+    }
+    given.removed().await;
+}
+
 /// No fold changes by an event after the last cycle: what this server remembers of the tool has to be forgotten all the same.
 #[tokio::test]
 async fn an_event_that_one_server_revokes_holds_no_more_at_another() {

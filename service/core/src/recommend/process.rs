@@ -7,7 +7,7 @@ use super::{Action, Question};
 use crate::ids::ModelId;
 use crate::operation::Operation;
 use crate::plunge::{self, MachineInput, Material, PLUNGE_LAW_VERSION, PlungeLimit, PlungeSetup};
-use crate::summary::COVERAGE_FLOOR;
+use crate::summary::{COVERAGE_FLOOR, longest_ms};
 use crate::turning::{
     AdaptationInput, Binding, Chosen, Corrections, Cut, EdgeInterval, EdgeState, Job, Limit,
     MAX_EDGE_INTERVALS, Measured, NextCut, Readings, TURNING_LAW_VERSION, TurningModel, TurningSetup,
@@ -97,12 +97,9 @@ impl EdgeCycle {
         })
     }
 
-    /// How long the edge cut, ms. Samples may be of a part of it, and a report of less than was sampled: the longer one wears more.
+    /// How long the edge cut, ms: what is longer wears more.
     fn length_ms(&self) -> Option<f64> {
-        match (self.duration_ms, self.reported_duration_ms) {
-            (Some(sampled), Some(reported)) => Some(sampled.max(reported)),
-            (sampled, reported) => sampled.or(reported),
-        }
+        longest_ms(self.duration_ms, self.reported_duration_ms)
     }
 
     /// Mean power over it, kW; none where samples cover too little of it to speak for the whole.

@@ -16,6 +16,7 @@ use feedwright_core::field_error::FieldError;
 use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::plunge::{part_saving, plunge_feeds};
+use feedwright_core::summary::longest_ms;
 use feedwright_core::units::Process;
 use feedwright_store::{CycleFilter, StoredCycle};
 
@@ -93,15 +94,7 @@ fn lengths(rows: &[StoredCycle], usual: Process) -> (Vec<f64>, Vec<f64>) {
             Process::Drilling => &mut without,
             _ => continue,
         };
-        lengths.extend(length_ms(row));
+        lengths.extend(longest_ms(row.summary.duration_ms, row.cycle.reported_duration_ms));
     }
     (with, without)
-}
-
-/// How long a cycle took, ms: samples may be of a part of it.
-fn length_ms(row: &StoredCycle) -> Option<f64> {
-    match (row.summary.duration_ms, row.cycle.reported_duration_ms) {
-        (Some(sampled), Some(reported)) => Some(sampled.max(reported)),
-        (sampled, reported) => sampled.or(reported),
-    }
 }

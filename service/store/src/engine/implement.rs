@@ -1,5 +1,6 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
+use super::operations::OperationPut;
 use super::{
     CLOCK_AHEAD_US, Db, Engine, ONE_CLOCK_US, alarms, audit, check, commit, cycles, dialect, feed_profiles,
     fleet, life, machines, models, operations, quarantine, recommendations, registry, retention, series,
@@ -80,9 +81,9 @@ trait Registered {
     fn is_change(&self) -> bool;
 }
 
-impl Registered for (PutOutcome, bool) {
+impl Registered for OperationPut {
     fn is_change(&self) -> bool {
-        self.0.is_change()
+        self.outcome.is_change()
     }
 }
 
@@ -394,12 +395,11 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        let (outcome, judged_otherwise) =
-            register!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)?;
-        if judged_otherwise {
+        let put = register!(self, |conn| operations::put(conn, &operation, expects, &actor, now).await)?;
+        if put.judged_otherwise {
             self.follow_change(now).await;
         }
-        Ok(outcome)
+        Ok(put.outcome)
     }
 
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {

@@ -94,11 +94,16 @@ async fn asks(conn: &mut Conn, id: &str) -> StoreResult<Vec<Ask>> {
     Ok(rows.into_iter().map(ask).collect())
 }
 
+/// When what is noted now begins to hold: what is noted first holds for what came before as well. Clocks of several servers are apart,
+/// and are set back: what is noted later holds later.
+fn noted_from(last: Option<Timestamp>, now: Timestamp) -> Timestamp {
+    last.map_or(ALWAYS, |last| now.max(Timestamp::from_micros(last.micros() + 1)))
+}
+
 /// Notes what an operation asks for from now on; what it asks for first holds for what came before as well.
 async fn note_asks(conn: &mut Conn, operation: &Operation, now: Timestamp) -> StoreResult<()> {
     let known = asks(conn, operation.id.as_str()).await?;
-    // Clocks of several servers are apart, and are set back: what is noted later holds later.
-    let from = known.last().map_or(ALWAYS, |last| now.max(Timestamp::from_micros(last.from.micros() + 1)));
+    let from = noted_from(known.last().map(|last| last.from), now);
     let ask = Ask { from, depth_mm: operation.depth_mm, spindle_speed_rpm: operation.spindle_speed_rpm };
     if known.last().is_some_and(|last| is_same(last, &ask)) {
         return Ok(());
@@ -152,8 +157,7 @@ pub(super) async fn turnings_until_now(
 async fn note_turning(conn: &mut Conn, operation: &Operation, now: Timestamp) -> StoreResult<()> {
     let Some(setup) = &operation.turning else { return Ok(()) };
     let known = noted_turnings(conn, operation.id.as_str()).await?;
-    // As with what is asked for: what is noted later holds later, whatever the clock says.
-    let from = known.last().map_or(ALWAYS, |last| now.max(Timestamp::from_micros(last.from.micros() + 1)));
+    let from = noted_from(known.last().map(|last| last.from), now);
     let turned = TurnedAs::of(setup, from);
     if known.last().is_some_and(|last| last.is_as(&turned)) {
         return Ok(());
@@ -227,20 +231,26 @@ async fn number_change(conn: &mut Conn, id: &OperationId) -> StoreResult<bool> {
     Ok(true)
 }
 
-/// Says as well whether cycles are judged otherwise from now on.
+/// What putting an operation came to.
+pub(super) struct OperationPut {
+    pub(super) outcome: PutOutcome,
+    /// Whether cycles that it has are judged otherwise from now on.
+    pub(super) judged_otherwise: bool,
+}
+
 pub(super) async fn put(
     conn: &mut Conn,
     operation: &Operation,
     expects: Precondition,
     actor: &Actor,
     now: Timestamp,
-) -> StoreResult<(PutOutcome, bool)> {
+) -> StoreResult<OperationPut> {
     dialect::lock(conn, &Locks::operation(&operation.id)).await?;
     let existing = get(conn, &operation.id).await?;
     let known = existing.as_ref().map(|existing| (existing.version, existing.value == *operation));
     let outcome = precondition::decide(known, expects)?;
     if let PutOutcome::Unchanged(_) = outcome {
-        return Ok((outcome, false));
+        return Ok(OperationPut { outcome, judged_otherwise: false });
     }
     let setup = setup_json(operation.turning.as_ref(), operation.plunge.as_ref())?;
     sqlx::query::<Db>(
@@ -301,5 +311,5 @@ pub(super) async fn put(
     note_turning(conn, operation, now).await?;
     let judged_otherwise = !judged_alike(existing.as_ref().map(|existing| &existing.value), operation)
         && number_change(conn, &operation.id).await?;
-    Ok((outcome, judged_otherwise))
+    Ok(OperationPut { outcome, judged_otherwise })
 }
