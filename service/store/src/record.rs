@@ -874,6 +874,15 @@ pub enum StreamLease {
     },
 }
 
+/// How the samples of a streamed cycle came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sent {
+    /// While it ran: the machine cut by what they were answered.
+    AsItRan,
+    /// Again from the first one, as who holds them has not said so.
+    Again,
+}
+
 /// What the samples of a streamed cycle were answered, told or only computed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CycleOverrides {

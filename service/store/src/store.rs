@@ -11,7 +11,7 @@ use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
     DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
     Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
-    SampleRetention, SamplesGone, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
+    SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
     Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
@@ -417,8 +417,9 @@ pub trait Store: Send + Sync + 'static {
     async fn leased_streams(&self, machines: &[MachineId], now: Timestamp) -> StoreResult<Vec<MachineId>>;
     /// Gives a lease back, unless it is another's by now.
     async fn release_stream(&self, machine: &MachineId, holder: &str, generation: i64) -> StoreResult<()>;
-    /// Keeps what a streamed cycle's samples were answered.
-    async fn put_overrides(&self, overrides: &CycleOverrides) -> StoreResult<()>;
+    /// Keeps what a streamed cycle's samples were answered, unless it is stored by now; sent [again](Sent::Again), unless as many are
+    /// there already.
+    async fn put_overrides(&self, overrides: &CycleOverrides, sent: Sent) -> StoreResult<()>;
     /// What a streamed cycle's samples were answered.
     async fn overrides(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<CycleOverrides>>;
     /// Raises an overload that a stream has seen, unless one is open for the machine and tool.

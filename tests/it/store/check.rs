@@ -65,7 +65,7 @@ async fn what_is_stored_beside_cycles_is_held_too(given: &Given) {
         stored_at: at(0),
         block: feedwright_store::codec::encode_overrides(&[(100.0, 1)]).unwrap(),
     };
-    store.put_overrides(&overrides).await.unwrap();
+    store.put_overrides(&overrides, feedwright_store::Sent::AsItRan).await.unwrap();
     assert_eq!(store.check_tables().await.unwrap(), []);
     let cut = if given.is_postgres() { "'\\x01'" } else { "x'01'" };
     for (damage, kind, misleads) in [

@@ -3,7 +3,8 @@
 use super::given::{Given, at, shop, stories};
 use feedwright_core::ids::MachineId;
 use feedwright_store::{
-    AlarmFilter, AlarmKind, CycleOverrides, LONGEST_LEASE_MS, Page, PostgresStore, Store, StreamLease, codec,
+    AlarmFilter, AlarmKind, CycleOverrides, LONGEST_LEASE_MS, Page, PostgresStore, Sent, Store, StreamLease,
+    codec,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -156,11 +157,19 @@ async fn overrides_are_kept_beside_the_cycle(store: Arc<dyn Store>) {
         block: codec::encode_overrides(&[(percent, 1), (percent, 2)]).unwrap(),
     };
     for percent in [100.0, 103.5] {
-        store.put_overrides(&kept(percent)).await.unwrap();
+        store.put_overrides(&kept(percent), Sent::AsItRan).await.unwrap();
         let found = store.overrides(&m, &cycle).await.unwrap().unwrap();
-        assert_eq!(found, kept(percent), "sent again, the later answers stand");
+        assert_eq!(found, kept(percent), "another one of its id was refused");
         assert_eq!(codec::decode_overrides(&found.block).unwrap(), [(percent, 1), (percent, 2)]);
     }
+    // The machine has not heard that the cycle is being stored, and sends it again: too late for every sample.
+    store.put_overrides(&kept(100.0), Sent::Again).await.unwrap();
+    assert_eq!(store.overrides(&m, &cycle).await.unwrap().unwrap(), kept(103.5), "it was cut by these");
+    // Of other samples than are there it is the only word.
+    let longer = codec::encode_overrides(&[(100.0, 1), (100.0, 1), (100.0, 1)]).unwrap();
+    let longer = CycleOverrides { block: longer, ..kept(100.0) };
+    store.put_overrides(&longer, Sent::Again).await.unwrap();
+    assert_eq!(store.overrides(&m, &cycle).await.unwrap().unwrap(), longer);
 }
 
 async fn an_overload_is_raised_once(store: Arc<dyn Store>) {

@@ -14,7 +14,7 @@ use feedwright_store::transfer::{
 };
 use feedwright_store::{
     Actor, Committed, CycleFilter, CycleOverrides, NewProfileVersion, Page, PostgresOptions, PostgresStore,
-    Precondition, QuarantineBounds, QuarantineEntry, Repair, Role, SampleRetention, SessionRecord,
+    Precondition, QuarantineBounds, QuarantineEntry, Repair, Role, SampleRetention, Sent, SessionRecord,
     SqliteOptions, SqliteStore, Store, StoreError, TokenRecord,
 };
 use sqlx::sqlite::SqliteConnectOptions;
@@ -780,7 +780,7 @@ async fn wordy(store: &dyn Store) {
             stored_at: at(1),
             block: feedwright_store::codec::encode_overrides(&[(100.0, 1)]).unwrap(),
         };
-        store.put_overrides(&overrides).await.unwrap();
+        store.put_overrides(&overrides, Sent::AsItRan).await.unwrap();
     }
     let reasoned = NewProfileVersion { reason: "€".repeat(1000), ..feed_profiles::new(300.0) };
     store.draft_profile(&"P1".try_into().unwrap(), reasoned, &engineer(), at(1)).await.unwrap();

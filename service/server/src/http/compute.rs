@@ -1,6 +1,7 @@
 //! Long computations: off the threads that answer requests, and only a few at a time.
 
 use super::problem::Problem;
+use std::sync::Arc;
 use tokio::sync::{Semaphore, SemaphorePermit};
 
 /// Computations under way at a time: enough for a shop's engineers, and they cannot starve the intake of cycles.
@@ -11,31 +12,40 @@ const TRY_AGAIN_S: u64 = 1;
 
 static ROOM: Semaphore = Semaphore::const_new(MOST_COMPUTATIONS);
 
-/// Room for one request's computations, until it is dropped; 503 where too many run already.
-pub fn room() -> Result<SemaphorePermit<'static>, Problem> {
-    ROOM.try_acquire().map_err(|_| {
-        let detail = "other computations are under way; nothing was computed";
-        Problem::unavailable("computing", detail, TRY_AGAIN_S)
-    })
+/// Room for one request's computations, until its last copy is dropped.
+#[derive(Clone)]
+pub struct Room {
+    _permit: Arc<SemaphorePermit<'static>>,
 }
 
-/// Runs `work` on a thread of its own, for a request that has room.
+/// Room for one request's computations; 503 where too many run already.
+pub fn room() -> Result<Room, Problem> {
+    let permit = ROOM.try_acquire().map_err(|_| {
+        let detail = "other computations are under way; nothing was computed";
+        Problem::unavailable("computing", detail, TRY_AGAIN_S)
+    })?;
+    Ok(Room { _permit: Arc::new(permit) })
+}
+
+/// Runs `work` on a thread of its own, for a request that has room. The room goes with the work: a client that hangs up does not
+/// make room for a second one beside it.
 pub async fn on_thread<T: Send + 'static>(
+    room: &Room,
     work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
-    tokio::task::spawn_blocking(work).await.map_err(|error| Problem::internal(error.to_string()))?
+    let room = room.clone();
+    let run = move || {
+        let result = work();
+        drop(room);
+        result
+    };
+    tokio::task::spawn_blocking(run).await.map_err(|error| Problem::internal(error.to_string()))?
 }
 
 /// Finds room and runs `work` on a thread of its own.
 pub async fn compute<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
-    let permit = room()?;
-    // The permit goes with the work: a client that hangs up does not make room for a second one beside it.
-    on_thread(move || {
-        let result = work();
-        drop(permit);
-        result
-    })
-    .await
+    let room = room()?;
+    on_thread(&room, work).await
 }

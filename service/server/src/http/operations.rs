@@ -35,12 +35,16 @@ pub(super) async fn put(
     let expects = expected(&headers)?;
     let operation = body.into_operation(id.clone())?;
     let (actor, now) = (caller.actor(), state.clock.now());
-    let put =
-        |store: Arc<dyn Store>| async move { store.put_operation(operation, expects, &actor, now).await };
+    let told = state.clone();
+    let put = |store: Arc<dyn Store>| async move {
+        let outcome = store.put_operation(operation, expects, &actor, now).await;
+        // Whoever asked may be gone by now, and what is not known may have come about.
+        if !matches!(outcome, Ok(PutOutcome::Unchanged(_))) {
+            told.folds_are_behind.notify_one();
+        }
+        outcome
+    };
     let outcome = state.commit(put).await?;
-    if !matches!(outcome, PutOutcome::Unchanged(_)) {
-        state.folds_are_behind.notify_one();
-    }
     let stored = state.store.operation(&id).await?.ok_or_else(|| Problem::internal("it was just put"))?;
     let view = Registered::<OperationBody>::from(stored);
     Ok(answer_put(outcome, &format!("/v1/operations/{id}"), &view))

@@ -1,7 +1,7 @@
 //! Stored cycles under another law, other limits or another feed program.
 
 use super::body::Json;
-use super::compute::{compute, on_thread, room};
+use super::compute::{Room, compute, on_thread, room};
 use super::cursor::{decode, encode};
 use super::dto::what_if::{
     ControlBody, ManyAnswer, ManyQuestion, ProfileChoice, SumBody, SumErrorBody, WhatIfAnswer, WhatIfQuestion,
@@ -19,7 +19,6 @@ use feedwright_core::summary::median;
 use feedwright_store::{CycleFilter, CycleKey, Page, StoredCycle};
 use http::StatusCode;
 use std::collections::BTreeMap;
-use tokio::sync::SemaphorePermit;
 
 /// Cycles that are read before they are run: bounds what is held in memory at a time.
 const CHUNK: usize = 16;
@@ -147,7 +146,7 @@ async fn with_profile(
 /// Runs stored cycles under another control, some at a time, for a request that has room.
 pub(super) async fn run_all(
     state: &AppState,
-    _room: &SemaphorePermit<'static>,
+    room: &Room,
     rows: Vec<StoredCycle>,
     asked: &Asked,
     idle: Option<IdleLoads>,
@@ -163,7 +162,7 @@ pub(super) async fn run_all(
         }
         let asked = asked.clone();
         let run = move |ready: Result<Ready, Unusable>| ready?.predict(&asked).map_err(|(why, _)| why);
-        let answers: Vec<_> = on_thread(move || Ok(chunk.into_iter().map(run).collect())).await?;
+        let answers: Vec<_> = on_thread(room, move || Ok(chunk.into_iter().map(run).collect())).await?;
         answers.into_iter().for_each(|answer| sum.take(answer));
     }
     Ok(sum)

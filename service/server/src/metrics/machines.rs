@@ -39,6 +39,8 @@ struct Known {
     cycles: [IntCounter; CycleOutcome::ALL.len()],
     /// Tool and beginning of the newest of them: that tool's wear is shown.
     newest: Option<(ToolId, Timestamp)>,
+    /// Life and cycles of the verdict that is shown.
+    judged: (u32, u64),
     wear_level: Option<Gauge>,
     remaining_cycles: Option<Gauge>,
 }
@@ -133,6 +135,7 @@ impl MachineMetrics {
                 neutral_shown: None,
                 cycles,
                 newest: None,
+                judged: (0, 0),
                 wear_level: None,
                 remaining_cycles: None,
             };
@@ -146,24 +149,33 @@ impl MachineMetrics {
     }
 
     pub(super) fn verdict(&self, machine: &MachineId, cycle: (&ToolId, Timestamp), verdict: &Verdict) {
-        let (tool, started_at) = cycle;
-        self.labelled(machine, |known| {
-            // A cycle that comes late may be of another tool than the one that ran last.
-            match &mut known.newest {
-                Some((ran, newest)) if started_at < *newest => {
-                    if ran != tool {
-                        return;
-                    }
+        self.labelled(machine, |known| self.judged(machine, known, cycle, verdict));
+    }
+
+    fn judged(
+        &self,
+        machine: &MachineId,
+        known: &mut Known,
+        (tool, started_at): (&ToolId, Timestamp),
+        verdict: &Verdict,
+    ) {
+        // A cycle that comes late may be of another tool than the one that ran last.
+        match &mut known.newest {
+            Some((ran, newest)) if started_at < *newest => {
+                // Two that were counted one after the other may be told of in any order.
+                if ran != tool || (verdict.life, verdict.cycles) < known.judged {
+                    return;
                 }
-                newest => *newest = Some((tool.clone(), started_at)),
             }
-            // A tool that is being learnt has no level: that of the one before it must not stay.
-            let level = verdict.level.map(|level| level.value);
-            set_kept(&self.wear_level, &mut known.wear_level, machine, level);
-            #[expect(clippy::cast_precision_loss, reason = "a count of cycles")]
-            let remaining = verdict.remaining.map(|left| left.cycles as f64);
-            set_kept(&self.remaining_cycles, &mut known.remaining_cycles, machine, remaining);
-        });
+            newest => *newest = Some((tool.clone(), started_at)),
+        }
+        known.judged = (verdict.life, verdict.cycles);
+        // A tool that is being learnt has no level: that of the one before it must not stay.
+        let level = verdict.level.map(|level| level.value);
+        set_kept(&self.wear_level, &mut known.wear_level, machine, level);
+        #[expect(clippy::cast_precision_loss, reason = "a count of cycles")]
+        let remaining = verdict.remaining.map(|left| left.cycles as f64);
+        set_kept(&self.remaining_cycles, &mut known.remaining_cycles, machine, remaining);
     }
 
     /// What the database says of the wear of some machines: after a restart, where another replica takes their cycles,
@@ -171,14 +183,14 @@ impl MachineMetrics {
     pub(super) fn fleet(&self, rows: &[FleetRow]) {
         for row in rows {
             if let (Some(newest), Some(verdict)) = (row.recent.first(), &row.verdict) {
-                // A cycle that came while the rows were read told more.
-                let is_behind = self.labelled(&row.machine.value.id, |known| {
-                    known.newest.as_ref().is_some_and(|(_, shown)| newest.facts.order.started_at < *shown)
+                let machine = &row.machine.value.id;
+                self.labelled(machine, |known| {
+                    let started_at = newest.facts.order.started_at;
+                    // A cycle that came while the rows were read told more.
+                    if known.newest.as_ref().is_none_or(|(_, shown)| started_at >= *shown) {
+                        self.judged(machine, known, (&newest.tool, started_at), verdict);
+                    }
                 });
-                if is_behind == Some(true) {
-                    continue;
-                }
-                self.verdict(&row.machine.value.id, (&newest.tool, newest.facts.order.started_at), verdict);
             }
         }
     }

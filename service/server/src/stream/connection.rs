@@ -38,7 +38,7 @@ const MOST_UNREADABLE: u32 = 100;
 /// An answer to one sample as text is about 500 bytes: no growing on the way there.
 const TEXT_BYTES: usize = 640;
 /// How late samples may be counted.
-const COUNTED_EVERY_US: i64 = 100_000;
+const COUNTED_EVERY: Duration = Duration::from_millis(100);
 /// How long the other end has to answer a close.
 const CLOSE_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -119,10 +119,12 @@ enum Out {
 /// Serves one stream until it ends.
 pub async fn serve(state: AppState, caller: Caller, ownership: Ownership, mut socket: WebSocket) {
     let machine = ownership.slot.machine.clone();
-    state.metrics.streams_open().inc();
+    let _served = Served::begin(&state, &ownership);
     tracing::info!(%machine, "a stream is open");
-    let running = ownership.slot.lock().cycle.is_some();
-    show(&state, &ownership.slot, if running { MachineState::Interrupted } else { MachineState::Connected });
+    if let Some(held) = ownership.held() {
+        let runs = held.cycle.is_some();
+        show(&state, &machine, &held, if runs { MachineState::Interrupted } else { MachineState::Connected });
+    }
     let mut connection = Connection::new(state.clone(), ownership.clone());
     let closing = connection.run(caller, &mut socket).await;
     connection.count(0, None);
@@ -132,7 +134,29 @@ pub async fn serve(state: AppState, caller: Caller, ownership: Ownership, mut so
     drop(socket);
     tracing::info!(%machine, ?closing, "a stream is closed");
     connection_gone(&state, &ownership).await;
-    state.metrics.streams_open().dec();
+}
+
+/// Counts a stream as open. One that ends by a panic is gone as any other: its machine's next one would wait for ever else.
+struct Served {
+    state: AppState,
+    ownership: Ownership,
+}
+
+impl Served {
+    fn begin(state: &AppState, ownership: &Ownership) -> Self {
+        state.metrics.streams_open().inc();
+        Self { state: state.clone(), ownership: ownership.clone() }
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.state.metrics.streams_open().dec();
+        if std::thread::panicking() {
+            let (state, ownership) = (self.state.clone(), self.ownership.clone());
+            self.state.lifecycle.spawn(async move { connection_gone(&state, &ownership).await });
+        }
+    }
 }
 
 async fn close(socket: &mut WebSocket, closing: Closing) {
@@ -159,9 +183,9 @@ struct Connection {
     each: Vec<SampleAdvice>,
     /// Where answers to samples are written, one after the other.
     out: BytesMut,
-    /// Samples that the service's counter does not have yet, and when it was told last, µs.
+    /// Samples that the service's counter does not have yet, and when it was told last.
     counted: usize,
-    counted_us: i64,
+    counted_at: Option<Moment>,
 }
 
 impl Connection {
@@ -176,7 +200,7 @@ impl Connection {
             each: Vec::new(),
             out: BytesMut::new(),
             counted: 0,
-            counted_us: i64::MIN,
+            counted_at: None,
         }
     }
 
@@ -230,11 +254,12 @@ impl Connection {
     }
 
     /// Counts samples that were answered. The counter is every stream's: it is told once in a while, and at the end.
-    fn count(&mut self, samples: usize, now: Option<Timestamp>) {
+    fn count(&mut self, samples: usize, now: Option<Moment>) {
         self.counted += samples;
-        if now.is_none_or(|now| now.micros().saturating_sub(self.counted_us) >= COUNTED_EVERY_US) {
+        let told = now.zip(self.counted_at).is_some_and(|(now, at)| now.since(at) < COUNTED_EVERY);
+        if !told {
             self.state.metrics.stream_samples(std::mem::take(&mut self.counted));
-            self.counted_us = now.map_or(i64::MIN, Timestamp::micros);
+            self.counted_at = now;
         }
     }
 
@@ -304,7 +329,8 @@ impl Connection {
             drop(held);
             return self.fault(Some(re), &violation);
         }
-        let ordered = (now, &self.ordered);
+        let moment = self.state.clock.moment();
+        let ordered = ((now, moment), &self.ordered);
         let answered = judge(&self.state, &self.ownership, &mut held, ordered, &mut self.each)?;
         self.sent = self.sent.wrapping_add(1);
         let cycle = held.cycle.as_ref()?;
@@ -313,7 +339,7 @@ impl Connection {
         self.out.reserve(TEXT_BYTES);
         answer::overrides(&mut self.out, (self.sent, re), &standing, each);
         drop(held);
-        self.count(self.ordered.count, Some(now));
+        self.count(self.ordered.count, Some(moment));
         Some(Out::Written(self.out.split().freeze()))
     }
 
@@ -341,14 +367,15 @@ impl Connection {
                     drop(held);
                     return self.fault(Some(re), &violation);
                 }
-                let ordered = (now, &self.ordered);
+                let moment = self.state.clock.moment();
+                let ordered = ((now, moment), &self.ordered);
                 let answered = judge(&self.state, &self.ownership, &mut held, ordered, &mut self.each)?;
                 let mode = held.cycle.as_ref()?.running.mode();
                 drop(held);
                 let n = self.number();
                 self.out.reserve(binary::length(self.each.len()));
                 binary::overrides(&mut self.out, binary::Told { n, re, mode }, &answered, &self.each);
-                self.count(self.ordered.count, Some(now));
+                self.count(self.ordered.count, Some(moment));
                 Some(Out::Binary(self.out.split().freeze()))
             }
             Frame::Vibration { n: re, first, block } => {
@@ -392,8 +419,8 @@ impl Connection {
             decimals: cycle.decimals.clone(),
             override_range_percent: cycle.running.bounds_percent(),
         });
+        show(&self.state, &self.ownership.slot.machine, &held, MachineState::Running);
         drop(held);
-        show(&self.state, &self.ownership.slot, MachineState::Running);
         Some(Out::Text(text))
     }
 
@@ -426,14 +453,12 @@ impl Connection {
             Problem::new(http::StatusCode::NOT_FOUND, "unknown_machine", detail)
         })?;
         let held_up = begun.overload.is_some();
-        let left = match self.ownership.held() {
+        let (left, charged) = match self.ownership.held() {
             Some(mut held) => {
-                let left = held.cycle.replace(begun);
                 held.unnamed = Unnamed::Running;
-                self.state.streams.charge(&mut held);
-                left
+                self.state.streams.replace(&mut held, begun)
             }
-            None => None,
+            None => (None, 0),
         };
         if held_up {
             // It may have been acknowledged before there was this cycle to free.
@@ -441,7 +466,13 @@ impl Connection {
         }
         if let Some(left) = left.filter(|left| left.id != id) {
             let (state, machine) = (self.state.clone(), machine.clone());
-            self.state.lifecycle.spawn(async move { finish::store_incomplete(&state, &machine, left).await });
+            // Its samples are held until they are stored: a machine that begins one cycle after the other piles up no more than others.
+            self.state.lifecycle.spawn(async move {
+                finish::store_incomplete(&state, &machine, left).await;
+                state.streams.give_back(charged);
+            });
+        } else {
+            self.state.streams.give_back(charged);
         }
         Ok(())
     }
@@ -464,8 +495,8 @@ impl Connection {
                 standing: standing(&self.state, &mut held),
             });
             held.unnamed = Unnamed::Running;
+            show(&self.state, &self.ownership.slot.machine, &held, MachineState::Running);
             drop(held);
-            show(&self.state, &self.ownership.slot, MachineState::Running);
             return Some(Out::Text(text));
         }
         if let Some((id, status, answer)) = &held.ended
@@ -539,6 +570,7 @@ impl Connection {
                     held.ended = Some((id, stored.status, stored.answer.clone()));
                     held.unnamed = Unnamed::Ended;
                     self.state.streams.charge(&mut held);
+                    self.show_end(&held);
                 }
                 answer::text(&StoredMessage {
                     kind: "stored",
@@ -555,16 +587,24 @@ impl Connection {
                     }
                     // What is in quarantine holds nothing here any more.
                     self.state.streams.charge(&mut held);
+                    self.show_end(&held);
                 }
                 answer::text(&answer::problem(n, Some(re), &not_stored.problem, None))
             }
             Err(panicked) => {
+                if let Some(held) = self.ownership.held() {
+                    self.show_end(&held);
+                }
                 let problem = Problem::internal(panicked.to_string());
                 answer::text(&answer::problem(n, Some(re), &problem, None))
             }
         };
-        show(&self.state, &self.ownership.slot, MachineState::Connected);
         Some(Out::Text(text))
+    }
+
+    /// Shows that the cycle has ended, to who watches the machine.
+    fn show_end(&self, held: &Held) {
+        show(&self.state, &self.ownership.slot.machine, held, MachineState::Connected);
     }
 
     /// Takes the cycle that ends out of its place, once every sample of it is there.
@@ -688,10 +728,9 @@ fn judge(
     state: &AppState,
     ownership: &Ownership,
     held: &mut Held,
-    (now, ordered): (Timestamp, &Ordered),
+    ((now, moment), ordered): ((Timestamp, Moment), &Ordered),
     each: &mut Vec<SampleAdvice>,
 ) -> Option<Answer> {
-    let moment = state.clock.moment();
     note_lease(held, moment);
     let cycle = held.cycle.as_mut()?;
     let Ordered { first, count, values, times_ms } = ordered;
@@ -706,11 +745,10 @@ fn judge(
         cycle.overload = Some(overload.clone());
         overload.raise_beside(state, machine);
     }
-    let interval_us =
-        i64::try_from(state.live.config().sample_interval_ms).unwrap_or(i64::MAX).saturating_mul(1000);
-    if now.micros().saturating_sub(cycle.shown_us) >= interval_us {
+    let interval = Duration::from_millis(state.live.config().sample_interval_ms);
+    if cycle.shown_at.is_none_or(|shown| moment.since(shown) >= interval) {
         // Once an interval, watched or not: whether somebody watches is behind a lock that every stream shares.
-        cycle.shown_us = now.micros();
+        cycle.shown_at = Some(moment);
         if let Some(last) = each.last().filter(|_| state.live.samples_are_watched()) {
             state.live.publish(Event::new(Kind::Sample, Some(machine), cycle.shown(machine, ordered, last)));
         }

@@ -52,8 +52,8 @@ pub struct StreamedCycle {
     pub program_hash: Option<String>,
     /// The overload that holds it until somebody acknowledges it.
     pub overload: Option<Arc<Overload>>,
-    /// When its samples were shown last, µs.
-    pub shown_us: i64,
+    /// When its samples were shown last.
+    pub shown_at: Option<Moment>,
     /// When it began, by its machine's clock.
     started_at: Timestamp,
     /// When its start came, by the clock that is set now and then and by the one that never is.
@@ -402,7 +402,7 @@ pub async fn begin(
         law_version: LOOP_LAW_VERSION,
         program_hash,
         overload,
-        shown_us: i64::MIN,
+        shown_at: None,
         started_at: checked.begun.started_at,
         came: (checked.begun.received_at, checked.came_at),
         begun_with,

@@ -1,7 +1,7 @@
 //! The end of a cycle: stored on the same way as a posted one, and answered as that.
 
 use super::cycle::StreamedCycle;
-use super::slots::{Ownership, Slot};
+use super::slots::{Held, Ownership, Slot};
 use crate::http::dto::cycle::CycleAnswerBody;
 use crate::http::problem::Problem;
 use crate::ingest::intake::{Accepted, Refused};
@@ -9,7 +9,7 @@ use crate::live::{Event, MachineState};
 use crate::state::AppState;
 use bytes::Bytes;
 use feedwright_core::ids::{CycleId, MAX_ID_LENGTH, MachineId};
-use feedwright_store::{CycleOverrides, StoreResult, StreamLease, codec};
+use feedwright_store::{CycleOverrides, Sent, StoreResult, StreamLease, codec};
 use serde_json::Value;
 use std::sync::Arc;
 use std::time::Duration;
@@ -93,7 +93,8 @@ async fn keep_overrides(
         stored_at: state.clock.now(),
         block: codec::encode_overrides(&samples)?,
     };
-    state.commit(|store| async move { store.put_overrides(&kept).await }).await?;
+    let sent = if cycle.meta.resend { Sent::Again } else { Sent::AsItRan };
+    state.commit(|store| async move { store.put_overrides(&kept, sent).await }).await?;
     Ok(())
 }
 
@@ -144,7 +145,11 @@ fn incomplete_id(cycle: &StreamedCycle) -> Option<CycleId> {
 /// A connection is gone: gives the lease back, and waits for the machine to come back to its cycle.
 pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
     let slot = ownership.slot.clone();
-    let Some((generation, cycle_left)) = state.streams.leave(ownership) else { return };
+    let tell = |held: &Held| {
+        let is = if held.cycle.is_some() { MachineState::Interrupted } else { MachineState::Disconnected };
+        show(state, &slot.machine, held, is);
+    };
+    let Some(left) = state.streams.leave(ownership, tell) else { return };
     let of_cycle = slot.lock().cycle.as_ref().and_then(|cycle| cycle.overload.clone());
     let mut raised = Ok(());
     // That of a cycle before may be on its way yet.
@@ -152,31 +157,29 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
         raised = raised.and(overload.raise(state, &slot.machine).await);
     }
     match raised {
-        Ok(()) => release(state, &slot, generation).await,
+        Ok(()) => release(state, &slot, left.generation).await,
         // It is tried again beside; at another server the next cycle would find no alarm meanwhile.
         Err(error) => {
             tracing::warn!(machine = %slot.machine, %error, "an overload could not be raised: the lease is kept");
         }
     }
-    if !cycle_left {
-        show(state, &slot, MachineState::Disconnected);
+    if !left.cycle {
         return;
     }
-    show(state, &slot, MachineState::Interrupted);
     let (waiting, ownership) = (state.clone(), ownership.clone());
     state.lifecycle.spawn(async move {
         tokio::select! {
             () = tokio::time::sleep(waiting.config.stream.resume()) => {}
             () = waiting.lifecycle.stopping() => {}
         }
-        let Some((cycle, held)) = waiting.streams.take_left(&ownership) else { return };
-        show(&waiting, &slot, MachineState::Disconnected);
+        let tell = |held: &Held| show(&waiting, &slot.machine, held, MachineState::Disconnected);
+        let Some((cycle, charged)) = waiting.streams.take_left(&ownership, tell) else { return };
         if waiting.lifecycle.is_stopping() {
             // The machine sends everything again to whoever serves next.
             return;
         }
         settle_left(&waiting, &slot, cycle).await;
-        waiting.streams.give_back(held);
+        waiting.streams.give_back(charged);
     });
 }
 
@@ -237,15 +240,9 @@ async fn went_elsewhere(state: &AppState, slot: &Arc<Slot>) -> bool {
     }
 }
 
-/// Shows a machine's state to those who watch.
-pub fn show(state: &AppState, slot: &Arc<Slot>, now: MachineState) {
-    let at = state.clock.now();
-    let event = {
-        let held = slot.lock();
-        let cycle = held.cycle.as_ref();
-        let cycle =
-            cycle.map(|cycle| (cycle.id.as_str(), cycle.tool.as_str(), cycle.meta.operation.as_str()));
-        Event::machine(&slot.machine, now, cycle, at)
-    };
-    state.live.publish(event);
+/// Shows a machine's state to those who watch. Under the lock of its slot: what is shown comes in the order in which it became so.
+pub fn show(state: &AppState, machine: &MachineId, held: &Held, now: MachineState) {
+    let cycle = held.cycle.as_ref();
+    let cycle = cycle.map(|cycle| (cycle.id.as_str(), cycle.tool.as_str(), cycle.meta.operation.as_str()));
+    state.live.publish(Event::machine(machine, now, cycle, state.clock.now()));
 }

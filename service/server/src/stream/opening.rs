@@ -64,17 +64,22 @@ pub async fn open(
         .place()
         .ok_or_else(|| Problem::unavailable("too_many_streams", "too many streams are open already", 5))?;
     let takeover = config.second() == SecondStream::Takeover;
-    if !takeover && state.streams.is_connected(&machine) {
-        return Err(held(Duration::from_millis(config.lease_ms)));
-    }
+    let opening = state
+        .streams
+        .open(&machine, !takeover)
+        .ok_or_else(|| held(Duration::from_millis(config.lease_ms)))?;
     let (asked, now) = (state.clock.moment(), state.clock.now());
-    let (streams, wanted, lease) = (state.streams.clone(), machine.clone(), config.lease());
+    let (streams, wanted, lease, wish) =
+        (state.streams.clone(), machine.clone(), config.lease(), opening.wish());
     let taken = state
         .commit(|store| async move {
             let taken = store.take_stream(&wanted, streams.holder(), takeover, lease, now).await?;
-            // Whoever asked may be gone by now.
+            // Whoever asked may be gone by now, and whoever is connected goes on with it.
             if let StreamLease::Taken { generation } = taken {
                 streams.took(&wanted, generation);
+                if wish.strong_count() == 0 && !streams.is_connected(&wanted) {
+                    store.release_stream(&wanted, streams.holder(), generation).await?;
+                }
             }
             Ok(taken)
         })
@@ -85,6 +90,7 @@ pub async fn open(
     };
     let believed_until = leases::believed_until(state, asked);
     let ownership: Ownership = state.streams.own(&machine, generation, believed_until);
+    drop(opening);
     let failed = (state.clone(), ownership.clone());
     // Counted before the upgrade, so that a shutdown in between waits for it.
     let (tracked, state) = (state.lifecycle.track(), state.clone());

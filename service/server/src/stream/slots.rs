@@ -9,8 +9,9 @@ use crate::clock::Moment;
 use crate::config::StreamConfig;
 use feedwright_core::ids::{CycleId, MachineId};
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 
@@ -23,6 +24,8 @@ pub struct Streams {
     slots: Mutex<HashMap<MachineId, Arc<Slot>>>,
     /// Bytes of samples held by running cycles.
     held_bytes: AtomicUsize,
+    /// How many wish to open a stream of each machine, whose slot they do not own yet.
+    opening: Mutex<HashMap<MachineId, usize>>,
     /// Overloads of cycles that are not committed yet, the newest of each machine: no other cycle of it starts before.
     overloads: Mutex<HashMap<MachineId, Arc<Overload>>>,
 }
@@ -99,6 +102,42 @@ impl Held {
     }
 }
 
+/// What a connection leaves in its slot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Left {
+    /// The generation of the lease to give back.
+    pub generation: i64,
+    /// Whether a cycle is left, which its machine may come back to.
+    pub cycle: bool,
+}
+
+/// The wish to open a machine's stream, until its connection owns the slot or it is given up.
+pub struct Opening {
+    streams: Arc<Streams>,
+    machine: MachineId,
+    /// Lives as long as whoever wishes it.
+    wished: Arc<()>,
+}
+
+impl Opening {
+    /// Whether somebody wishes it yet.
+    pub fn wish(&self) -> Weak<()> {
+        Arc::downgrade(&self.wished)
+    }
+}
+
+impl Drop for Opening {
+    fn drop(&mut self) {
+        let mut opening = self.streams.opening();
+        if let Entry::Occupied(mut count) = opening.entry(self.machine.clone()) {
+            *count.get_mut() -= 1;
+            if *count.get() == 0 {
+                count.remove();
+            }
+        }
+    }
+}
+
 /// The right to use a slot.
 #[derive(Clone)]
 pub struct Ownership {
@@ -118,6 +157,7 @@ impl Streams {
             places: Arc::new(Semaphore::new(config.max_connections)),
             slots: Mutex::default(),
             held_bytes: AtomicUsize::new(0),
+            opening: Mutex::default(),
             overloads: Mutex::default(),
         })
     }
@@ -151,13 +191,31 @@ impl Streams {
         self.slot(machine).is_some_and(|slot| slot.lock().connected)
     }
 
+    fn opening(&self) -> MutexGuard<'_, HashMap<MachineId, usize>> {
+        self.opening.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes that somebody wishes to open a stream of the machine. With `alone` it is `None` where another is open here, or is
+    /// being opened.
+    pub fn open(self: &Arc<Self>, machine: &MachineId, alone: bool) -> Option<Opening> {
+        {
+            let mut opening = self.opening();
+            if alone && opening.contains_key(machine) {
+                return None;
+            }
+            *opening.entry(machine.clone()).or_default() += 1;
+        }
+        let opening = Opening { streams: self.clone(), machine: machine.clone(), wished: Arc::default() };
+        // Whoever is connected was being opened until then.
+        (!alone || !self.is_connected(machine)).then_some(opening)
+    }
+
     /// Gives the machine's slot to a new connection, which has the lease of that generation; an older one leaves.
     pub fn own(&self, machine: &MachineId, generation: i64, leased_until: Moment) -> Ownership {
-        let slot = {
-            let mut slots = self.slots();
-            let made = || Arc::new(Slot { machine: machine.clone(), held: Mutex::default() });
-            slots.entry(machine.clone()).or_insert_with(made).clone()
-        };
+        // Until it is owned: whoever leaves it meanwhile would take it away, and nobody would find its owner.
+        let mut slots = self.slots();
+        let made = || Arc::new(Slot { machine: machine.clone(), held: Mutex::default() });
+        let slot = slots.entry(machine.clone()).or_insert_with(made).clone();
         let (owner, leave) = {
             let mut held = slot.lock();
             held.leave.cancel();
@@ -170,6 +228,7 @@ impl Streams {
             held.leased_until = Some(leased_until);
             (held.owner, held.leave.clone())
         };
+        drop(slots);
         Ownership { slot, owner, leave }
     }
 
@@ -203,26 +262,34 @@ impl Streams {
         self.overloads().get(machine).cloned()
     }
 
-    /// Ends a connection's ownership. Returns the lease's generation and whether a cycle is left, where it still owned.
-    pub fn leave(&self, ownership: &Ownership) -> Option<(i64, bool)> {
+    /// Ends a connection's ownership. Returns what it leaves, where it still owned; `tell` is told before anybody else can own the slot.
+    pub fn leave(&self, ownership: &Ownership, tell: impl FnOnce(&Held)) -> Option<Left> {
         let mut slots = self.slots();
         let mut held = ownership.slot.lock();
         if held.owner != ownership.owner {
             return None;
         }
         held.connected = false;
-        let left = (held.generation, held.cycle.is_some());
-        if !left.1 {
+        tell(&held);
+        // A later one was taken for somebody who opens a stream yet, or for nobody.
+        let is_opening = self.opening().contains_key(&ownership.slot.machine);
+        let generation = if is_opening { held.generation } else { held.taken };
+        let left = Left { generation, cycle: held.cycle.is_some() };
+        if !left.cycle {
             self.give_back(std::mem::take(&mut held.charged));
-            slots.remove(&ownership.slot.machine);
+            remove(&mut slots, &ownership.slot);
         }
         drop(held);
         Some(left)
     }
 
     /// Takes the cycle that a broken connection has left, unless a connection owns the slot again; with the bytes that it is charged
-    /// until they are [given back](Streams::give_back).
-    pub fn take_left(&self, ownership: &Ownership) -> Option<(StreamedCycle, usize)> {
+    /// until they are [given back](Streams::give_back). `tell` is told before anybody else can own the slot.
+    pub fn take_left(
+        &self,
+        ownership: &Ownership,
+        tell: impl FnOnce(&Held),
+    ) -> Option<(StreamedCycle, usize)> {
         let mut slots = self.slots();
         let mut held = ownership.slot.lock();
         if held.owner != ownership.owner || held.connected {
@@ -230,12 +297,22 @@ impl Streams {
         }
         let cycle = held.cycle.take();
         let charged = std::mem::take(&mut held.charged);
+        tell(&held);
         drop(held);
-        slots.remove(&ownership.slot.machine);
+        remove(&mut slots, &ownership.slot);
         if cycle.is_none() {
             self.give_back(charged);
         }
         Some((cycle?, charged))
+    }
+
+    /// Puts a cycle into a slot; gives the one that it had, with the bytes that it is charged until they are
+    /// [given back](Streams::give_back).
+    pub fn replace(&self, held: &mut Held, cycle: StreamedCycle) -> (Option<StreamedCycle>, usize) {
+        let left = held.cycle.replace(cycle);
+        let charged = std::mem::take(&mut held.charged);
+        self.charge(held);
+        (left, charged)
     }
 
     /// Bytes of samples are held no longer.
@@ -261,6 +338,13 @@ impl Streams {
             self.held_bytes.fetch_sub(held.charged - bytes, Ordering::Relaxed);
         }
         held.charged = bytes;
+    }
+}
+
+/// Takes a slot away, unless the machine has another one by now.
+fn remove(slots: &mut HashMap<MachineId, Arc<Slot>>, slot: &Arc<Slot>) {
+    if slots.get(&slot.machine).is_some_and(|there| Arc::ptr_eq(there, slot)) {
+        slots.remove(&slot.machine);
     }
 }
 
@@ -343,5 +427,63 @@ mod tests {
         assert!(!leased(0) && later.held().is_none());
         later.slot.prolonged(2, at(50));
         assert!(!leased(0), "whoever was told to leave has none");
+    }
+
+    fn streams() -> Arc<Streams> {
+        Streams::new(&Config::load(&Sources::default()).unwrap().stream)
+    }
+
+    fn moment() -> Moment {
+        Clock::fixed(Timestamp::from_micros(0)).moment()
+    }
+
+    #[test]
+    fn who_has_left_takes_nobody_elses_place_away_and_tells_nothing_of_it() {
+        let (streams, machine) = (streams(), MachineId::try_from("M1").unwrap());
+        let first = streams.own(&machine, 1, moment());
+        let mut told = 0;
+        assert!(streams.leave(&first, |_| told += 1).is_some());
+        assert_eq!(told, 1);
+        let second = streams.own(&machine, 2, moment());
+        // Its slot is another one by now.
+        streams.leave(&first, |_| {});
+        assert!(streams.take_left(&first, |_| {}).is_none());
+        assert!(streams.is_connected(&machine) && second.held().is_some());
+
+        let third = streams.own(&machine, 3, moment());
+        assert!(streams.leave(&second, |_| panic!("somebody else owns it")).is_none());
+        assert!(streams.is_connected(&machine) && third.held().is_some());
+    }
+
+    #[test]
+    fn one_alone_opens_a_stream_where_no_other_is_open_or_opening() {
+        let (streams, machine) = (streams(), MachineId::try_from("M1").unwrap());
+        let other = MachineId::try_from("M2").unwrap();
+        let first = streams.open(&machine, true).unwrap();
+        assert!(streams.open(&machine, true).is_none() && streams.open(&other, true).is_some());
+        drop(first);
+        let again = streams.open(&machine, true).unwrap();
+        let owned = streams.own(&machine, 1, moment());
+        drop(again);
+        assert!(streams.open(&machine, true).is_none(), "it is connected");
+        assert!(streams.open(&machine, false).is_some(), "it is taken over");
+        streams.leave(&owned, |_| {});
+        assert!(streams.open(&machine, true).is_some());
+    }
+
+    #[test]
+    fn a_lease_that_was_taken_for_nobody_is_given_back() {
+        let (streams, machine) = (streams(), MachineId::try_from("M1").unwrap());
+        let left = |is_opening: bool| {
+            let owned = streams.own(&machine, 1, moment());
+            let opening = streams.open(&machine, false).unwrap();
+            streams.took(&machine, 2);
+            let opening = is_opening.then_some(opening);
+            let left = streams.leave(&owned, |_| {}).unwrap();
+            drop(opening);
+            left.generation
+        };
+        assert_eq!(left(false), 2, "who wished it hung up");
+        assert_eq!(left(true), 1, "it is to be served");
     }
 }

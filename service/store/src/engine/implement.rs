@@ -20,7 +20,7 @@ use crate::record::{
     Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
     DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
     Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
-    SampleRetention, SamplesGone, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
+    SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
     Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
@@ -923,9 +923,9 @@ impl Store for Engine {
         write!(self, |conn| streams::release(conn, &machine, &holder, generation).await)
     }
 
-    async fn put_overrides(&self, overrides: &CycleOverrides) -> StoreResult<()> {
+    async fn put_overrides(&self, overrides: &CycleOverrides, sent: Sent) -> StoreResult<()> {
         let overrides = overrides.clone();
-        write!(self, |conn| streams::put_overrides(conn, &overrides).await)
+        write!(self, |conn| streams::put_overrides(conn, &overrides, sent).await)
     }
 
     async fn overrides(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<CycleOverrides>> {

@@ -1,8 +1,9 @@
 //! Streams: their leases, and the overrides that were computed for a cycle.
 
 use super::{Conn, Db, alarms, dialect};
+use crate::codec;
 use crate::error::StoreResult;
-use crate::record::{AlarmKind, CycleOverrides, LONGEST_LEASE_MS, StreamLease};
+use crate::record::{AlarmKind, CycleOverrides, LONGEST_LEASE_MS, Sent, StreamLease};
 use crate::rows::id;
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::units::Timestamp;
@@ -118,9 +119,19 @@ pub(super) async fn release(
     Ok(())
 }
 
-/// Keeps what a cycle's samples were answered, until the cycle is stored; sent again before, the later answers stand. What comes
-/// under the id of a stored cycle, be it refused or sent once more, says nothing of what that was answered.
-pub(super) async fn put_overrides(conn: &mut Conn, kept: &CycleOverrides) -> StoreResult<()> {
+/// Keeps what a cycle's samples were answered, until the cycle is stored; those of another one that comes under its id before stand in
+/// their place. What comes under the id of a stored cycle, be it refused or sent once more, says nothing of what that was answered.
+/// Nor does what a cycle is answered that is sent again from its first sample, long after it was cut: what is there for as many
+/// samples are the answers that it was cut by.
+pub(super) async fn put_overrides(conn: &mut Conn, kept: &CycleOverrides, sent: Sent) -> StoreResult<()> {
+    if sent == Sent::Again
+        && let Some(first) = overrides(conn, &kept.machine, &kept.cycle).await?
+        && let (Ok(first), Ok(again)) =
+            (codec::decode_overrides(&first.block), codec::decode_overrides(&kept.block))
+        && first.len() == again.len()
+    {
+        return Ok(());
+    }
     let is_stored: Option<i64> = sqlx::query_scalar::<Db, _>(
         "SELECT received_at_us FROM cycles WHERE machine_id = $1 AND cycle_id = $2",
     )
