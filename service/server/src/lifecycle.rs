@@ -2,10 +2,14 @@
 
 use std::future::Future;
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
+
+/// So long after a panic what goes on begins anew.
+const AGAIN: Duration = if cfg!(test) { Duration::from_millis(1) } else { Duration::from_secs(5) };
 
 /// Shared by everything that runs; cheap to clone.
 #[derive(Debug, Clone, Default)]
@@ -20,6 +24,27 @@ impl Lifecycle {
     /// Runs a task that a client cannot cancel and that shutdown waits for.
     pub fn spawn<T: Send + 'static>(&self, task: impl Future<Output = T> + Send + 'static) -> JoinHandle<T> {
         self.tasks.spawn(task)
+    }
+
+    /// Runs what goes on until the shutdown begins. A panic does not end it unnoticed: it is told, and after a pause it begins anew, as
+    /// whatever else runs here goes on.
+    pub fn keep<F, T>(&self, what: &'static str, run: F)
+    where
+        F: Fn() -> T + Send + 'static,
+        T: Future<Output = ()> + Send + 'static,
+    {
+        let lifecycle = self.clone();
+        self.tasks.spawn(async move {
+            while let Err(error) = tokio::spawn(run()).await
+                && error.is_panic()
+            {
+                tracing::error!(%error, what, "it panicked, and begins anew after a pause");
+                tokio::select! {
+                    () = tokio::time::sleep(AGAIN) => {}
+                    () = lifecycle.stopping() => return,
+                }
+            }
+        });
     }
 
     /// Counts as a task until it is dropped: for work that another runs, such as an upgraded connection.
@@ -65,5 +90,24 @@ impl Lifecycle {
     pub(crate) async fn tasks_ended(&self) {
         self.tasks.close();
         self.tasks.wait().await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    #[tokio::test]
+    async fn what_goes_on_begins_anew_after_a_panic_until_it_ends() {
+        let lifecycle = Lifecycle::default();
+        let begun = Arc::new(AtomicU32::new(0));
+        let counted = begun.clone();
+        lifecycle.keep("counting", move || {
+            let count = counted.fetch_add(1, Ordering::Relaxed);
+            async move { assert!(count == 2, "this is the panic of a test") }
+        });
+        lifecycle.tasks_ended().await;
+        assert_eq!(begun.load(Ordering::Relaxed), 3);
     }
 }

@@ -24,16 +24,18 @@ const ROUNDS: Duration = Duration::from_secs(600);
 /// Goes through the tools, again and again, until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
     let state = state.clone();
-    state.lifecycle.clone().spawn(async move {
-        loop {
-            round(&state).await;
-            tokio::select! {
-                () = tokio::time::sleep(ROUNDS) => {}
-                () = state.folds_are_behind.notified() => {}
-                () = state.lifecycle.stopping() => return,
-            }
+    state.lifecycle.clone().keep("folding again", move || rounds(state.clone()));
+}
+
+async fn rounds(state: AppState) {
+    loop {
+        round(&state).await;
+        tokio::select! {
+            () = tokio::time::sleep(ROUNDS) => {}
+            () = state.folds_are_behind.notified() => {}
+            () = state.lifecycle.stopping() => return,
         }
-    });
+    }
 }
 
 /// Goes once through the tools, unless the shutdown begins.

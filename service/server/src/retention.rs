@@ -14,22 +14,26 @@ const DAY_MS: i64 = 86_400_000;
 
 /// Runs until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
+    let aged = state.clone();
+    state.lifecycle.keep("aging of samples", move || aging(aged.clone()));
     let state = state.clone();
-    state.lifecycle.spawn(aging(state.clone()));
-    state.lifecycle.clone().spawn(async move {
-        let mut ticks = tokio::time::interval(state.config.retention.interval());
-        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        loop {
-            // Only the waiting is cut short, never a statement.
-            tokio::select! {
-                _ = ticks.tick() => {}
-                () = state.lifecycle.stopping() => return,
-            }
-            if let Err(error) = run(&state).await {
-                tracing::warn!(%error, "retention broke off and goes on at its next run");
-            }
+    state.lifecycle.clone().keep("retention", move || runs(state.clone()));
+}
+
+/// Runs retention until the shutdown begins.
+async fn runs(state: AppState) {
+    let mut ticks = tokio::time::interval(state.config.retention.interval());
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        // Only the waiting is cut short, never a statement.
+        tokio::select! {
+            _ = ticks.tick() => {}
+            () = state.lifecycle.stopping() => return,
         }
-    });
+        if let Err(error) = run(&state).await {
+            tracing::warn!(%error, "retention broke off and goes on at its next run");
+        }
+    }
 }
 
 /// Lets samples age until the shutdown begins.

@@ -220,17 +220,22 @@ fn not_after(certificate: &CertificateDer<'_>) -> Option<Duration> {
 /// Looks at the files until the shutdown begins.
 pub(crate) fn watch(state: &AppState, certificates: Arc<Certificates>) {
     let state = state.clone();
-    state.lifecycle.clone().spawn(async move {
-        let mut ticks = tokio::time::interval(state.config.tls.reload_interval());
-        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        loop {
-            tokio::select! {
-                _ = ticks.tick() => {}
-                () = state.lifecycle.stopping() => return,
-            }
-            look(&certificates, false).await;
+    state
+        .lifecycle
+        .clone()
+        .keep("watching the certificate", move || looks(state.clone(), certificates.clone()));
+}
+
+async fn looks(state: AppState, certificates: Arc<Certificates>) {
+    let mut ticks = tokio::time::interval(state.config.tls.reload_interval());
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            _ = ticks.tick() => {}
+            () = state.lifecycle.stopping() => return,
         }
-    });
+        look(&certificates, false).await;
+    }
 }
 
 /// Looks at the files now, off the threads that serve connections.

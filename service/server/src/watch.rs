@@ -61,24 +61,26 @@ impl WearTurn {
 /// Makes rounds until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
     let state = state.clone();
-    // A task of the lifecycle: shutdown waits for the round under way, and only the waiting between two is cut short.
-    state.lifecycle.clone().spawn(async move {
-        let mut ticks = tokio::time::interval(state.config.watch.interval());
-        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        loop {
-            tokio::select! {
-                _ = ticks.tick() => {}
-                () = state.lifecycle.stopping() => break,
-            }
-            if let Err(error) = round(&state).await {
-                tracing::warn!(%error, "the watch could not make its round");
-            }
+    state.lifecycle.clone().keep("watch", move || rounds(state.clone()));
+}
+
+/// Makes rounds, one after the other. Shutdown waits for the one under way: only the waiting between two is cut short.
+async fn rounds(state: AppState) {
+    let mut ticks = tokio::time::interval(state.config.watch.interval());
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            _ = ticks.tick() => {}
+            () = state.lifecycle.stopping() => break,
         }
-        // What was heard of last is not lost with the process.
         if let Err(error) = round(&state).await {
-            tracing::warn!(%error, "the watch could not make its last round");
+            tracing::warn!(%error, "the watch could not make its round");
         }
-    });
+    }
+    // What was heard of last is not lost with the process.
+    if let Err(error) = round(&state).await {
+        tracing::warn!(%error, "the watch could not make its last round");
+    }
 }
 
 /// One round.

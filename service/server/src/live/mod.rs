@@ -146,8 +146,8 @@ impl Live {
 
 /// Begins to watch alarms, and to tell and to listen to other servers.
 pub fn start(state: &AppState) -> Link {
-    let watching = alarms::watch(state.clone());
-    state.lifecycle.spawn(watching);
+    let watched = state.clone();
+    state.lifecycle.keep("watching alarms", move || alarms::watch(watched.clone()));
     Link(tokio::spawn(replicas::link(state.clone())))
 }
 

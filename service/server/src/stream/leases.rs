@@ -16,8 +16,8 @@ const RENEWALS: u32 = 3;
 
 /// Begins to prolong leases, until the server stops.
 pub fn start(state: &AppState) {
-    let prolonging = prolong(state.clone());
-    state.lifecycle.spawn(prolonging);
+    let state = state.clone();
+    state.lifecycle.clone().keep("prolonging leases", move || prolong(state.clone()));
 }
 
 async fn prolong(state: AppState) {

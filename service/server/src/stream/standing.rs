@@ -55,20 +55,22 @@ impl KnownTool {
 
 /// Begins to read again what running cycles were begun with, until the server stops.
 pub fn start(state: &AppState) {
-    let asking = state.clone();
-    state.lifecycle.spawn(async move {
-        let mut due = interval(READ_EVERY);
-        due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        loop {
-            tokio::select! {
-                _ = due.tick() => {}
-                () = asking.lifecycle.stopping() => return,
-            }
-            for slot in asking.streams.all() {
-                look(&asking, &slot).await;
-            }
+    let state = state.clone();
+    state.lifecycle.clone().keep("reading what cycles were begun with", move || looks(state.clone()));
+}
+
+async fn looks(state: AppState) {
+    let mut due = interval(READ_EVERY);
+    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            _ = due.tick() => {}
+            () = state.lifecycle.stopping() => return,
         }
-    });
+        for slot in state.streams.all() {
+            look(&state, &slot).await;
+        }
+    }
 }
 
 /// Ends the law of a machine's running cycle where what it was begun with holds no more.
