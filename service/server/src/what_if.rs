@@ -8,6 +8,6 @@ mod control;
 mod cycle;
 mod relation;
 
-pub use control::{Asked, AskedProfile, Prediction, predict};
+pub use control::{Asked, AskedLaw, AskedProfile, Prediction, predict};
 pub use cycle::{ContactCycle, IdleLoads, IdleSource, TorqueSource, Unusable};
 pub use relation::{Learned, Library, MOST_LEARNED, MOST_SCANNED};

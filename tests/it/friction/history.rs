@@ -82,6 +82,13 @@ async fn the_cycles_own_feed_gives_the_cycle_back_and_a_faster_one_a_shorter_cyc
     let (happened, predicted) = (&answer.body["happened"], &answer.body["predicted"]);
     assert!(number(&predicted["duration_s"]) > number(&happened["duration_s"]), "{}", answer.text);
     assert!(number(&predicted["overload_s"]) < number(&happened["overload_s"]), "{}", answer.text);
+    // What is left out of a law is what the service runs its streams by; what is asked as it was answered is answered the same.
+    let in_force = &answer.body["assumed"]["law"];
+    let law = json!({"set_feed_drive_percent": 20.0, "set_spindle_percent": 20.0, "intensity": 2.0, "override_min_percent": 5.0,
+                     "override_max_percent": 200.0, "rise_limit_points": 5.0, "heating_ms": 2000.0});
+    assert_eq!(*in_force, law, "{}", answer.text);
+    let again = json!({"control": {"law": in_force}, "limits": {"spindle_percent": 40}});
+    assert_eq!(shop.post(OF_C2, &again).await.body["predicted"], *predicted);
 }
 
 #[tokio::test]

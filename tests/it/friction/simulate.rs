@@ -37,6 +37,9 @@ async fn nothing_said_is_the_papers_comparison() {
     assert!(number(&stages["contact_mm"]) < number(&stages["thrust_maximum_mm"]));
     assert!(number(&stages["torque_maximum_mm"]) < number(&stages["flange_mm"]));
     assert_eq!(body["model"]["operation"]["spindle_rpm"], 2800.0, "every value in force is told");
+    let law = json!({"set_feed_drive_percent": 30.0, "set_spindle_percent": 40.0, "intensity": 8.47,
+                     "override_min_percent": 5.0, "override_max_percent": 200.0, "rise_limit_points": 5.0, "heating_ms": 2000.0});
+    assert_eq!(body["strategy"]["law"], law);
 }
 
 #[tokio::test]
@@ -59,9 +62,10 @@ async fn samples_wear_and_a_law_are_taken_and_a_seed_repeats() {
     let again = shop.post(PATH, &question).await;
     assert_eq!(answer.text, again.text, "the same seed, the same hole");
     // What is answered as the model may be asked again as it stands.
-    let whole =
-        json!({"model": {"machine": body["model"]["machine"], "operation": body["model"]["operation"]}});
-    assert_eq!(shop.post(PATH, &whole).await.status, 200);
+    let whole = json!({"model": body["model"], "strategy": body["strategy"], "compare": [{"base": "f_const"}], "seed": 7,
+                       "limits": {"spindle_percent": 20}});
+    let repeated = shop.post(PATH, &whole).await;
+    assert_eq!(repeated.body["cycle"], body["cycle"], "{}", repeated.text);
 }
 
 #[tokio::test]

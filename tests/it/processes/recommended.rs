@@ -98,8 +98,12 @@ async fn what_is_not_known_advises_nothing_and_says_why() {
     let shop = opened().await;
     mount(&shop, "mounted_used").await;
     assert!(says(&asked(&shop).await, "turning_edge_unknown"));
+    const NEUTRAL: &str = "feedwright_machine_recommendation_neutral_since_timestamp_seconds{machine=\"M1\"";
+    assert!(shop.get("/metrics").await.text.contains(NEUTRAL));
     mount(&shop, "mounted_new").await;
     assert!(says(&asked(&shop).await, "turning_advised"));
+    // Its override is neutral, and it names a pair.
+    assert!(!shop.get("/metrics").await.text.contains(NEUTRAL));
     // A cut that does not tell its feed leaves the wear unknown.
     let plan = intervals(&shop).await;
     let mut silent = cut(1, &plan[0]);

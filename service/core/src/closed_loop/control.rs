@@ -43,6 +43,30 @@ pub struct LawSettings {
     pub program_range: (f64, f64),
 }
 
+impl LawSettings {
+    /// The law for a machine that samples every `period_ms` and whose interpolator takes `ipo_period_ms`, without preferred loads.
+    pub fn params(&self, bounds: OverrideBounds, period_ms: f64, ipo_period_ms: f64) -> LawParams {
+        LawParams {
+            weights: FilterWeights::default(),
+            set_feed_drive_percent: None,
+            set_spindle_percent: None,
+            intensity: self.intensity,
+            bounds,
+            // Sampling faster than the interpolator must not make the override rise faster.
+            rise_limit_points: Some(self.rise_limit_points * (period_ms / ipo_period_ms).min(1.0)),
+            heating: if self.heating_ms > 0.0 {
+                Heating::Time { ms: self.heating_ms }
+            } else {
+                Heating::None
+            },
+            period_ms,
+            longest_gap_ms: longest_gap_ms(period_ms),
+            settling_samples: self.settling_samples,
+            overload: self.overload,
+        }
+    }
+}
+
 /// The feed that the cycle runs.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Program {
@@ -278,25 +302,11 @@ pub fn control(
     let (low, high) = program.map_or(settings.program_range, |(_, range)| range);
     let ceiling = if capped.is_empty() { high } else { 100.0 };
     let profile = OverrideRange::new(low, ceiling)?;
+    let bounds = OverrideBounds::new(range_of(&standing.machine.limits)?, profile);
     let config = LawConfig::new(LawParams {
-        weights: FilterWeights::default(),
         set_feed_drive_percent: feed_drive,
         set_spindle_percent: spindle,
-        intensity: settings.intensity,
-        bounds: OverrideBounds::new(range_of(&standing.machine.limits)?, profile),
-        // Sampling faster than the interpolator must not make the override rise faster.
-        rise_limit_points: Some(
-            settings.rise_limit_points * (period_ms / standing.machine.ipo_period_ms).min(1.0),
-        ),
-        heating: if settings.heating_ms > 0.0 {
-            Heating::Time { ms: settings.heating_ms }
-        } else {
-            Heating::None
-        },
-        period_ms,
-        longest_gap_ms: longest_gap_ms(period_ms),
-        settling_samples: settings.settling_samples,
-        overload: settings.overload,
+        ..settings.params(bounds, period_ms, standing.machine.ipo_period_ms)
     })?;
     let program = program.map(|(program, _)| program.clone());
     let mut state = LawState::new();
@@ -323,7 +333,11 @@ pub fn control(
     ))
 }
 
-fn range_of(limits: &FeedLimits) -> Result<OverrideRange, Invalid> {
+/// The overrides that a machine permits.
+///
+/// # Errors
+/// None that contain 100.
+pub fn range_of(limits: &FeedLimits) -> Result<OverrideRange, Invalid> {
     OverrideRange::new(
         limits.override_min_percent(),
         limits.override_max_percent().min(HIGHEST_OVERRIDE_PERCENT),

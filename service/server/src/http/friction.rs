@@ -54,6 +54,7 @@ fn answer(request: &SimulationRequest) -> Result<SimulationAnswer, Violation> {
         samples,
         comparison: comparison.collect(),
         model: (&model).into(),
+        strategy: (&strategy).into(),
         defaults: DEFAULTS,
     })
 }

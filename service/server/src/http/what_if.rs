@@ -43,7 +43,7 @@ pub(super) async fn of_cycle(
     PathId(id): PathId<CycleId>,
     Json(question): Json<WhatIfQuestion>,
 ) -> Result<axum::Json<WhatIfAnswer>, Problem> {
-    let (asked, idle) = question.to_asked()?;
+    let (asked, idle) = question.to_asked(state.config.stream.law())?;
     let asked = with_profile(&state, &question.control, asked, "control").await?;
     let stored = state.store.cycle(&machine, &id).await?;
     let stored = stored.ok_or_else(|| Problem::not_found("cycle", id.as_str()))?;
@@ -76,7 +76,7 @@ pub(super) async fn of_many(
     Json(question): Json<ManyQuestion>,
 ) -> Result<axum::Json<ManyAnswer>, Problem> {
     let inside = |wrong: Violation| Violation { path: format!("question.{}", wrong.path), ..wrong };
-    let (asked, idle) = question.question.to_asked().map_err(inside)?;
+    let (asked, idle) = question.question.to_asked(state.config.stream.law()).map_err(inside)?;
     let asked = with_profile(&state, &question.question.control, asked, "question.control").await?;
     if asked.samples {
         let text = "samples are told of one cycle at a time";

@@ -24,8 +24,9 @@ const NEUTRAL_REASONS: [&str; 8] = [
     "no_programmed_feed",
     "no_profile",
 ];
-/// The reason that names the feed profile to run: with it a recommendation is not neutral although its override is.
-const PROFILE_ACTIVE: &str = "profile_active";
+/// Reasons that name what to run: the feed profile, the pair of speed and feed, the plunge feed. With one of them a recommendation is not
+/// neutral although its override is.
+const ADVISED: [&str; 3] = ["profile_active", "turning_advised", "plunge_advised"];
 
 /// What is remembered of a machine that has a label. What each of its cycles changes is kept at hand: to look a series up
 /// by its labels takes longer than to count.
@@ -197,7 +198,7 @@ impl MachineMetrics {
 
     pub(super) fn recommendation(&self, recommendation: &Recommendation) {
         let is_neutral = recommendation.override_percent == NEUTRAL_OVERRIDE_PERCENT
-            && !has(recommendation, PROFILE_ACTIVE);
+            && !ADVISED.iter().any(|code| has(recommendation, code));
         let machine = &recommendation.machine;
         self.labelled(machine, |known| {
             let before = known.neutral_shown.map(|(reason, _)| reason);

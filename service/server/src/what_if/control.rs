@@ -4,13 +4,14 @@ use super::cycle::{ContactCycle, Unusable};
 use super::relation::Learned;
 use crate::http::dto::friction::control::{LawBody, ProgramBody};
 use crate::http::dto::friction::refused;
+use feedwright_core::closed_loop::control::{LawSettings, range_of};
 use feedwright_core::cycle::ProfileVersion;
 use feedwright_core::feed::profile::{LimitsInput, Profile};
 use feedwright_core::friction::error::{Invalid, InvalidCode};
 use feedwright_core::friction::feed_override::{HIGHEST_OVERRIDE_PERCENT, OverrideBounds, OverrideRange};
 use feedwright_core::friction::law::{LawConfig, LawParams};
 use feedwright_core::friction::program::FeedProgram;
-use feedwright_core::friction::twin::{AxisLimits, PaperStrategies};
+use feedwright_core::friction::twin::AxisLimits;
 use feedwright_core::friction::whatif::{
     Control, LoadLimits, PredictedSample, WhatIf, predicted_course, what_if,
 };
@@ -18,9 +19,6 @@ use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
 use feedwright_store::{StoredCycle, Surroundings};
 use std::sync::Arc;
-
-/// Time without a sample that is a gap for the law, in sample periods, as the paper's law has it.
-const GAP_PERIODS: f64 = 2.5;
 
 /// A cycle may end so much deeper than a profile that covers it: the axis overshoots, and depths are rounded, mm.
 const DEEPER_MM: f64 = 0.1;
@@ -33,7 +31,7 @@ pub struct Asked {
     /// The stored profile that the program is of: what it was reviewed for is all it is asked about.
     pub profile: Option<Arc<AskedProfile>>,
     /// A law on top; none where it is `None`.
-    pub law: Option<LawBody>,
+    pub law: Option<AskedLaw>,
     /// What the feed axis can do.
     pub axis: AxisLimits,
     /// What counts as an overload.
@@ -42,6 +40,15 @@ pub struct Asked {
     pub tolerated_overload_s: f64,
     /// Whether the predicted samples are told too.
     pub samples: bool,
+}
+
+/// A law that is asked about.
+#[derive(Debug, Clone)]
+pub struct AskedLaw {
+    /// What is named of it.
+    pub named: LawBody,
+    /// The rest: what streams of this service are run by.
+    pub usual: LawSettings,
 }
 
 /// A version of a stored profile that is asked about.
@@ -84,14 +91,23 @@ impl Asked {
     /// Reads the program, which comes with its own path, and tries the law once, so that what is wrong with them is told before anything is read.
     pub fn new(
         program: Option<(&ProgramBody, &str)>,
-        law: Option<LawBody>,
+        law: Option<AskedLaw>,
         axis: AxisLimits,
         limits: LoadLimits,
         tolerated_overload_s: f64,
     ) -> Result<Self, Violation> {
         let program = program.map(|(program, at)| program.to_program(at)).transpose()?;
-        if let Some(law) = &law {
-            law.over(paper_law()?, None, "control.law")?;
+        if let Some(AskedLaw { named, usual }) = &law {
+            let internal = |error: Invalid| refused(&error, str::to_owned);
+            let (low, high) = usual.program_range;
+            let range = OverrideRange::new(low, high).map_err(internal)?;
+            let (set_feed_drive_percent, set_spindle_percent) = PAPER_LOADS;
+            let base = LawParams {
+                set_feed_drive_percent,
+                set_spindle_percent,
+                ..usual.params(OverrideBounds::new(range, range), PAPER_PERIOD_MS, PAPER_PERIOD_MS)
+            };
+            named.over(base, None, "control.law")?;
         }
         Ok(Self { program, profile: None, law, axis, limits, tolerated_overload_s, samples: false })
     }
@@ -105,7 +121,7 @@ impl Asked {
         own: &Control,
     ) -> Result<Control, Invalid> {
         let profile = self.profile.as_ref().map(|profile| profile.content.limits());
-        let law = self.law.map(|law| law_for(&law, profile, cycle, around)).transpose()?;
+        let law = self.law.as_ref().map(|law| law_for(law, profile, cycle, around)).transpose()?;
         let program = match (&self.program, &law) {
             (Some(program), _) => program.clone(),
             (None, Some(_)) => cycle.programmed()?,
@@ -115,11 +131,10 @@ impl Asked {
     }
 }
 
-fn paper_law() -> Result<LawParams, Violation> {
-    let internal = |error: Invalid| refused(&error, str::to_owned);
-    let adaptive = PaperStrategies::new().map_err(internal)?.adaptive.law;
-    adaptive.map_or_else(|| LawParams::paper(30.0, 40.0).map_err(internal), |law| Ok(*law.params()))
-}
+/// Preferred loads of feed drive and spindle (Stryczek & Błaszczak 2020, section 4.3), where nobody has set any.
+const PAPER_LOADS: (Option<f64>, Option<f64>) = (Some(30.0), Some(40.0));
+/// The paper's interpolator.
+const PAPER_PERIOD_MS: f64 = 10.0;
 
 /// The lower of two loads, where both are set.
 fn lower(one: Option<f64>, other: Option<f64>) -> Option<f64> {
@@ -129,45 +144,46 @@ fn lower(one: Option<f64>, other: Option<f64>) -> Option<f64> {
     }
 }
 
-/// The law over the lower of the profile's and the operation's set loads, else the paper's, within the override ranges of machine and profile.
+/// The law that a stream of the service would run, with what is named of it: over the lower of the profile's and the operation's set
+/// loads, the paper's where nobody has set any, within the override ranges of machine and profile.
 fn law_for(
-    law: &LawBody,
+    law: &AskedLaw,
     profile: Option<LimitsInput>,
     cycle: &ContactCycle,
     around: &Surroundings,
 ) -> Result<LawConfig, Invalid> {
     let core =
         |violation: Violation| Invalid::new(violation.path, InvalidCode::OutOfRange, violation.message);
-    let paper = paper_law().map_err(core)?;
+    let AskedLaw { named, usual } = law;
     let operation = around.operation.as_ref();
     let period_ms = cycle.period_s * 1e3;
-    let base = LawParams {
-        set_feed_drive_percent: lower(
+    let set = (
+        lower(
             profile.and_then(|limits| limits.feed_drive_load_set_percent),
             operation.and_then(|operation| operation.feed_drive_load_set_percent),
-        )
-        .or(paper.set_feed_drive_percent),
-        set_spindle_percent: lower(
+        ),
+        lower(
             profile.and_then(|limits| limits.spindle_load_set_percent),
             operation.and_then(|operation| operation.spindle_load_set_percent),
-        )
-        .or(paper.set_spindle_percent),
-        period_ms,
-        longest_gap_ms: GAP_PERIODS * period_ms,
-        ..paper
-    };
-    let limits = &around.machine.limits;
-    let highest = limits.override_max_percent().min(HIGHEST_OVERRIDE_PERCENT);
-    let machine = OverrideRange::new(limits.override_min_percent(), highest)?;
-    let base = match profile {
+        ),
+    );
+    let is_set =
+        set != (None, None) || named.set_feed_drive_percent.is_some() || named.set_spindle_percent.is_some();
+    let (set_feed_drive_percent, set_spindle_percent) = if is_set { set } else { PAPER_LOADS };
+    let machine = range_of(&around.machine.limits)?;
+    let (low, high) = match profile {
         Some(limits) => {
-            let highest = limits.override_max_percent.min(HIGHEST_OVERRIDE_PERCENT);
-            let own = OverrideRange::new(limits.override_min_percent, highest)?;
-            LawParams { bounds: OverrideBounds::new(machine, own), ..base }
+            (limits.override_min_percent, limits.override_max_percent.min(HIGHEST_OVERRIDE_PERCENT))
         }
-        None => base,
+        None => usual.program_range,
     };
-    law.over(base, Some(machine), "control.law").map_err(core)
+    let bounds = OverrideBounds::new(machine, OverrideRange::new(low, high)?);
+    let base = LawParams {
+        set_feed_drive_percent,
+        set_spindle_percent,
+        ..usual.params(bounds, period_ms, around.machine.ipo_period_ms)
+    };
+    named.over(base, Some(machine), "control.law").map_err(core)
 }
 
 /// One cycle's answer with what it rests on.
@@ -185,6 +201,8 @@ pub struct Prediction {
     pub course: Option<Vec<PredictedSample>>,
     /// The stored profile that was asked about.
     pub profile: Option<Arc<AskedProfile>>,
+    /// The law that was asked about, every value in force.
+    pub law: Option<LawConfig>,
 }
 
 /// Predicts one cycle.
@@ -214,5 +232,5 @@ pub fn predict(
     let course =
         asked.samples.then(|| predicted_course(&cycle.core(), &learned.relations, &asked.axis, &other));
     let course = course.transpose().map_err(refused)?;
-    Ok(Prediction { stored, cycle, learned, answer, course, profile: asked.profile.clone() })
+    Ok(Prediction { stored, cycle, learned, answer, course, profile: asked.profile.clone(), law: other.law })
 }

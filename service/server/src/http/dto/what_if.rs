@@ -3,7 +3,8 @@
 use super::friction::control::{BetweenWord, LawBody, ProgramBody, ProgramKnotBody};
 use super::friction::model::AxisBody;
 use super::time;
-use crate::what_if::{Asked, IdleLoads, IdleSource, Prediction, TorqueSource};
+use crate::what_if::{Asked, AskedLaw, IdleLoads, IdleSource, Prediction, TorqueSource};
+use feedwright_core::closed_loop::control::LawSettings;
 use feedwright_core::friction::twin::paper_params;
 use feedwright_core::friction::whatif::{LoadLimits, PredictedSample, RunFigures};
 use feedwright_core::ids::{MachineId, OperationId, ProfileId, ToolId};
@@ -210,8 +211,9 @@ impl ManyQuestion {
 }
 
 impl WhatIfQuestion {
-    /// What is asked, and the idle loads where they are given; a stored profile is not looked up yet.
-    pub fn to_asked(&self) -> Result<(Asked, Option<IdleLoads>), Violation> {
+    /// What is asked, and the idle loads where they are given; a stored profile is not looked up yet. Of a law what is left out is
+    /// the `usual` one.
+    pub fn to_asked(&self, usual: LawSettings) -> Result<(Asked, Option<IdleLoads>), Violation> {
         let limits = LoadLimits {
             feed_drive_percent: self.limits.feed_drive_percent,
             spindle_percent: self.limits.spindle_percent,
@@ -240,7 +242,7 @@ impl WhatIfQuestion {
         let at = if self.control.profile.is_some() { "control.profile" } else { "control.program" };
         let asked = Asked::new(
             inline.as_ref().map(|program| (program, at)),
-            self.control.law,
+            self.control.law.map(|named| AskedLaw { named, usual }),
             axis,
             limits,
             tolerated,
@@ -371,6 +373,9 @@ pub struct AssumedBody {
     /// The stored profile that was asked about, as `id@version`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<String>,
+    /// The law that was asked about, every value in force.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub law: Option<LawBody>,
     /// Where the energy comes from: `calibrated`, `rated_power` or `unknown` (no joules).
     pub energy_basis: &'static str,
 }
@@ -378,7 +383,7 @@ pub struct AssumedBody {
 impl WhatIfAnswer {
     /// The answer for one cycle.
     pub fn new(prediction: &Prediction, tolerated_s: f64) -> Self {
-        let Prediction { stored, cycle, learned, answer, course, profile } = prediction;
+        let Prediction { stored, cycle, learned, answer, course, profile, law } = prediction;
         Self {
             machine: stored.cycle.machine.to_string(),
             cycle_id: stored.cycle.id.to_string(),
@@ -410,6 +415,7 @@ impl WhatIfAnswer {
                 profile: profile
                     .as_ref()
                     .map(|asked| format!("{}@{}", asked.version.profile, asked.version.version)),
+                law: law.as_ref().map(|law| law.params().into()),
                 energy_basis: match cycle.torque_source {
                     TorqueSource::Calibrated => "calibrated",
                     TorqueSource::Rated => "rated_power",

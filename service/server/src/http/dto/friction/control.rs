@@ -43,6 +43,19 @@ pub struct ProgramBody {
     pub knots: Vec<ProgramKnotBody>,
 }
 
+impl From<&FeedProgram> for ProgramBody {
+    fn from(program: &FeedProgram) -> Self {
+        let knot = |knot: &Knot| ProgramKnotBody { depth_mm: knot.depth_mm, feed_mm_min: knot.feed_mm_min };
+        Self {
+            between: match program.between() {
+                Between::Held => BetweenWord::Held,
+                Between::Linear => BetweenWord::Linear,
+            },
+            knots: program.knots().iter().map(knot).collect(),
+        }
+    }
+}
+
 impl ProgramBody {
     /// The program; `at` is its own path.
     pub fn to_program(&self, at: &str) -> Result<FeedProgram, Violation> {
@@ -56,7 +69,9 @@ impl ProgramBody {
     }
 }
 
-/// The adaptive law (Eq. 1–4) over the paper's: loads of 30 and 40 %, 2 s of heating, override 5 to 200 %.
+/// The adaptive law (Stryczek & Błaszczak 2020, Eq. 1–4). What is left out is in a simulation the paper's (loads of 30 and 40 %, 2 s of
+/// heating, override 5 to 200 %, intensity 8.47), and in a what-if what the service runs streams by: the set loads of profile and
+/// operation, and the rest by its configuration (`stream.intensity` and others). Answers name the law in force.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LawBody {
@@ -64,7 +79,7 @@ pub struct LawBody {
     pub set_feed_drive_percent: Option<f64>,
     /// Preferred spindle load L_set, %.
     pub set_spindle_percent: Option<f64>,
-    /// Intensity b of Eq. 3; the paper gives none.
+    /// Intensity b of Eq. 3. The paper gives none; its figures of power need 4 or more.
     pub intensity: Option<f64>,
     /// Lower limit of the override, %.
     pub override_min_percent: Option<f64>,
@@ -74,6 +89,26 @@ pub struct LawBody {
     pub rise_limit_points: Option<f64>,
     /// The law is off for so long after contact, ms.
     pub heating_ms: Option<f64>,
+}
+
+impl From<&LawParams> for LawBody {
+    /// Every value in force.
+    fn from(law: &LawParams) -> Self {
+        let range = law.bounds.effective();
+        Self {
+            set_feed_drive_percent: law.set_feed_drive_percent,
+            set_spindle_percent: law.set_spindle_percent,
+            intensity: Some(law.intensity),
+            override_min_percent: Some(range.min_percent()),
+            override_max_percent: Some(range.max_percent()),
+            rise_limit_points: law.rise_limit_points,
+            heating_ms: match law.heating {
+                Heating::None => Some(0.0),
+                Heating::Time { ms } => Some(ms),
+                Heating::Depth { .. } => None,
+            },
+        }
+    }
 }
 
 impl LawBody {
@@ -123,6 +158,18 @@ pub struct StrategyBody {
     pub program: Option<ProgramBody>,
     /// The law on top; with `{}` the paper's. Where it is left out, `f_ac` has its own and the others none.
     pub law: Option<LawBody>,
+}
+
+impl From<&Strategy> for StrategyBody {
+    /// Every value in force.
+    fn from(strategy: &Strategy) -> Self {
+        Self {
+            base: None,
+            name: Some(strategy.name.clone()),
+            program: Some((&strategy.program).into()),
+            law: strategy.law.as_ref().map(|law| law.params().into()),
+        }
+    }
 }
 
 /// Longest name of a strategy.

@@ -41,8 +41,10 @@ pub struct SimulationAnswer {
     pub samples: Option<SimulatedSamples>,
     /// The table and the radar of the paper's Fig. 21: the strategies of `compare`.
     pub comparison: Vec<ComparedStrategy>,
-    /// Every value in force, those that were left out included.
+    /// Every value of the model in force, those that were left out included.
     pub model: ModelBody,
+    /// The strategy of `cycle`, every value in force.
+    pub strategy: StrategyBody,
     /// Where the values come from that were left out.
     pub defaults: &'static str,
 }
