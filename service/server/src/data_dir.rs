@@ -1,5 +1,6 @@
 //! The data directory: made for its owner only, and locked, so that two servers never open one SQLite database.
 
+use feedwright_store::durable::sync_name;
 use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
@@ -33,6 +34,14 @@ fn at(address: &Option<String>) -> String {
     address.as_ref().map(|address| format!(" that listens on {address}")).unwrap_or_default()
 }
 
+/// Makes a directory, and those that it stands in where they are not there, under names that are durable: what is acknowledged stands in it.
+fn make(path: &Path) -> io::Result<()> {
+    let made: Vec<&Path> =
+        path.ancestors().take_while(|made| !made.as_os_str().is_empty() && !made.is_dir()).collect();
+    DirBuilder::new().recursive(true).mode(0o700).create(path)?;
+    made.into_iter().rev().try_for_each(sync_name)
+}
+
 /// The lock on a data directory; dropped, it is free.
 #[derive(Debug)]
 pub struct DataDirLock {
@@ -44,7 +53,7 @@ impl DataDirLock {
     pub fn acquire(path: &Path) -> Result<Self, DataDirError> {
         let failed = |source| DataDirError::Io { path: path.to_owned(), source };
         if !path.is_dir() {
-            DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(failed)?;
+            make(path).map_err(failed)?;
         }
         // The directory may have been made by hand: warn, since its owner may want it so.
         let mode = path.metadata().map_err(failed)?.permissions().mode();

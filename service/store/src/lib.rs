@@ -6,6 +6,7 @@
 //! number and name), its statements in `engine/`, and its story in the suite that runs on both engines.
 
 pub mod codec;
+pub mod durable;
 mod error;
 mod fault;
 mod feed_profile;

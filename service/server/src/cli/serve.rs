@@ -8,6 +8,7 @@ use crate::server::{ListeningServer, Server};
 use crate::telemetry::Telemetry;
 use anyhow::{Context, bail};
 use clap::Args;
+use feedwright_store::durable::sync_name;
 use feedwright_store::{Page, Store};
 use secrecy::{ExposeSecret, SecretString};
 use std::fs::{File, OpenOptions};
@@ -166,7 +167,8 @@ impl FirstTokenFile {
     fn hold(mut self, token: &SecretString) -> std::io::Result<()> {
         writeln!(self.file, "{}", token.expose_secret())?;
         self.file.sync_all()?;
-        std::fs::rename(&self.making, &self.path)
+        std::fs::rename(&self.making, &self.path)?;
+        sync_name(&self.path)
     }
 }
 

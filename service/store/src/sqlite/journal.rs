@@ -35,6 +35,7 @@ use self::blocks::{BLOCK, Blocks, up};
 use self::records::{Records, latest_epoch};
 use super::files::{Identity, beside, by_name};
 use super::open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS, SETTINGS};
+use crate::durable::sync_name;
 use crate::error::{StoreError, StoreResult};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, OpenFlags, OptionalExtension, ToSql, TransactionBehavior};
@@ -622,6 +623,8 @@ fn prepare(file: &File, id: [u8; 16]) -> io::Result<()> {
         return Ok(());
     }
     file.set_len(0)?;
+    // A head over bytes of before would be a damaged journal.
+    file.sync_all()?;
     let zeros = vec![0; 256 << 10];
     for at in (0..CAPACITY).step_by(zeros.len()) {
         write_at(file, &zeros, at)?;
@@ -642,9 +645,7 @@ fn settle(path: &Path, database: &Path) -> io::Result<()> {
             // Only root gives files away, and whoever else made it may open it.
             tracing::debug!(%error, "the groups' journal belongs to who made it");
         }
-        if let Some(folder) = path.parent() {
-            File::open(folder)?.sync_all()?;
-        }
+        sync_name(path)?;
     }
     #[cfg(not(unix))]
     let _ = (path, database);

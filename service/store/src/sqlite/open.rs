@@ -7,6 +7,7 @@ use super::group_writer::GroupWriter;
 use super::readers::Readers;
 use super::writing::{Writer, Writing};
 use super::{Conn, Inner, SqliteStore};
+use crate::durable::sync_name;
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
 use crate::slot::Slot;
@@ -111,6 +112,9 @@ impl SqliteStore {
         let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
         MIGRATIONS.run(&mut writer).await.map_err(StoreError::of_migration)?;
+        // What a server that was killed between writing a commit and syncing it has left is seen from now on, and may be answered as
+        // known: a checkpoint syncs the log first.
+        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(&mut writer).await?;
         let mut groups = GroupWriter::open(path, options.patience)?;
         if options.alone {
             groups.plan_journal(path, options.commit_after);
@@ -159,7 +163,8 @@ fn create_private(path: &Path) -> std::io::Result<()> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     match options.open(path) {
-        Ok(_) => Ok(()),
+        // Before SQLite makes its log: one that is left without the file is that of a database that is gone.
+        Ok(_) => sync_name(path),
         // A link is there, and what it leads to may not be yet.
         Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
             options.create_new(false).create(true).open(path).map(|_| ())

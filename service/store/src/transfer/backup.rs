@@ -10,6 +10,7 @@ use super::failure::{file, io, of_backup, of_source, of_target};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
 use super::{Side, TableSum, TransferError};
+use crate::durable::sync_name;
 use crate::gate::panicked;
 use crate::sqlite::{beside, by_name, log_left};
 use crate::store::Store;
@@ -216,22 +217,6 @@ fn settle(
         return Err(io(to, "cannot be made durable under its name", &error));
     }
     Ok(bytes)
-}
-
-/// Makes the name of a file durable.
-fn sync_name(file: &Path) -> std::io::Result<()> {
-    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let synced = File::open(folder).and_then(|folder| folder.sync_all());
-    // A folder that may be written and not listed cannot be opened, and some file systems know no folder that is durable by itself: with all
-    // of its file system the name is durable too.
-    #[cfg(target_os = "linux")]
-    let synced = synced.or_else(|error| match error.kind() {
-        ErrorKind::PermissionDenied | ErrorKind::InvalidInput | ErrorKind::Unsupported => {
-            Ok(rustix::fs::syncfs(File::open(file)?)?)
-        }
-        _ => Err(error),
-    });
-    synced
 }
 
 /// Neither the file, nor what SQLite would take for the new file's own: the log of one that was there before would be
