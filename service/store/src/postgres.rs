@@ -118,6 +118,15 @@ struct Inner {
     memory: Slot<engine::Memory>,
 }
 
+/// What a server says that is there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Word {
+    /// It is good for changes.
+    Usable,
+    /// It has no place for another connection.
+    Full,
+}
+
 /// A connection between two changes.
 #[derive(Debug)]
 struct Warm {
@@ -180,10 +189,12 @@ impl PostgresStore {
         }
     }
 
-    /// Whether nobody connected in time, and not for want of a connection that others have.
+    /// Whether nobody connected in time, and not for want of a connection that others have here: a server that is full takes none
+    /// either, and the next wait may be as long.
     async fn is_away(&self, error: &StoreError) -> bool {
         let StoreError::Unavailable(source) = error else { return false };
-        matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) && self.word().await.is_err()
+        matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut))
+            && !matches!(self.says().await, Ok(Word::Usable))
     }
 
     /// Notes what became of a group: whether the server had room for it.
@@ -208,6 +219,10 @@ impl PostgresStore {
 
     /// Asks the server itself over a connection of its own: those of the pool, and a pooler's, may all be lent, or lead nowhere.
     async fn word(&self) -> StoreResult<()> {
+        self.says().await.map(|_usable_or_full| ())
+    }
+
+    async fn says(&self) -> StoreResult<Word> {
         let asked = async {
             let mut conn = self.inner.direct.connect().await?;
             let usable = open::usable(&mut conn).await?;
@@ -215,10 +230,10 @@ impl PostgresStore {
             Ok(usable)
         };
         match timeout(WORD, asked).await {
-            Ok(Ok(true)) => Ok(()),
+            Ok(Ok(true)) => Ok(Word::Usable),
             Ok(Ok(false)) => Err(StoreError::Unavailable(open::NOT_USABLE.into())),
             // Which is a word.
-            Ok(Err(error)) if has_no_place(&error) => Ok(()),
+            Ok(Err(error)) if has_no_place(&error) => Ok(Word::Full),
             Ok(Err(error)) => Err(error.into()),
             Err(_) => Err(StoreError::Unavailable("the database says nothing".into())),
         }

@@ -131,6 +131,11 @@ async fn a_profile_goes_from_draft_to_active_and_back() {
         versions["items"].as_array().unwrap().iter().map(|one| one["state"].clone()).collect();
     assert_eq!(states, ["active", "superseded"]);
     assert_eq!(versions["items"][1]["rolled_back"], true);
+    let nameless = app.get("/v1/feed-profiles?tool_type=%00").await;
+    assert_eq!(
+        (nameless.status.as_u16(), &nameless.json()["code"]),
+        (400, &serde_json::json!("invalid_query"))
+    );
     let lines = app.get("/v1/feed-profiles?operation=O1&tool_type=friction-drill-7.3").await.json();
     assert_eq!(lines["items"][0]["active_version"], 1);
     let audit = app.get("/v1/audit?limit=100").await.json();

@@ -11,7 +11,7 @@ use sqlx::{Connection, Executor, PgConnection};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
@@ -355,6 +355,33 @@ async fn after_a_restart_of_the_server_work_goes_on() {
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     let cycles = store.cycles(&CycleFilter::default(), Page { after: None, limit: 9 }).await.unwrap();
     assert_eq!(cycles.len(), 3, "each once");
+    store.close().await;
+}
+
+/// As where others have taken every place that was free when the server came back. Waited for again and again machines would hear nothing.
+#[tokio::test]
+async fn a_server_without_a_free_place_is_waited_for_once() {
+    let Some(cluster) = Cluster::new() else { return };
+    cluster.run("CREATE ROLE plain LOGIN").await;
+    cluster.run("GRANT ALL ON SCHEMA public TO plain").await;
+    let url = cluster.url().replace("feedwright@", "plain@");
+    let patience = Duration::from_secs(4);
+    let options = PostgresOptions { patience, ..PostgresOptions::default() };
+    let store = PostgresStore::open(&url, options).await.unwrap();
+    shop(&store).await;
+    stored(&store, &Run::nth(1)).await;
+    cluster.run("ALTER ROLE plain CONNECTION LIMIT 0").await;
+    cluster.run("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE usename = 'plain'").await;
+    let begun = Instant::now();
+    let refused = commit(&store, &[Run::nth(2)]).await.pop().unwrap();
+    let waited = begun.elapsed();
+    assert!(
+        matches!(refused, Err(StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))),
+        "nothing is acknowledged: {refused:?}"
+    );
+    assert!(patience <= waited && waited < 2 * patience, "{waited:?}");
+    cluster.run("ALTER ROLE plain CONNECTION LIMIT -1").await;
+    stored(&store, &Run::nth(2)).await;
     store.close().await;
 }
 

@@ -1,5 +1,6 @@
 //! What handlers take out of paths and queries.
 
+use super::dto::text::{MAX_NAME, required};
 use super::problem::Problem;
 use crate::json::named_field;
 use axum::extract::rejection::QueryRejection;
@@ -157,4 +158,12 @@ pub fn query_id<T: for<'a> TryFrom<&'a str, Error = Violation>>(
     text: Option<&str>,
 ) -> Result<Option<T>, Problem> {
     text.map(T::try_from).transpose().map_err(Problem::invalid_query)
+}
+
+/// A name in a query, as the ones that are registered: text that no database has is told alike whichever keeps the others.
+pub fn query_name(path: &str, text: Option<String>) -> Result<Option<String>, Problem> {
+    let Some(text) = text else { return Ok(None) };
+    let mut wrong = Vec::new();
+    let name = required(path, &text, MAX_NAME, &mut wrong);
+    wrong.pop().map_or(Ok(Some(name)), |wrong| Err(Problem::invalid_query(wrong)))
 }

@@ -7,7 +7,7 @@ use super::dto::feed_profile::{
     DiffBody, DiffQuery, DraftBody, DraftedBody, FeedProfileBody, FeedProfilesQuery, ProfileBody,
     ProfileVersionBody, StepBody, profile_id, reason,
 };
-use super::extract::{PathId, Query, query_id};
+use super::extract::{PathId, Query, query_id, query_name};
 use super::precondition::{answer_read, etag, expected};
 use super::problem::{Problem, ProblemDocument};
 use super::profile_optimise::proposed;
@@ -146,8 +146,10 @@ pub(super) async fn list(
     State(state): State<AppState>,
     Query(query): Query<FeedProfilesQuery>,
 ) -> Result<axum::Json<List<FeedProfileBody>>, Problem> {
-    let filter =
-        FeedProfileFilter { operation: query_id(query.operation.as_deref())?, tool_type: query.tool_type };
+    let filter = FeedProfileFilter {
+        operation: query_id(query.operation.as_deref())?,
+        tool_type: query_name("tool_type", query.tool_type)?,
+    };
     let scope = format!("feed-profiles {filter:?}");
     let paging = Paging::new(&state, &scope, query.limit, query.cursor.as_deref())?;
     let rows = state.store.feed_profiles(&filter, paging.page()).await?;
