@@ -1,8 +1,10 @@
 //! The description of the API is checked in, complete and fresh.
 
-use super::app::App;
+use super::app::{App, operation};
 use feedwright_server::http::openapi::json;
 use feedwright_server::http::routes::table;
+use feedwright_store::Role;
+use http::StatusCode;
 use serde_json::Value;
 use std::collections::BTreeSet;
 
@@ -92,6 +94,51 @@ fn every_number_fits_what_it_is_told_as() {
     let mut seen = 0;
     look(&serde_json::from_str(&json().unwrap()).unwrap(), &mut seen);
     assert!(seen > 50, "{seen}");
+}
+
+/// Whoever makes a client of the description is told the same as by a refusal.
+#[tokio::test]
+async fn numbers_are_refused_beyond_the_bounds_that_are_described() {
+    let app = App::registered().await;
+    let document: Value = serde_json::from_str(&json().unwrap()).unwrap();
+    let mut asked = 0;
+    for (template, item) in document["paths"].as_object().unwrap() {
+        let path = template.replace("{machine}", "M1").replace("{tool}", "T1");
+        let parameters = item["get"]["parameters"].as_array().into_iter().flatten();
+        let numbers = parameters.filter(|parameter| parameter["schema"]["minimum"].is_number());
+        for number in numbers.filter(|_| !path.contains('{')) {
+            let (name, (least, most)) = (number["name"].as_str().unwrap(), bounds(&number["schema"]));
+            let needed = if path == "/v1/plunge/recorded" { "operation=O1&" } else { "" };
+            let told = async |value: i64| {
+                let asked = format!("{path}?{needed}{name}={value}");
+                app.call(Role::Admin, "GET", &asked, &[], None).await.json()["errors"][0]["path"] == name
+            };
+            assert!(told(least - 1).await && told(most + 1).await, "{path} {name}");
+            assert!(!told(least).await, "{path} {name}");
+            asked += 1;
+        }
+    }
+    assert!(asked > 15, "{asked}");
+    let settings = document["components"]["schemas"]["WearSettingsBody"]["properties"].as_object().unwrap();
+    for (name, setting) in settings.iter().filter(|(_, setting)| setting["minimum"].is_number()) {
+        let (least, most) = bounds(setting);
+        for (value, status) in [
+            (least - 1, StatusCode::UNPROCESSABLE_ENTITY),
+            (least, StatusCode::CREATED),
+            (most, StatusCode::CREATED),
+            (most + 1, StatusCode::UNPROCESSABLE_ENTITY),
+        ] {
+            let mut body = operation();
+            body["wear"] = serde_json::json!({ name: value });
+            let answer = app.put(&format!("/v1/operations/{name}-{value}"), body).await;
+            assert_eq!(answer.status, status, "{name} {value}: {answer:?}");
+        }
+    }
+}
+
+/// The least and the largest value of a number.
+fn bounds(schema: &Value) -> (i64, i64) {
+    (schema["minimum"].as_i64().unwrap(), schema["maximum"].as_i64().unwrap())
 }
 
 fn collect(at: &Value, references: &mut Vec<String>, names: &mut Vec<String>) {

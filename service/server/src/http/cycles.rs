@@ -216,7 +216,9 @@ pub struct CyclesQuery {
     from: Option<String>,
     /// Begun before, RFC 3339; later than `from`.
     to: Option<String>,
-    /// Most rows of this page.
+    /// Most rows wanted, up to `limits.max_page_size` of the configuration, which is 1000 unless set otherwise; 100
+    /// (`limits.default_page_size`) where it is left out.
+    #[param(minimum = 1, maximum = 10_000)]
     limit: Option<u32>,
     /// Where to go on: `next_cursor` of the page before, with the same filters.
     cursor: Option<String>,

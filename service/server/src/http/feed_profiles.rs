@@ -186,7 +186,7 @@ pub(super) async fn versions(
 
 /// Tells one version with its content.
 #[utoipa::path(get, path = "/v1/feed-profiles/{profile}/versions/{version}", tag = "feed profiles",
-    params(("profile" = String, Path), ("version" = u32, Path)),
+    params(("profile" = String, Path), ("version" = u32, Path, minimum = 1)),
     responses((status = 200, body = ProfileVersionBody)))]
 pub(super) async fn version(
     State(state): State<AppState>,

@@ -43,7 +43,9 @@ pub(super) struct SamplesQuery {
     from_depth_mm: Option<f64>,
     /// Not below this depth, mm.
     to_depth_mm: Option<f64>,
-    /// Most rows; the method says which are left. All where it is left out.
+    /// Most rows; the method says which are left. All where it is left out. Of c channels it is 2c + 2 at the least for
+    /// `min_max` and 3c for `lttb`.
+    #[param(minimum = 3)]
     points: Option<usize>,
     /// `min_max` (every peak of every channel survives; where it is left out) or `lttb` (the shape of the line).
     method: Option<String>,

@@ -52,7 +52,8 @@ pub(super) struct SeriesQuery {
     to: Option<String>,
     /// Width of the buckets, as in `15m`, `1h` or `1d`; they are aligned to UTC, weeks to Mondays.
     bucket: Option<String>,
-    /// Instead of buckets: so many of the newest cycles, one by one.
+    /// Instead of buckets: so many of the newest cycles, one by one, 1 to 10 000.
+    #[param(minimum = 1, maximum = 10_000)]
     last: Option<u32>,
     /// For JSON: `series` (where it is left out) or `rows` (an object per row, for Grafana).
     layout: Option<String>,

@@ -40,7 +40,8 @@ pub(super) struct SummariesQuery {
     from: Option<String>,
     /// Begun before, RFC 3339; later than `from`.
     to: Option<String>,
-    /// Only so many of the newest, oldest of them first; all where it is left out.
+    /// Only so many of the newest, 1 to 10 000, oldest of them first; all where it is left out.
+    #[param(minimum = 1, maximum = 10_000)]
     last: Option<u32>,
 }
 

@@ -30,7 +30,8 @@ mirror! {
         min: f64,
         /// Last value.
         max: f64,
-        /// How many, at least 2.
+        /// How many: of a map up to 250 000 points in all, of advice up to 20 000 simulations.
+        #[schema(minimum = 2, maximum = 250_000)]
         count: u32,
     }
 }
@@ -135,12 +136,15 @@ pub struct SettingsBody {
     pub exponent: f64,
     /// Steps per period of edge passing, 1/Δτ.
     #[serde(default = "steps")]
+    #[schema(minimum = 8, maximum = 10_000)]
     pub steps_per_period: u32,
     /// Periods simulated.
     #[serde(default = "periods")]
+    #[schema(minimum = 2, maximum = 1_000_000)]
     pub periods: u32,
-    /// Periods at the end that the steady values are taken from.
+    /// Periods at the end that the steady values are taken from, up to all of them.
     #[serde(default = "steady")]
+    #[schema(minimum = 2, maximum = 1_000_000)]
     pub steady_periods: u32,
 }
 
@@ -189,6 +193,7 @@ pub struct SimulateQuestion {
     pub settings: SettingsBody,
     /// Keep every so many steps of the run; left out: none.
     #[serde(default)]
+    #[schema(minimum = 1)]
     pub trace_every: Option<u32>,
 }
 
@@ -374,6 +379,7 @@ pub struct BorderAnswer {
     "most_amplitude_feeds": 5.0, "scatter": 0.3}))]
 pub struct AdviceQuestionBody {
     /// Cutting edges z.
+    #[schema(minimum = 1, maximum = 100)]
     pub edges: u32,
     /// Feed per edge, mm.
     pub feed_mm_edge: f64,
@@ -400,9 +406,11 @@ pub struct AdviceQuestionBody {
     pub scatter: f64,
     /// Steps of the scatter on either side.
     #[serde(default = "scatter_steps")]
+    #[schema(minimum = 1, maximum = 50)]
     pub scatter_steps: u32,
     /// Periods per simulation.
     #[serde(default = "periods")]
+    #[schema(minimum = 2, maximum = 1_000_000)]
     pub periods: u32,
 }
 

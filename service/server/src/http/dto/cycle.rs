@@ -47,10 +47,12 @@ pub struct CyclePost {
     /// before it, and flag the cycle `contradictory`. False says that a reference cycle was asked for and not run.
     reference_cycle: Option<bool>,
     /// Commanded spindle speed, rpm.
+    #[schema(minimum = 0, maximum = 1_000_000)]
     spindle_speed_rpm: Option<f64>,
     /// `completed` (where it is left out) or `aborted`.
     outcome: Option<String>,
-    /// Columns of equal length and one time base. Give what the control has; leave out the rest.
+    /// Columns of equal length and one time base. Give what the control has; leave out the rest. A cycle needs these or at
+    /// least one reported value (422 `nothing_recorded`).
     samples: Option<SamplesPost>,
     /// What the control itself reports, with or without samples.
     reported: Option<ReportedPost>,
@@ -63,67 +65,68 @@ pub struct ProfilePost {
     /// Its id.
     id: String,
     /// Its version.
-    #[schema(maximum = 4_294_967_295_u32)]
+    #[schema(minimum = 1, maximum = 4_294_967_295_u32)]
     version: u32,
 }
 
-/// Columns of samples. One of `period_ms` and `time_ms`, and at least one channel.
+/// Columns of samples. One of `period_ms` and `time_ms`, and at least one channel; up to `limits.samples_per_cycle` samples.
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "the schema of what is read by hand")]
 pub struct SamplesPost {
     /// Distance of two samples, ms. The first one is that of the end of the first period: it stands at `period_ms`, not at 0.
-    #[schema(nullable = false)]
+    /// Times the number of samples it is at most 86 400 000, a day.
+    #[schema(nullable = false, minimum = 0.01, maximum = 10_000)]
     period_ms: Option<f64>,
-    /// Times since the start of the cycle, ms, not running backwards.
-    #[schema(nullable = false)]
+    /// Times since the start of the cycle, ms, not running backwards: none before it, none after a day.
+    #[schema(nullable = false, min_items = 1, minimum = 0, maximum = 86_400_000)]
     time_ms: Option<Vec<f64>>,
     /// Tool tip depth: 0 at first contact, positive into the work, mm.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -100_000, maximum = 100_000)]
     depth_mm: Option<Vec<f64>>,
     /// Programmed feed, mm/min.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = 0, maximum = 1_000_000)]
     feed_programmed_mm_min: Option<Vec<f64>>,
     /// Actual feed, mm/min.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -1_000_000, maximum = 1_000_000)]
     feed_actual_mm_min: Option<Vec<f64>>,
     /// Feed override applied, %.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = 0, maximum = 1000)]
     override_percent: Option<Vec<f64>>,
     /// Operator's override, %.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = 0, maximum = 1000)]
     operator_override_percent: Option<Vec<f64>>,
     /// Feed-drive load, percent of the machine's declared rating.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -10_000, maximum = 10_000)]
     feed_drive_load_percent: Option<Vec<f64>>,
     /// Spindle load, percent of the machine's declared rating.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -10_000, maximum = 10_000)]
     spindle_load_percent: Option<Vec<f64>>,
     /// Spindle speed, rpm.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -1_000_000, maximum = 1_000_000)]
     spindle_speed_rpm: Option<Vec<f64>>,
     /// Thrust from a dynamometer, N.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -10_000_000, maximum = 10_000_000)]
     thrust_newtons: Option<Vec<f64>>,
     /// Torque from a dynamometer, N·m.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -1_000_000, maximum = 1_000_000)]
     torque_newton_metres: Option<Vec<f64>>,
     /// Spindle power, W.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -10_000_000, maximum = 10_000_000)]
     spindle_power_watts: Option<Vec<f64>>,
     /// Feed-drive power, W.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -10_000_000, maximum = 10_000_000)]
     feed_drive_power_watts: Option<Vec<f64>>,
     /// Spindle current, A.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -100_000, maximum = 100_000)]
     spindle_current_amperes: Option<Vec<f64>>,
     /// Feed-drive current, A.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -100_000, maximum = 100_000)]
     feed_drive_current_amperes: Option<Vec<f64>>,
     /// Torque of the feed drive's motor, N·m.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -1_000_000, maximum = 1_000_000)]
     feed_drive_torque_newton_metres: Option<Vec<f64>>,
     /// Torque of the spindle's motor, N·m.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, min_items = 1, minimum = -1_000_000, maximum = 1_000_000)]
     spindle_torque_newton_metres: Option<Vec<f64>>,
 }
 
@@ -132,30 +135,43 @@ pub struct SamplesPost {
 #[expect(dead_code, reason = "the schema of what is read by hand")]
 pub struct ReportedPost {
     /// Energy, J.
+    #[schema(minimum = -1_000_000_000_000_i64, maximum = 1_000_000_000_000_i64)]
     energy_joules: Option<f64>,
     /// Length, ms.
+    #[schema(minimum = 0, maximum = 86_400_000)]
     duration_ms: Option<f64>,
     /// Largest depth, mm.
+    #[schema(minimum = -100_000, maximum = 100_000)]
     max_depth_mm: Option<f64>,
     /// Largest spindle load, %.
+    #[schema(minimum = -10_000, maximum = 10_000)]
     max_spindle_load_percent: Option<f64>,
     /// Largest feed-drive load, %.
+    #[schema(minimum = -10_000, maximum = 10_000)]
     max_feed_drive_load_percent: Option<f64>,
     /// Mean spindle load, %.
+    #[schema(minimum = -10_000, maximum = 10_000)]
     mean_spindle_load_percent: Option<f64>,
     /// Mean feed-drive load, %.
+    #[schema(minimum = -10_000, maximum = 10_000)]
     mean_feed_drive_load_percent: Option<f64>,
     /// Operator's override, mean, %.
+    #[schema(minimum = 0, maximum = 1000)]
     operator_override_percent: Option<f64>,
     /// Turning: cutting speed, m/min.
+    #[schema(minimum = 0.001, maximum = 100_000)]
     cutting_speed_m_min: Option<f64>,
     /// Turning: feed, mm/rev.
+    #[schema(minimum = 0.000001, maximum = 100)]
     feed_mm_rev: Option<f64>,
     /// Turning: spindle power at the end of the interval, W.
+    #[schema(minimum = 0.000001, maximum = 1_000_000_000)]
     spindle_power_watts: Option<f64>,
     /// Turning: thrust force at the end of the interval, N.
+    #[schema(minimum = 0.000001, maximum = 1_000_000_000)]
     thrust_newtons: Option<f64>,
     /// Turning: average wear of the edge, measured after the interval, mm.
+    #[schema(minimum = 0, maximum = 100)]
     edge_wear_mm: Option<f64>,
 }
 

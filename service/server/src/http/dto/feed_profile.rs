@@ -235,6 +235,7 @@ pub struct DraftBody {
     pub band: Option<usize>,
     /// The version of this feed profile that it was changed from.
     #[serde(default)]
+    #[schema(minimum = 1)]
     pub based_on: Option<u32>,
     /// Why it is drafted.
     #[schema(example = "Heating ends earlier: the feed-drive load already falls inside it")]
@@ -259,7 +260,7 @@ pub fn reason(text: &str, wrong: &mut Vec<Violation>) -> String {
 #[serde(deny_unknown_fields)]
 pub struct StepBody {
     /// Its number.
-    #[schema(example = 2)]
+    #[schema(example = 2, minimum = 1)]
     pub version: u32,
 }
 
@@ -398,7 +399,9 @@ pub struct FeedProfilesQuery {
     pub operation: Option<String>,
     /// Of this kind of tool.
     pub tool_type: Option<String>,
-    /// Most rows wanted.
+    /// Most rows wanted, up to `limits.max_page_size` of the configuration, which is 1000 unless set otherwise; 100
+    /// (`limits.default_page_size`) where it is left out.
+    #[param(minimum = 1, maximum = 10_000)]
     pub limit: Option<u32>,
     /// `next_cursor` of the page before.
     pub cursor: Option<String>,
@@ -410,8 +413,10 @@ pub struct FeedProfilesQuery {
 #[into_params(parameter_in = Query)]
 pub struct DiffQuery {
     /// The earlier one; the active one where it is left out.
+    #[param(minimum = 1)]
     pub from: Option<u32>,
     /// The later one; the newest where it is left out.
+    #[param(minimum = 1)]
     pub to: Option<u32>,
 }
 

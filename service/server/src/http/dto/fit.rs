@@ -22,6 +22,7 @@ pub struct FitRequest {
     pub filter: FilterBody,
     /// Most cycles fitted, 1 to 200, oldest first; 50 where it is left out. Those that give nothing are passed over: at
     /// most 20000 cycles are looked at, and the samples of 1000 are read.
+    #[schema(minimum = 1, maximum = 200)]
     pub most_cycles: Option<u32>,
     /// Only tells what would be stored.
     pub dry_run: bool,
@@ -62,7 +63,7 @@ pub struct FittedLineBody {
     pub slope: f64,
     /// N or N·m at no load reading.
     pub intercept: f64,
-    /// Lowest load seen, %: below it nothing is known.
+    /// Lowest load seen, %: below it nothing is known, and the line runs on, never below zero.
     pub min_percent: f64,
     /// Highest load seen, %: more than a tenth of the span beyond it nothing is told.
     pub max_percent: f64,

@@ -14,11 +14,14 @@ use utoipa::{IntoParams, ToSchema};
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct FleetQuery {
-    /// Most machines wanted.
+    /// Most machines wanted, up to `limits.max_page_size` of the configuration, which is 1000 unless set otherwise; 100
+    /// (`limits.default_page_size`) where it is left out.
+    #[param(minimum = 1, maximum = 10_000)]
     pub limit: Option<u32>,
     /// `next_cursor` of the page before.
     pub cursor: Option<String>,
     /// Newest cycles looked at for each machine, 1 to 200; 60 where it is left out.
+    #[param(minimum = 1, maximum = 200)]
     pub recent: Option<u32>,
 }
 
@@ -42,6 +45,7 @@ pub struct FleetBody {
 #[into_params(parameter_in = Query)]
 pub struct RecentQuery {
     /// Newest cycles wanted, 1 to 200; 60 where it is left out.
+    #[param(minimum = 1, maximum = 200)]
     pub recent: Option<u32>,
 }
 
@@ -75,7 +79,8 @@ pub struct FleetMachineBody {
     /// How worn the tool of the newest cycle is.
     pub wear: Option<WearBody<'static>>,
     /// Energies of those of the newest cycles that this tool ran in its current life, each over the baseline that it was compared
-    /// with, oldest first: 1 is the new tool. Cycles without energy, or whose baseline does not stand yet, are left out.
+    /// with, oldest first: 1 is the new tool, and of one that was mounted used what it needed in its own first cycles. Cycles
+    /// without energy, or whose baseline does not stand yet, are left out.
     pub energy_ratios: Vec<f64>,
     /// Its open alarms, oldest first.
     pub alarms: Vec<AlarmView>,

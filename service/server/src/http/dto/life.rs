@@ -14,6 +14,7 @@ use utoipa::{IntoParams, ToSchema};
 #[into_params(parameter_in = Query)]
 pub struct LifeQuery {
     /// Newest cycles wanted, 1 to 20 000; 5000 where it is left out.
+    #[param(minimum = 1, maximum = 20_000)]
     pub last: Option<u32>,
 }
 
@@ -36,7 +37,8 @@ pub struct LifeBody {
     pub strategy: Vec<Option<&'static str>>,
     /// Energy of each as it is compared, J: of friction drilling from contact to full depth, where depth was sampled.
     pub energy_joules: Vec<Option<f64>>,
-    /// That over the baseline it was compared with, also where that was learnt anew since: 1 is the new tool. Null where there is none.
+    /// That over the baseline it was compared with, also where that was learnt anew since: 1 is the new tool, and of one that was
+    /// mounted used what it needed in its own first cycles. Null where there is none.
     pub energy_ratio: Vec<Option<f64>>,
     /// The level that was judged after each, as `wear.level.value` says it of the last: 1 is the new tool. Null before
     /// there was one.

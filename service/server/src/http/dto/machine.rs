@@ -38,13 +38,16 @@ pub struct MachineBody {
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpindleBody {
-    /// What 100 % load is.
+    /// What 100 % load is. `rated_torque`, `maximum_current` and `continuous_rating` follow torque: below the base speed a
+    /// percent is the less power the slower the spindle turns, and without `base_speed_rpm` loads give no joules.
+    /// `rated_power` is the same at every speed; a percent of continuous power, too, is told so, with the continuous power
+    /// as `rated_power_watts`.
     #[serde(default)]
     pub reference: LoadReferenceWord,
     /// Power at 100 % load at or above the base speed, W.
     #[serde(default)]
     pub rated_power_watts: Option<f64>,
-    /// Speed below which power falls in proportion to speed, rpm.
+    /// Speed below which power falls in proportion to speed where the load follows torque, rpm.
     #[serde(default)]
     pub base_speed_rpm: Option<f64>,
 }
@@ -53,7 +56,7 @@ pub struct SpindleBody {
 #[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FeedDriveBody {
-    /// What 100 % load is.
+    /// What 100 % load is. Its percent is a force, by whichever word; `unknown` gives no joules.
     #[serde(default)]
     pub reference: LoadReferenceWord,
     /// Thrust at 100 % load, N.

@@ -67,12 +67,14 @@ pub struct OperationBody {
 #[serde(deny_unknown_fields, default)]
 pub struct WearSettingsBody {
     /// Counted cycles whose median is a baseline.
+    #[schema(minimum = 3, maximum = 500)]
     pub baseline_cycles: u32,
     /// Last counted ratios whose median is the level.
+    #[schema(minimum = 3, maximum = 500)]
     pub window_cycles: u32,
     /// Cycles after which a reference cycle is asked for where wear cannot be told without; null never asks. Only
     /// friction drilling has reference cycles.
-    #[schema(example = 50)]
+    #[schema(example = 50, minimum = 2, maximum = 100_000)]
     pub reference_every_cycles: Option<u32>,
     /// Constant feed of a reference cycle, at which the limit of +10 % is meant, mm/min; the operation's programmed
     /// feed where it is left out.

@@ -79,6 +79,7 @@ pub struct OptimiseBody {
     pub profile: Option<String>,
     /// The version that was tried last; the active one, else the newest, where it is left out.
     #[serde(default)]
+    #[schema(minimum = 1)]
     pub last_version: Option<u32>,
     /// Limits; both set loads are needed.
     pub limits: ProfileLimitsBody,
@@ -93,9 +94,11 @@ pub struct OptimiseBody {
     pub objective: ObjectiveBody,
     /// Probability with which the expected load is at or below its set load; 0.9 where it is left out.
     #[serde(default)]
+    #[schema(minimum = 0.5, maximum = 0.999)]
     pub confidence: Option<f64>,
     /// Most knots; 20 where it is left out.
     #[serde(default)]
+    #[schema(minimum = 4, maximum = 64)]
     pub most_knots: Option<usize>,
     /// Wear for which it is planned, 1 is the new tool; that of the latest cycle where it is left out.
     #[serde(default)]
@@ -112,6 +115,7 @@ pub struct OptimiseBody {
     pub override_percent: Option<f64>,
     /// How many of the operation's last cycles are looked at, 1 to 40.
     #[serde(default)]
+    #[schema(minimum = 1, maximum = 40)]
     pub cycles: Option<u32>,
 }
 
@@ -465,8 +469,10 @@ impl From<Violation> for RefusedBody {
 #[into_params(parameter_in = Query)]
 pub struct OutcomeQuery {
     /// The version; the active one where it is left out.
+    #[param(minimum = 1)]
     pub version: Option<u32>,
     /// How many of its last cycles, 1 to 40.
+    #[param(minimum = 1, maximum = 40)]
     pub cycles: Option<u32>,
 }
 

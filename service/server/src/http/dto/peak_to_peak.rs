@@ -45,6 +45,7 @@ mirror! {
         /// f0, Hz.
         eigenfrequency_hz: f64,
         /// Cutting edges z.
+        #[schema(minimum = 1, maximum = 100)]
         edges: u32,
         /// Feed per edge, mm.
         feed_mm_edge: f64,
@@ -191,6 +192,7 @@ pub struct LoopProcessBody {
     pub damping: f64,
     /// Cutting edges z.
     #[serde(default = "edges")]
+    #[schema(minimum = 1, maximum = 100)]
     pub edges: u32,
     /// Feed per edge, mm.
     #[serde(default = "feed")]

@@ -42,6 +42,7 @@ mirror! {
         /// How far the drill may bite at plunge feed, mm.
         allowed_bite_mm: f64,
         /// Samples the detector needs to be sure.
+        #[schema(minimum = 1, maximum = 10_000)]
         detector_samples: u32,
         /// Time between samples, s.
         sample_period_s: f64,
@@ -52,6 +53,7 @@ mirror! {
     /// A kind of hole.
     HoleBody = HoleInput {
         /// How many of them the part has.
+        #[schema(minimum = 1, maximum = 1_000_000)]
         holes: u32,
         /// Safe distance before the surface, mm: what the part's size error demands.
         safe_distance_mm: f64,
@@ -265,6 +267,7 @@ pub struct RecordedQuery {
     /// The operation.
     pub operation: String,
     /// Most cycles looked at, the newest, 1 to 10 000; as many as that where it is left out.
+    #[param(minimum = 1, maximum = 10_000)]
     pub most_cycles: Option<u32>,
 }
 

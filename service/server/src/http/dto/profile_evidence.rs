@@ -16,8 +16,10 @@ pub const USUAL_SHADOW_CYCLES: u32 = 50;
 #[into_params(parameter_in = Query)]
 pub struct ShadowQuery {
     /// The version; the newest where it is left out.
+    #[param(minimum = 1)]
     pub version: Option<u32>,
     /// How many of the operation's last cycles, 1 to 500; 50 where it is left out.
+    #[param(minimum = 1, maximum = 500)]
     pub cycles: Option<u32>,
 }
 
@@ -43,8 +45,10 @@ pub struct ShadowAnswer {
 #[into_params(parameter_in = Query)]
 pub struct ComparisonQuery {
     /// The earlier version.
+    #[param(minimum = 1)]
     pub before: u32,
     /// The later version; the active one where it is left out.
+    #[param(minimum = 1)]
     pub after: Option<u32>,
 }
 

@@ -16,6 +16,7 @@ pub struct ExportQuery {
     /// `sinumerik`, `twincat_nci`, `twincat_cnc`, `linuxcnc`, `fanuc`, `heidenhain_afc`, `csv` or `json`.
     pub dialect: String,
     /// The version; the active one where it is left out.
+    #[param(minimum = 1)]
     pub version: Option<u32>,
     /// The machine that it is for: a feed outside its limits is refused, and an override keeps within them.
     pub machine: Option<String>,
@@ -122,6 +123,7 @@ pub struct ImportBody {
     pub conditions: Option<ConditionsBody>,
     /// The version that it was changed from.
     #[serde(default)]
+    #[schema(minimum = 1)]
     pub based_on: Option<u32>,
 }
 

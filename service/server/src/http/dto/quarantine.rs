@@ -18,7 +18,9 @@ pub struct QuarantineQuery {
     pub machine: Option<String>,
     /// `true` (where it is left out): only those that are not settled.
     pub open: Option<bool>,
-    /// Most rows wanted.
+    /// Most rows wanted, up to `limits.max_page_size` of the configuration, which is 1000 unless set otherwise; 100
+    /// (`limits.default_page_size`) where it is left out.
+    #[param(minimum = 1, maximum = 10_000)]
     pub limit: Option<u32>,
     /// `next_cursor` of the page before.
     pub cursor: Option<String>,

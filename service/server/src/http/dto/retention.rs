@@ -18,10 +18,10 @@ const SHOWN: usize = 100;
 #[serde(deny_unknown_fields)]
 pub struct RetentionBody {
     /// Days since they were received; null for any age. On PostgreSQL they go by whole months, so up to a month later.
-    #[schema(example = 90, minimum = 1)]
+    #[schema(example = 90, minimum = 1, maximum = 36_500)]
     pub samples_days: Option<u32>,
     /// Bytes as they are stored, the newest first; null for any size.
-    #[schema(example = 10_000_000_000_u64, minimum = 1)]
+    #[schema(example = 10_000_000_000_u64, minimum = 1, maximum = 9_007_199_254_740_991_u64)]
     pub samples_bytes: Option<u64>,
 }
 

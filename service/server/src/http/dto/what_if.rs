@@ -66,6 +66,7 @@ pub struct ProfileChoiceBody {
     /// Id of a stored profile. A cycle of another operation, or deeper than the profile goes, is not usable.
     pub id: Option<String>,
     /// Its version, whatever its state; the active one where it is left out.
+    #[schema(minimum = 1)]
     pub version: Option<u32>,
     /// In place of an id: what the feed does between knots.
     pub between: Option<BetweenWord>,
@@ -156,6 +157,7 @@ pub struct ManyQuestion {
     /// Goes on where an answer to the same filter ended: its `continue_from`; from the first cycle where it is left out.
     pub continue_from: Option<String>,
     /// Most cycles looked at, 1 to 1000; 200 where it is left out.
+    #[schema(minimum = 1, maximum = 1000)]
     pub most_cycles: Option<u32>,
     /// What is asked of each.
     pub question: WhatIfQuestion,

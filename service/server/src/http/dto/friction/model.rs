@@ -121,6 +121,7 @@ mirror! {
         /// Largest acceleration, mm/s².
         acceleration_mm_s2: f64,
         /// IPO cycles between an override and its effect.
+        #[schema(maximum = 16)]
         override_latency_ipo: u32,
     }
     /// What varies; standard deviations.
