@@ -193,8 +193,15 @@ impl PostgresStore {
     /// either, and the next wait may be as long.
     async fn is_away(&self, error: &StoreError) -> bool {
         let StoreError::Unavailable(source) = error else { return false };
-        matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut))
-            && !matches!(self.says().await, Ok(Word::Usable))
+        if !matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) {
+            return false;
+        }
+        let pool = &self.inner.pool;
+        match self.says().await {
+            Ok(Word::Usable) => false,
+            Ok(Word::Full) => pool.size() < pool.options().get_max_connections(),
+            Err(_) => true,
+        }
     }
 
     /// Notes what became of a group: whether the server had room for it.

@@ -66,6 +66,12 @@ async fn samples_wear_and_a_law_are_taken_and_a_seed_repeats() {
                        "limits": {"spindle_percent": 20}});
     let repeated = shop.post(PATH, &whole).await;
     assert_eq!(repeated.body["cycle"], body["cycle"], "{}", repeated.text);
+    // Also of a strategy without a law: nothing puts one on it.
+    let plain =
+        shop.post(PATH, &json!({"strategy": {"base": "f_lin"}, "compare": [{"base": "f_const"}]})).await.body;
+    let again =
+        json!({"model": plain["model"], "strategy": plain["strategy"], "compare": [{"base": "f_const"}]});
+    assert_eq!(shop.post(PATH, &again).await.body["cycle"], plain["cycle"]);
 }
 
 #[tokio::test]

@@ -12,7 +12,7 @@ use crate::state::AppState;
 use axum::extract::State;
 use axum::response::Response;
 use feedwright_core::ids::OperationId;
-use feedwright_store::{PutOutcome, Store};
+use feedwright_store::{PutOutcome, Store, StoreError};
 use http::HeaderMap;
 use std::sync::Arc;
 
@@ -39,7 +39,10 @@ pub(super) async fn put(
     let put = |store: Arc<dyn Store>| async move {
         let outcome = store.put_operation(operation, expects, &actor, now).await;
         // Whoever asked may be gone by now, and what is not known may have come about.
-        if !matches!(outcome, Ok(PutOutcome::Unchanged(_))) {
+        if matches!(
+            outcome,
+            Ok(PutOutcome::Created | PutOutcome::Changed(_)) | Err(StoreError::OutcomeUnknown(_))
+        ) {
             told.folds_are_behind.notify_one();
         }
         outcome

@@ -8,7 +8,9 @@ use crate::state::AppState;
 use crate::stream::overload;
 use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, StoreResult};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until, timeout};
 
 /// Looks at most so often.
@@ -23,15 +25,17 @@ const MOST: usize = 10_000;
 type Open = BTreeMap<i64, Alarm>;
 
 /// What was shown so far.
-struct Shown {
+pub(super) struct Shown {
     open: Open,
     /// The newest alarm there was: one that is raised and cleared between two looks is found by its number.
     newest: i64,
 }
 
 /// Watches until the server stops.
-pub(super) async fn watch(state: AppState) {
-    let mut shown: Option<Shown> = None;
+///
+/// What was `shown` outlives a panic: what changed meanwhile is told.
+pub(super) async fn watch(state: AppState, shown: Arc<Mutex<Option<Shown>>>) {
+    let mut shown = shown.lock().await;
     loop {
         let looked = Instant::now();
         // A failure is the store's to report; the next look finds the same.

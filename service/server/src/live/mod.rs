@@ -146,8 +146,8 @@ impl Live {
 
 /// Begins to watch alarms, and to tell and to listen to other servers.
 pub fn start(state: &AppState) -> Link {
-    let watched = state.clone();
-    state.lifecycle.keep("watching alarms", move || alarms::watch(watched.clone()));
+    let (watched, shown) = (state.clone(), Arc::default());
+    state.lifecycle.keep("watching alarms", move || alarms::watch(watched.clone(), Arc::clone(&shown)));
     Link(tokio::spawn(replicas::link(state.clone())))
 }
 

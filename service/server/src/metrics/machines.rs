@@ -150,7 +150,19 @@ impl MachineMetrics {
     }
 
     pub(super) fn verdict(&self, machine: &MachineId, cycle: (&ToolId, Timestamp), verdict: &Verdict) {
-        self.labelled(machine, |known| self.judged(machine, known, cycle, verdict));
+        let (tool, started_at) = cycle;
+        self.labelled(machine, |known| {
+            if let Some((ran, newest)) = &known.newest {
+                // A cycle that comes late may be of another tool than the one that ran last; and two that were counted one after the other
+                // may be told of in any order.
+                let is_of_another = ran != tool && started_at < *newest;
+                let is_behind = ran == tool && is_behind(verdict, known.judged);
+                if is_of_another || is_behind {
+                    return;
+                }
+            }
+            self.judged(machine, known, cycle, verdict);
+        });
     }
 
     fn judged(
@@ -160,15 +172,8 @@ impl MachineMetrics {
         (tool, started_at): (&ToolId, Timestamp),
         verdict: &Verdict,
     ) {
-        // A cycle that comes late may be of another tool than the one that ran last.
-        match &mut known.newest {
-            Some((ran, newest)) if started_at < *newest => {
-                // Two that were counted one after the other may be told of in any order.
-                if ran != tool || (verdict.life, verdict.cycles) < known.judged {
-                    return;
-                }
-            }
-            newest => *newest = Some((tool.clone(), started_at)),
+        if known.newest.as_ref().is_none_or(|(_, newest)| started_at >= *newest) {
+            known.newest = Some((tool.clone(), started_at));
         }
         known.judged = (verdict.life, verdict.cycles);
         // A tool that is being learnt has no level: that of the one before it must not stay.
@@ -287,6 +292,11 @@ fn set(gauges: &GaugeVec, machine: &MachineId, value: Option<f64>) {
 
 fn has(recommendation: &Recommendation, code: &str) -> bool {
     recommendation.reasons.iter().any(|(reason, _)| reason == code)
+}
+
+/// Whether a verdict is of fewer cycles of the tool's life than one that was shown.
+const fn is_behind(verdict: &Verdict, (life, cycles): (u32, u64)) -> bool {
+    verdict.life == life && verdict.cycles < cycles
 }
 
 fn reason(recommendation: &Recommendation) -> &'static str {

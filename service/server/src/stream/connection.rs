@@ -453,26 +453,24 @@ impl Connection {
             Problem::new(http::StatusCode::NOT_FOUND, "unknown_machine", detail)
         })?;
         let held_up = begun.overload.is_some();
-        let (left, charged) = match self.ownership.held() {
+        let left = match self.ownership.held() {
             Some(mut held) => {
                 held.unnamed = Unnamed::Running;
                 self.state.streams.replace(&mut held, begun)
             }
-            None => (None, 0),
+            None => None,
         };
         if held_up {
             // It may have been acknowledged before there was this cycle to free.
             overload::settle(&self.state, machine).await;
         }
-        if let Some(left) = left.filter(|left| left.id != id) {
+        if let Some((left, charged)) = left.filter(|(left, _)| left.id != id) {
             let (state, machine) = (self.state.clone(), machine.clone());
             // Its samples are held until they are stored: a machine that begins one cycle after the other piles up no more than others.
             self.state.lifecycle.spawn(async move {
                 finish::store_incomplete(&state, &machine, left).await;
-                state.streams.give_back(charged);
+                drop(charged);
             });
-        } else {
-            self.state.streams.give_back(charged);
         }
         Ok(())
     }

@@ -45,8 +45,7 @@ pub async fn store(
             Ok(Stored { status: if accepted.new { 201 } else { 200 }, answer })
         }
         Err(problem) => {
-            // A refusal for its content stands, and its body is in quarantine; everything else may pass.
-            let again = !problem.members.contains_key("quarantine_id");
+            let again = !is_refused_for_good(&problem);
             Err(Box::new(NotStored { problem, cycle: again.then_some(cycle) }))
         }
     }
@@ -65,11 +64,23 @@ async fn try_store(
     // Before the cycle: with the cycle stored and these lost, nobody would send them again.
     keep_overrides(state, machine, &cycle.id, cycle).await?;
     let json = Bytes::from(cycle.body(cycle.id.as_str(), outcome, reported).to_string());
-    if cycle.running.was_cut_short() {
+    let accepted = if cycle.running.was_cut_short() {
         state.intake.accept_incomplete(machine, json, Refused::ToQuarantine).await
     } else {
         state.intake.accept(machine, json, Refused::ToQuarantine).await
+    };
+    if let Err(problem) = &accepted
+        && is_refused_for_good(problem)
+    {
+        // Another cycle that comes under its id, and is sent again, would be taken for one that these were the answers of.
+        put_overrides(state, machine, &cycle.id, cycle, (&[], Sent::AsItRan)).await?;
     }
+    accepted
+}
+
+/// A refusal for its content stands, and its body is in quarantine; everything else may pass.
+fn is_refused_for_good(problem: &Problem) -> bool {
+    problem.members.contains_key("quarantine_id")
 }
 
 async fn keep_overrides(
@@ -84,6 +95,17 @@ async fn keep_overrides(
     }
     let samples: Vec<(f64, u64)> =
         advice.iter().map(|advice| (advice.ovr.percent(), advice.reasons.bits())).collect();
+    let sent = if cycle.meta.resend { Sent::Again } else { Sent::AsItRan };
+    put_overrides(state, machine, id, cycle, (&samples, sent)).await
+}
+
+async fn put_overrides(
+    state: &AppState,
+    machine: &MachineId,
+    id: &CycleId,
+    cycle: &StreamedCycle,
+    (samples, sent): (&[(f64, u64)], Sent),
+) -> Result<(), Problem> {
     let kept = CycleOverrides {
         machine: machine.clone(),
         cycle: id.clone(),
@@ -91,9 +113,8 @@ async fn keep_overrides(
         law_version: cycle.law_version.to_owned(),
         program_hash: cycle.program_hash.clone(),
         stored_at: state.clock.now(),
-        block: codec::encode_overrides(&samples)?,
+        block: codec::encode_overrides(samples)?,
     };
-    let sent = if cycle.meta.resend { Sent::Again } else { Sent::AsItRan };
     state.commit(|store| async move { store.put_overrides(&kept, sent).await }).await?;
     Ok(())
 }
@@ -179,7 +200,7 @@ pub async fn connection_gone(state: &AppState, ownership: &Ownership) {
             return;
         }
         settle_left(&waiting, &slot, cycle).await;
-        waiting.streams.give_back(charged);
+        drop(charged);
     });
 }
 

@@ -74,10 +74,10 @@ pub async fn open(
     let taken = state
         .commit(|store| async move {
             let taken = store.take_stream(&wanted, streams.holder(), takeover, lease, now).await?;
-            // Whoever asked may be gone by now, and whoever is connected goes on with it.
+            // Whoever asked may be gone by now, and whoever is connected, or is next, goes on with it.
             if let StreamLease::Taken { generation } = taken {
                 streams.took(&wanted, generation);
-                if wish.strong_count() == 0 && !streams.is_connected(&wanted) {
+                if wish.strong_count() == 0 && !streams.is_wished(&wanted) {
                     store.release_stream(&wanted, streams.holder(), generation).await?;
                 }
             }

@@ -24,8 +24,8 @@ pub struct Streams {
     slots: Mutex<HashMap<MachineId, Arc<Slot>>>,
     /// Bytes of samples held by running cycles.
     held_bytes: AtomicUsize,
-    /// How many wish to open a stream of each machine, whose slot they do not own yet.
-    opening: Mutex<HashMap<MachineId, usize>>,
+    /// Who wishes to open a stream of each machine, whose slot they do not own yet.
+    opening: Mutex<HashMap<MachineId, Wishes>>,
     /// Overloads of cycles that are not committed yet, the newest of each machine: no other cycle of it starts before.
     overloads: Mutex<HashMap<MachineId, Arc<Overload>>>,
 }
@@ -111,6 +111,14 @@ pub struct Left {
     pub cycle: bool,
 }
 
+/// Wishes to open a machine's stream.
+#[derive(Debug, Default)]
+struct Wishes {
+    count: usize,
+    /// The newest lease that was taken meanwhile, whoever it was for.
+    taken: i64,
+}
+
 /// The wish to open a machine's stream, until its connection owns the slot or it is given up.
 pub struct Opening {
     streams: Arc<Streams>,
@@ -129,12 +137,24 @@ impl Opening {
 impl Drop for Opening {
     fn drop(&mut self) {
         let mut opening = self.streams.opening();
-        if let Entry::Occupied(mut count) = opening.entry(self.machine.clone()) {
-            *count.get_mut() -= 1;
-            if *count.get() == 0 {
-                count.remove();
+        if let Entry::Occupied(mut wishes) = opening.entry(self.machine.clone()) {
+            wishes.get_mut().count -= 1;
+            if wishes.get().count == 0 {
+                wishes.remove();
             }
         }
+    }
+}
+
+/// The bytes that a cycle is charged which its slot holds no more, until this is dropped.
+pub struct Charged {
+    streams: Arc<Streams>,
+    bytes: usize,
+}
+
+impl Drop for Charged {
+    fn drop(&mut self) {
+        self.streams.give_back(self.bytes);
     }
 }
 
@@ -191,7 +211,7 @@ impl Streams {
         self.slot(machine).is_some_and(|slot| slot.lock().connected)
     }
 
-    fn opening(&self) -> MutexGuard<'_, HashMap<MachineId, usize>> {
+    fn opening(&self) -> MutexGuard<'_, HashMap<MachineId, Wishes>> {
         self.opening.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -203,7 +223,7 @@ impl Streams {
             if alone && opening.contains_key(machine) {
                 return None;
             }
-            *opening.entry(machine.clone()).or_default() += 1;
+            opening.entry(machine.clone()).or_default().count += 1;
         }
         let opening = Opening { streams: self.clone(), machine: machine.clone(), wished: Arc::default() };
         // Whoever is connected was being opened until then.
@@ -224,7 +244,9 @@ impl Streams {
             held.owner += 1;
             held.connected = true;
             held.generation = generation;
-            held.taken = held.taken.max(generation);
+            // One of a client that has hung up may be newer.
+            let meanwhile = self.opening().get(machine).map_or(0, |wishes| wishes.taken);
+            held.taken = held.taken.max(generation).max(meanwhile);
             held.leased_until = Some(leased_until);
             (held.owner, held.leave.clone())
         };
@@ -232,8 +254,16 @@ impl Streams {
         Ownership { slot, owner, leave }
     }
 
+    /// Whether a stream of the machine is connected here, or is being opened: whoever opens one later takes a later lease.
+    pub fn is_wished(&self, machine: &MachineId) -> bool {
+        self.opening().contains_key(machine) || self.is_connected(machine)
+    }
+
     /// Notes that a lease of that generation was taken here, whoever it is for.
     pub fn took(&self, machine: &MachineId, generation: i64) {
+        if let Some(wishes) = self.opening().get_mut(machine) {
+            wishes.taken = wishes.taken.max(generation);
+        }
         if let Some(slot) = self.slot(machine) {
             let mut held = slot.lock();
             held.taken = held.taken.max(generation);
@@ -277,46 +307,52 @@ impl Streams {
         let left = Left { generation, cycle: held.cycle.is_some() };
         if !left.cycle {
             self.give_back(std::mem::take(&mut held.charged));
+            // Who has left tells nothing more of the machine.
+            held.owner += 1;
             remove(&mut slots, &ownership.slot);
         }
         drop(held);
         Some(left)
     }
 
-    /// Takes the cycle that a broken connection has left, unless a connection owns the slot again; with the bytes that it is charged
-    /// until they are [given back](Streams::give_back). `tell` is told before anybody else can own the slot.
+    /// Takes the cycle that a broken connection has left, unless a connection owns the slot again, with what it is charged. `tell` is told before anybody else can own the slot.
     pub fn take_left(
-        &self,
+        self: &Arc<Self>,
         ownership: &Ownership,
         tell: impl FnOnce(&Held),
-    ) -> Option<(StreamedCycle, usize)> {
+    ) -> Option<(StreamedCycle, Charged)> {
         let mut slots = self.slots();
         let mut held = ownership.slot.lock();
         if held.owner != ownership.owner || held.connected {
             return None;
         }
         let cycle = held.cycle.take();
-        let charged = std::mem::take(&mut held.charged);
+        let charged = self.charged(std::mem::take(&mut held.charged));
         tell(&held);
+        held.owner += 1;
         drop(held);
         remove(&mut slots, &ownership.slot);
-        if cycle.is_none() {
-            self.give_back(charged);
-        }
         Some((cycle?, charged))
     }
 
-    /// Puts a cycle into a slot; gives the one that it had, with the bytes that it is charged until they are
-    /// [given back](Streams::give_back).
-    pub fn replace(&self, held: &mut Held, cycle: StreamedCycle) -> (Option<StreamedCycle>, usize) {
+    /// Puts a cycle into a slot; gives the one that it had, with what that is charged.
+    pub fn replace(
+        self: &Arc<Self>,
+        held: &mut Held,
+        cycle: StreamedCycle,
+    ) -> Option<(StreamedCycle, Charged)> {
         let left = held.cycle.replace(cycle);
-        let charged = std::mem::take(&mut held.charged);
+        let charged = self.charged(std::mem::take(&mut held.charged));
         self.charge(held);
-        (left, charged)
+        left.map(|left| (left, charged))
+    }
+
+    fn charged(self: &Arc<Self>, bytes: usize) -> Charged {
+        Charged { streams: Arc::clone(self), bytes }
     }
 
     /// Bytes of samples are held no longer.
-    pub fn give_back(&self, charged: usize) {
+    fn give_back(&self, charged: usize) {
         self.held_bytes.fetch_sub(charged, Ordering::Relaxed);
     }
 
@@ -341,7 +377,7 @@ impl Streams {
     }
 }
 
-/// Takes a slot away, unless the machine has another one by now.
+/// Takes a slot away from who owned it, unless the machine has another one by now.
 fn remove(slots: &mut HashMap<MachineId, Arc<Slot>>, slot: &Arc<Slot>) {
     if slots.get(&slot.machine).is_some_and(|there| Arc::ptr_eq(there, slot)) {
         slots.remove(&slot.machine);
@@ -446,7 +482,7 @@ mod tests {
         assert_eq!(told, 1);
         let second = streams.own(&machine, 2, moment());
         // Its slot is another one by now.
-        streams.leave(&first, |_| {});
+        assert!(streams.leave(&first, |_| panic!("it has left")).is_none());
         assert!(streams.take_left(&first, |_| {}).is_none());
         assert!(streams.is_connected(&machine) && second.held().is_some());
 
@@ -483,6 +519,13 @@ mod tests {
             drop(opening);
             left.generation
         };
+        // It hung up before anybody was connected, and its lease is newer than that of who came next.
+        let opening = streams.open(&machine, false).unwrap();
+        streams.took(&machine, 4);
+        assert!(streams.is_wished(&machine));
+        let owned = streams.own(&machine, 3, moment());
+        drop(opening);
+        assert_eq!(streams.leave(&owned, |_| {}).unwrap().generation, 4);
         assert_eq!(left(false), 2, "who wished it hung up");
         assert_eq!(left(true), 1, "it is to be served");
     }

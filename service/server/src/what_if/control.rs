@@ -13,7 +13,7 @@ use feedwright_core::friction::law::{LawConfig, LawParams};
 use feedwright_core::friction::program::FeedProgram;
 use feedwright_core::friction::twin::AxisLimits;
 use feedwright_core::friction::whatif::{
-    Control, LoadLimits, PredictedSample, WhatIf, predicted_course, what_if,
+    ANY_FEED, Control, LoadLimits, PredictedSample, WhatIf, predicted_course, what_if,
 };
 use feedwright_core::ids::OperationId;
 use feedwright_core::invalid::Violation;
@@ -127,7 +127,11 @@ impl Asked {
             (None, Some(_)) => cycle.programmed()?,
             (None, None) => own.program.clone(),
         };
-        Ok(Control { program, law })
+        let machine = &around.machine.limits;
+        let (slowest, fastest) =
+            profile.map_or(ANY_FEED, |limits| (limits.feed_min_mm_min, limits.feed_max_mm_min));
+        let feeds_mm_min = (machine.min_mm_min().max(slowest), machine.max_mm_min().min(fastest));
+        Ok(Control { program, law, feeds_mm_min })
     }
 }
 
@@ -201,7 +205,7 @@ pub struct Prediction {
     pub course: Option<Vec<PredictedSample>>,
     /// The stored profile that was asked about.
     pub profile: Option<Arc<AskedProfile>>,
-    /// The law that was asked about, every value in force.
+    /// The law that was asked about.
     pub law: Option<LawConfig>,
 }
 
@@ -225,7 +229,7 @@ pub fn predict(
             .covers(&stored.cycle.operation, cycle.deepest_mm())
             .map_err(|why| (why, profile.says(why)))?;
     }
-    let own = Control { program: cycle.feed_that_ran().map_err(refused)?, law: None };
+    let own = Control::of(cycle.feed_that_ran().map_err(refused)?);
     let other = asked.control(&cycle, around, &own).map_err(refused)?;
     let answer = what_if(&cycle.core(), &learned.relations, &asked.axis, &asked.limits, &own, &other);
     let answer = answer.map_err(refused)?;

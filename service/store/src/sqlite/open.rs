@@ -105,7 +105,10 @@ impl SqliteStore {
             );
             return Err(StoreError::NotWritable(what.into()));
         }
-        create_private(path).map_err(|error| StoreError::NotWritable(Box::new(error)))?;
+        // Its name is durable before SQLite makes its log: one that is left without the file is that of a database that is gone.
+        create_private(path)
+            .and_then(|()| sync_name(path))
+            .map_err(|error| StoreError::NotWritable(Box::new(error)))?;
         let found = Identity::of(path)?;
         let connect = settings(path, options.patience);
         // Of a file that is there already it changes nothing, and readers may not ask for it.
@@ -114,7 +117,15 @@ impl SqliteStore {
         MIGRATIONS.run(&mut writer).await.map_err(StoreError::of_migration)?;
         // What a server that was killed between writing a commit and syncing it has left is seen from now on, and may be answered as
         // known: a checkpoint syncs the log first.
-        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(&mut writer).await?;
+        let synced = sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(&mut writer).await;
+        match synced.map_err(StoreError::from) {
+            Ok(_) => {}
+            // The log is synced all the same; what is in it finds room in the file later.
+            Err(error) if error.is_of_a_full_disk() => {
+                tracing::warn!(%error, "the log is not folded into the database's file yet");
+            }
+            Err(error) => return Err(error),
+        }
         let mut groups = GroupWriter::open(path, options.patience)?;
         if options.alone {
             groups.plan_journal(path, options.commit_after);
@@ -163,8 +174,7 @@ fn create_private(path: &Path) -> std::io::Result<()> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     match options.open(path) {
-        // Before SQLite makes its log: one that is left without the file is that of a database that is gone.
-        Ok(_) => sync_name(path),
+        Ok(_) => Ok(()),
         // A link is there, and what it leads to may not be yet.
         Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
             options.create_new(false).create(true).open(path).map(|_| ())

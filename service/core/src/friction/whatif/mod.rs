@@ -131,7 +131,20 @@ pub struct Control {
     pub program: FeedProgram,
     /// The law on top, if any.
     pub law: Option<LawConfig>,
+    /// The feeds that the law may make of the programmed one, mm/min: its override is kept within them, as in a stream.
+    pub feeds_mm_min: (f64, f64),
 }
+
+impl Control {
+    /// A program as it is.
+    #[must_use]
+    pub const fn of(program: FeedProgram) -> Self {
+        Self { program, law: None, feeds_mm_min: ANY_FEED }
+    }
+}
+
+/// No limit of the feed.
+pub const ANY_FEED: (f64, f64) = (0.0, f64::INFINITY);
 
 /// What counts as an overload, for what happened and what is predicted alike; percent.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -456,7 +469,14 @@ impl<'a> Anchor<'a> {
                     feed_drive_percent: Some(feed_drive),
                     spindle_percent: Some(spindle),
                 };
-                law.step(config, &sample);
+                let ovr = law.ovr();
+                let mut step = law.step(config, &sample);
+                if step.correction.is_some() {
+                    let programmed = control.program.feed_at(state.depth_mm());
+                    let (least, most) = control.feeds_mm_min;
+                    let permitted = (100.0 * least / programmed, 100.0 * most / programmed);
+                    law.keep_within_feed(config, permitted, ovr, &mut step);
+                }
             }
         }
         let text = "the hole would not be finished within 60 000 samples";

@@ -58,7 +58,7 @@ fn relations(strategy: &Strategy) -> LoadRelations {
 const LIMITS: LoadLimits = LoadLimits { feed_drive_percent: Some(40.0), spindle_percent: Some(50.0) };
 
 fn ask(cycle: &StoredCycle<'_>, relations: &LoadRelations, own: &Strategy, other: &Strategy) -> WhatIf {
-    let control = |s: &Strategy| Control { program: s.program.clone(), law: s.law };
+    let control = |s: &Strategy| Control { law: s.law, ..Control::of(s.program.clone()) };
     let axis = paper_params().machine.axis;
     what_if(cycle, relations, &axis, &LIMITS, &control(own), &control(other)).unwrap()
 }
@@ -129,7 +129,7 @@ fn without_a_rating_there_are_no_joules_and_bad_columns_are_refused_by_path() {
     let answer = ask(&unrated, &known, &s.linear, &s.linear);
     assert!(answer.predicted.energy_j.is_none() && answer.error.energy_relative.is_none());
 
-    let control = Control { program: s.linear.program.clone(), law: None };
+    let control = Control::of(s.linear.program.clone());
     let axis = paper_params().machine.axis;
     let refused = |cycle: StoredCycle<'_>, relations: &LoadRelations| {
         let error = what_if(&cycle, relations, &axis, &LIMITS, &control, &control).unwrap_err();
@@ -152,7 +152,7 @@ fn the_course_is_what_the_figures_sum_up() {
     let (columns, _) = drill(&s.linear, 80);
     let (cycle, known) = (stored(&columns), relations(&s.linear));
     let answer = ask(&cycle, &known, &s.linear, &s.adaptive);
-    let control = Control { program: s.adaptive.program.clone(), law: s.adaptive.law };
+    let control = Control { law: s.adaptive.law, ..Control::of(s.adaptive.program.clone()) };
     let course = predicted_course(&cycle, &known, &paper_params().machine.axis, &control).unwrap();
     let highest = |of: fn(&PredictedSample) -> f64| course.iter().map(of).fold(0.0, f64::max);
     let seconds = course.iter().map(|_| cycle.period_s).sum::<f64>();
@@ -160,6 +160,23 @@ fn the_course_is_what_the_figures_sum_up() {
     assert!((highest(|one| one.spindle_percent) - answer.predicted.peak_spindle_percent).abs() < 1e-12);
     assert!((highest(|one| one.feed_drive_percent) - answer.predicted.peak_feed_drive_percent).abs() < 1e-12);
     assert!(course.windows(2).all(|pair| pair[0].depth_mm <= pair[1].depth_mm));
+}
+
+#[test]
+fn a_law_makes_no_feed_that_a_stream_would_not_permit() {
+    let s = PaperStrategies::new().unwrap();
+    let (columns, _) = drill(&s.linear, 80);
+    let (cycle, known) = (stored(&columns), relations(&s.linear));
+    let raised = Control { law: s.adaptive_raised.law, ..Control::of(FeedProgram::constant(200.0).unwrap()) };
+    let fastest = |control: &Control| {
+        let course = predicted_course(&cycle, &known, &paper_params().machine.axis, control).unwrap();
+        course.iter().map(|one| one.feed_mm_min).fold(0.0, f64::max)
+    };
+    assert!(fastest(&raised) > 260.0);
+    let limited = fastest(&Control { feeds_mm_min: (1.0, 240.0), ..raised.clone() });
+    assert!((230.0..=240.000_001).contains(&limited), "{limited}");
+    // What is programmed is the machine's, whatever the limit: a law does not slow it for that alone.
+    assert!(fastest(&Control { law: None, feeds_mm_min: (1.0, 100.0), ..raised }) > 199.0);
 }
 
 /// A cycle at one feed (mm/min) in which both drives have one load over idle, percent.
@@ -180,7 +197,7 @@ fn stored_even(columns: &Columns, period_s: f64) -> StoredCycle<'_> {
 }
 
 fn even_control(feed_mm_min: f64) -> Control {
-    Control { program: FeedProgram::constant(feed_mm_min).unwrap(), law: None }
+    Control::of(FeedProgram::constant(feed_mm_min).unwrap())
 }
 
 /// Relations of holes of 4 mm, one at each feed, mm/min, with that load over idle, percent.

@@ -375,7 +375,8 @@ pub struct AssumedBody {
     /// The stored profile that was asked about, as `id@version`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<String>,
-    /// The law that was asked about, every value in force.
+    /// The law that was asked about, by what a question may name of it: asked again it is the same. What an overload does, and how long bad
+    /// data settles, are the service's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub law: Option<LawBody>,
     /// Where the energy comes from: `calibrated`, `rated_power` or `unknown` (no joules).

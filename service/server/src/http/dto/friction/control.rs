@@ -81,9 +81,9 @@ pub struct LawBody {
     pub set_spindle_percent: Option<f64>,
     /// Intensity b of Eq. 3. The paper gives none; its figures of power need 4 or more.
     pub intensity: Option<f64>,
-    /// Lower limit of the override, %.
+    /// Lower limit of the override, %; the machine's own holds as well.
     pub override_min_percent: Option<f64>,
-    /// Upper limit of the override, %.
+    /// Upper limit of the override, %, towards which Eq. 4 rises; the machine's own holds as well.
     pub override_max_percent: Option<f64>,
     /// Largest rise per sample, points.
     pub rise_limit_points: Option<f64>,
@@ -92,9 +92,9 @@ pub struct LawBody {
 }
 
 impl From<&LawParams> for LawBody {
-    /// Every value in force.
+    /// Every value in force that can be asked for: asked again it is the same law.
     fn from(law: &LawParams) -> Self {
-        let range = law.bounds.effective();
+        let range = law.bounds.profile();
         Self {
             set_feed_drive_percent: law.set_feed_drive_percent,
             set_spindle_percent: law.set_spindle_percent,
@@ -163,8 +163,10 @@ pub struct StrategyBody {
 impl From<&Strategy> for StrategyBody {
     /// Every value in force.
     fn from(strategy: &Strategy) -> Self {
+        // Of no base it would be F_AC, with its law.
+        let base = strategy.law.is_none().then_some(StrategyWord(units::Strategy::FConst));
         Self {
-            base: None,
+            base,
             name: Some(strategy.name.clone()),
             program: Some((&strategy.program).into()),
             law: strategy.law.as_ref().map(|law| law.params().into()),
