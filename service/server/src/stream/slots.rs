@@ -256,7 +256,9 @@ impl Streams {
 
     /// Whether a stream of the machine is connected here, or is being opened: whoever opens one later takes a later lease.
     pub fn is_wished(&self, machine: &MachineId) -> bool {
-        self.opening().contains_key(machine) || self.is_connected(machine)
+        // Not beside each other: who leaves a slot asks, with the slots locked, who is opening one.
+        let is_opening = self.opening().contains_key(machine);
+        is_opening || self.is_connected(machine)
     }
 
     /// Notes that a lease of that generation was taken here, whoever it is for.
@@ -315,7 +317,8 @@ impl Streams {
         Some(left)
     }
 
-    /// Takes the cycle that a broken connection has left, unless a connection owns the slot again, with what it is charged. `tell` is told before anybody else can own the slot.
+    /// Takes the cycle that a broken connection has left, unless a connection owns the slot again, with what it is charged. `tell` is told
+    /// before anybody else can own the slot.
     pub fn take_left(
         self: &Arc<Self>,
         ownership: &Ownership,
