@@ -98,6 +98,8 @@ struct Inner {
     pool: PgPool,
     /// The server itself, past any pooler.
     direct: PgConnectOptions,
+    /// How many of the pool's connections are lent.
+    lent: Arc<AtomicUsize>,
     gate: Gate,
     lost_after: Duration,
     /// One at a time asks what the server is at.
@@ -196,10 +198,10 @@ impl PostgresStore {
         if !matches!(source.downcast_ref(), Some(sqlx::Error::PoolTimedOut)) {
             return false;
         }
-        let pool = &self.inner.pool;
         match self.says().await {
             Ok(Word::Usable) => false,
-            Ok(Word::Full) => pool.size() < pool.options().get_max_connections(),
+            // The pool counts those that it tries to open, too.
+            Ok(Word::Full) => self.inner.lent.load(Ordering::Relaxed) == 0,
             Err(_) => true,
         }
     }
@@ -460,7 +462,7 @@ fn has_no_place(error: &sqlx::Error) -> bool {
 impl Inner {
     /// A connection of the pool; where none is to be had at once, the one that is kept for the next change.
     async fn lent(&self) -> StoreResult<Lent> {
-        let mut asked = pin!(Lent::of(&self.pool, self.lost_after / LOOKS));
+        let mut asked = pin!(Lent::of(&self.pool, self.lost_after / LOOKS, &self.lent));
         loop {
             if let Ok(lent) = timeout(AT_ONCE, &mut asked).await {
                 return Ok(lent?);

@@ -74,7 +74,10 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
     let server = Server::listen(config, store, Clock::system()).await?;
     greet(&server, first);
     if let Some(lock) = &mut lock {
-        lock.publish(&server.local_addr.to_string()).context("cannot write the lock file")?;
+        // Other commands are told less; on a full disk a server that reads is better than none.
+        if let Err(error) = lock.publish(&server.local_addr.to_string()) {
+            tracing::warn!(%error, "the lock file does not tell where the server listens");
+        }
     }
     let server = server.serve();
     let failed = loop {

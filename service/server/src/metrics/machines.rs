@@ -155,9 +155,8 @@ impl MachineMetrics {
             if let Some((ran, newest)) = &known.newest {
                 // A cycle that comes late may be of another tool than the one that ran last; and two that were counted one after the other
                 // may be told of in any order.
-                let is_of_another = ran != tool && started_at < *newest;
-                let is_behind = ran == tool && is_behind(verdict, known.judged);
-                if is_of_another || is_behind {
+                let is_behind = ran != tool || (verdict.life, verdict.cycles) < known.judged;
+                if started_at <= *newest && is_behind {
                     return;
                 }
             }
@@ -292,11 +291,6 @@ fn set(gauges: &GaugeVec, machine: &MachineId, value: Option<f64>) {
 
 fn has(recommendation: &Recommendation, code: &str) -> bool {
     recommendation.reasons.iter().any(|(reason, _)| reason == code)
-}
-
-/// Whether a verdict is of fewer cycles of the tool's life than one that was shown.
-const fn is_behind(verdict: &Verdict, (life, cycles): (u32, u64)) -> bool {
-    verdict.life == life && verdict.cycles < cycles
 }
 
 fn reason(recommendation: &Recommendation) -> &'static str {

@@ -45,7 +45,8 @@ pub async fn store(
             Ok(Stored { status: if accepted.new { 201 } else { 200 }, answer })
         }
         Err(problem) => {
-            let again = !is_refused_for_good(&problem);
+            // A refusal for its content stands, and its body is in quarantine; everything else may pass.
+            let again = !problem.members.contains_key("quarantine_id");
             Err(Box::new(NotStored { problem, cycle: again.then_some(cycle) }))
         }
     }
@@ -64,23 +65,11 @@ async fn try_store(
     // Before the cycle: with the cycle stored and these lost, nobody would send them again.
     keep_overrides(state, machine, &cycle.id, cycle).await?;
     let json = Bytes::from(cycle.body(cycle.id.as_str(), outcome, reported).to_string());
-    let accepted = if cycle.running.was_cut_short() {
+    if cycle.running.was_cut_short() {
         state.intake.accept_incomplete(machine, json, Refused::ToQuarantine).await
     } else {
         state.intake.accept(machine, json, Refused::ToQuarantine).await
-    };
-    if let Err(problem) = &accepted
-        && is_refused_for_good(problem)
-    {
-        // Another cycle that comes under its id, and is sent again, would be taken for one that these were the answers of.
-        put_overrides(state, machine, &cycle.id, cycle, (&[], Sent::AsItRan)).await?;
     }
-    accepted
-}
-
-/// A refusal for its content stands, and its body is in quarantine; everything else may pass.
-fn is_refused_for_good(problem: &Problem) -> bool {
-    problem.members.contains_key("quarantine_id")
 }
 
 async fn keep_overrides(
@@ -96,16 +85,6 @@ async fn keep_overrides(
     let samples: Vec<(f64, u64)> =
         advice.iter().map(|advice| (advice.ovr.percent(), advice.reasons.bits())).collect();
     let sent = if cycle.meta.resend { Sent::Again } else { Sent::AsItRan };
-    put_overrides(state, machine, id, cycle, (&samples, sent)).await
-}
-
-async fn put_overrides(
-    state: &AppState,
-    machine: &MachineId,
-    id: &CycleId,
-    cycle: &StreamedCycle,
-    (samples, sent): (&[(f64, u64)], Sent),
-) -> Result<(), Problem> {
     let kept = CycleOverrides {
         machine: machine.clone(),
         cycle: id.clone(),
@@ -113,7 +92,7 @@ async fn put_overrides(
         law_version: cycle.law_version.to_owned(),
         program_hash: cycle.program_hash.clone(),
         stored_at: state.clock.now(),
-        block: codec::encode_overrides(samples)?,
+        block: codec::encode_overrides(&samples)?,
     };
     state.commit(|store| async move { store.put_overrides(&kept, sent).await }).await?;
     Ok(())

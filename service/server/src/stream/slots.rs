@@ -102,6 +102,9 @@ impl Held {
     }
 }
 
+/// The generation of no lease.
+const NONE: i64 = 0;
+
 /// What a connection leaves in its slot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Left {
@@ -303,9 +306,12 @@ impl Streams {
         }
         held.connected = false;
         tell(&held);
-        // A later one was taken for somebody who opens a stream yet, or for nobody.
-        let is_opening = self.opening().contains_key(&ownership.slot.machine);
-        let generation = if is_opening { held.generation } else { held.taken };
+        // A later one was taken for somebody who opens a stream yet, who gives it back, or for nobody.
+        let generation = match self.opening().get(&ownership.slot.machine) {
+            Some(wishes) if wishes.taken > 0 => NONE,
+            Some(_) => held.generation,
+            None => held.taken,
+        };
         let left = Left { generation, cycle: held.cycle.is_some() };
         if !left.cycle {
             self.give_back(std::mem::take(&mut held.charged));
@@ -530,6 +536,6 @@ mod tests {
         drop(opening);
         assert_eq!(streams.leave(&owned, |_| {}).unwrap().generation, 4);
         assert_eq!(left(false), 2, "who wished it hung up");
-        assert_eq!(left(true), 1, "it is to be served");
+        assert_eq!(left(true), NONE, "who is to be served gives it back");
     }
 }

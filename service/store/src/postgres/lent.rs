@@ -4,6 +4,8 @@ use super::{Conn, Db, open};
 use sqlx::pool::PoolConnection;
 use sqlx::{AssertSqlSafe, Executor, PgPool, Row};
 use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::time::timeout;
@@ -20,11 +22,35 @@ pub(super) struct Lent {
     begun: bool,
     /// How long the server may take for taking it back.
     patience: Duration,
+    /// How many are lent.
+    _lending: Lending,
+}
+
+/// Counts what is lent, until it is dropped.
+#[derive(Debug)]
+struct Lending(Arc<AtomicUsize>);
+
+impl Lending {
+    fn begin(count: &Arc<AtomicUsize>) -> Self {
+        count.fetch_add(1, Ordering::Relaxed);
+        Self(Arc::clone(count))
+    }
+}
+
+impl Drop for Lending {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 impl Lent {
-    pub(super) async fn of(pool: &PgPool, patience: Duration) -> Result<Self, sqlx::Error> {
-        Ok(Self { conn: Some(pool.acquire().await?), process: None, begun: false, patience })
+    pub(super) async fn of(
+        pool: &PgPool,
+        patience: Duration,
+        count: &Arc<AtomicUsize>,
+    ) -> Result<Self, sqlx::Error> {
+        let conn = Some(pool.acquire().await?);
+        Ok(Self { conn, process: None, begun: false, patience, _lending: Lending::begin(count) })
     }
 
     /// Begins what is rolled back when it is given back.

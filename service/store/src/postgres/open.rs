@@ -138,6 +138,7 @@ impl PostgresStore {
         let inner = Inner {
             pool,
             direct,
+            lent: Arc::default(),
             gate: Gate::default(),
             lost_after: options.lost_after,
             asking: Mutex::default(),

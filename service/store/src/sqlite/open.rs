@@ -118,13 +118,13 @@ impl SqliteStore {
         // What a server that was killed between writing a commit and syncing it has left is seen from now on, and may be answered as
         // known: a checkpoint syncs the log first.
         let synced = sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(&mut writer).await;
-        match synced.map_err(StoreError::from) {
+        match synced {
             Ok(_) => {}
-            // The log is synced all the same; what is in it finds room in the file later.
-            Err(error) if error.is_of_a_full_disk() => {
+            // The log is synced by then; what is in it finds room in the file later.
+            Err(error) if is_full(&error) => {
                 tracing::warn!(%error, "the log is not folded into the database's file yet");
             }
-            Err(error) => return Err(error),
+            Err(error) => return Err(error.into()),
         }
         let mut groups = GroupWriter::open(path, options.patience)?;
         if options.alone {
@@ -165,6 +165,13 @@ impl SqliteStore {
             }),
         })
     }
+}
+
+/// Whether a write found no room on the disk (`SQLITE_FULL`).
+fn is_full(error: &sqlx::Error) -> bool {
+    const FULL: i32 = 13;
+    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code);
+    code.and_then(|code| code.parse::<i32>().ok()).is_some_and(|code| code & 0xff == FULL)
 }
 
 /// Creates the file before SQLite does: its log and shared memory take over its permission.
