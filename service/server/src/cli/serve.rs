@@ -74,7 +74,7 @@ async fn serve(config: Config, first_token_file: Option<&Path>) -> anyhow::Resul
     let server = Server::listen(config, store, Clock::system()).await?;
     greet(&server, first);
     if let Some(lock) = &mut lock {
-        // Other commands are told less; on a full disk a server that reads is better than none.
+        // Other commands are told less. A disk that is full is told of by who has to write to it.
         if let Err(error) = lock.publish(&server.local_addr.to_string()) {
             tracing::warn!(%error, "the lock file does not tell where the server listens");
         }
