@@ -4,6 +4,7 @@ use std::future::Future;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::task::JoinHandle;
+use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
@@ -45,6 +46,13 @@ impl Lifecycle {
                 }
             }
         });
+    }
+
+    /// Ticks, the first at once, until the shutdown begins; after a late one the next comes a whole period later.
+    pub fn every(&self, period: Duration) -> Ticks {
+        let mut ticks = interval(period);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        Ticks { ticks, lifecycle: self.clone() }
     }
 
     /// Counts as a task until it is dropped: for work that another runs, such as an upgraded connection.
@@ -93,6 +101,23 @@ impl Lifecycle {
     }
 }
 
+/// What [`Lifecycle::every`] makes.
+#[derive(Debug)]
+pub struct Ticks {
+    ticks: Interval,
+    lifecycle: Lifecycle,
+}
+
+impl Ticks {
+    /// Waits for the next one; `false` where the shutdown begins. Only this waiting is cut short, and nothing that is done between two.
+    pub async fn next(&mut self) -> bool {
+        tokio::select! {
+            _ = self.ticks.tick() => true,
+            () = self.lifecycle.stopping() => false,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,5 +134,14 @@ mod tests {
         });
         lifecycle.tasks_ended().await;
         assert_eq!(begun.load(Ordering::Relaxed), 3);
+    }
+
+    #[tokio::test]
+    async fn ticks_end_with_the_shutdown() {
+        let lifecycle = Lifecycle::default();
+        let mut ticks = lifecycle.every(Duration::from_secs(3600));
+        assert!(ticks.next().await, "the first comes at once");
+        lifecycle.stop();
+        assert!(!ticks.next().await);
     }
 }

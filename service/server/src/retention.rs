@@ -22,14 +22,8 @@ pub(crate) fn start(state: &AppState) {
 
 /// Runs retention until the shutdown begins.
 async fn runs(state: AppState) {
-    let mut ticks = tokio::time::interval(state.config.retention.interval());
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    loop {
-        // Only the waiting is cut short, never a statement.
-        tokio::select! {
-            _ = ticks.tick() => {}
-            () = state.lifecycle.stopping() => return,
-        }
+    let mut ticks = state.lifecycle.every(state.config.retention.interval());
+    while ticks.next().await {
         if let Err(error) = run(&state).await {
             tracing::warn!(%error, "retention broke off and goes on at its next run");
         }
@@ -38,15 +32,10 @@ async fn runs(state: AppState) {
 
 /// Lets samples age until the shutdown begins.
 async fn aging(state: AppState) {
-    let mut ticks = tokio::time::interval(AGING);
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut ticks = state.lifecycle.every(AGING);
     // How long no server ran is not known.
     let (mut before, mut is_behind) = (state.clock.moment(), false);
-    loop {
-        tokio::select! {
-            _ = ticks.tick() => {}
-            () = state.lifecycle.stopping() => return,
-        }
+    while ticks.next().await {
         let moment = state.clock.moment();
         let now = state.clock.now();
         match state.store.age_samples(now, moment.since(before)).await {

@@ -227,13 +227,8 @@ pub(crate) fn watch(state: &AppState, certificates: Arc<Certificates>) {
 }
 
 async fn looks(state: AppState, certificates: Arc<Certificates>) {
-    let mut ticks = tokio::time::interval(state.config.tls.reload_interval());
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    loop {
-        tokio::select! {
-            _ = ticks.tick() => {}
-            () = state.lifecycle.stopping() => return,
-        }
+    let mut ticks = state.lifecycle.every(state.config.tls.reload_interval());
+    while ticks.next().await {
         look(&certificates, false).await;
     }
 }

@@ -66,13 +66,8 @@ pub(crate) fn start(state: &AppState) {
 
 /// Makes rounds, one after the other. Shutdown waits for the one under way: only the waiting between two is cut short.
 async fn rounds(state: AppState) {
-    let mut ticks = tokio::time::interval(state.config.watch.interval());
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    loop {
-        tokio::select! {
-            _ = ticks.tick() => {}
-            () = state.lifecycle.stopping() => break,
-        }
+    let mut ticks = state.lifecycle.every(state.config.watch.interval());
+    while ticks.next().await {
         if let Err(error) = round(&state).await {
             tracing::warn!(%error, "the watch could not make its round");
         }

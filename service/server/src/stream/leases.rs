@@ -9,7 +9,6 @@ use crate::state::AppState;
 use feedwright_core::ids::MachineId;
 use std::collections::HashMap;
 use std::sync::Arc;
-use tokio::time::{MissedTickBehavior, interval};
 
 /// A lease is prolonged so many times before it ends.
 const RENEWALS: u32 = 3;
@@ -21,13 +20,8 @@ pub fn start(state: &AppState) {
 }
 
 async fn prolong(state: AppState) {
-    let mut due = interval(state.config.stream.lease() / RENEWALS);
-    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    loop {
-        tokio::select! {
-            _ = due.tick() => {}
-            () = state.lifecycle.stopping() => return,
-        }
+    let mut due = state.lifecycle.every(state.config.stream.lease() / RENEWALS);
+    while due.next().await {
         renew(&state, &state.streams.all()).await;
     }
 }

@@ -13,7 +13,6 @@ use feedwright_core::wear::{ToolState, Verdict};
 use feedwright_store::StoreResult;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::{MissedTickBehavior, interval};
 
 /// How often what cycles were begun with is read again.
 const READ_EVERY: Duration = Duration::from_secs(2);
@@ -60,13 +59,8 @@ pub fn start(state: &AppState) {
 }
 
 async fn looks(state: AppState) {
-    let mut due = interval(READ_EVERY);
-    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    loop {
-        tokio::select! {
-            _ = due.tick() => {}
-            () = state.lifecycle.stopping() => return,
-        }
+    let mut due = state.lifecycle.every(READ_EVERY);
+    while due.next().await {
         for slot in state.streams.all() {
             look(&state, &slot).await;
         }
