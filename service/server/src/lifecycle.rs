@@ -34,18 +34,7 @@ impl Lifecycle {
         F: Fn() -> T + Send + 'static,
         T: Future<Output = ()> + Send + 'static,
     {
-        let lifecycle = self.clone();
-        self.tasks.spawn(async move {
-            while let Err(error) = tokio::spawn(run()).await
-                && error.is_panic()
-            {
-                tracing::error!(%error, what, "it panicked, and begins anew after a pause");
-                tokio::select! {
-                    () = tokio::time::sleep(AGAIN) => {}
-                    () = lifecycle.stopping() => return,
-                }
-            }
-        });
+        self.tasks.spawn(begin_anew(what, run, self.stopping.clone()));
     }
 
     /// Ticks, the first at once, until the shutdown begins; after a late one the next comes a whole period later.
@@ -98,6 +87,23 @@ impl Lifecycle {
     pub(crate) async fn tasks_ended(&self) {
         self.tasks.close();
         self.tasks.wait().await;
+    }
+}
+
+/// Runs what goes on; after a panic it is told and, after a pause, run anew, unless it is over by then.
+pub(crate) async fn begin_anew<F, T>(what: &'static str, run: F, over: CancellationToken)
+where
+    F: Fn() -> T,
+    T: Future<Output = ()> + Send + 'static,
+{
+    while let Err(error) = tokio::spawn(run()).await
+        && error.is_panic()
+    {
+        tracing::error!(%error, what, "it panicked, and begins anew after a pause");
+        tokio::select! {
+            () = tokio::time::sleep(AGAIN) => {}
+            () = over.cancelled() => return,
+        }
     }
 }
 

@@ -49,3 +49,33 @@ pub async fn compute<T: Send + 'static>(
     let room = room()?;
     on_thread(&room, work).await
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::future::Future;
+    use std::sync::mpsc;
+    use std::task::{Context, Waker};
+
+    #[tokio::test]
+    async fn whoever_hangs_up_makes_no_room_while_the_work_runs() {
+        static PLACES: Semaphore = Semaphore::const_new(1);
+        let room = Room { _permit: Arc::new(PLACES.try_acquire().unwrap()) };
+        let ((begun, begins), (end, ends)) = (mpsc::channel(), mpsc::channel());
+        let work = move || {
+            begun.send(()).unwrap();
+            ends.recv().unwrap();
+            Ok(())
+        };
+        {
+            let mut asked = Box::pin(on_thread(&room, work));
+            assert!(asked.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_pending());
+        }
+        drop(room);
+        begins.recv().unwrap();
+        assert_eq!(PLACES.available_permits(), 0);
+        end.send(()).unwrap();
+        // Ready as soon as the work has given it back.
+        drop(PLACES.acquire().await.unwrap());
+    }
+}

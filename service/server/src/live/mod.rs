@@ -17,6 +17,7 @@ pub use event::{Data, Event, Kind, MachineState};
 pub use reader::{Position, Reader};
 
 use crate::config::LiveConfig;
+use crate::lifecycle::begin_anew;
 use crate::state::AppState;
 use history::{History, Shown};
 use machines::Machines;
@@ -42,7 +43,8 @@ pub struct Live {
     samples: broadcast::Sender<Arc<Shown>>,
     machines: Mutex<Machines>,
     outbox: mpsc::Sender<Event>,
-    outgoing: Mutex<Option<mpsc::Receiver<Event>>>,
+    /// Held by what tells them.
+    outgoing: tokio::sync::Mutex<mpsc::Receiver<Event>>,
     /// Whether there are other servers that might want to know.
     told: std::sync::atomic::AtomicBool,
     untold: AtomicU64,
@@ -66,7 +68,7 @@ impl Live {
             samples: broadcast::channel(SAMPLES_KEPT).0,
             machines: Mutex::default(),
             outbox,
-            outgoing: Mutex::new(Some(outgoing)),
+            outgoing: tokio::sync::Mutex::new(outgoing),
             told: false.into(),
             untold: AtomicU64::new(0),
             over: CancellationToken::new(),
@@ -148,17 +150,25 @@ impl Live {
 pub fn start(state: &AppState) -> Link {
     let (watched, shown) = (state.clone(), Arc::default());
     state.lifecycle.keep("watching alarms", move || alarms::watch(watched.clone(), Arc::clone(&shown)));
-    Link(tokio::spawn(replicas::link(state.clone())))
+    if state.store.notices().is_none() {
+        return Link(None);
+    }
+    let (hearing, telling) = (state.clone(), state.clone());
+    state.lifecycle.keep("hearing other servers", move || replicas::hear_others(hearing.clone()));
+    let tell = move || replicas::tell_others(telling.clone());
+    Link(Some(tokio::spawn(begin_anew("telling other servers", tell, state.live.over.clone()))))
 }
 
 /// The link to other servers. It outlasts everything else that runs: they are told of the last stream's end too.
-pub struct Link(JoinHandle<()>);
+pub struct Link(Option<JoinHandle<()>>);
 
 impl Link {
     /// Tells what is left to tell, and ends.
     pub async fn end(self, live: &Live) {
         live.over.cancel();
-        if let Err(error) = self.0.await {
+        if let Some(telling) = self.0
+            && let Err(error) = telling.await
+        {
             tracing::error!(%error, "telling other servers failed");
         }
     }

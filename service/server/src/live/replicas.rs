@@ -9,10 +9,8 @@ use crate::state::AppState;
 use feedwright_store::Notices;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
-use tokio::sync::mpsc;
 use tokio::time::sleep;
 
 /// How long events are gathered before they are told.
@@ -36,25 +34,24 @@ struct ToldEvent {
     data: Value,
 }
 
-/// Listens until the server stops, and tells until nothing more happens on it; ends at once where the store is this server's alone.
-pub(super) async fn link(state: AppState) {
+/// Listens to other servers until this one stops; ends at once where the store is this server's alone.
+pub(super) async fn hear_others(state: AppState) {
     let Some(notices) = state.store.notices() else { return };
-    let outgoing = state.live.outgoing.lock().unwrap_or_else(PoisonError::into_inner).take();
-    let Some(outgoing) = outgoing else { return };
-    state.live.told.store(true, Ordering::Relaxed);
-    let hear = async {
-        tokio::select! {
-            () = listen(&state.live, &*notices) => {}
-            () = machines::look(&state) => {}
-            () = state.lifecycle.stopping() => {}
-        }
-    };
-    tokio::join!(tell(&state, outgoing), hear);
+    tokio::select! {
+        () = listen(&state.live, &*notices) => {}
+        () = machines::look(&state) => {}
+        () = state.lifecycle.stopping() => {}
+    }
 }
 
-/// Tells what happens until nothing more does.
-async fn tell(state: &AppState, mut outgoing: mpsc::Receiver<Event>) {
+/// Tells other servers what happens until nothing more does.
+pub(super) async fn tell_others(state: AppState) {
     let over = &state.live.over;
+    let mut outgoing = state.live.outgoing.lock().await;
+    if state.live.told.swap(true, Ordering::Relaxed) {
+        // It panicked, with something in hand.
+        state.live.untold.fetch_add(1, Ordering::Relaxed);
+    }
     loop {
         let first = tokio::select! {
             biased;
