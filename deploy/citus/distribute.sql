@@ -44,6 +44,7 @@ COMMIT;
 -- local: alarms
 -- local: audit
 -- local: quarantine
+-- local: quarantine_claims
 -- local: tokens
 -- local: machine_contacts
 -- local: tool_checkpoints

@@ -367,10 +367,22 @@ pub trait Store: Send + Sync + 'static {
     ) -> StoreResult<Vec<QuarantineEntry>>;
     /// One quarantine entry with its body as it came; without it where what is kept of it is not that any more.
     async fn quarantine_entry(&self, id: &str) -> StoreResult<Option<(QuarantineEntry, Option<Vec<u8>>)>>;
-    /// Settles a quarantine entry; `false` where there is no unsettled one of that id.
+    /// Claims an entry that is to be settled for as long as `lease`; `false` where there is no unsettled one of that id, or another holder
+    /// has claimed it. A database that several servers share goes by its own clock instead of `now`.
+    async fn claim_quarantine(
+        &self,
+        id: &str,
+        holder: &str,
+        lease: Duration,
+        now: Timestamp,
+    ) -> StoreResult<bool>;
+    /// Gives up a claim of this holder's.
+    async fn release_quarantine(&self, id: &str, holder: &str) -> StoreResult<()>;
+    /// Settles a quarantine entry that this holder has claimed; `false` where it has not, or the entry is settled.
     async fn settle_quarantine(
         &self,
         id: &str,
+        holder: &str,
         how: &str,
         actor: &Actor,
         now: Timestamp,

@@ -7,10 +7,12 @@ use http::StatusCode;
 use serde_json::{Value, json};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
+use std::time::Duration;
 
 crate::engines::on_both!(
     an_entry_is_shown_with_its_body_and_discarded_with_a_reason,
     a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays,
+    an_entry_that_another_server_settles_is_left_to_it,
 );
 
 const BOUNDS: QuarantineBounds = QuarantineBounds { entries: 10, bytes: 1_000_000 };
@@ -66,6 +68,32 @@ async fn an_entry_is_shown_with_its_body_and_discarded_with_a_reason() {
     );
     let audit = String::from_utf8(app.get("/v1/audit?limit=1000").await.body).unwrap();
     assert!(audit.contains("test cut"), "{audit}");
+}
+
+async fn an_entry_that_another_server_settles_is_left_to_it() {
+    let app = App::registered().await;
+    keep(&app, "q1", b"{}").await;
+    let claim = async |holder: &str| {
+        app.state.store.claim_quarantine("q1", holder, Duration::from_secs(60), NOW).await.unwrap()
+    };
+    assert!(claim("another").await);
+    let repair = json!({"cycle_id": "c-1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:59:00Z",
+                        "reported": {"energy_joules": 5, "duration_ms": 4000}});
+    let repaired = json!({"action": "reingest", "reason": "as it was", "body": repair.to_string()});
+    let busy = settle(&app, "q1", repaired.clone()).await;
+    assert_eq!((busy.status, busy.code().as_str()), (StatusCode::SERVICE_UNAVAILABLE, "settling"));
+    assert_eq!(
+        app.get("/v1/machines/M1/cycles/c-1").await.status,
+        StatusCode::NOT_FOUND,
+        "nothing is stored"
+    );
+    app.state.store.release_quarantine("q1", "another").await.unwrap();
+    // What is refused claims it no longer.
+    let refused = settle(&app, "q1", json!({"action": "reingest", "reason": "again"})).await;
+    assert_eq!(refused.status, StatusCode::UNPROCESSABLE_ENTITY, "{refused:?}");
+    assert!(claim("another").await);
+    app.state.store.release_quarantine("q1", "another").await.unwrap();
+    assert_eq!(settle(&app, "q1", repaired).await.status, StatusCode::OK);
 }
 
 async fn a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays() {

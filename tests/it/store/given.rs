@@ -14,6 +14,7 @@ use feedwright_store::{
 use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
 
 /// Tells a story to each engine: `stories!(name, name, …)` makes a test per engine of each function.
 macro_rules! stories {
@@ -258,6 +259,13 @@ impl Given {
 }
 
 /// The clock of the stories: 2026-01-05T08:00:00Z and so many seconds.
+/// Claims an entry of the quarantine and settles it; `false` where either cannot be.
+pub(crate) async fn settle(store: &dyn Store, id: &str, how: &str, now: Timestamp) -> bool {
+    let lease = Duration::from_secs(60);
+    store.claim_quarantine(id, "a server", lease, now).await.unwrap()
+        && store.settle_quarantine(id, "a server", how, &engineer(), now).await.unwrap()
+}
+
 pub(crate) const fn at(seconds: i64) -> Timestamp {
     Timestamp::from_micros((1_767_600_000 + seconds) * 1_000_000)
 }

@@ -20,6 +20,48 @@ async fn replica_at(address: &str) -> Arc<dyn Store> {
     Arc::new(PostgresStore::open(address, PostgresOptions::default()).await.expect("a replica opens"))
 }
 
+/// A line is numbered before it is committed: one that takes long stands before those that were committed meanwhile.
+#[tokio::test]
+async fn who_reads_the_audit_is_shown_a_line_that_was_committed_late() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let (slow, quick) = (replica(&given).await, given.store());
+    let subjects = async |after| -> (Vec<String>, Option<i64>) {
+        let lines = quick.audit(Page { after, limit: 9 }).await.unwrap();
+        let last = lines.last().map(|line| line.id).or(after);
+        (lines.into_iter().map(|line| line.subject).collect(), last)
+    };
+    let put = async |store: &dyn Store, id| {
+        store.put_machine(machine(id), Precondition::Absent, &engineer(), at(1)).await.unwrap()
+    };
+    put(&*quick, "M1").await;
+    let (told, last) = subjects(None).await;
+    assert_eq!(told, ["machine/M1"]);
+
+    // A new tool is judged by its cycles after its line is written, which waits for these.
+    let mut held = PgConnection::connect(&given.address()).await.unwrap();
+    held.execute("BEGIN; LOCK TABLE tool_wear IN ACCESS EXCLUSIVE MODE").await.unwrap();
+    let registered = tokio::spawn(async move {
+        slow.put_tool(tool("T1"), Precondition::Absent, &engineer(), at(2)).await.unwrap()
+    });
+    // Until it waits there it may not have its number.
+    const WAITS: &str =
+        "SELECT COUNT(*) > 0 FROM pg_locks WHERE relation = 'tool_wear'::REGCLASS AND NOT granted";
+    while !sqlx::query_scalar::<_, bool>(WAITS).fetch_one(&mut held).await.unwrap() {
+        tokio::task::yield_now().await;
+    }
+    put(&*quick, "M2").await;
+    assert_eq!(subjects(last).await, (vec![], last), "a line before that of M2 is open");
+    let newest = quick.newest_audit(Page { after: None, limit: 1 }).await.unwrap();
+    assert_eq!(newest[0].subject, "machine/M2", "it is committed");
+    held.execute("ROLLBACK").await.unwrap();
+    registered.await.unwrap();
+    assert_eq!(subjects(last).await.0, ["tool/T1", "machine/M2"]);
+    held.close().await.unwrap();
+    given.done().await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn the_same_cycles_to_three_servers_count_once() {
     three_servers_take_the_same_cycles("").await;

@@ -1,13 +1,16 @@
 //! Quarantine, tokens and the audit: bounded, hashed, append-only; and what the tables themselves refuse.
 
-use super::given::{Given, Run, at, engineer, shop, stored, stories};
+use super::given::{Given, Run, at, engineer, settle, shop, stored, stories};
 use feedwright_store::{
     AlarmFilter, Page, QuarantineBounds, QuarantineEntry, Role, Store, StoreError, TokenRecord,
 };
 use std::sync::Arc;
+use std::time::Duration;
 
 stories!(
     the_quarantine_is_bounded_and_keeps_a_body_once,
+    of_two_who_settle_an_entry_one_does,
+    who_lists_the_quarantine_goes_on_behind_what_was_kept_last,
     a_token_is_known_by_its_hash_until_revoked,
     of_servers_that_begin_together_one_makes_the_first_token,
 );
@@ -80,9 +83,9 @@ async fn the_quarantine_is_bounded_and_keeps_a_body_once(store: Arc<dyn Store>) 
         let found = store.quarantined(Some(&machine), open, page).await.unwrap();
         found.into_iter().map(|entry| entry.id).collect()
     };
-    assert!(store.settle_quarantine("q1", "re-ingested", &engineer(), at(9)).await.unwrap());
-    assert!(!store.settle_quarantine("q1", "again", &engineer(), at(10)).await.unwrap());
-    assert!(!store.settle_quarantine("q9", "never there", &engineer(), at(10)).await.unwrap());
+    assert!(settle(&*store, "q1", "re-ingested", at(9)).await);
+    assert!(!settle(&*store, "q1", "again", at(10)).await);
+    assert!(!settle(&*store, "q9", "never there", at(10)).await);
     assert_eq!(ids(true, None).await, ["q3", "q4"]);
     assert_eq!(ids(false, Some("q1")).await, ["q3", "q4"]);
     assert_eq!(ids(false, None).await, ["q1", "q3", "q4"]);
@@ -90,13 +93,55 @@ async fn the_quarantine_is_bounded_and_keeps_a_body_once(store: Arc<dyn Store>) 
     assert_eq!(settled, Some((at(9), "re-ingested".to_owned())));
     assert_eq!(keep("q7", None, b"other").await.unwrap(), "q7", "there is room again");
     for id in ["q3", "q4", "q7"] {
-        assert!(store.settle_quarantine(id, "discarded", &engineer(), at(11)).await.unwrap());
+        assert!(settle(&*store, id, "discarded", at(11)).await);
     }
     assert_eq!(store.alarms(&open_alarms, Page { after: None, limit: 9 }).await.unwrap(), []);
 
     let bytes = QuarantineBounds { entries: 100, bytes: 4 };
     let full = store.quarantine(entry("q8", None), vec![7; 100], bytes).await;
     assert!(matches!(full, Err(StoreError::Full { .. })), "{full:?}");
+}
+
+async fn of_two_who_settle_an_entry_one_does(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let bounds = QuarantineBounds { entries: 9, bytes: 10_000 };
+    store.quarantine(entry("q1", Some("c1")), vec![1], bounds).await.unwrap();
+    let now = at(9);
+    let claim = async |holder: &str| {
+        store.claim_quarantine("q1", holder, Duration::from_secs(60), now).await.unwrap()
+    };
+    let settle =
+        async |holder: &str| store.settle_quarantine("q1", holder, "why", &engineer(), now).await.unwrap();
+    assert!(!settle("one").await, "nobody has claimed it");
+    assert!(claim("one").await && claim("one").await, "one's own goes on");
+    assert!(!claim("two").await && !settle("two").await);
+    store.release_quarantine("q1", "two").await.unwrap();
+    assert!(!claim("two").await, "it is not that one's");
+    store.release_quarantine("q1", "one").await.unwrap();
+    assert!(claim("two").await && !settle("one").await);
+    // It ended: its claim ends by itself. A database that several servers share goes by its own clock.
+    assert!(store.claim_quarantine("q1", "two", Duration::ZERO, now).await.unwrap());
+    assert!(claim("three").await && !settle("two").await && settle("three").await);
+    assert!(!claim("one").await && !claim("three").await && !settle("three").await, "it is settled");
+    assert!(!store.claim_quarantine("q9", "one", Duration::from_secs(60), now).await.unwrap());
+}
+
+/// What was received first may be kept last.
+async fn who_lists_the_quarantine_goes_on_behind_what_was_kept_last(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let bounds = QuarantineBounds { entries: 9, bytes: 10_000 };
+    let ids = ["0192", "0193", "0191"].map(|first| format!("{first}0000-0000-7000-8000-00000000ffff"));
+    let mut kept = Vec::new();
+    for (n, id) in ids.iter().enumerate() {
+        let entry = entry(id, Some(&format!("c{n}")));
+        kept.push(store.quarantine(entry, vec![1], bounds).await.unwrap());
+        let page = Page { after: kept.iter().rev().nth(1).cloned(), limit: 9 };
+        let listed = store.quarantined(None, true, page).await.unwrap();
+        assert_eq!(listed.iter().map(|entry| &entry.id).collect::<Vec<_>>(), [&kept[n]]);
+        assert_eq!(store.quarantine_entry(&kept[n]).await.unwrap().unwrap().1, Some(vec![1]));
+    }
+    assert_eq!(kept[..2], ids[..2]);
+    assert_eq!(kept[2], "01930000-0000-7000-8000-000000010000");
 }
 
 async fn a_token_is_known_by_its_hash_until_revoked(store: Arc<dyn Store>) {

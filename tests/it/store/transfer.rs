@@ -2,7 +2,7 @@
 
 use super::feed_profiles::{self, activated};
 use super::given::{
-    Given, Run, WRONG_INDEX, at, commit, engineer, event, machine, new_cycle, shop, stored, watched,
+    Given, Run, WRONG_INDEX, at, commit, engineer, event, machine, new_cycle, settle, shop, stored, watched,
 };
 use feedwright_core::cycle::{Cycle, CycleDraft};
 use feedwright_core::recommend::RecommendSettings;
@@ -392,7 +392,7 @@ async fn week(store: &dyn Store) {
     let before = events.iter().find(|told| told.event.at == at(80 * 60)).unwrap();
     assert_eq!(before.revoked, None);
     store.revoke_tool_event(&tool, before.id, &who, at(9501)).await.unwrap().unwrap();
-    assert!(store.settle_quarantine("q1", "discarded", &who, at(9502)).await.unwrap());
+    assert!(settle(store, "q1", "discarded", at(9502)).await);
     for alarm in store.alarms(&Default::default(), Page { after: None, limit: 99 }).await.unwrap() {
         store.acknowledge_alarm(alarm.id, &who, at(9503)).await.unwrap();
     }

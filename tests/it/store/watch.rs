@@ -1,6 +1,6 @@
 //! The watch: who is silent, how full the quarantine is, and what Grafana reads.
 
-use super::given::{Given, Run, at, engineer, machine, new_cycle, operation, shop, stored, stories};
+use super::given::{Given, Run, at, engineer, machine, new_cycle, operation, settle, shop, stored, stories};
 use feedwright_core::cycle::{Channel, Cycle, CycleDraft, Samples, TimeBase};
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::RecommendSettings;
@@ -219,7 +219,7 @@ async fn a_quarantine_that_fills_up_alarms_before_it_is_full(store: Arc<dyn Stor
     assert_eq!(of_shop(at(30)).await.len(), 1);
     for n in 0..2 {
         let id = format!("q{n}");
-        assert!(store.settle_quarantine(&id, "discarded", &engineer(), at(40)).await.unwrap());
+        assert!(settle(&*store, &id, "discarded", at(40)).await);
     }
     let of_machine = open(&*store).await.iter().filter(|alarm| alarm.machine.is_some()).count();
     assert_eq!(of_machine, 1, "the machine's own stays while entries of it wait");

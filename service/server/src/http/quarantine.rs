@@ -16,6 +16,7 @@ use bytes::Bytes;
 use feedwright_core::ids::MachineId;
 use feedwright_store::{Actor, QuarantineEntry};
 use http::{StatusCode, header};
+use std::time::Duration;
 
 /// Lists what could not be accepted, oldest first; what is settled only where it is asked for.
 #[utoipa::path(get, path = "/v1/quarantine", tag = "quarantine", params(QuarantineQuery),
@@ -87,19 +88,47 @@ pub(super) async fn settle(
     state.lifecycle.spawn(task).await.map_err(|error| Problem::internal(error.to_string()))?.map(axum::Json)
 }
 
+/// So long an entry is one server's that settles it: longer than a commit is waited for.
+const CLAIM: Duration = Duration::from_secs(60);
+
 async fn settle_alone(
     state: &AppState,
     id: String,
     body: SettleBody,
     actor: Actor,
 ) -> Result<Settled, Problem> {
-    // One at a time: of two repairs of an entry that come together, both would be stored, and one told that it was not.
+    // One at a time, at this server and at those that share its database: of two repairs of an entry that come together, both would be
+    // stored, and one told that it was not.
     let _settling = state.intake.settling().await?;
-    let found = state.store.quarantine_entry(&id).await?;
-    let (entry, kept) = found.ok_or_else(|| Problem::not_found("quarantine entry", &id))?;
-    if entry.settled.is_some() {
+    let (own, claimed, now) = (state.streams.holder().to_owned(), id.clone(), state.clock.now());
+    let is_ours =
+        state.commit(|store| async move { store.claim_quarantine(&claimed, &own, CLAIM, now).await }).await?;
+    let found = entry(state, &id).await?;
+    if found.0.settled.is_some() {
         return Err(already_settled());
     }
+    if !is_ours {
+        return Err(Problem::unavailable("settling", "another server settles the entry", 5));
+    }
+    let settled = settle_claimed(state, &id, found, body, actor).await;
+    if settled.is_err() {
+        // Where it was settled none is left.
+        let own = state.streams.holder().to_owned();
+        let released = state.commit(|store| async move { store.release_quarantine(&id, &own).await }).await;
+        if let Err(error) = released {
+            tracing::debug!(%error, "the claim on an entry could not be given up; it ends by itself");
+        }
+    }
+    settled
+}
+
+async fn settle_claimed(
+    state: &AppState,
+    id: &str,
+    (entry, kept): (QuarantineEntry, Option<Vec<u8>>),
+    body: SettleBody,
+    actor: Actor,
+) -> Result<Settled, Problem> {
     let (how, answer) = match body.action {
         QuarantineAction::Discard => (format!("discarded: {}", body.reason), None),
         QuarantineAction::Reingest => {
@@ -119,12 +148,12 @@ async fn settle_alone(
         }
     };
     // A crash before this line leaves an entry open whose cycle is stored: settling it again finds it known.
-    let now = state.clock.now();
-    let (settled, told) = (id.clone(), how.clone());
+    let (now, own) = (state.clock.now(), state.streams.holder().to_owned());
+    let (settled, told) = (id.to_owned(), how.clone());
     let settle = state
-        .commit(|store| async move { store.settle_quarantine(&settled, &told, &actor, now).await })
+        .commit(|store| async move { store.settle_quarantine(&settled, &own, &told, &actor, now).await })
         .await?;
-    if settle { Ok(Settled { id, how, answer }) } else { Err(already_settled()) }
+    if settle { Ok(Settled { id: id.to_owned(), how, answer }) } else { Err(already_settled()) }
 }
 
 fn damaged() -> Problem {

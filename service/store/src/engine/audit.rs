@@ -1,6 +1,6 @@
 //! The audit: lines are added in the transaction of what they tell of.
 
-use super::{Conn, Db};
+use super::{Conn, Db, dialect};
 use crate::error::StoreResult;
 use crate::record::{Actor, AuditEntry, Page, PutOutcome, RowNumber};
 use crate::rows::AuditRow;
@@ -16,6 +16,7 @@ pub(super) async fn add(
     subject: String,
     detail: &Value,
 ) -> StoreResult<()> {
+    dialect::begin_audit_line(conn).await?;
     sqlx::query::<Db>(
         "INSERT INTO audit (at_us, actor, role, action, subject, detail) VALUES ($1, $2, $3, $4, $5, $6)",
     )
@@ -45,12 +46,19 @@ pub(super) fn change(before: Option<&Value>, after: &Value, outcome: PutOutcome)
     json!({ "version": version, "changed": changed })
 }
 
-pub(super) async fn list(conn: &mut Conn, page: &Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {
+/// Oldest line first, up to `last`: those behind it may have lines before them that are not committed yet, which whoever goes on behind
+/// them would never be shown.
+pub(super) async fn list(
+    conn: &mut Conn,
+    page: &Page<RowNumber>,
+    last: RowNumber,
+) -> StoreResult<Vec<AuditEntry>> {
     let rows: Vec<AuditRow> = sqlx::query_as::<Db, _>(
         "SELECT audit_id, at_us, actor, role, action, subject, detail FROM audit
-         WHERE audit_id > $1 ORDER BY audit_id LIMIT $2",
+         WHERE audit_id > $1 AND audit_id <= $2 ORDER BY audit_id LIMIT $3",
     )
     .bind(page.after.unwrap_or(i64::MIN))
+    .bind(last)
     .bind(i64::from(page.limit))
     .fetch_all(&mut *conn)
     .await?;

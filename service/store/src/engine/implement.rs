@@ -835,19 +835,41 @@ impl Store for Engine {
         read!(self, |conn| quarantine::get(conn, id).await)
     }
 
+    async fn claim_quarantine(
+        &self,
+        id: &str,
+        holder: &str,
+        lease: Duration,
+        now: Timestamp,
+    ) -> StoreResult<bool> {
+        let (engine, id, holder) = (self.clone(), id.to_owned(), holder.to_owned());
+        write!(self, |conn| {
+            let now = engine.common_time(conn, now).await?;
+            quarantine::claim(conn, &id, &holder, (now, lease)).await
+        })
+    }
+
+    async fn release_quarantine(&self, id: &str, holder: &str) -> StoreResult<()> {
+        let (id, holder) = (id.to_owned(), holder.to_owned());
+        write!(self, |conn| quarantine::release(conn, &id, &holder).await.map(drop))
+    }
+
     async fn settle_quarantine(
         &self,
         id: &str,
+        holder: &str,
         how: &str,
         actor: &Actor,
         now: Timestamp,
     ) -> StoreResult<bool> {
-        let (id, how, actor) = (id.to_owned(), how.to_owned(), actor.clone());
-        write!(self, |conn| quarantine::settle(conn, &id, &how, &actor, now).await)
+        let (id, holder, how, actor) = (id.to_owned(), holder.to_owned(), how.to_owned(), actor.clone());
+        write!(self, |conn| quarantine::settle(conn, (&id, &holder), &how, &actor, now).await)
     }
 
     async fn audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {
-        read!(self, |conn| audit::list(conn, &page).await)
+        // By itself, before what is listed is looked up: what was open then is left for the next page.
+        let last = read!(self, |conn| dialect::last_audit_line(conn).await)?;
+        read!(self, |conn| audit::list(conn, &page, last).await)
     }
 
     async fn newest_audit(&self, page: Page<RowNumber>) -> StoreResult<Vec<AuditEntry>> {

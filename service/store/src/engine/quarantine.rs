@@ -8,6 +8,7 @@ use crate::rows::{QuarantineRow, count, number};
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
 use serde_json::json;
+use std::time::Duration;
 
 /// Bodies are written once and read by people.
 const LEVEL: i32 = 3;
@@ -83,12 +84,13 @@ pub(super) async fn add(
     if entries >= bounds.entries || bytes.saturating_add(packed.body.len() as u64) > bounds.bytes {
         return Err(StoreError::Full { what: "the quarantine" });
     }
+    let id = behind_all(conn, &entry.id).await?;
     sqlx::query::<Db>(
         "INSERT INTO quarantine (quarantine_id, machine_id, cycle_id, received_at_us, code, problem, content_type,
              size, stored_bytes, body, body_hash)
          VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)",
     )
-    .bind(&entry.id)
+    .bind(&id)
     .bind(entry.machine.as_str())
     .bind(&entry.cycle)
     .bind(entry.received_at.micros())
@@ -104,7 +106,22 @@ pub(super) async fn add(
     let message = format!("machine {}: data that could not be accepted waits in quarantine", entry.machine);
     alarms::raise(conn, AlarmKind::Quarantine, Some(&entry.machine), None, &message, entry.received_at)
         .await?;
-    Ok(entry.id.clone())
+    Ok(id)
+}
+
+/// The id under which an entry is kept: the one that it came with, or the next behind all that are kept. Ids are made when bodies come,
+/// and whoever lists goes on behind the last one that was shown: what was committed later under an id before it would never be.
+async fn behind_all(conn: &mut Conn, id: &str) -> StoreResult<String> {
+    let newest: Option<String> = sqlx::query_scalar::<Db, _>("SELECT MAX(quarantine_id) FROM quarantine")
+        .fetch_one(&mut *conn)
+        .await?;
+    let Some(newest) = newest.filter(|newest| newest.as_str() >= id) else {
+        return Ok(id.to_owned());
+    };
+    // Of what is no such id nothing comes next.
+    let next =
+        uuid::Uuid::parse_str(&newest).map(|newest| uuid::Uuid::from_u128(newest.as_u128() + 1).to_string());
+    Ok(next.unwrap_or_else(|_| id.to_owned()))
 }
 
 pub(super) async fn list(
@@ -186,14 +203,55 @@ pub(super) async fn damaged(conn: &mut Conn, most: i64) -> StoreResult<Vec<Strin
     Ok(damaged)
 }
 
-pub(super) async fn settle(
+/// Claims an entry, where it is not settled and nobody else has claimed it; what would end later than `lease` was written by a clock that
+/// was ahead.
+pub(super) async fn claim(
     conn: &mut Conn,
     id: &str,
+    holder: &str,
+    (now, lease): (Timestamp, Duration),
+) -> StoreResult<bool> {
+    // Whoever settles it holds this until that is committed.
+    dialect::lock(conn, &Locks::subject("quarantine", "")).await?;
+    let lease_us = i64::try_from(lease.as_micros()).unwrap_or(i64::MAX);
+    let claimed = sqlx::query::<Db>(
+        "INSERT INTO quarantine_claims (quarantine_id, holder, expires_at_us)
+         SELECT quarantine_id, $2, $3 FROM quarantine WHERE quarantine_id = $1 AND settled_at_us IS NULL
+         ON CONFLICT (quarantine_id) DO UPDATE SET holder = excluded.holder, expires_at_us = excluded.expires_at_us
+         WHERE quarantine_claims.holder = $2 OR quarantine_claims.expires_at_us <= $4
+             OR quarantine_claims.expires_at_us > $3",
+    )
+    .bind(id)
+    .bind(holder)
+    .bind(now.micros().saturating_add(lease_us))
+    .bind(now.micros())
+    .execute(&mut *conn)
+    .await?;
+    Ok(claimed.rows_affected() == 1)
+}
+
+/// Gives up a claim of this holder's; whether it had one.
+pub(super) async fn release(conn: &mut Conn, id: &str, holder: &str) -> StoreResult<bool> {
+    let released =
+        sqlx::query::<Db>("DELETE FROM quarantine_claims WHERE quarantine_id = $1 AND holder = $2")
+            .bind(id)
+            .bind(holder)
+            .execute(&mut *conn)
+            .await?;
+    Ok(released.rows_affected() == 1)
+}
+
+pub(super) async fn settle(
+    conn: &mut Conn,
+    (id, holder): (&str, &str),
     how: &str,
     actor: &Actor,
     now: Timestamp,
 ) -> StoreResult<bool> {
     dialect::lock(conn, &Locks::subject("quarantine", "")).await?;
+    if !release(conn, id, holder).await? {
+        return Ok(false);
+    }
     let machine: Option<String> = sqlx::query_scalar::<Db, _>(
         "UPDATE quarantine SET settled_at_us = $2, settled_how = $3
          WHERE quarantine_id = $1 AND settled_at_us IS NULL RETURNING machine_id",

@@ -11,7 +11,7 @@ pub(crate) use schema::is_ours;
 use super::{Conn, Writer};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
-use crate::record::StoreFault;
+use crate::record::{RowNumber, StoreFault};
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
 use std::fmt::Write;
@@ -204,6 +204,33 @@ pub(super) fn locking(locks: &Locks) -> String {
         }
     }
     sql
+}
+
+/// Says, until the transaction ends, that it adds a line to the audit whose number is above all that are seen now. It keeps nobody out:
+/// lines are numbered in the order in which they are drawn, and seen in that in which they are committed.
+pub(super) async fn begin_audit_line(conn: &mut Conn) -> StoreResult<()> {
+    sqlx::query(
+        "SELECT pg_advisory_xact_lock_shared('audit'::REGCLASS::OID::INTEGER,
+             LEAST((SELECT COALESCE(MAX(audit_id), 0) FROM audit), 2147483647)::INTEGER)",
+    )
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
+/// The last line of the audit before which none is open: what is committed up to it is all that there will be.
+pub(super) async fn last_audit_line(conn: &mut Conn) -> StoreResult<RowNumber> {
+    // In this order: whatever has a number up to this one has drawn it, and says so or is committed when it is asked next.
+    let seen: i64 =
+        sqlx::query_scalar("SELECT COALESCE(MAX(audit_id), 0) FROM audit").fetch_one(&mut *conn).await?;
+    let open: Option<i64> = sqlx::query_scalar(
+        "SELECT MIN(objid::BIGINT) FROM pg_locks WHERE locktype = 'advisory' AND objsubid = 2
+             AND classid = 'audit'::REGCLASS::OID
+             AND database = (SELECT oid FROM pg_database WHERE datname = current_database())",
+    )
+    .fetch_one(&mut *conn)
+    .await?;
+    Ok(open.map_or(seen, |before| before.min(seen)))
 }
 
 /// A tool's caches. The tool's name is locked by then: rows of several machines stand on several nodes where the

@@ -17,6 +17,7 @@ pub(super) use samples::{BLOCK, PACK, block, block_as_told, block_of, packs, str
 use super::{Conn, Writer};
 use crate::error::StoreResult;
 use crate::locks::Locks;
+use crate::record::RowNumber;
 use crate::sqlite::recommendation_id;
 use feedwright_core::units::Timestamp;
 
@@ -62,6 +63,18 @@ pub(super) async fn keep_partitions(_conn: &mut Conn) -> Result<(), sqlx::Error>
 #[expect(clippy::unused_async, reason = "the other engine asks its server")]
 pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
     Ok(())
+}
+
+/// One writer commits one line behind the other.
+#[expect(clippy::unused_async, reason = "the other engine asks its server")]
+pub(super) async fn begin_audit_line(_conn: &mut Conn) -> StoreResult<()> {
+    Ok(())
+}
+
+/// As [`begin_audit_line`].
+#[expect(clippy::unused_async, reason = "the other engine asks its server")]
+pub(super) async fn last_audit_line(_conn: &mut Conn) -> StoreResult<RowNumber> {
+    Ok(RowNumber::MAX)
 }
 
 /// A tool's caches, inside a transaction that nobody else writes beside.

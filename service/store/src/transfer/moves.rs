@@ -61,11 +61,12 @@ fn kind(table: &str) -> Kind {
         "quarantine" => Kind::Filled(&["settled_at_us", "settled_how"]),
         "tokens" => Kind::Filled(&["revoked_at_us"]),
         "tool_events" => Kind::Filled(&["revoked_at_us", "revoked_by"]),
-        // Folds are caches, leases and sessions end, decisions of a day are put together.
+        // Folds are caches, leases, claims and sessions end, decisions of a day are put together.
         "tool_wear"
         | "tool_wear_checkpoints"
         | "tool_checkpoints"
         | "stream_leases"
+        | "quarantine_claims"
         | "sessions"
         | "sample_drops" => Kind::Anyhow,
         "cycle_samples" => Kind::Dropped,
