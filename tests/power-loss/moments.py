@@ -40,6 +40,7 @@ def by_sort(recording, exchanges):
         "the journal is made": begun(operations("make", path=JOURNAL) + making),
         "a record of the journal": begun(records),
         "a sync of the journal": nearly_ended(operations("sync", path=JOURNAL)),
+        "a later record of the journal": begun(operation for operation in records if operation.offset > FIRST_RECORD),
         "the journal begins anew": begun(first_records) | {operation.begun for operation in first_records},
         "a write to SQLite's log": begun(operations("write", path=LOG)),
         "a sync of SQLite's log": nearly_ended(operations("sync", path=LOG)),

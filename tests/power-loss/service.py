@@ -46,7 +46,7 @@ class Service:
 
     running = set()
 
-    def __init__(self, binary, folder, trace=None, settings=()):
+    def __init__(self, binary, folder, trace=None, group_size=256):
         self.disk, self.log = os.path.join(folder, "disk"), os.path.join(folder, "server.log")
         self.token_file = os.path.join(self.disk, "first-token")
         self.traced = trace is not None
@@ -54,7 +54,7 @@ class Service:
         command = [
             *(["strace", "-f", "-y", "-xx", "-s", str(1 << 24), "-e", f"trace={','.join(TRACED)}", "-o", trace] if trace else []),
             binary, "--data-dir", os.path.join(self.disk, "data"), "serve", "--listen", "127.0.0.1:0",
-            "--first-token-file", self.token_file, *(word for setting in settings for word in ("--set", setting)),
+            "--first-token-file", self.token_file, "--set", f"limits.group_size={group_size}",
         ]
         with open(self.log, "ab") as log:
             self.process = subprocess.Popen(command, stdout=log, stderr=log)
