@@ -89,12 +89,15 @@ def judge(binary, folder, history, moment, seed):
             faults += folds_stay_behind(disk)
         if (status := service.stop()) != 0:
             faults.append(f"the server's exit status is {status}: {service.said()[-1000:]}")
-    except (OSError, http.client.HTTPException) as error:
-        faults.append(f"the server does not answer: {error!r}")
+    except (OSError, http.client.HTTPException, sqlite3.Error) as error:
+        faults.append(f"the server, or its database, does not answer: {error!r}")
     finally:
         if service in Service.running:
             service.kill()
-    return faults + check(binary, disk) + compare(disk, history, before, known + again)
+    try:
+        return faults + check(binary, disk) + compare(disk, history, before, known + again)
+    except sqlite3.Error as error:
+        return [*faults, f"the database cannot be read: {error!r}"]
 
 
 def check(binary, disk):
