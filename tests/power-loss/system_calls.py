@@ -73,13 +73,16 @@ class Recording:
                 line = line.rstrip(b"\n")
                 pid, _, rest = line.partition(b" ")
                 rest = rest.lstrip()
-                if rest.startswith(b"<... "):
+                if rest.startswith(b"<... ") and pid in unfinished:
                     head, begun, operation = unfinished.pop(pid)
                     self.end(head + rest.split(b"resumed>", 1)[1], begun, operation)
+                elif not CALL.match(line):
+                    # A thread was created, ended, or was killed at the very begin of a call ("???("), which was not carried out then.
+                    continue
                 elif rest.endswith(b"<unfinished ...>"):
                     head = line[: -len(b"<unfinished ...>")]
                     unfinished[pid] = head, self.lines, self.begin(head)
-                elif CALL.match(line):
+                else:
                     self.end(line, self.lines, self.begin(line))
         self.ends.append(self.lines)
         self.settle(unfinished.values(), now)
@@ -92,9 +95,13 @@ class Recording:
                 operation.data = there[operation.offset : operation.offset + len(operation.data)]
                 operation.ended = self.lines
                 self.put(operation)
+                del self.contents[operation.file][len(there) :]
+        self.operations = [operation for operation in self.operations if operation.kind != "write" or operation.data]
         if self.seen() != now:
             for head, begun, _ in unfinished:
-                if CALL.match(head).group(2).decode() in CHANGES:
+                name = CALL.match(head).group(2).decode()
+                # A killed process may have left no text of a path that could be read.
+                if name == "ftruncate" or name in CHANGES and STRING.search(head):
                     self.end(head + b") = 0", begun, None)
         seen = self.seen()
         for path in sorted(seen.keys() | now.keys()):
