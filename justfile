@@ -24,6 +24,10 @@ no-std:
 test *ARGUMENTS:
     tests/run {{ARGUMENTS}}
 
+# Losses of power while machines post; with --seed and --moments, others and more
+power-loss *OPTIONS:
+    tests/power-loss/run {{OPTIONS}}
+
 # The exported program on LinuxCNC itself
 linuxcnc:
     tests/linuxcnc/run
