@@ -26,6 +26,7 @@ from contextlib import closing
 from dataclasses import replace
 
 import disk
+import failing_disk
 import load
 import moments
 from judge import History, compare, content_hashes, judge, samples_differ
@@ -177,6 +178,18 @@ class Story:
             shutil.rmtree(folder)
         print(f"control: {len(DAMAGES)} damages to the database are seen")
 
+    def failing_disk(self):
+        folder = os.path.join(self.folder, "failing-disk")
+        os.makedirs(os.path.join(folder, "disk"))
+        if faults := failing_disk.hold(self.binary, folder, self.seed):
+            self.failed += 1
+            print(f"FAILED: a sync of the database fails; what is left is in {folder}")
+            for fault in faults[:5]:
+                print(f"    {fault}")
+            return
+        print("a server whose database cannot be synced ends, and has lost nothing")
+        shutil.rmtree(folder)
+
     def resting_on(self, ignored):
         """Acknowledgements of cycles that rest on this file: behind the most of its syncs without another file's in between, or late ones."""
         syncs = sorted((operation.ended, operation.path) for operation in self.recording.operations if operation.kind == "sync")
@@ -255,6 +268,7 @@ class Story:
         return recording, History([*earlier, *since, *never], self.history.hashes, self.history.token), early, answers
 
     def run(self, count):
+        self.failing_disk()
         self.record()
         self.damage()
         for ignored, expected in CONTROLS.items():

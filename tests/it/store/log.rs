@@ -34,7 +34,9 @@ async fn a_log_that_was_made_long_is_cut_once_it_is_in_the_file() {
 /// SQLite itself would go on, and everything that it commits would be gone with the process.
 #[tokio::test]
 async fn nothing_is_acknowledged_of_files_that_are_no_longer_there() {
-    for (ending, replaced) in [("sqlite3", false), ("sqlite3-wal", false), ("sqlite3", true)] {
+    for (ending, replaced) in
+        [("sqlite3", false), ("sqlite3-wal", false), ("sqlite3-shm", false), ("sqlite3", true)]
+    {
         let given = Given::sqlite().await;
         let store = given.store();
         shop(&*store).await;

@@ -1,7 +1,9 @@
 //! Moves the write-ahead log into the database file, beside the writer and never in its way.
 
 use super::Conn;
+use super::open::is_full;
 use super::writing::Writing;
+use crate::error::StoreError;
 use sqlx::Connection;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
@@ -75,11 +77,23 @@ async fn run(
                 }
                 long = pages > LONG_WAL_PAGES;
             }
-            Err(error) => tracing::warn!(%error, "checkpoint failed"),
+            Err(error) => failed(error, &writing),
         }
     }
     if let Err(error) = conn.close().await {
         tracing::warn!(%error, "checkpoint connection did not close cleanly");
+    }
+}
+
+/// A checkpoint is not tried again whose disk has failed: SQLite counts pages as moved before they are synced where a commit came
+/// meanwhile, the system tells of one that it could not write by the next sync alone, and the one after that would have the log begun
+/// anew, which holds that page alone. A full disk has refused a write, which nothing counts on.
+fn failed(error: sqlx::Error, writing: &Weak<Writing>) {
+    let is_full = is_full(&error);
+    let error = StoreError::from(error);
+    tracing::warn!(%error, "checkpoint failed");
+    if let Some(writing) = writing.upgrade().filter(|_| !is_full) {
+        writing.heed(&Err::<(), _>(error));
     }
 }
 

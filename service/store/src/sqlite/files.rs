@@ -34,6 +34,9 @@ impl Identity {
 
 /// How the name of SQLite's log ends.
 const LOG: &str = "-wal";
+/// How that of the index to the log ends, by which its processes keep out of each other's way: where it is removed, another process makes
+/// one of its own, and both write.
+const INDEX: &str = "-shm";
 
 /// The file whose name is another one's with something behind it.
 pub(crate) fn beside(file: &Path, end: &str) -> PathBuf {
@@ -51,17 +54,20 @@ pub(crate) fn by_name(file: &Path) -> Cow<'_, Path> {
     file.into()
 }
 
-/// The database's file and its log, as they were when they were opened.
+/// The database's file, its log and the index to that, as they were when they were opened.
 #[derive(Debug)]
-pub(super) struct Files([(PathBuf, Identity); 2]);
+pub(super) struct Files([(PathBuf, Identity); 3]);
 
 impl Files {
     /// Of a database that is open, and has its log; `found` is the file before the first of its connections was.
     pub(super) fn of(path: &Path, found: Identity) -> StoreResult<Self> {
         // SQLite follows a link, and keeps its log beside what the link leads to.
-        let log = beside(&path.canonicalize().map_err(|error| missing(path, &error))?, LOG);
-        let opened = Identity::of(&log)?;
-        let files = Self([(path.to_owned(), found), (log, opened)]);
+        let leads_to = path.canonicalize().map_err(|error| missing(path, &error))?;
+        let opened = |end| {
+            let beside = beside(&leads_to, end);
+            Identity::of(&beside).map(|identity| (beside, identity))
+        };
+        let files = Self([(path.to_owned(), found), opened(LOG)?, opened(INDEX)?]);
         files.are_there()?;
         Ok(files)
     }

@@ -168,7 +168,7 @@ impl SqliteStore {
 }
 
 /// Whether a write found no room on the disk (`SQLITE_FULL`).
-fn is_full(error: &sqlx::Error) -> bool {
+pub(super) fn is_full(error: &sqlx::Error) -> bool {
     const FULL: i32 = 13;
     let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code);
     code.and_then(|code| code.parse::<i32>().ok()).is_some_and(|code| code & 0xff == FULL)

@@ -293,7 +293,7 @@ impl Writing {
         }
     }
 
-    fn heed<T>(&self, outcome: &StoreResult<T>) {
+    pub(super) fn heed<T>(&self, outcome: &StoreResult<T>) {
         if let Err(StoreError::NotWritable(error)) = outcome {
             tracing::error!(%error, "sqlite refuses writes, nothing is acknowledged any more");
             // The first reason stays.
@@ -301,10 +301,16 @@ impl Writing {
         }
     }
 
-    /// Commits and closes. Closing the last connection folds the log into the file.
+    /// Commits and closes. Closing the last connection folds the log into the file, but for where a write was refused: what is missing of
+    /// the file may be in the log alone then, and whoever opens the database next moves all of it again.
     pub(super) async fn close(&self) {
         let Some(writer) = self.writer.lock().await.take() else { return };
-        let may_commit = self.is_refused().and_then(|()| self.files.are_there()).is_ok();
+        if self.is_refused().is_err() {
+            // As long as it is open no other connection is the last one. The process ends.
+            Box::leak(Box::new(writer));
+            return;
+        }
+        let may_commit = self.files.are_there().is_ok();
         if let Err(error) = writer.close(may_commit).await {
             tracing::warn!(%error, "sqlite did not close cleanly");
         }
