@@ -9,6 +9,8 @@ use axum::Json;
 use axum::extract::State;
 
 /// Lists the audit, oldest line first, or newest first where that is asked for.
+///
+/// Oldest first it ends before a line that is not committed yet: whoever goes on by its cursors is shown every line.
 #[utoipa::path(get, path = "/v1/audit", tag = "audit", params(AuditQuery),
     responses((status = 200, body = List<AuditView>)))]
 pub(super) async fn list(
