@@ -11,6 +11,7 @@ crate::engines::on_both!(
     unknown_paths_and_methods_are_told_as_problems,
     a_body_that_is_told_not_to_be_compressed_is_read,
     what_is_said_once_is_believed_only_where_it_is_said_once,
+    a_query_that_is_no_text_is_refused,
     a_body_is_refused_for_its_type_its_size_or_its_form,
     a_body_that_does_not_tell_its_length_has_the_same_bounds,
     each_bad_field_is_named_by_its_path,
@@ -147,6 +148,38 @@ async fn what_is_said_once_is_believed_only_where_it_is_said_once() {
     let preferred = [("prefer", "wait=10"), ("prefer", "return=minimal")];
     let posted = ask("POST", "/v1/machines/M1/cycles", &[put.as_slice(), &preferred].concat(), cycle).await;
     assert_eq!((posted.status, posted.header("preference-applied")), (StatusCode::CREATED, "return=minimal"));
+}
+
+async fn a_query_that_is_no_text_is_refused() {
+    let app = App::registered().await;
+    let told = async |query: &str| {
+        let answer = app.get(&format!("/v1/{query}")).await;
+        let code = if answer.status == StatusCode::OK { String::new() } else { answer.code() };
+        (answer.status.as_u16(), code, answer)
+    };
+    for query in [
+        "feed-profiles?tool_type=%ff",
+        "feed-profiles?limit=5&tool_type=a%C3",
+        "feed-profiles?tool_type=%c3+%a9",
+        "feed-profiles?tool_type=%c3&limit=%a9",
+        "feed-profiles?tool_type=%ed%a0%80",
+    ] {
+        let (status, code, answer) = told(query).await;
+        assert_eq!((status, code.as_str()), (400, "invalid_query"), "{query}");
+        assert_eq!(answer.errors(), [("tool_type".to_owned(), "invalid_value".to_owned())], "{query}");
+        assert!(answer.json()["detail"].as_str().unwrap().contains("UTF-8"), "{answer:?}");
+    }
+    for query in ["feed-profiles?%ff=a", "feed-profiles?%ff"] {
+        let (status, code, answer) = told(query).await;
+        assert_eq!((status, code.as_str()), (400, "invalid_query"), "{query}");
+        assert!(answer.json()["detail"].as_str().unwrap().contains("UTF-8"), "{answer:?}");
+    }
+    // Whoever asks for that very character gets it, and what is no escape is no escape.
+    for query in
+        ["feed-profiles?tool_type=%ef%bf%bd", "feed-profiles?tool_type=%C3%A9", "feed-profiles?tool_type=%zz"]
+    {
+        assert_eq!(told(query).await.0, 200, "{query}");
+    }
 }
 
 async fn a_body_is_refused_for_its_type_its_size_or_its_form() {
