@@ -138,6 +138,10 @@ def kubernetes():
     backend = kinds["Ingress"]["spec"]["rules"][0]["http"]["paths"][0]["backend"]["service"]["name"]
     expect(backend == kinds["Service"]["metadata"]["name"], "Kubernetes: the Ingress reaches no Service")
     expect(kinds["Deployment"]["spec"]["replicas"] > 1, "Kubernetes: one replica has no rolling upgrade")
+    # A job is its replica's (docs/operations.md).
+    expect(kinds["Service"]["spec"].get("sessionAffinity") == "ClientIP", "Kubernetes: the Service sends a client anywhere")
+    annotations = kinds["Ingress"]["metadata"]["annotations"]
+    expect("nginx.ingress.kubernetes.io/upstream-hash-by" in annotations, "Kubernetes: the Ingress sends a client anywhere")
     environment = {entry["name"]: entry.get("value") for entry in container["env"]}
     listen = environment["FEEDWRIGHT__METRICS__LISTEN"]
     expect(listen.endswith(f":{ports['metrics']}"), "Kubernetes: the metrics' port is another one")

@@ -14,6 +14,7 @@ pub mod edge;
 pub mod export;
 pub mod extract;
 pub mod negotiate;
+pub(crate) mod once;
 pub mod openapi;
 pub mod precondition;
 pub mod prefer;

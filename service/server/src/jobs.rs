@@ -2,7 +2,8 @@
 //! they were asked.
 //!
 //! A job belongs to its question: whoever asks the same gets the same job, and its result for as long as it is kept.
-//! Nothing survives a restart, since everything can be computed again. What is computed does not belong here.
+//! Nothing survives a restart, nor is told to other servers, since everything can be computed again. What is computed does not
+//! belong here.
 
 use crate::http::problem::Problem;
 use crate::lifecycle::Lifecycle;

@@ -5,6 +5,7 @@
 //! have spans of their own. The log line of a request then carries the trace's id.
 
 use crate::config::{LogConfig, LogFormat, TracesConfig};
+use crate::http::once::{Repeated, once};
 use crate::tls;
 use async_trait::async_trait;
 use bytes::Bytes;
@@ -130,8 +131,13 @@ impl HttpClient for Sender {
 
 /// Makes the span of a request a server's span of the trace that its headers name. The log line learns the trace's id.
 pub(crate) fn adopt(span: &Span, method: &str, route: &str, headers: &HeaderMap) {
-    let remote =
-        TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers));
+    // Of several parents none is taken (W3C Trace Context, section 3.2): a trace of its own.
+    let remote = match once(headers, "traceparent") {
+        Ok(_) => {
+            TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers))
+        }
+        Err(Repeated) => Context::new(),
+    };
     if remote.span().span_context().is_valid() {
         // Fails where no traces are sent; then there is nothing to adopt.
         let _ = span.set_parent(remote);

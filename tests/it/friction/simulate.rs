@@ -61,6 +61,8 @@ async fn samples_wear_and_a_law_are_taken_and_a_seed_repeats() {
     assert!((number(&body["comparison"][0]["energy_j"]) / 2178.0 - 1.0).abs() < 0.08, "worn, and with noise");
     let again = shop.post(PATH, &question).await;
     assert_eq!(answer.text, again.text, "the same seed, the same hole");
+    let largest = shop.post(PATH, &json!({"seed": 9_007_199_254_740_991_u64})).await;
+    assert_eq!(largest.status, 200, "{}", largest.text);
     // What is answered as the model may be asked again as it stands.
     let whole = json!({"model": body["model"], "strategy": body["strategy"], "compare": [{"base": "f_const"}], "seed": 7,
                        "limits": {"spindle_percent": 20}});
@@ -112,6 +114,9 @@ async fn what_makes_no_hole_is_refused_by_path() {
             "out_of_range",
         ),
         (json!({"strategy": {"name": ""}}), "strategy.name", "invalid_length"),
+        (json!({"seed": 9_007_199_254_740_992_u64}), "seed", "out_of_range"),
+        (json!({"seed": u64::MAX}), "seed", "out_of_range"),
+        (json!({"seed": 1.0}), "seed", "wrong_type"),
         (json!({"compare": []}), "compare", "empty"),
         (json!({"compare": many}), "compare", "too_many"),
         (json!({"limits": {"spindle_percent": 0}}), "limits.spindle_percent", "out_of_range"),

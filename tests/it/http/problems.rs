@@ -10,6 +10,8 @@ use std::convert::Infallible;
 crate::engines::on_both!(
     unknown_paths_and_methods_are_told_as_problems,
     a_body_that_is_told_not_to_be_compressed_is_read,
+    what_is_said_once_is_believed_only_where_it_is_said_once,
+    a_query_that_is_no_text_is_refused,
     a_body_is_refused_for_its_type_its_size_or_its_form,
     a_body_that_does_not_tell_its_length_has_the_same_bounds,
     each_bad_field_is_named_by_its_path,
@@ -80,6 +82,103 @@ async fn a_body_that_is_told_not_to_be_compressed_is_read() {
         }
         let answer = app.send(request.body(Body::from(machine().to_string())).unwrap()).await;
         assert_eq!(answer.status, status, "{codings:?}: {answer:?}");
+    }
+}
+
+/// A proxy in front may go by the last line where a server goes by the first.
+async fn what_is_said_once_is_believed_only_where_it_is_said_once() {
+    let app = App::registered().await;
+    let (admin, viewer) = (app.token(Role::Admin).to_owned(), app.token(Role::Viewer).to_owned());
+    let ask = async |method: &str, path: &str, lines: &[(&str, &str)], body: &str| {
+        let mut request = Request::builder().method(method).uri(path);
+        for (name, value) in lines {
+            request = request.header(*name, *value);
+        }
+        app.send(request.body(Body::from(body.to_owned())).unwrap()).await
+    };
+    let (admin, viewer) = (format!("Bearer {admin}"), format!("Bearer {viewer}"));
+    for second in [&viewer, &admin, "Basic eDp5", ""] {
+        for lines in [[admin.as_str(), second], [second, &admin]] {
+            let answer = ask("GET", "/v1/machines", &lines.map(|line| ("authorization", line)), "").await;
+            let told = (answer.status, answer.code());
+            assert_eq!(told, (StatusCode::BAD_REQUEST, "token_malformed".to_owned()), "{lines:?}");
+            assert!(answer.header("www-authenticate").contains("invalid_request"), "{answer:?}");
+        }
+    }
+    let metrics = String::from_utf8(app.get("/metrics").await.body).unwrap();
+    assert!(metrics.contains("{reason=\"token_malformed\"} 8\n"), "{metrics}");
+
+    let mut changed = machine();
+    changed["name"] = json!("changed");
+    let changed = changed.to_string();
+    let put = [("authorization", admin.as_str()), ("content-type", "application/json")];
+    for (first, second) in [
+        (("if-match", "\"1\""), ("if-match", "\"2\"")),
+        (("if-match", "\"1\""), ("if-match", "\"1\"")),
+        (("if-none-match", "*"), ("if-none-match", "\"1\"")),
+    ] {
+        let answer =
+            ask("PUT", "/v1/machines/M1", &[put.as_slice(), &[first, second]].concat(), &changed).await;
+        let told = (answer.status, answer.code());
+        assert_eq!(told, (StatusCode::BAD_REQUEST, "invalid_precondition".to_owned()), "{second:?}");
+    }
+    let cycle = r#"{"cycle_id":"c1","tool":"T1","operation":"O1","started_at":"2026-05-04T06:00:00Z","reported":{"energy_joules":1}}"#;
+    for (method, path, body) in [
+        ("PUT", "/v1/machines/M2", changed.as_str()),
+        ("POST", "/v1/machines/M1/cycles", cycle),
+        ("POST", "/v1/machines/M1/cycles/batch", cycle),
+    ] {
+        let own = if path.ends_with("batch") { "application/x-ndjson" } else { "application/json" };
+        for kinds in [[own, "text/plain"], ["text/plain", own], [own, own]] {
+            let kinds = kinds.map(|kind| ("content-type", kind));
+            let answer = ask(method, path, &[&put[..1], kinds.as_slice()].concat(), body).await;
+            let told = (answer.status, answer.code());
+            let refused = (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type".to_owned());
+            assert_eq!(told, refused, "{path} {kinds:?}");
+        }
+    }
+    assert_eq!(app.get("/v1/machines/M1").await.header("etag"), "\"1\"", "nothing was changed");
+    assert_eq!(app.get("/v1/machines/M1/cycles/c1").await.status, StatusCode::NOT_FOUND);
+
+    // What is a list may come in several lines (RFC 9110, section 5.3).
+    let viewed = [("authorization", viewer.as_str())];
+    let tags = [("if-none-match", "\"7\""), ("if-none-match", "\"1\"")];
+    let known = ask("GET", "/v1/machines/M1", &[viewed.as_slice(), &tags].concat(), "").await;
+    assert_eq!(known.status, StatusCode::NOT_MODIFIED);
+    let preferred = [("prefer", "wait=10"), ("prefer", "return=minimal")];
+    let posted = ask("POST", "/v1/machines/M1/cycles", &[put.as_slice(), &preferred].concat(), cycle).await;
+    assert_eq!((posted.status, posted.header("preference-applied")), (StatusCode::CREATED, "return=minimal"));
+}
+
+async fn a_query_that_is_no_text_is_refused() {
+    let app = App::registered().await;
+    let told = async |query: &str| {
+        let answer = app.get(&format!("/v1/{query}")).await;
+        let code = if answer.status == StatusCode::OK { String::new() } else { answer.code() };
+        (answer.status.as_u16(), code, answer)
+    };
+    for query in [
+        "feed-profiles?tool_type=%ff",
+        "feed-profiles?limit=5&tool_type=a%C3",
+        "feed-profiles?tool_type=%c3+%a9",
+        "feed-profiles?tool_type=%c3&limit=%a9",
+        "feed-profiles?tool_type=%ed%a0%80",
+    ] {
+        let (status, code, answer) = told(query).await;
+        assert_eq!((status, code.as_str()), (400, "invalid_query"), "{query}");
+        assert_eq!(answer.errors(), [("tool_type".to_owned(), "invalid_value".to_owned())], "{query}");
+        assert!(answer.json()["detail"].as_str().unwrap().contains("UTF-8"), "{answer:?}");
+    }
+    for query in ["feed-profiles?%ff=a", "feed-profiles?%ff"] {
+        let (status, code, answer) = told(query).await;
+        assert_eq!((status, code.as_str()), (400, "invalid_query"), "{query}");
+        assert!(answer.json()["detail"].as_str().unwrap().contains("UTF-8"), "{answer:?}");
+    }
+    // Whoever asks for that very character gets it, and what is no escape is no escape.
+    for query in
+        ["feed-profiles?tool_type=%ef%bf%bd", "feed-profiles?tool_type=%C3%A9", "feed-profiles?tool_type=%zz"]
+    {
+        assert_eq!(told(query).await.0, 200, "{query}");
     }
 }
 
@@ -195,4 +294,7 @@ async fn a_sane_request_id_is_taken_over_and_another_is_not() {
         let answer = app.call(Role::Viewer, "GET", "/v1/tools/X", &[("x-request-id", id)], None).await;
         assert_eq!(answer.header("x-request-id").len(), 36, "{id}");
     }
+    let several = [("x-request-id", "edge-7"), ("x-request-id", "edge-8")];
+    let answer = app.call(Role::Viewer, "GET", "/v1/tools/X", &several, None).await;
+    assert_eq!(answer.header("x-request-id").len(), 36, "neither of two");
 }

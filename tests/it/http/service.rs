@@ -58,6 +58,39 @@ async fn what_is_read_is_squeezed_for_who_asks_for_it_where_that_is_worth_the_wo
     assert!(ask("PUT", "/v1/tools/S1", "gzip").await.header("content-encoding").is_empty());
 }
 
+/// A strong ETag names bytes (RFC 9110, section 8.8.3.3), and a change has to name it: what has one comes in one form.
+#[tokio::test]
+async fn what_has_a_strong_etag_is_squeezed_for_nobody() {
+    let app = App::new().await;
+    // Names as long as they may be make one thing as large as that.
+    let long = "x".repeat(128);
+    let range = |min: f64, max: f64| json!({"min": min, "max": max});
+    let mut operation = json!({"process": "turning", "turning": {
+        "model": long, "depth_mm": 2.5, "limits": {"power_kw": 7.0, "force_n": 1500.0, "wear_mm": 0.3},
+        "domain": {"continuous": {"speed_m_min": range(50.0, 200.0), "feed_mm_rev": range(0.06, 0.6)}}}});
+    for field in ["name", "program", "feature", "work_material"] {
+        operation[field] = json!("\u{1f529}".repeat(200));
+    }
+    let path = format!("/v1/operations/{long}");
+    let put = app.put(&path, operation).await;
+    assert_eq!(put.status, StatusCode::CREATED, "{put:?}");
+    let ask = async |headers: &[(&str, &str)]| app.call(Role::Viewer, "GET", &path, headers, None).await;
+    let plain = ask(&[]).await;
+    assert!(plain.body.len() > 4096, "{}", plain.body.len());
+    let asked = ask(&[("accept-encoding", "gzip")]).await;
+    assert_eq!((asked.header("etag"), asked.header("content-encoding")), (plain.header("etag"), ""));
+    assert_eq!(asked.body, plain.body);
+    let tag = plain.header("etag").to_owned();
+    let known = ask(&[("accept-encoding", "gzip"), ("if-none-match", &tag)]).await;
+    assert_eq!(known.status, StatusCode::NOT_MODIFIED);
+    for header in ["vary", "etag", "cache-control"] {
+        assert_eq!(known.header(header), asked.header(header), "{header}");
+    }
+    // What has none is squeezed, and says that it varies.
+    let listed = app.call(Role::Viewer, "GET", "/v1/operations", &[("accept-encoding", "gzip")], None).await;
+    assert_eq!((listed.header("content-encoding"), listed.header("vary")), ("gzip", "accept-encoding"));
+}
+
 #[tokio::test]
 async fn a_closed_store_is_not_ready() {
     let app = App::new().await;

@@ -112,6 +112,9 @@ async fn a_request_is_a_span_of_its_callers_trace_and_a_line_of_the_log_and_neit
                        "reported": {"energy_joules": 2000}});
     let posted =
         client.post(format!("http://{address}/v1/machines/M1/cycles")).bearer_auth(&admin).json(&cycle);
+    // Of two parents it is the child of neither.
+    let parents = [CALLER, "00f067aa0ba902b8"].map(|caller| format!("00-{TRACE}-{caller}-01"));
+    let posted = parents.iter().fold(posted, |posted, parent| posted.header("traceparent", parent));
     assert_eq!(posted.send().await.unwrap().status().as_u16(), 201);
     let made = client.post(format!("http://{address}/v1/tokens")).bearer_auth(&admin);
     let made: Value =

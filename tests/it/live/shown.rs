@@ -49,6 +49,12 @@ async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing
         assert_eq!(again.next_of("alarm").await, acknowledged);
         assert_eq!(again.next_of("alarm").await, cleared);
     }
+    // Who names two events as the last one is told that something may be missing.
+    let twice = served.client.get(served.url("/v1/live")).bearer_auth(&served.token);
+    let start = format!("{}-0", last.split_once('-').unwrap().0);
+    let twice = twice.header("last-event-id", &last).header("last-event-id", &start);
+    let gap = Reader::of(twice).await.next_of("gap").await;
+    assert_eq!(gap.data["reason"], "other_server");
     // Another machine's reader is told none of it.
     let mut other = Reader::open(&served, &format!("?machine=M2&after={last}"), None).await;
     assert_eq!(other.next().await.unwrap().name, "state");

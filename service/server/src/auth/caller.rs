@@ -2,6 +2,7 @@
 
 use super::session::{self, Session};
 use super::token::Token;
+use crate::http::once::{Repeated, once};
 use crate::http::problem::Problem;
 use crate::http::routes::Access;
 use crate::state::AppState;
@@ -151,7 +152,9 @@ pub(crate) async fn authorise(
     let caller = match authenticate((&state, trust), request.method(), request.headers(), peer).await {
         Ok(caller) => caller,
         Err(problem) => {
-            if problem.status == StatusCode::UNAUTHORIZED || problem.status == StatusCode::TOO_MANY_REQUESTS {
+            const TOLD: [StatusCode; 3] =
+                [StatusCode::BAD_REQUEST, StatusCode::UNAUTHORIZED, StatusCode::TOO_MANY_REQUESTS];
+            if TOLD.contains(&problem.status) {
                 state.metrics.refused_token(problem.code);
             }
             return problem.into_response();
@@ -181,7 +184,7 @@ async fn authenticate(
     headers: &HeaderMap,
     peer: Option<IpAddr>,
 ) -> Result<Caller, Problem> {
-    let Some(presented) = headers.get(header::AUTHORIZATION) else {
+    let Some(presented) = once(headers, header::AUTHORIZATION).map_err(|Repeated| several_tokens())? else {
         if let Some(caller) = session::caller(state, method, headers).await? {
             return Ok(caller);
         }
@@ -289,6 +292,14 @@ fn failed(state: &AppState, peer: Option<IpAddr>, code: &'static str, detail: &'
         )
         .retry_after(wait),
     }
+}
+
+/// 400: not counted as an attempt, as no token of it was looked at.
+fn several_tokens() -> Problem {
+    // RFC 6750, section 3.1.
+    let value = HeaderValue::from_static("Bearer realm=\"feedwright\", error=\"invalid_request\"");
+    Problem::bad_request("token_malformed", "there is more than one header Authorization")
+        .header(header::WWW_AUTHENTICATE, value)
 }
 
 pub(super) fn challenge(code: &'static str, detail: &'static str, presented: bool) -> Problem {

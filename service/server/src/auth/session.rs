@@ -6,6 +6,7 @@
 
 use super::caller::{Caller, challenge};
 use crate::clock::Clock;
+use crate::http::once::{Repeated, once};
 use crate::http::problem::Problem;
 use crate::state::AppState;
 use feedwright_core::units::Timestamp;
@@ -110,7 +111,11 @@ fn secret(headers: &HeaderMap) -> Option<&str> {
 /// Refuses what another site may have caused.
 pub fn from_own_page(method: &Method, headers: &HeaderMap) -> Result<(), Problem> {
     let refuse = |detail: &'static str| Err(Problem::new(StatusCode::FORBIDDEN, "cross_site", detail));
-    let text = |name: &HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("?"));
+    // What is not read, or said twice, is no origin of this service.
+    let text = |name: &HeaderName| match once(headers, name) {
+        Ok(value) => value.map(|value| value.to_str().unwrap_or("?")),
+        Err(Repeated) => Some("?"),
+    };
     match (text(&FETCH_SITE), text(&header::ORIGIN)) {
         (Some("same-origin" | "none"), _) | (None, None) => {}
         (Some(_), _) => return refuse("the request comes from another site"),
@@ -183,6 +188,16 @@ mod tests {
             (Method::POST, vec![("origin", "http://shop:1"), ("host", "shop:1"), page], true),
             (Method::POST, vec![("origin", "http://shop:1"), ("host", "shop:2"), page], false),
             (Method::POST, vec![("origin", "null"), ("host", "shop:1"), page], false),
+            (
+                Method::POST,
+                vec![("origin", "http://shop:1"), ("origin", "http://evil"), ("host", "shop:1"), page],
+                false,
+            ),
+            (
+                Method::POST,
+                vec![("sec-fetch-site", "same-origin"), ("sec-fetch-site", "cross-site"), page],
+                false,
+            ),
             (Method::DELETE, vec![page], true),
             (Method::DELETE, vec![], false),
         ] {

@@ -1,5 +1,6 @@
 //! Reading bodies within their bounds, and JSON out of them with the path of what is wrong.
 
+use super::once::{Repeated, once};
 use super::problem::Problem;
 use crate::ingest::content::{Encoding, Room, Unpacked};
 use crate::json::{self, Wrong};
@@ -23,7 +24,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        let kind = media_type(request.headers());
+        let kind = media_type(request.headers())?;
         if kind.as_deref() != Some("application/json") {
             return Err(unsupported("send the body as application/json"));
         }
@@ -37,18 +38,16 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
 
 /// How a body is compressed; `None` where that is not known. Several lines are one list, and none of several encodings is taken.
 pub fn encoding_of(headers: &HeaderMap) -> Option<Encoding> {
-    let mut given = headers.get_all(header::CONTENT_ENCODING).iter();
-    Encoding::parse(match (given.next(), given.next()) {
-        (Some(one), None) => Some(one.to_str().unwrap_or("?")),
-        (Some(_), Some(_)) => Some("?"),
-        (None, _) => None,
-    })
+    let given = once(headers, header::CONTENT_ENCODING).ok()?;
+    Encoding::parse(given.map(|one| one.to_str().unwrap_or("?")))
 }
 
-/// The media type of a body without its parameters, in lower case.
-pub fn media_type(headers: &HeaderMap) -> Option<String> {
-    let value = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
-    Some(value.split(';').next()?.trim().to_ascii_lowercase())
+/// The media type of a body without its parameters, in lower case; 415 where there are several.
+pub fn media_type(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+    let given = once(headers, header::CONTENT_TYPE)
+        .map_err(|Repeated| unsupported("there is more than one header Content-Type"))?;
+    let given = given.and_then(|value| value.to_str().ok()?.split(';').next());
+    Ok(given.map(|kind| kind.trim().to_ascii_lowercase()))
 }
 
 /// 415 with a sentence.

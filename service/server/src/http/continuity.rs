@@ -54,8 +54,8 @@ pub(super) async fn simulate(
 
 /// Computes a map of ψ, A and Pmax over (p, kc), with or without control.
 ///
-/// A small map is answered at once. A large one becomes a job: 202 with its id, to be asked for at `/v1/jobs/{id}`;
-/// the same question gets the same job, and its result for as long as it is kept.
+/// A small map is answered at once. A large one becomes a job: 202 with its id, to be asked for at `/v1/jobs/{id}` of the same server;
+/// the same question gets the same job there, and its result for as long as it is kept.
 #[utoipa::path(post, path = "/v1/vibratory/map", tag = "vibratory", request_body = MapQuestionBody,
     responses((status = 200, body = MapBody), (status = 202, description = "It became a job", body = JobBody)))]
 pub(super) async fn map(

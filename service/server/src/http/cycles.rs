@@ -348,7 +348,7 @@ async fn unpacked(
 }
 
 fn form_of(headers: &HeaderMap, kind: &'static str) -> Result<(Form, Encoding), Problem> {
-    let form = match (media_type(headers).as_deref(), kind) {
+    let form = match (media_type(headers)?.as_deref(), kind) {
         (Some(wire::MEDIA_TYPE), _) => Form::Binary,
         (Some(given), wanted) if given == wanted => Form::Json,
         (Some("application/jsonl" | "application/jsonlines" | "application/ndjson"), LINES) => Form::Json,

@@ -1,6 +1,7 @@
 //! The outermost layer: request id, log line, metrics, panics, and the rendering of problems.
 
 use super::extract::path_not_utf8;
+use super::once::once;
 use super::problem::Problem;
 use crate::auth::Peer;
 use crate::state::AppState;
@@ -95,7 +96,7 @@ fn with_path_not_utf8(request: &Request) -> Option<Problem> {
 }
 
 fn request_id(request: &Request) -> String {
-    let given = request.headers().get(&REQUEST_ID).and_then(|id| id.to_str().ok());
+    let given = once(request.headers(), &REQUEST_ID).ok().flatten().and_then(|id| id.to_str().ok());
     let sane = |id: &&str| {
         let plain = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.');
         (1..=MAX_REQUEST_ID).contains(&id.len()) && id.bytes().all(plain)

@@ -8,6 +8,7 @@ use axum::extract::{FromRequestParts, RawPathParams};
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::invalid::Violation;
 use http::request::Parts;
+use percent_encoding::percent_decode_str;
 use serde::de::DeserializeOwned;
 use std::error::Error;
 use std::sync::Arc;
@@ -106,7 +107,7 @@ pub fn path_not_utf8() -> Problem {
     Problem::bad_request("invalid_path", "the path is not UTF-8")
 }
 
-/// The query; its type denies unknown parameters.
+/// The query; its type denies unknown parameters. What is no text is refused: read as far as it is some, it would be another question.
 #[derive(Debug)]
 pub struct Query<T>(pub T);
 
@@ -114,12 +115,24 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        parts.uri.query().map_or(Ok(()), must_be_utf8)?;
         let read = axum::extract::Query::<T>::from_request_parts(parts, state).await;
         read.map(|query| Self(query.0)).map_err(|rejection| match violation(&rejection) {
             Some(violation) => Problem::invalid_query(violation),
             None => Problem::bad_request("invalid_query", rejection.body_text()),
         })
     }
+}
+
+/// Refuses a query that decodes to bytes which are no UTF-8, with the parameter where that has a name.
+fn must_be_utf8(query: &str) -> Result<(), Problem> {
+    let decoded = |text| percent_decode_str(text).decode_utf8().ok();
+    let Some(wrong) = query.split('&').find(|pair| decoded(pair).is_none()) else { return Ok(()) };
+    let name = wrong.split_once('=').and_then(|(name, _)| decoded(name));
+    Err(match name {
+        Some(name) => Problem::invalid_query(Violation::new(name, "invalid_value", "is not UTF-8")),
+        None => Problem::bad_request("invalid_query", "the query is not UTF-8"),
+    })
 }
 
 /// Which parameter is wrong, and how; `None` where the query is none at all.

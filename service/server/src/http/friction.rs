@@ -32,21 +32,21 @@ pub(super) async fn simulate(
 }
 
 fn answer(request: &SimulationRequest) -> Result<SimulationAnswer, Violation> {
-    let model = request.model.into_model(request.seed.is_some()).map_err(inside)?;
+    let seed = request.seed()?;
+    let model = request.model.into_model(seed.is_some()).map_err(inside)?;
     let limits = request.limits.to_limits()?;
     let setup = model.setup;
     let period_ms = setup.period_s * 1e3;
     let strategy = request.strategy.to_strategy("strategy", model.end_depth_mm, period_ms)?;
     let others = strategies(request, model.end_depth_mm, period_ms)?;
     let mut samples = request.samples.then(|| SimulatedSamples { period_ms, ..Default::default() });
-    let cycle = drill(&model.twin, &strategy, &setup, &limits, request.seed, |sample| {
+    let cycle = drill(&model.twin, &strategy, &setup, &limits, seed, |sample| {
         if let Some(samples) = &mut samples {
             samples.push(sample);
         }
     })
     .map_err(|error| drilling(&error))?;
-    let outcomes =
-        compare(&model.twin, &others, &setup, &limits, request.seed).map_err(|error| drilling(&error))?;
+    let outcomes = compare(&model.twin, &others, &setup, &limits, seed).map_err(|error| drilling(&error))?;
     let comparison =
         outcomes.iter().zip(radar(&outcomes)).map(|(one, radar)| ComparedStrategy::new(one, radar));
     Ok(SimulationAnswer {

@@ -70,20 +70,31 @@ fn shown(job: &Snapshot) -> Result<Response, Problem> {
     Ok(raw(json.into()))
 }
 
+/// 404, with what may have become of it.
+fn unknown(id: &str) -> Problem {
+    let detail = format!(
+        "this server has no job `{id}`: it may have been asked for at another server or before a restart, or is forgotten; ask \
+         again what it was to compute"
+    );
+    Problem::new(StatusCode::NOT_FOUND, "not_found", detail)
+}
+
 /// Tells how far a computation is, and its result once it is done.
 ///
-/// Ended ones are kept up to 64 of them and 64 MiB of results, and forgotten at a restart.
+/// Ended ones are kept up to 64 of them and 64 MiB of results, and forgotten at a restart. A job is the server's that was asked for it: where
+/// several share a database the others answer 404, so that a proxy in front of them sends what one client asks to one server. Whoever
+/// is told 404 asks the question again.
 #[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
     responses((status = 200, body = JobBody)))]
 pub(super) async fn get(
     State(state): State<AppState>,
     PathId(id): PathId<String>,
 ) -> Result<Response, Problem> {
-    let job = state.jobs.get(&id).ok_or_else(|| Problem::not_found("job", &id))?;
+    let job = state.jobs.get(&id).ok_or_else(|| unknown(&id))?;
     shown(&job)
 }
 
-/// Cancels a computation that waits or runs. It is shared by everyone who asked the same.
+/// Cancels a computation that waits or runs. It is shared by everyone who asked the same of this server; the others answer 404.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
     responses((status = 204, description = "It is being cancelled"), (status = 409, description = "It has ended",
         body = ProblemDocument<'static>)))]
@@ -91,6 +102,6 @@ pub(super) async fn cancel(
     State(state): State<AppState>,
     PathId(id): PathId<String>,
 ) -> Result<StatusCode, Problem> {
-    state.jobs.cancel(&id).ok_or_else(|| Problem::not_found("job", &id))??;
+    state.jobs.cancel(&id).ok_or_else(|| unknown(&id))??;
     Ok(StatusCode::NO_CONTENT)
 }

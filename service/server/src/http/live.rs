@@ -1,6 +1,7 @@
 //! What happens now, as Server-Sent Events.
 
 use super::extract::{Query, query_id};
+use super::once::{Repeated, once};
 use super::problem::{Problem, ProblemDocument};
 use crate::auth::Caller;
 use crate::live::{Position, Reader};
@@ -45,7 +46,11 @@ pub(super) async fn events(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let machine: Option<MachineId> = query_id(query.machine.as_deref())?;
-    let header = headers.get("last-event-id").map(|id| id.to_str().unwrap_or_default());
+    // Of several it is not known which was seen last: as an id that is none of this service.
+    let header = match once(&headers, "last-event-id") {
+        Ok(id) => id.map(|id| id.to_str().unwrap_or_default()),
+        Err(Repeated) => Some(""),
+    };
     let after = header.or(query.after.as_deref()).map(Position::parse);
     let machine = machine.map(|machine| machine.to_string());
     let reader = Reader::new(&state.live, &state.lifecycle, machine, query.samples, after)

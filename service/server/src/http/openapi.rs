@@ -42,7 +42,10 @@ fn describe() -> Result<OpenApi, String> {
     let info = InfoBuilder::new()
         .title("Feedwright")
         .version("1")
-        .description(Some("Machining cycles in; tool wear and recommendations out."))
+        .description(Some(
+            "Machining cycles in; tool wear and recommendations out.\n\nAn `integer` is written without a fraction and without an \
+             exponent: `1.0` and `1e0`, which JSON Schema takes for integers too, are refused (422, `wrong_type`; 400 in a query).",
+        ))
         .build();
     let mut paths = Paths::new();
     let mut components = Components::new();

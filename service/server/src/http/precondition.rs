@@ -1,9 +1,10 @@
 //! ETags and the preconditions on them (RFC 9110, sections 8.8.3 and 13).
 
+use super::once::{Repeated, once};
 use super::problem::Problem;
 use axum::response::{IntoResponse, Response};
 use feedwright_store::{Precondition, PutOutcome};
-use http::{HeaderMap, HeaderValue, StatusCode, header};
+use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use serde::Serialize;
 
 /// The ETag of a version.
@@ -13,8 +14,14 @@ pub fn etag(version: u64) -> HeaderValue {
 
 /// What a change expects to find: `If-Match: "3"`, `If-None-Match: *`, or nothing.
 pub fn expected(headers: &HeaderMap) -> Result<Precondition, Problem> {
-    let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or_default().trim());
-    match (text(header::IF_MATCH), text(header::IF_NONE_MATCH)) {
+    let text = |name: HeaderName| match once(headers, &name) {
+        Ok(value) => Ok(value.map(|value| value.to_str().unwrap_or_default().trim())),
+        Err(Repeated) => Err(Problem::bad_request(
+            "invalid_precondition",
+            format!("there is more than one header {name}: a change takes one with one ETag, or `*`"),
+        )),
+    };
+    match (text(header::IF_MATCH)?, text(header::IF_NONE_MATCH)?) {
         (None, None) => Ok(Precondition::Unstated),
         (None, Some("*")) => Ok(Precondition::Absent),
         (Some(tag), None) => match version(tag) {
@@ -80,6 +87,30 @@ fn put_response<T: Serialize>(outcome: PutOutcome, place: &str, view: &T) -> Res
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_change_expects_one_thing() {
+        let expected = |lines: &[(HeaderName, &'static str)]| {
+            let mut headers = HeaderMap::new();
+            for (name, value) in lines {
+                headers.append(name, HeaderValue::from_static(value));
+            }
+            expected(&headers).map_err(|problem| problem.code)
+        };
+        let (is, is_none) = (header::IF_MATCH, header::IF_NONE_MATCH);
+        assert!(matches!(expected(&[]), Ok(Precondition::Unstated)));
+        assert!(matches!(expected(&[(is.clone(), "\"3\"")]), Ok(Precondition::Version(3))));
+        assert!(matches!(expected(&[(is_none.clone(), "*")]), Ok(Precondition::Absent)));
+        for lines in [
+            [(is.clone(), "\"3\""), (is.clone(), "\"4\"")],
+            [(is.clone(), "\"3\""), (is.clone(), "\"3\"")],
+            [(is.clone(), "\"3\""), (is_none.clone(), "*")],
+            [(is_none.clone(), "*"), (is_none.clone(), "\"3\"")],
+            [(is_none.clone(), "*"), (is_none, "*")],
+        ] {
+            assert_eq!(expected(&lines).err(), Some("invalid_precondition"), "{lines:?}");
+        }
+    }
 
     #[test]
     fn a_tag_is_known_from_a_list_weak_or_not_and_by_a_star() {

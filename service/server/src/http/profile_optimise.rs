@@ -44,7 +44,7 @@ const VARIED_OVERRIDE: f64 = 1.0;
 /// Finds the fastest (or cheapest) feed over depth that keeps both loads, from the operation's last cycles.
 ///
 /// A job: its result holds the content and its report. Nothing is drafted by it: `POST /v1/feed-profiles` with the job's
-/// id does that, under the name of whoever asks.
+/// id does that, under the name of whoever asks, at the same server where there are several (`/v1/jobs/{id}`).
 #[utoipa::path(post, path = "/v1/feed-profiles/optimize", tag = "feed profiles", request_body = OptimiseBody,
     responses((status = 202, description = "The job that computes it", body = super::dto::job::JobBody),
         (status = 422, description = "A setting out of range, an operation without a depth", body = ProblemDocument<'static>),
@@ -112,7 +112,11 @@ pub(super) fn proposed(
         report: Option<serde_json::Value>,
         bands: Vec<One>,
     }
-    let unknown = || Violation::new("job", "unknown_job", "there is no finished optimisation of this id");
+    let unknown = || {
+        let why = "this server has no finished optimisation of this id: it may have been asked for at another server or before a \
+                   restart, or is forgotten";
+        Violation::new("job", "unknown_job", why)
+    };
     let found = state.jobs.get(job).filter(|found| found.kind == KIND).ok_or_else(unknown)?;
     let Stage::Done(result) = found.stage else {
         return Err(unknown().into());

@@ -17,7 +17,7 @@ use axum::middleware::from_fn_with_state;
 use axum::routing::{MethodRouter, get};
 use axum::{Extension, Router, response::IntoResponse, response::Response};
 use feedwright_store::Role;
-use http::{HeaderMap, Method, StatusCode, Uri};
+use http::{Extensions, HeaderMap, Method, StatusCode, Uri, Version, header};
 use std::collections::HashMap;
 use std::sync::LazyLock;
 use tower_http::CompressionLevel;
@@ -343,12 +343,18 @@ fn changes(route: &Route) -> Option<&'static str> {
 const LEAST_SQUEEZED: u16 = 4096;
 
 /// Squeezes what is read, for who asks for it by `Accept-Encoding`: a page with hundreds of machines or thousands of cycles comes
-/// over a workshop's radio. What is an event or squeezed by itself goes as it is.
+/// over a workshop's radio. What is an event or squeezed by itself goes as it is, and so does what has a strong ETag: that names these
+/// bytes and no others (RFC 9110, section 8.8.3.3), and a change has to name it. One thing is small in any case.
 fn squeezing() -> CompressionLayer<impl Predicate> {
     let worth = DefaultPredicate::new()
         .and(SizeAbove::new(LEAST_SQUEEZED))
-        .and(NotForContentType::const_new("application/vnd.apache."));
+        .and(NotForContentType::const_new("application/vnd.apache."))
+        .and(without_strong_etag);
     CompressionLayer::new().quality(CompressionLevel::Fastest).compress_when(worth)
+}
+
+fn without_strong_etag(_: StatusCode, _: Version, headers: &HeaderMap, _: &Extensions) -> bool {
+    headers.get(header::ETAG).is_none_or(|tag| tag.as_bytes().starts_with(b"W/"))
 }
 
 /// The router over the table.

@@ -84,7 +84,8 @@ fn describe() -> Value {
         "asyncapi": "3.0.0",
         "info": {
             "title": "Feedwright stream", "version": "1",
-            "description": "Samples of a running cycle in, feed overrides out; subprotocol feedwright.v1."
+            "description": "Samples of a running cycle in, feed overrides out; subprotocol feedwright.v1. An `integer` is written without a \
+                fraction and without an exponent: `1.0` is refused."
         },
         "channels": {
             "stream": {

@@ -6,6 +6,7 @@ use super::slots::Ownership;
 use super::{SUBPROTOCOL, leases};
 use crate::auth::Caller;
 use crate::config::SecondStream;
+use crate::http::once::{Repeated, once};
 use crate::http::problem::Problem;
 use crate::state::AppState;
 use axum::extract::ws::WebSocketUpgrade;
@@ -22,8 +23,11 @@ const WRITE_BUFFER: usize = 1024 * 1024;
 
 /// Refuses a browser's page of another site: it would come with the rights of whoever looks at it.
 pub fn check_origin(headers: &HeaderMap, allowed: &[String]) -> Result<(), Problem> {
-    let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
-    let origin = origin.to_str().unwrap_or_default();
+    let origin = match once(headers, header::ORIGIN) {
+        Ok(None) => return Ok(()),
+        Ok(Some(origin)) => origin.to_str().unwrap_or_default(),
+        Err(Repeated) => "",
+    };
     let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     let own =
         origin.split_once("://").is_some_and(|(_, site)| !host.is_empty() && site.eq_ignore_ascii_case(host));
@@ -142,5 +146,11 @@ mod tests {
         for foreign in ["http://evil.example", "http://cell", "http://cell:78780", "null", "cell:7878", ""] {
             assert!(!checked("cell:7878", Some(foreign), &[]), "{foreign}");
         }
+        let mut headers = HeaderMap::new();
+        headers.insert(header::HOST, "cell:7878".parse().unwrap());
+        for origin in ["http://cell:7878", "http://evil.example"] {
+            headers.append(header::ORIGIN, origin.parse().unwrap());
+        }
+        assert!(check_origin(&headers, &[]).is_err(), "said twice");
     }
 }

@@ -227,7 +227,7 @@ pub struct DraftBody {
     /// Its content; or leave it out and name a job.
     #[serde(default)]
     pub content: Option<ProfileBody>,
-    /// A finished optimisation whose result is drafted.
+    /// A finished optimisation of this server whose result is drafted.
     #[serde(default)]
     pub job: Option<String>,
     /// Which wear band of that optimisation, counted from 0, where it was asked for bands. Each is a feed profile of its own.

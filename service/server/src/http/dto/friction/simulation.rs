@@ -4,6 +4,7 @@ use super::control::{LoadLimitsBody, StrategyBody};
 use super::model::ModelBody;
 use feedwright_core::friction::compare::{Outcome, Radar, stage_depths};
 use feedwright_core::friction::twin::{CycleSample, Peak};
+use feedwright_core::invalid::Violation;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -26,9 +27,26 @@ pub struct SimulationRequest {
     /// What counts as an overload.
     pub limits: LoadLimitsBody,
     /// Seed of the noise, the same for every strategy; without it there is no noise.
+    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_u64)]
     pub seed: Option<u64>,
     /// Whether every sample is answered.
     pub samples: bool,
+}
+
+/// Largest seed: beyond 2^53 − 1 many clients' JSON knows no integers but every second or fourth, so that two seeds were one.
+const MOST_SEED: u64 = 9_007_199_254_740_991;
+
+impl SimulationRequest {
+    /// The seed.
+    pub fn seed(&self) -> Result<Option<u64>, Violation> {
+        match self.seed {
+            Some(seed) if seed > MOST_SEED => {
+                let message = format!("must be within 0 to {MOST_SEED}, is {seed}");
+                Err(Violation::new("seed", "out_of_range", message))
+            }
+            seed => Ok(seed),
+        }
+    }
 }
 
 /// A simulated cycle beside other strategies.
