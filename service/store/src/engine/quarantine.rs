@@ -5,9 +5,11 @@ use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::{Actor, AlarmKind, Page, QuarantineBounds, QuarantineEntry};
 use crate::rows::{QuarantineRow, count, number};
+use crate::stored_text::StoredText;
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
 use serde_json::json;
+use sqlx::Row;
 
 /// Bodies are written once and read by people.
 const LEVEL: i32 = 3;
@@ -139,14 +141,17 @@ struct WithBody {
 impl WithBody {
     /// The body as it came; `None` where what is kept is not that any more.
     fn body(&self) -> Option<Vec<u8>> {
-        let size = u64::try_from(self.entry.size).ok()?;
-        // The frame's own size has to be the one that was written beside it: a damaged one would have anything reserved.
-        let framed = zstd::zstd_safe::get_frame_content_size(&self.body).ok()?;
-        let body =
-            zstd::bulk::decompress(&self.body, usize::try_from(size).ok().filter(|_| framed == Some(size))?)
-                .ok()?;
-        (blake3::hash(&body).as_bytes() == self.body_hash.as_slice()).then_some(body)
+        unpacked(&self.body, self.entry.size, &self.body_hash)
     }
+}
+
+fn unpacked(body: &[u8], size: i64, hash: &[u8]) -> Option<Vec<u8>> {
+    let size = u64::try_from(size).ok()?;
+    // The frame's own size has to be the one that was written beside it: a damaged one would have anything reserved.
+    let framed = zstd::zstd_safe::get_frame_content_size(body).ok()?;
+    let body =
+        zstd::bulk::decompress(body, usize::try_from(size).ok().filter(|_| framed == Some(size))?).ok()?;
+    (blake3::hash(&body).as_bytes() == hash).then_some(body)
 }
 
 pub(super) async fn get(
@@ -164,26 +169,33 @@ pub(super) async fn get(
     Ok(Some((row.entry.entry()?, row.body())))
 }
 
-/// Entries whose bodies are not what came: whoever took one of them in again would store what no machine has measured.
-pub(super) async fn damaged(conn: &mut Conn, most: i64) -> StoreResult<Vec<String>> {
+/// Entries whose bodies are not what came: whoever took one of them in again would store what no machine has measured. And
+/// whether all could be gone through.
+pub(super) async fn damaged(conn: &mut Conn, most: usize) -> StoreResult<(Vec<String>, bool)> {
     let mut damaged = Vec::new();
-    let mut after = String::new();
-    while i64::try_from(damaged.len()).is_ok_and(|found| found < most) {
-        // One at a time: a body may be as long as a batch.
-        let row: Option<WithBody> = sqlx::query_as::<Db, _>(select!(
-            ", body, body_hash",
-            "WHERE quarantine_id > $1 ORDER BY quarantine_id LIMIT 1"
-        ))
-        .bind(&after)
+    let mut after = StoredText::default();
+    while damaged.len() < most {
+        // One at a time: a body may be as long as a batch. Nothing of its other texts, which may be damaged.
+        let row = sqlx::query::<Db>(
+            "SELECT quarantine_id, size, body, body_hash FROM quarantine
+             WHERE quarantine_id > CAST($1 AS TEXT) ORDER BY quarantine_id LIMIT 1",
+        )
+        .bind(after.clone())
         .fetch_optional(&mut *conn)
         .await?;
         let Some(row) = row else { break };
-        after.clone_from(&row.entry.quarantine_id);
-        if row.body().is_none() {
-            damaged.push(after.clone());
+        let id: StoredText = row.try_get(0)?;
+        if id <= after {
+            return Ok((damaged, false));
         }
+        let (body, hash) = (row.try_get::<Vec<u8>, _>(2), row.try_get::<Vec<u8>, _>(3));
+        let kept = body.ok().zip(row.try_get(1).ok()).zip(hash.ok());
+        if kept.and_then(|((body, size), hash)| unpacked(&body, size, &hash)).is_none() {
+            damaged.push(id.to_string());
+        }
+        after = id;
     }
-    Ok(damaged)
+    Ok((damaged, true))
 }
 
 pub(super) async fn settle(

@@ -3,6 +3,7 @@
 use super::{CycleRow, damaged, id, number, word};
 use crate::error::StoreResult;
 use crate::record::StoredToolEvent;
+use crate::stored_text::StoredText;
 use feedwright_core::cycle::{Flags, ProfileVersion};
 use feedwright_core::ids::{CycleId, MachineId, RecommendationId};
 use feedwright_core::operation::{Ask, DatedOperation, WearSettings};
@@ -284,7 +285,7 @@ pub(crate) struct EventRow {
     pub(crate) at_us: i64,
     pub(crate) first_machine_id: Option<String>,
     pub(crate) first_cycle_id: Option<String>,
-    pub(crate) reason: Option<String>,
+    pub(crate) reason: Option<StoredText>,
     pub(crate) actor: String,
     pub(crate) recorded_at_us: i64,
     pub(crate) revoked_at_us: Option<i64>,
@@ -328,7 +329,7 @@ impl EventRow {
                 kind: word("kind", &self.kind, ToolEventKind::parse)?,
                 at: Timestamp::from_micros(self.at_us),
                 first_cycle: self.first_cycle()?,
-                reason: self.reason.clone(),
+                reason: self.reason.as_ref().map(StoredText::shown),
             },
             actor: self.actor.clone(),
             recorded_at: Timestamp::from_micros(self.recorded_at_us),
