@@ -286,10 +286,11 @@ pub(crate) struct EventRow {
     pub(crate) first_machine_id: Option<String>,
     pub(crate) first_cycle_id: Option<String>,
     pub(crate) reason: Option<StoredText>,
-    pub(crate) actor: String,
+    /// Who told it is shown, and nothing else: the tool is judged all the same where that is damaged.
+    pub(crate) actor: StoredText,
     pub(crate) recorded_at_us: i64,
     pub(crate) revoked_at_us: Option<i64>,
-    pub(crate) revoked_by: Option<String>,
+    pub(crate) revoked_by: Option<StoredText>,
 }
 
 impl EventRow {
@@ -331,9 +332,13 @@ impl EventRow {
                 first_cycle: self.first_cycle()?,
                 reason: self.reason.as_ref().map(StoredText::shown),
             },
-            actor: self.actor.clone(),
+            actor: self.actor.shown(),
             recorded_at: Timestamp::from_micros(self.recorded_at_us),
-            revoked: self.revoked_by.clone().zip(self.revoked_at_us.map(Timestamp::from_micros)),
+            revoked: self
+                .revoked_by
+                .as_ref()
+                .map(StoredText::shown)
+                .zip(self.revoked_at_us.map(Timestamp::from_micros)),
         })
     }
 }

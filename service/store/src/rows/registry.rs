@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 pub(crate) struct MachineRow {
     machine_id: String,
     name: StoredText,
-    control: String,
+    control: StoredText,
     ipo_period_ms: f64,
     spindle_reference: String,
     spindle_rated_power_watts: Option<f64>,
@@ -46,7 +46,7 @@ impl MachineRow {
             value: Machine {
                 id: id("machine_id", &self.machine_id)?,
                 name: self.name.shown(),
-                control: self.control.clone(),
+                control: self.control.shown(),
                 ipo_period_ms: self.ipo_period_ms,
                 spindle: SpindleRating {
                     reference: word("spindle_reference", &self.spindle_reference, LoadReference::parse)?,

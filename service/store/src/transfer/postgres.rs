@@ -168,15 +168,16 @@ fn values(table: &Table, row: &PgRow) -> Result<Row, Unread> {
     values.collect()
 }
 
-/// Rows that no backup takes: as its sum reads them, something in them does not decode, as texts of a database in SQL_ASCII may. So
-/// many of a table at the most, one by one.
+/// Rows that no backup takes: as its sum reads them, something in them does not decode, as of a page that a disk has damaged. So many of
+/// a table at the most, one by one.
 pub(crate) async fn damaged_rows(
     conn: &mut PgConnection,
     most: usize,
 ) -> Result<Vec<StoreFault>, TransferError> {
     let (tables, _) = tables(conn).await?;
     let mut faults = Vec::new();
-    for table in tables {
+    // What has no key is told as that.
+    for table in tables.into_iter().flatten() {
         let table = table.without_bytes()?;
         let before = faults.len();
         let mut query = QueryBuilder::<Postgres>::new(select(&table));
@@ -193,7 +194,9 @@ pub(crate) async fn damaged_rows(
 }
 
 /// Every table of the data, by name, and the columns that the database numbers itself, `(table, column)`.
-async fn tables(conn: &mut PgConnection) -> Result<(Vec<Table>, Vec<(String, String)>), TransferError> {
+async fn tables(
+    conn: &mut PgConnection,
+) -> Result<(Vec<Result<Table, TransferError>>, Vec<(String, String)>), TransferError> {
     // Partitions are part of their table, views are made of tables.
     let columns: Vec<(String, String, String, bool, Option<i32>)> = sqlx::query_as(
         "SELECT c.relname::TEXT, a.attname::TEXT, format_type(a.atttypid, NULL), a.attidentity <> '',
@@ -230,7 +233,7 @@ async fn tables(conn: &mut PgConnection) -> Result<(Vec<Table>, Vec<(String, Str
         }
     }
     let tables = tables.into_iter().map(|(name, columns, key)| Table::checked(name, columns, &key));
-    Ok((tables.collect::<Result<_, _>>()?, numbered))
+    Ok((tables.collect(), numbered))
 }
 
 #[async_trait]
@@ -238,7 +241,7 @@ impl Side for PostgresSide {
     async fn tables(&mut self) -> Result<Vec<Table>, TransferError> {
         let (tables, numbered) = tables(&mut self.conn).await?;
         self.numbered = numbered;
-        Ok(tables)
+        tables.into_iter().collect()
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {

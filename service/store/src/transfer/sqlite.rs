@@ -116,7 +116,8 @@ pub(crate) async fn damaged_rows(
 ) -> Result<Vec<StoreFault>, TransferError> {
     let (tables, _) = tables(conn).await?;
     let mut faults = Vec::new();
-    for table in tables {
+    // What is no table of this program's is told as that.
+    for table in tables.into_iter().flatten() {
         let table = table.without_bytes()?;
         let (id, before) = (id_by_bytes(&table), faults.len());
         let mut query = QueryBuilder::<Sqlite>::new(select(&table, false));
@@ -248,7 +249,7 @@ fn tuple(query: &mut QueryBuilder<Sqlite>, values: &Row) {
 }
 
 /// Every table of the data, by name, and whether it keeps some shorter than databases of before did.
-async fn tables(conn: &mut SqliteConnection) -> Result<(Vec<Table>, bool), TransferError> {
+async fn tables(conn: &mut SqliteConnection) -> StoreResult<(Vec<Result<Table, TransferError>>, bool)> {
     let names: Vec<String> = sqlx::query_scalar(
         "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite_%' ORDER BY name",
     )
@@ -265,7 +266,7 @@ async fn tables(conn: &mut SqliteConnection) -> Result<(Vec<Table>, bool), Trans
         if name == SAMPLES {
             is_shorter = !columns.iter().any(|(column, ..)| column == BLOCK);
             if is_shorter {
-                tables.push(samples()?);
+                tables.push(samples());
                 continue;
             }
         }
@@ -282,8 +283,8 @@ async fn tables(conn: &mut SqliteConnection) -> Result<(Vec<Table>, bool), Trans
             Some(kind) => Ok((column, kind)),
             None => Err(TransferError::Schema(format!("{name}.{column} is of type {declared}"))),
         });
-        let typed = typed.collect::<Result<_, _>>()?;
-        tables.push(Table::checked(name, typed, &key)?);
+        let typed = typed.collect::<Result<_, _>>();
+        tables.push(typed.and_then(|typed| Table::checked(name.clone(), typed, &key)));
     }
     Ok((tables, is_shorter))
 }
@@ -293,7 +294,7 @@ impl Side for SqliteSide {
     async fn tables(&mut self) -> Result<Vec<Table>, TransferError> {
         let (tables, is_shorter) = tables(&mut self.conn).await?;
         self.is_shorter = is_shorter;
-        Ok(tables)
+        tables.into_iter().collect()
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {
