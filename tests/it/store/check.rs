@@ -1008,7 +1008,7 @@ async fn all_kinds(store: &dyn Store) {
     store.begin_session(session, 5, &engineer()).await.unwrap();
     let overrides = feedwright_store::CycleOverrides {
         machine: "M1".try_into().unwrap(),
-        cycle: "c00001".try_into().unwrap(),
+        cycle: "streamed".try_into().unwrap(),
         mode: "advise".to_owned(),
         law_version: "1".to_owned(),
         program_hash: Some("0".repeat(64)),
@@ -1061,6 +1061,7 @@ async fn a_text_that_does_not_decode_is_named_with_its_row_and_the_rest_is_check
     // What is in the journal goes into the file.
     back_up_sqlite(&given.file(), &folder.path().join("sound"), at(1)).await.unwrap();
     let mut conn = beside(&given).await;
+    conn.execute("INSERT INTO machine_contacts VALUES ('M1', 1)").await.unwrap();
     let texts = texts(&mut conn).await;
     let mut tables = BTreeSet::new();
     for (table, column, text) in &texts {
@@ -1084,7 +1085,8 @@ async fn a_text_that_does_not_decode_is_named_with_its_row_and_the_rest_is_check
         // Page by page, each of which ends at a row that may be damaged.
         let (mut after, mut checked) = (None, 0);
         loop {
-            let page = store.check_cycles(after.as_ref(), 1).await.unwrap();
+            let limit = if table == "cycles" { 1 } else { 100 };
+            let page = store.check_cycles(after.as_ref(), limit).await.unwrap();
             checked += page.checked;
             if table == "cycles" && page.checked > 0 && rows == 8 {
                 assert_eq!(page.faults.len(), 1, "{column}: {page:?}");
@@ -1096,7 +1098,9 @@ async fn a_text_that_does_not_decode_is_named_with_its_row_and_the_rest_is_check
         }
         assert_eq!(checked, 8, "{table}.{column}");
         store.check_wear(Repair::No).await.unwrap();
-        if tables.insert(table.as_str()) {
+        // Words that a table refuses SQLite finds before.
+        let is_refused = faults.iter().any(|fault| fault.kind == "table");
+        if !is_refused && tables.insert(table.as_str()) {
             let refused = back_up_sqlite(&given.file(), &backup, at(1)).await.unwrap_err().to_string();
             let named = format!("stored data is damaged: {table} ");
             assert!(
