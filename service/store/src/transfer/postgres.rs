@@ -193,6 +193,9 @@ pub(crate) async fn damaged_rows(
     Ok(faults)
 }
 
+/// A table's name, columns and key.
+type Declared = (String, Vec<(String, Kind)>, Vec<String>);
+
 /// Every table of the data, by name, and the columns that the database numbers itself, `(table, column)`.
 async fn tables(
     conn: &mut PgConnection,
@@ -210,7 +213,7 @@ async fn tables(
     )
     .fetch_all(&mut *conn)
     .await?;
-    let mut tables: Vec<(String, Vec<(String, Kind)>, Vec<String>)> = Vec::new();
+    let mut tables: Vec<Declared> = Vec::new();
     let mut numbered = Vec::new();
     for (table, column, declared, is_numbered, in_key) in columns {
         // What an admin keeps beside, such as a month that was detached, is his.
