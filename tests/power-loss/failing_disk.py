@@ -22,7 +22,8 @@ def hold(binary, folder, seed):
         return [f"a server that nothing happened to: {status}"]
     database = os.path.join(first.disk, "data", "feedwright.sqlite3")
     # The first one is that of its start.
-    service = Service(binary, folder, refused_sync=(database, 2))
+    syncs = os.path.join(folder, "syncs")
+    service = Service(binary, folder, refused_sync=(database, 2, syncs))
     sent.to(service)
     end, machines = time.monotonic() + PATIENCE_S, 0
     while service.process.poll() is None and time.monotonic() < end:
@@ -38,14 +39,18 @@ def hold(binary, folder, seed):
         faults.append(f"it does not say that a checkpoint failed: {service.said()[-1000:]}")
     if not os.path.exists(f"{database}-wal") or not os.path.getsize(f"{database}-wal"):
         faults.append("the log is gone, of which a part may not be in the database")
+    with open(syncs, encoding="ascii") as file:
+        after = file.read().partition("(INJECTED)")[2]
+    if "sync(" in after:
+        faults.append(f"the database is synced again: {after}")
     acknowledged = [(exchange.machine, exchange.id) for exchange in sent.exchanges if exchange.acknowledged_cycles()]
     if not acknowledged:
         faults.append("nothing was acknowledged before: this holds nothing")
-    after = Service(binary, folder)
-    connection = Connection(after.port, sent.token)
+    last = Service(binary, folder)
+    connection = Connection(last.port, sent.token)
     for machine, cycle in acknowledged:
         if (status := connection.send("GET", f"/v1/machines/{machine}/cycles/{cycle}")[0]) != 200:
             faults.append(f"{machine}/{cycle} is lost: {status}")
-    after.stop()
-    check = subprocess.run([binary, "--data-dir", os.path.join(after.disk, "data"), "check"], capture_output=True, text=True, check=False)
+    last.stop()
+    check = subprocess.run([binary, "--data-dir", os.path.join(last.disk, "data"), "check"], capture_output=True, text=True, check=False)
     return faults + ([f"feedwright check: {check.stdout}{check.stderr}"] if check.returncode else [])

@@ -47,14 +47,14 @@ class Service:
     running = set()
 
     def __init__(self, binary, folder, trace=None, group_size=256, refused_sync=None):
-        """With `trace` its system calls go there; with `refused_sync` that sync of that file fails, counted from 1."""
+        """With `trace` its system calls go there; with `refused_sync` that sync of that file fails, counted from 1, and its syncs are told there."""
         self.disk, self.log = os.path.join(folder, "disk"), os.path.join(folder, "server.log")
         self.token_file = os.path.join(self.disk, "first-token")
         self.traced = trace is not None or refused_sync is not None
         before = os.path.getsize(self.log) if os.path.exists(self.log) else 0
         command = [
             *(["strace", "-f", "-y", "-xx", "-s", str(1 << 24), "-e", f"trace={','.join(TRACED)}", "-o", trace] if trace else []),
-            *(["strace", "-f", "-qq", "-o", os.devnull, "-P", refused_sync[0], "-e", "trace=fsync,fdatasync",
+            *(["strace", "-f", "-qq", "-o", refused_sync[2], "-P", refused_sync[0], "-e", "trace=fsync,fdatasync",
                "-e", f"inject=fsync,fdatasync:error=EIO:when={refused_sync[1]}"] if refused_sync else []),
             binary, "--data-dir", os.path.join(self.disk, "data"), "serve", "--listen", "127.0.0.1:0",
             "--first-token-file", self.token_file, "--set", f"limits.group_size={group_size}",

@@ -25,6 +25,7 @@ mod rows;
 mod slot;
 mod sqlite;
 mod store;
+mod stored_text;
 pub mod transfer;
 pub mod wire;
 mod work;
@@ -38,3 +39,4 @@ pub use postgres::{CommonClock, PostgresOptions, PostgresStore, unknown_paramete
 pub use record::*;
 pub use sqlite::{SqliteOptions, SqliteStore, faults_of_file};
 pub use store::Store;
+pub use stored_text::StoredText;

@@ -1,5 +1,6 @@
 //! What the store keeps, as values.
 
+use crate::stored_text::StoredText;
 use feedwright_core::cycle::{Cycle, Outcome};
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
@@ -730,8 +731,8 @@ pub struct WearCheck {
     pub rows: u64,
     /// Those that differed from the fold.
     pub different: Vec<DifferingWear>,
-    /// Tools whose cycles could not be folded, with what could not be read.
-    pub unreadable: Vec<(ToolId, String)>,
+    /// Ids of tools whose cycles could not be folded, with what could not be read.
+    pub unreadable: Vec<(String, String)>,
 }
 
 /// How long a machine's samples are kept; without either limit for ever.
@@ -814,9 +815,9 @@ const FOLDED: [&str; 4] = ["cycles", "operations", "tools", "tool_events"];
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreFault {
     /// What it is about: `cycle`, `samples`, `hash`, `summary`, of a cycle; `table`, `file`, `samples`, `cut`, `quarantine`,
-    /// `recommendation`, `advice`, `overrides`, `feed profile`, of the tables.
+    /// `recommendation`, `advice`, `overrides`, `feed profile`, `row`, of the tables.
     pub kind: &'static str,
-    /// Which one, as in `M1/c0001`.
+    /// Which one, as in `M1/c0001`; of a row with its table before it, as in `audit 17`.
     pub key: String,
     /// What is wrong.
     pub detail: String,
@@ -828,7 +829,8 @@ impl StoreFault {
     /// a cycle says that there was one.
     pub fn may_mislead_wear(&self) -> bool {
         matches!(self.kind, "file" | "schema" | "samples" | "cut")
-            || (self.kind == "table" && FOLDED.contains(&self.key.as_str()))
+            || (matches!(self.kind, "table" | "row")
+                && self.key.split(' ').next().is_some_and(|table| FOLDED.contains(&table)))
     }
 }
 
@@ -847,8 +849,11 @@ pub struct CheckPage {
     /// What wear is not folded over.
     pub doubt: Doubt,
     /// Where to go on; `None` at the end.
-    pub next: Option<(MachineId, CycleId)>,
+    pub next: Option<CheckedTo>,
 }
+
+/// Machine and id of the last cycle of a page, as they are stored: also of one that is damaged.
+pub type CheckedTo = (StoredText, StoredText);
 
 /// Names a row of the quarantine, of alarms or of audit in a list.
 pub type RowNumber = i64;

@@ -8,11 +8,11 @@ use crate::feed_profile::{
 use crate::notice::Notices;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
-    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
-    SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
-    Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter, CycleKey,
+    CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
+    NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber,
+    SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
+    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use async_trait::async_trait;
 use feedwright_core::cycle::{Cycle, ProfileVersion, Samples};
@@ -316,7 +316,7 @@ pub trait Store: Send + Sync + 'static {
     async fn make_room(&self, now: Timestamp) -> StoreResult<()>;
 
     /// Checks the cycles after that key with their samples and hashes. Reads only.
-    async fn check_cycles(&self, after: Option<&(MachineId, CycleId)>, limit: u32) -> StoreResult<CheckPage>;
+    async fn check_cycles(&self, after: Option<&CheckedTo>, limit: u32) -> StoreResult<CheckPage>;
     /// Checks the tables as a whole. Reads only, but all of them.
     async fn check_tables(&self) -> StoreResult<Vec<StoreFault>>;
 

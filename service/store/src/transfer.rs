@@ -22,7 +22,15 @@ pub use copy::{Address, copy};
 pub use digest::TableSum;
 
 use crate::error::{StoreError, StoreResult};
+use crate::record::StoreFault;
+use crate::stored_text::StoredText;
 use async_trait::async_trait;
+
+/// Of each engine, for the check.
+pub(crate) mod damaged_rows {
+    pub(crate) use super::postgres::damaged_rows as of_postgres;
+    pub(crate) use super::sqlite::damaged_rows as of_sqlite;
+}
 
 /// Tables that belong to the program and not to the data.
 const LEFT_OUT: [&str; 9] = [
@@ -200,9 +208,56 @@ impl Table {
         self.columns.iter().position(|(name, _)| name == column)
     }
 
+    /// The same table without what is bytes: whatever those are they are read, and they are most of a database.
+    fn without_bytes(&self) -> Result<Self, TransferError> {
+        let key: Vec<String> = self.key.iter().map(|&at| self.columns[at].0.clone()).collect();
+        let columns = self.columns.iter().filter(|(name, kind)| *kind != Kind::Bytes || key.contains(name));
+        Self::checked(self.name.clone(), columns.cloned().collect(), &key)
+    }
+
+    /// The key of a row, as it is told where the row itself does not decode.
+    fn key_beside<R: sqlx::Row>(&self, row: &R) -> String
+    where
+        usize: sqlx::ColumnIndex<R>,
+        for<'r> StoredText: sqlx::Decode<'r, R::Database> + sqlx::Type<R::Database>,
+        for<'r> i64: sqlx::Decode<'r, R::Database> + sqlx::Type<R::Database>,
+        for<'r> Vec<u8>: sqlx::Decode<'r, R::Database> + sqlx::Type<R::Database>,
+    {
+        let part = |&at: &usize| match row.try_get::<i64, _>(at) {
+            Ok(number) => number.to_string(),
+            Err(_) => match row.try_get::<StoredText, _>(at) {
+                Ok(text) => text.to_string(),
+                Err(_) => row.try_get(at).map_or_else(|_| "?".to_owned(), |bytes| Value::Bytes(bytes).show()),
+            },
+        };
+        self.key.iter().map(part).collect::<Vec<_>>().join("/")
+    }
+
+    /// Why a row is not read, with the row that it is.
+    fn unread(&self, key: &str, Unread { column, error }: Unread) -> StoreError {
+        let StoreError::Damaged { .. } = error else { return error };
+        StoreError::Damaged {
+            what: format!("{} {key}: its {} does not decode", self.name, self.columns[column].0),
+        }
+    }
+
+    /// The same as a fault: no backup takes such a row.
+    fn fault(&self, key: &str, Unread { column, error }: Unread) -> StoreResult<StoreFault> {
+        let StoreError::Damaged { .. } = error else { return Err(error) };
+        let column = &self.columns[column].0;
+        let detail = format!("its {column} does not decode, so that no backup or copy takes it");
+        Ok(StoreFault { kind: "row", key: format!("{} {key}", self.name), detail })
+    }
+
     fn show_key(&self, row: &Row) -> String {
         self.key_of(row).iter().map(Value::show).collect::<Vec<_>>().join("/")
     }
+}
+
+/// Which column of a row is not read, and why.
+struct Unread {
+    column: usize,
+    error: StoreError,
 }
 
 /// A page as its rows come: it ends with as many of them as were asked for, or with as many bytes as one is large.

@@ -1,7 +1,7 @@
 //! What a check finds of summaries, and that wear is never folded over what it doubts.
 
 use super::given::{
-    Given, Run, at, commit, differing, engineer, event, machine, new_cycle, operation, shop, stories,
+    Given, Run, at, commit, differing, engineer, event, machine, new_cycle, operation, settle, shop, stories,
 };
 use feedwright_core::cycle::{Channel, Cycle, CycleDraft, Flag, Samples, TimeBase};
 use feedwright_core::machine::{Calibration, FittedLine};
@@ -10,10 +10,12 @@ use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::units::Process;
 use feedwright_core::wear::Exclusion;
+use feedwright_store::transfer::{Address, back_up_sqlite, copy};
 use feedwright_store::{
-    CheckPage, Committed, CycleFilter, Doubt, Left, NewCycle, Page, Precondition, Repair, Store, StoreError,
+    Actor, CheckPage, Committed, CycleFilter, Doubt, Left, NewCycle, Page, Precondition, QuarantineBounds,
+    QuarantineEntry, Repair, Role, SessionRecord, Store, StoreError, TokenRecord,
 };
-use sqlx::AssertSqlSafe;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, SqliteConnection};
 use std::collections::BTreeSet;
 
 stories!(with tables:
@@ -895,7 +897,7 @@ async fn a_course_that_cannot_be_read_costs_its_cycle_alone(given: &Given) {
     assert_eq!(told_keys(&found), [("summary", "M1/c00003")]);
     let wear = store.check_wear(Repair::AllBut(&Doubt::default())).await.unwrap();
     assert_eq!(wear.unreadable.len(), 1, "{wear:?}");
-    assert_eq!(wear.unreadable[0].0, tool);
+    assert_eq!(wear.unreadable[0].0, tool.as_str());
 
     // Put right by hand: the folds are made again of what there is.
     given
@@ -961,5 +963,241 @@ async fn samples_that_are_told_to_take_other_bytes_are_named() {
     assert_eq!(told_keys(&found), [("samples", "M1/c00003")]);
     assert!(found.faults[0].detail.starts_with("they are told to take 1342"), "{:?}", found.faults);
     assert_eq!(found.doubt.tools, BTreeSet::new(), "they are whole");
+    given.done().await;
+}
+
+fn admin() -> Actor {
+    Actor { token: "cli".to_owned(), role: Role::Admin }
+}
+
+fn token(id: &str) -> TokenRecord {
+    TokenRecord {
+        id: id.to_owned(),
+        name: "MES".to_owned(),
+        hash: [7; 32],
+        role: Role::Machine,
+        machine: Some("M1".try_into().unwrap()),
+        created_at: at(3),
+        revoked_at: None,
+    }
+}
+
+/// Something in nearly every table that has texts.
+async fn all_kinds(store: &dyn Store) {
+    eight(store).await;
+    super::feed_profiles::activated(store, 300.0).await;
+    let (machine, now) = ("M1".try_into().unwrap(), at(9000));
+    let entry = |id: &str| QuarantineEntry {
+        id: id.to_owned(),
+        machine: "M1".try_into().unwrap(),
+        cycle: Some("c1".to_owned()),
+        received_at: at(5),
+        code: "out_of_range".to_owned(),
+        problem: "{}".to_owned(),
+        content_type: "application/json".to_owned(),
+        settled: None,
+        size: 3,
+    };
+    let bounds = QuarantineBounds { entries: 10, bytes: 1000 };
+    store.quarantine(entry("q1"), b"{-}".to_vec(), bounds).await.unwrap();
+    store.quarantine(entry("q2"), b"{+}".to_vec(), bounds).await.unwrap();
+    assert!(settle(store, "q1", "dismissed", now).await);
+    store.create_token(token("tok-1"), &admin()).await.unwrap();
+    let session =
+        SessionRecord { hash: [1; 32], token: "tok-1".to_owned(), created_at: at(100), expires_at: at(150) };
+    store.begin_session(session, 5, &engineer()).await.unwrap();
+    let overrides = feedwright_store::CycleOverrides {
+        machine: "M1".try_into().unwrap(),
+        cycle: "streamed".try_into().unwrap(),
+        mode: "advise".to_owned(),
+        law_version: "1".to_owned(),
+        program_hash: Some("0".repeat(64)),
+        stored_at: at(0),
+        block: feedwright_store::codec::encode_overrides(&[(100.0, 1)]).unwrap(),
+    };
+    store.put_overrides(&overrides, feedwright_store::Sent::AsItRan).await.unwrap();
+    let retention = feedwright_store::SampleRetention { days: Some(90), bytes: None };
+    store.put_retention(&machine, retention, Precondition::Absent, &engineer(), now).await.unwrap();
+}
+
+/// The file beside its store, as a disk changes it: nothing is asked of keys and constraints.
+async fn beside(given: &Given) -> SqliteConnection {
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(given.file()).foreign_keys(false);
+    let mut conn = options.connect().await.unwrap();
+    conn.execute("PRAGMA ignore_check_constraints = ON").await.unwrap();
+    conn.execute("DROP TRIGGER audit_refuses_update").await.unwrap();
+    conn
+}
+
+/// Every column of texts of every table that holds any, each with one of its texts, in hexadecimals.
+async fn texts(conn: &mut SqliteConnection) -> Vec<(String, String, String)> {
+    let columns: Vec<(String, String)> = sqlx::query_as(
+        "SELECT t.name, c.name FROM sqlite_schema t, pragma_table_xinfo(t.name) c
+         WHERE t.type = 'table' AND c.type = 'TEXT' AND c.hidden = 0 AND t.name <> '_sqlx_migrations'
+         ORDER BY t.name, c.cid",
+    )
+    .fetch_all(&mut *conn)
+    .await
+    .unwrap();
+    let mut found = Vec::new();
+    for (table, column) in columns {
+        let sql = format!("SELECT hex({column}) FROM {table} WHERE {column} <> '' LIMIT 1");
+        let text: Option<String> =
+            sqlx::query_scalar(AssertSqlSafe(sql)).fetch_optional(&mut *conn).await.unwrap();
+        found.extend(text.map(|text| (table, column, text)));
+    }
+    found
+}
+
+/// Whatever text a disk has damaged: what keeps a backup from being made is named by the check, and by the backup too.
+#[tokio::test]
+async fn a_text_that_does_not_decode_is_named_with_its_row_and_the_rest_is_checked() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    all_kinds(&*store).await;
+    assert_eq!(store.check_tables().await.unwrap(), []);
+    let folder = tempfile::tempdir().unwrap();
+    let backup = folder.path().join("backup");
+    // What is in the journal goes into the file.
+    back_up_sqlite(&given.file(), &folder.path().join("sound"), at(1)).await.unwrap();
+    let mut conn = beside(&given).await;
+    conn.execute("INSERT INTO machine_contacts VALUES ('M1', 1)").await.unwrap();
+    let texts = texts(&mut conn).await;
+    let mut tables = BTreeSet::new();
+    for (table, column, text) in &texts {
+        let change = |from: &str, to: &str| {
+            let sql = format!(
+                "UPDATE {table} SET {column} = CAST(x'{to}' AS TEXT) WHERE {column} = CAST(x'{from}' AS TEXT)"
+            );
+            AssertSqlSafe(sql)
+        };
+        // As a turned bit leaves it, and as many bytes as before.
+        let damaged = format!("{}FF", &text[..text.len() - 2]);
+        let rows = conn.execute(change(text, &damaged)).await.unwrap().rows_affected();
+        let faults = store.check_tables().await.unwrap();
+        let prefix = format!("{table} ");
+        let told = |fault: &&feedwright_store::StoreFault| {
+            fault.kind == "row"
+                && fault.key.starts_with(&prefix)
+                && fault.detail.contains(&format!("its {column} "))
+        };
+        assert_eq!(faults.iter().filter(told).count() as u64, rows, "{table}.{column}: {faults:?}");
+        // Page by page, each of which ends at a row that may be damaged.
+        let (mut after, mut checked) = (None, 0);
+        loop {
+            let limit = if table == "cycles" { 1 } else { 100 };
+            let page = store.check_cycles(after.as_ref(), limit).await.unwrap();
+            checked += page.checked;
+            if table == "cycles" && page.checked > 0 && rows == 8 {
+                assert_eq!(page.faults.len(), 1, "{column}: {page:?}");
+            }
+            match page.next {
+                Some(next) => after = Some(next),
+                None => break,
+            }
+        }
+        assert_eq!(checked, 8, "{table}.{column}");
+        store.check_wear(Repair::No).await.unwrap();
+        // Words that a table refuses SQLite finds before.
+        let is_refused = faults.iter().any(|fault| fault.kind == "table");
+        if !is_refused && tables.insert(table.as_str()) {
+            let refused = back_up_sqlite(&given.file(), &backup, at(1)).await.unwrap_err().to_string();
+            let named = format!("stored data is damaged: {table} ");
+            assert!(
+                refused.starts_with(&named) && refused.contains(column.as_str()),
+                "{table}.{column}: {refused}"
+            );
+        }
+        assert_eq!(conn.execute(change(&damaged, text)).await.unwrap().rows_affected(), rows);
+    }
+    for table in [
+        "advices",
+        "alarms",
+        "audit",
+        "cycle_overrides",
+        "cycle_samples",
+        "cycles",
+        "feed_profile_versions",
+        "feed_profiles",
+        "machine_contacts",
+        "machines",
+        "operation_asks",
+        "operations",
+        "quarantine",
+        "recommendations",
+        "retention",
+        "sessions",
+        "tokens",
+        "tool_events",
+        "tool_wear",
+        "tools",
+    ] {
+        assert!(tables.contains(table), "{table}: {tables:?}");
+    }
+    // An id that is kept by its bytes.
+    let id = "UPDATE recommendations SET recommendation_id = x'ff' WHERE recommendation_id = \
+              (SELECT MIN(recommendation_id) FROM recommendations)";
+    assert_eq!(conn.execute(id).await.unwrap().rows_affected(), 1);
+    let faults = store.check_tables().await.unwrap();
+    let [fault] = &faults.iter().filter(|fault| fault.kind == "row").collect::<Vec<_>>()[..] else {
+        panic!("{faults:?}")
+    };
+    assert!(fault.key.starts_with("recommendations ff/M1"), "{fault:?}");
+    let (from, to) = (Address::Sqlite(given.file()), Address::Sqlite(folder.path().join("copy")));
+    let refused = copy(&from, &to, &mut |_, _, _| {}).await.unwrap_err().to_string();
+    assert!(refused.starts_with("stored data is damaged: recommendations ff/M1"), "{refused}");
+    conn.close().await.unwrap();
+    given.done().await;
+}
+
+/// What people only read takes neither the list away, nor the posts, nor the start.
+#[tokio::test]
+async fn a_damaged_name_takes_nothing_else_away() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    all_kinds(&*store).await;
+    let mut conn = beside(&given).await;
+    for (table, column) in [
+        ("machines", "name"),
+        ("machines", "control"),
+        ("tools", "name"),
+        ("operations", "name"),
+        ("tool_events", "reason"),
+        ("tool_events", "actor"),
+        ("alarms", "message"),
+        ("audit", "detail"),
+        ("tokens", "name"),
+        ("quarantine", "settled_how"),
+    ] {
+        let sql = format!("UPDATE {table} SET {column} = CAST(x'41ff' AS TEXT) WHERE {column} IS NOT NULL");
+        assert!(conn.execute(AssertSqlSafe(sql)).await.unwrap().rows_affected() > 0, "{table}");
+    }
+    conn.execute("UPDATE registry_generation SET changes = changes + 1").await.unwrap();
+    conn.close().await.unwrap();
+    let shown = "A\u{fffd}";
+    let page = || Page { after: None, limit: 100 };
+    assert_eq!(store.machines(Page { after: None, limit: 9 }).await.unwrap()[0].value.name, shown);
+    assert_eq!(store.tools(Page { after: None, limit: 9 }).await.unwrap().len(), 2);
+    assert_eq!(store.operations(Page { after: None, limit: 9 }).await.unwrap()[0].value.name, shown);
+    assert_eq!(store.alarms(&Default::default(), page()).await.unwrap()[0].message, shown);
+    assert_eq!(store.audit(page()).await.unwrap()[0].detail, shown);
+    assert_eq!(store.token_by_hash(&[7; 32]).await.unwrap().unwrap().name, shown);
+    assert!(store.quarantine_entry("q1").await.unwrap().is_some());
+    assert!(!store.create_first_token(token("tok-2"), &admin()).await.unwrap());
+    super::given::stored(&*store, &Run { seconds: 6000, ..Run::nth(30) }).await;
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    given.done().await;
+}
+
+/// Nor does any other text of a token keep a server from starting.
+#[tokio::test]
+async fn a_damaged_token_is_one_too() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    assert!(store.create_first_token(token("tok-1"), &admin()).await.unwrap());
+    let mut conn = beside(&given).await;
+    conn.execute("UPDATE tokens SET machine_id = CAST(x'ff' AS TEXT)").await.unwrap();
+    conn.close().await.unwrap();
+    assert!(!store.create_first_token(token("tok-2"), &admin()).await.unwrap());
     given.done().await;
 }

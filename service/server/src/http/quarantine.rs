@@ -9,6 +9,7 @@ use super::export::{self, Size};
 use super::extract::{PathId, Query, query_id};
 use super::problem::Problem;
 use crate::auth::Caller;
+use crate::ingest::intake::entry_damaged;
 use crate::state::AppState;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
@@ -88,8 +89,8 @@ pub(super) async fn settle(
     state.lifecycle.spawn(task).await.map_err(|error| Problem::internal(error.to_string()))?.map(axum::Json)
 }
 
-/// So long an entry is one server's that settles it: longer than a commit is waited for.
-const CLAIM: Duration = Duration::from_secs(60);
+/// So long an entry is that request's which settles it: longer than its cycle is prepared, and two commits are waited for.
+const CLAIM: Duration = Duration::from_secs(180);
 
 async fn settle_alone(
     state: &AppState,
@@ -100,7 +101,8 @@ async fn settle_alone(
     // One at a time, at this server and at those that share its database: of two repairs of an entry that come together, both would be
     // stored, and one told that it was not.
     let _settling = state.intake.settling().await?;
-    let (own, claimed, now) = (state.streams.holder().to_owned(), id.clone(), state.clock.now());
+    let holder = uuid::Uuid::now_v7().to_string();
+    let (own, claimed, now) = (holder.clone(), id.clone(), state.clock.now());
     let is_ours =
         state.commit(|store| async move { store.claim_quarantine(&claimed, &own, CLAIM, now).await }).await?;
     let found = entry(state, &id).await?;
@@ -108,13 +110,13 @@ async fn settle_alone(
         return Err(already_settled());
     }
     if !is_ours {
-        return Err(Problem::unavailable("settling", "another server settles the entry", 5));
+        return Err(settled_elsewhere());
     }
-    let settled = settle_claimed(state, &id, found, body, actor).await;
-    if settled.is_err() {
-        // Where it was settled none is left.
-        let own = state.streams.holder().to_owned();
-        let released = state.commit(|store| async move { store.release_quarantine(&id, &own).await }).await;
+    let settled = settle_claimed(state, (&id, &holder), found, body, actor).await;
+    // What is not known to have come to nothing may be committed yet: its claim ends by itself.
+    if settled.as_ref().is_err_and(|problem| problem.status.is_client_error()) {
+        let released =
+            state.commit(|store| async move { store.release_quarantine(&id, &holder).await }).await;
         if let Err(error) = released {
             tracing::debug!(%error, "the claim on an entry could not be given up; it ends by itself");
         }
@@ -124,7 +126,7 @@ async fn settle_alone(
 
 async fn settle_claimed(
     state: &AppState,
-    id: &str,
+    (id, holder): (&str, &str),
     (entry, kept): (QuarantineEntry, Option<Vec<u8>>),
     body: SettleBody,
     actor: Actor,
@@ -133,7 +135,8 @@ async fn settle_claimed(
         QuarantineAction::Discard => (format!("discarded: {}", body.reason), None),
         QuarantineAction::Reingest => {
             let repaired = if body.body.is_some() { "repaired and re-ingested" } else { "re-ingested" };
-            let taken = body.body.map(Bytes::from).or_else(|| kept.map(Bytes::from)).ok_or_else(damaged)?;
+            let taken =
+                body.body.map(Bytes::from).or_else(|| kept.map(Bytes::from)).ok_or_else(entry_damaged)?;
             let taken_in = state.intake.reingest(&entry, taken).await;
             // What is told of a body is of the cycle's, and not of this request's.
             let (cycle, answer) = taken_in.map_err(|problem| match problem.code {
@@ -148,20 +151,19 @@ async fn settle_claimed(
         }
     };
     // A crash before this line leaves an entry open whose cycle is stored: settling it again finds it known.
-    let (now, own) = (state.clock.now(), state.streams.holder().to_owned());
+    let (now, own) = (state.clock.now(), holder.to_owned());
     let (settled, told) = (id.to_owned(), how.clone());
     let settle = state
         .commit(|store| async move { store.settle_quarantine(&settled, &own, &told, &actor, now).await })
         .await?;
-    if settle { Ok(Settled { id: id.to_owned(), how, answer }) } else { Err(already_settled()) }
+    // Where it took longer than its claim another may have settled the entry, or be at it.
+    if settle { Ok(Settled { id: id.to_owned(), how, answer }) } else { Err(settled_elsewhere()) }
 }
 
-fn damaged() -> Problem {
-    Problem::new(
-        StatusCode::CONFLICT,
-        "body_damaged",
-        "what is kept of the body is not what came: send it repaired, or discard the entry",
-    )
+fn settled_elsewhere() -> Problem {
+    let detail =
+        "somebody else settles the entry, or has begun to and ended; ask again, and look at its cycle";
+    Problem::unavailable("settling", detail, 5)
 }
 
 fn already_settled() -> Problem {

@@ -552,7 +552,7 @@ impl CycleIntake {
         body: Bytes,
     ) -> Result<(Arc<Cycle>, serde_json::Value), Problem> {
         let (machine, refused) = (&entry.machine, Refused::StaysInQuarantine);
-        let accepted = match was_cut_short(entry) {
+        let accepted = match was_cut_short(entry).ok_or_else(entry_damaged)? {
             true => self.accept_incomplete(machine, body, refused).await?,
             false => self.accept(machine, body, refused).await?,
         };
@@ -574,9 +574,17 @@ impl CycleIntake {
     }
 }
 
-fn was_cut_short(entry: &QuarantineEntry) -> bool {
-    let problem = serde_json::from_str::<serde_json::Value>(&entry.problem);
-    problem.is_ok_and(|problem| problem[CUT_SHORT] == true)
+/// Whether it came as a part of a cycle; `None` where what is kept of its problem, which alone says so, cannot be read.
+fn was_cut_short(entry: &QuarantineEntry) -> Option<bool> {
+    let problem = serde_json::from_str::<serde_json::Value>(&entry.problem).ok()?;
+    Some(problem[CUT_SHORT] == true)
+}
+
+/// What is kept of an entry is not what came.
+pub(crate) fn entry_damaged() -> Problem {
+    let detail =
+        "what is kept of the entry is not what came: send its body repaired where that is all, or discard it";
+    Problem::new(StatusCode::CONFLICT, "body_damaged", detail)
 }
 
 fn unknown_machine(machine: &MachineId) -> Problem {

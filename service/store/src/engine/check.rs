@@ -7,23 +7,28 @@ use crate::history::Walk;
 use crate::locks::Locks;
 use crate::record::{DifferingWear, Doubt, Left};
 use crate::rows::{FactsRow, count, id};
+use crate::stored_text::StoredText;
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{Exclusion, FOLD_VERSION, OrderKey, ToolFold};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The next registered tool, or one that has a cache, after `after`.
-pub(super) async fn next_tool(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
-    let next: Option<String> = sqlx::query_scalar::<Db, _>(
+/// The next registered tool, or one that has a cache, after `after`; as it is stored, so that one that is damaged is gone past.
+pub(super) async fn next_tool(
+    conn: &mut Conn,
+    after: Option<&StoredText>,
+) -> StoreResult<Option<StoredText>> {
+    let next: Option<StoredText> = sqlx::query_scalar::<Db, _>(
         "SELECT MIN(tool_id) FROM (
-             SELECT MIN(tool_id) AS tool_id FROM tools WHERE tool_id > $1
-             UNION ALL SELECT MIN(tool_id) AS tool_id FROM tool_wear WHERE tool_id > $1) AS next",
+             SELECT MIN(tool_id) AS tool_id FROM tools WHERE tool_id > CAST($1 AS TEXT)
+             UNION ALL SELECT MIN(tool_id) AS tool_id FROM tool_wear
+                 WHERE tool_id > CAST($1 AS TEXT)) AS next",
     )
-    .bind(after.map_or("", ToolId::as_str))
+    .bind(after.cloned().unwrap_or_default())
     .fetch_one(&mut *conn)
     .await?;
-    next.as_deref().map(|tool| id("tool_id", tool)).transpose()
+    Ok(next)
 }
 
 #[derive(sqlx::FromRow)]

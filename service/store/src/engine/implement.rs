@@ -17,11 +17,11 @@ use crate::past;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::Group;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, Committed, CycleFilter, CycleKey, CycleOverrides,
-    DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind, NewCycle, Page,
-    Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber, SampleDrop,
-    SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent, StreamLease,
-    Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter, CycleKey,
+    CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
+    NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber,
+    SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
+    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::store::Store;
 use async_trait::async_trait;
@@ -711,7 +711,7 @@ impl Store for Engine {
         write!(self, |conn| dialect::make_room(conn, now).await)
     }
 
-    async fn check_cycles(&self, after: Option<&(MachineId, CycleId)>, limit: u32) -> StoreResult<CheckPage> {
+    async fn check_cycles(&self, after: Option<&CheckedTo>, limit: u32) -> StoreResult<CheckPage> {
         let (after, max_samples) = (after.cloned(), self.max_samples());
         snapshot!(self, |conn| verify::page(conn, after.as_ref(), limit, max_samples).await)
     }
@@ -772,7 +772,11 @@ impl Store for Engine {
             let Some(next) = next else {
                 return Ok(checked);
             };
-            let tool = next.clone();
+            after = Some(next.clone());
+            let Some(tool) = next.as_str().and_then(|tool| ToolId::try_from(tool).ok()) else {
+                checked.unreadable.push((next.to_string(), "its id is no identifier".to_owned()));
+                continue;
+            };
             let found: StoreResult<_> = match doubt.clone() {
                 Some(doubt) => write!(self, |conn| check::tool(conn, &tool, Some(&doubt)).await),
                 None => snapshot!(self, |conn| check::tool(conn, &tool, None).await),
@@ -782,10 +786,9 @@ impl Store for Engine {
                     checked.rows += rows;
                     checked.different.extend(different);
                 }
-                Err(StoreError::Damaged { what }) => checked.unreadable.push((next.clone(), what)),
+                Err(StoreError::Damaged { what }) => checked.unreadable.push((next.to_string(), what)),
                 Err(error) => return Err(error),
             }
-            after = Some(next);
         }
     }
 

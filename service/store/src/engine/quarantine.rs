@@ -5,9 +5,11 @@ use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::{Actor, AlarmKind, Page, QuarantineBounds, QuarantineEntry};
 use crate::rows::{QuarantineRow, count, number};
+use crate::stored_text::StoredText;
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
 use serde_json::json;
+use sqlx::Row;
 use std::time::Duration;
 
 /// Bodies are written once and read by people.
@@ -112,16 +114,15 @@ pub(super) async fn add(
 /// The id under which an entry is kept: the one that it came with, or the next behind all that are kept. Ids are made when bodies come,
 /// and whoever lists goes on behind the last one that was shown: what was committed later under an id before it would never be.
 async fn behind_all(conn: &mut Conn, id: &str) -> StoreResult<String> {
-    let newest: Option<String> = sqlx::query_scalar::<Db, _>("SELECT MAX(quarantine_id) FROM quarantine")
+    let newest: Option<StoredText> = sqlx::query_scalar::<Db, _>("SELECT MAX(quarantine_id) FROM quarantine")
         .fetch_one(&mut *conn)
         .await?;
-    let Some(newest) = newest.filter(|newest| newest.as_str() >= id) else {
+    let Some(newest) = newest.as_ref().and_then(StoredText::as_str).filter(|newest| *newest >= id) else {
         return Ok(id.to_owned());
     };
-    // Of what is no such id nothing comes next.
-    let next =
-        uuid::Uuid::parse_str(&newest).map(|newest| uuid::Uuid::from_u128(newest.as_u128() + 1).to_string());
-    Ok(next.unwrap_or_else(|_| id.to_owned()))
+    // Of what is no such id, as of a damaged one, nothing comes next.
+    let next = uuid::Uuid::parse_str(newest).ok().and_then(|newest| newest.as_u128().checked_add(1));
+    Ok(next.map_or_else(|| id.to_owned(), |next| uuid::Uuid::from_u128(next).to_string()))
 }
 
 pub(super) async fn list(
@@ -156,14 +157,17 @@ struct WithBody {
 impl WithBody {
     /// The body as it came; `None` where what is kept is not that any more.
     fn body(&self) -> Option<Vec<u8>> {
-        let size = u64::try_from(self.entry.size).ok()?;
-        // The frame's own size has to be the one that was written beside it: a damaged one would have anything reserved.
-        let framed = zstd::zstd_safe::get_frame_content_size(&self.body).ok()?;
-        let body =
-            zstd::bulk::decompress(&self.body, usize::try_from(size).ok().filter(|_| framed == Some(size))?)
-                .ok()?;
-        (blake3::hash(&body).as_bytes() == self.body_hash.as_slice()).then_some(body)
+        unpacked(&self.body, self.entry.size, &self.body_hash)
     }
+}
+
+fn unpacked(body: &[u8], size: i64, hash: &[u8]) -> Option<Vec<u8>> {
+    let size = u64::try_from(size).ok()?;
+    // The frame's own size has to be the one that was written beside it: a damaged one would have anything reserved.
+    let framed = zstd::zstd_safe::get_frame_content_size(body).ok()?;
+    let body =
+        zstd::bulk::decompress(body, usize::try_from(size).ok().filter(|_| framed == Some(size))?).ok()?;
+    (blake3::hash(&body).as_bytes() == hash).then_some(body)
 }
 
 pub(super) async fn get(
@@ -181,26 +185,33 @@ pub(super) async fn get(
     Ok(Some((row.entry.entry()?, row.body())))
 }
 
-/// Entries whose bodies are not what came: whoever took one of them in again would store what no machine has measured.
-pub(super) async fn damaged(conn: &mut Conn, most: i64) -> StoreResult<Vec<String>> {
+/// Entries whose bodies are not what came: whoever took one of them in again would store what no machine has measured. And
+/// whether all could be gone through.
+pub(super) async fn damaged(conn: &mut Conn, most: usize) -> StoreResult<(Vec<String>, bool)> {
     let mut damaged = Vec::new();
-    let mut after = String::new();
-    while i64::try_from(damaged.len()).is_ok_and(|found| found < most) {
-        // One at a time: a body may be as long as a batch.
-        let row: Option<WithBody> = sqlx::query_as::<Db, _>(select!(
-            ", body, body_hash",
-            "WHERE quarantine_id > $1 ORDER BY quarantine_id LIMIT 1"
-        ))
-        .bind(&after)
+    let mut after = StoredText::default();
+    while damaged.len() < most {
+        // One at a time: a body may be as long as a batch. Nothing of its other texts, which may be damaged.
+        let row = sqlx::query::<Db>(
+            "SELECT quarantine_id, size, body, body_hash FROM quarantine
+             WHERE quarantine_id > CAST($1 AS TEXT) ORDER BY quarantine_id LIMIT 1",
+        )
+        .bind(after.clone())
         .fetch_optional(&mut *conn)
         .await?;
         let Some(row) = row else { break };
-        after.clone_from(&row.entry.quarantine_id);
-        if row.body().is_none() {
-            damaged.push(after.clone());
+        let id: StoredText = row.try_get(0)?;
+        if id <= after {
+            return Ok((damaged, false));
         }
+        let (body, hash) = (row.try_get::<Vec<u8>, _>(2), row.try_get::<Vec<u8>, _>(3));
+        let kept = body.ok().zip(row.try_get(1).ok()).zip(hash.ok());
+        if kept.and_then(|((body, size), hash)| unpacked(&body, size, &hash)).is_none() {
+            damaged.push(id.to_string());
+        }
+        after = id;
     }
-    Ok(damaged)
+    Ok((damaged, true))
 }
 
 /// Claims an entry, where it is not settled and nobody else has claimed it; what would end later than `lease` was written by a clock that

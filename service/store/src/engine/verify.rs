@@ -9,20 +9,23 @@ pub(super) use tables::tables;
 use super::{Conn, Db, cycles, dialect, retention};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
-use crate::record::{CheckPage, EncodedCycle, NewCycle, SampleDrop, StoreFault};
+use crate::record::{CheckPage, CheckedTo, EncodedCycle, NewCycle, SampleDrop, StoreFault};
 use crate::rows::{CycleRow, cycle_columns, id};
+use crate::stored_text::StoredText;
 use context::Contexts;
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::summary::{Context, SUMMARY_VERSION, is_summarised_alike, summarise};
 use feedwright_core::units::Timestamp;
+use sqlx::{FromRow, Row};
 use std::sync::Arc;
 
 macro_rules! select_sql {
     ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
         concat!(
             "SELECT ", $("c.", stringify!($column), ", ",)* "1 AS one FROM cycles c
-             WHERE (c.machine_id, c.cycle_id) > ($1, $2) ORDER BY c.machine_id, c.cycle_id LIMIT $3"
+             WHERE (c.machine_id, c.cycle_id) > (CAST($1 AS TEXT), CAST($2 AS TEXT))
+             ORDER BY c.machine_id, c.cycle_id LIMIT $3"
         )
     };
 }
@@ -30,15 +33,15 @@ macro_rules! select_sql {
 /// The cycles after that key, each with its samples: what is wrong with them.
 pub(super) async fn page(
     conn: &mut Conn,
-    after: Option<&(MachineId, CycleId)>,
+    after: Option<&CheckedTo>,
     limit: u32,
     max_samples: usize,
 ) -> StoreResult<CheckPage> {
     dialect::keep_partitions(conn).await?;
-    let (machine, cycle) = after.map_or(("", ""), |(machine, cycle)| (machine.as_str(), cycle.as_str()));
-    let mut rows: Vec<CycleRow> = sqlx::query_as::<Db, _>(cycle_columns!(select_sql))
-        .bind(machine)
-        .bind(cycle)
+    let after = after.cloned().unwrap_or_default();
+    let rows = sqlx::query::<Db>(cycle_columns!(select_sql))
+        .bind(after.0.clone())
+        .bind(after.1.clone())
         .bind(i64::from(limit))
         .fetch_all(&mut *conn)
         .await?;
@@ -46,8 +49,20 @@ pub(super) async fn page(
     // Neither hash nor samples tell of what was cut off.
     page.doubt.cut_short = true;
     let (mut contexts, mut decisions) = (Contexts::default(), Decisions::default());
-    for row in &mut rows {
-        let key = format!("{}/{}", row.machine_id, row.cycle_id);
+    let mut last = after.clone();
+    for row in &rows {
+        last = (row.try_get("machine_id")?, row.try_get("cycle_id")?);
+        let key = format!("{}/{}", last.0, last.1);
+        let mut row = match CycleRow::from_row(row).map_err(StoreError::from) {
+            Err(StoreError::Damaged { what }) => {
+                let tool: Option<StoredText> = row.try_get("tool_id").ok();
+                let tool = tool.as_ref().and_then(StoredText::as_str);
+                page.doubt.tools.extend(tool.and_then(|tool| ToolId::try_from(tool).ok()));
+                page.faults.push(StoreFault { kind: "cycle", key, detail: what });
+                continue;
+            }
+            row => row?,
+        };
         let tool = row.tool_id.clone();
         let of = (row.machine_id.clone(), row.tool_id.clone());
         let of = move || {
@@ -122,7 +137,13 @@ pub(super) async fn page(
                 format!("the summary counts {} samples, the block holds {found}", row.sample_count),
             );
         }
-        let cut = cycles::cut(conn, &machine, &cycle).await?;
+        let cut = match cycles::cut(conn, &machine, &cycle).await {
+            Err(error @ StoreError::Damaged { .. }) => {
+                fault("cut", error.to_string());
+                continue;
+            }
+            cut => cut?,
+        };
         let cycle = match row.cycle(samples, cut) {
             Ok(cycle) => cycle,
             Err(error) => {
@@ -137,7 +158,7 @@ pub(super) async fn page(
                 continue;
             }
         };
-        match summary(conn, &mut contexts, row, (cycle, hash)).await {
+        match summary(conn, &mut contexts, &mut row, (cycle, hash)).await {
             Ok(Summary::Holds) => {}
             Ok(Summary::Unproven) => page.doubt.unproven.extend(of()),
             Ok(Summary::Unverified) => {
@@ -149,12 +170,16 @@ pub(super) async fn page(
             Err(error) => return Err(error),
         }
     }
-    page.next = match rows.last() {
-        Some(last) if rows.len() == limit as usize => {
-            Some((id("machine_id", &last.machine_id)?, id("cycle_id", &last.cycle_id)?))
+    if rows.len() == limit as usize {
+        if last > after {
+            page.next = Some(last);
+        } else {
+            // Its index says otherwise than the table: there would be no end.
+            let (key, detail) =
+                ("cycles".to_owned(), "its rows cannot be gone through by their key".to_owned());
+            page.faults.push(StoreFault { kind: "table", key, detail });
         }
-        _ => None,
-    };
+    }
     Ok(page)
 }
 

@@ -8,6 +8,8 @@ pub(super) use assumed::{Assumption, MAY_ASSUME, assume, begin_assumed, undo, wr
 pub(super) use many::{insert_cycles, insert_recommendations, save_wear, write_rest};
 pub(crate) use schema::is_ours;
 
+pub(super) use crate::transfer::damaged_rows::of_postgres as damaged_rows;
+
 use super::{Conn, Writer};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;

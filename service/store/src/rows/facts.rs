@@ -3,6 +3,7 @@
 use super::{CycleRow, damaged, id, number, word};
 use crate::error::StoreResult;
 use crate::record::StoredToolEvent;
+use crate::stored_text::StoredText;
 use feedwright_core::cycle::{Flags, ProfileVersion};
 use feedwright_core::ids::{CycleId, MachineId, RecommendationId};
 use feedwright_core::operation::{Ask, DatedOperation, WearSettings};
@@ -284,11 +285,12 @@ pub(crate) struct EventRow {
     pub(crate) at_us: i64,
     pub(crate) first_machine_id: Option<String>,
     pub(crate) first_cycle_id: Option<String>,
-    pub(crate) reason: Option<String>,
-    pub(crate) actor: String,
+    pub(crate) reason: Option<StoredText>,
+    /// Who told it is shown, and nothing else: the tool is judged all the same where that is damaged.
+    pub(crate) actor: StoredText,
     pub(crate) recorded_at_us: i64,
     pub(crate) revoked_at_us: Option<i64>,
-    pub(crate) revoked_by: Option<String>,
+    pub(crate) revoked_by: Option<StoredText>,
 }
 
 impl EventRow {
@@ -328,11 +330,15 @@ impl EventRow {
                 kind: word("kind", &self.kind, ToolEventKind::parse)?,
                 at: Timestamp::from_micros(self.at_us),
                 first_cycle: self.first_cycle()?,
-                reason: self.reason.clone(),
+                reason: self.reason.as_ref().map(StoredText::shown),
             },
-            actor: self.actor.clone(),
+            actor: self.actor.shown(),
             recorded_at: Timestamp::from_micros(self.recorded_at_us),
-            revoked: self.revoked_by.clone().zip(self.revoked_at_us.map(Timestamp::from_micros)),
+            revoked: self
+                .revoked_by
+                .as_ref()
+                .map(StoredText::shown)
+                .zip(self.revoked_at_us.map(Timestamp::from_micros)),
         })
     }
 }

@@ -4,6 +4,7 @@ use super::library::setup_of;
 use super::{id, number, word};
 use crate::error::StoreResult;
 use crate::record::Versioned;
+use crate::stored_text::StoredText;
 use feedwright_core::machine::{
     Calibration, FeedDriveRating, FeedLimits, FittedLine, LoadReference, Machine, SpindleRating,
 };
@@ -16,8 +17,8 @@ use serde_json::{Value, json};
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct MachineRow {
     machine_id: String,
-    name: String,
-    control: String,
+    name: StoredText,
+    control: StoredText,
     ipo_period_ms: f64,
     spindle_reference: String,
     spindle_rated_power_watts: Option<f64>,
@@ -44,8 +45,8 @@ impl MachineRow {
         Ok(Versioned {
             value: Machine {
                 id: id("machine_id", &self.machine_id)?,
-                name: self.name.clone(),
-                control: self.control.clone(),
+                name: self.name.shown(),
+                control: self.control.shown(),
                 ipo_period_ms: self.ipo_period_ms,
                 spindle: SpindleRating {
                     reference: word("spindle_reference", &self.spindle_reference, LoadReference::parse)?,
@@ -167,7 +168,7 @@ pub(crate) fn calibration_json(calibration: &Calibration) -> Value {
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct ToolRow {
     tool_id: String,
-    name: String,
+    name: StoredText,
     serial: Option<String>,
     tool_type: String,
     diameter_mm: Option<f64>,
@@ -180,7 +181,7 @@ impl ToolRow {
         Ok(Versioned {
             value: Tool {
                 id: id("tool_id", &self.tool_id)?,
-                name: self.name.clone(),
+                name: self.name.shown(),
                 serial: self.serial.clone(),
                 tool_type: self.tool_type.clone(),
                 diameter_mm: self.diameter_mm,
@@ -205,7 +206,7 @@ pub(crate) fn tool_json(tool: &Tool) -> Value {
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct OperationRow {
     operation_id: String,
-    name: String,
+    name: StoredText,
     process: String,
     program: Option<String>,
     feature: Option<String>,
@@ -231,7 +232,7 @@ impl OperationRow {
         Ok(Versioned {
             value: Operation {
                 id: id("operation_id", &self.operation_id)?,
-                name: self.name.clone(),
+                name: self.name.shown(),
                 process: word("process", &self.process, Process::parse)?,
                 program: self.program.clone(),
                 feature: self.feature.clone(),

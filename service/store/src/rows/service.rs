@@ -3,6 +3,7 @@
 use super::{ProcessAdviceBody, ProfileAdviceBody, id, number, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{Alarm, AlarmKind, AuditEntry, IssuedRecommendation, QuarantineEntry, Role, TokenRecord};
+use crate::stored_text::StoredText;
 use feedwright_core::ids::RecommendationId;
 use feedwright_core::machine::FeedLimits;
 use feedwright_core::recommend::{Action, DataQuality, Recommendation, ReferenceRequest};
@@ -186,7 +187,7 @@ pub(crate) struct AlarmRow {
     pub(crate) kind: String,
     machine_id: Option<String>,
     tool_id: Option<String>,
-    message: String,
+    message: StoredText,
     raised_at_us: i64,
     cleared_at_us: Option<i64>,
     acknowledged_by: Option<String>,
@@ -204,7 +205,7 @@ impl AlarmRow {
             kind: word("kind", &self.kind, AlarmKind::parse)?,
             machine: self.machine_id.as_deref().map(|text| id("machine_id", text)).transpose()?,
             tool: self.tool_id.as_deref().map(|text| id("tool_id", text)).transpose()?,
-            message: self.message.clone(),
+            message: self.message.shown(),
             raised_at: Timestamp::from_micros(self.raised_at_us),
             cleared_at: self.cleared_at_us.map(Timestamp::from_micros),
             acknowledged,
@@ -220,17 +221,18 @@ pub(crate) struct QuarantineRow {
     cycle_id: Option<String>,
     received_at_us: i64,
     code: String,
+    /// Says whether a part of a cycle came, and decides by that.
     problem: String,
     content_type: String,
     pub(crate) size: i64,
     settled_at_us: Option<i64>,
-    settled_how: Option<String>,
+    settled_how: Option<StoredText>,
 }
 
 impl QuarantineRow {
     pub(crate) fn entry(&self) -> StoreResult<QuarantineEntry> {
         let settled = match (self.settled_at_us, &self.settled_how) {
-            (Some(at), Some(how)) => Some((Timestamp::from_micros(at), how.clone())),
+            (Some(at), Some(how)) => Some((Timestamp::from_micros(at), how.shown())),
             _ => None,
         };
         Ok(QuarantineEntry {
@@ -256,7 +258,7 @@ pub(crate) struct AuditRow {
     role: String,
     action: String,
     subject: String,
-    detail: String,
+    detail: StoredText,
 }
 
 impl AuditRow {
@@ -268,7 +270,7 @@ impl AuditRow {
             role: word("role", &self.role, Role::parse)?,
             action: self.action,
             subject: self.subject,
-            detail: self.detail,
+            detail: self.detail.shown(),
         })
     }
 }
@@ -277,7 +279,7 @@ impl AuditRow {
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct TokenRow {
     token_id: String,
-    name: String,
+    name: StoredText,
     secret_hash: Vec<u8>,
     role: String,
     machine_id: Option<String>,
@@ -289,7 +291,7 @@ impl TokenRow {
     pub(crate) fn token(self) -> StoreResult<TokenRecord> {
         Ok(TokenRecord {
             id: self.token_id,
-            name: self.name,
+            name: self.name.shown(),
             hash: self.secret_hash.try_into().map_err(|_| super::damaged("secret_hash"))?,
             role: word("role", &self.role, Role::parse)?,
             machine: self.machine_id.as_deref().map(|text| id("machine_id", text)).transpose()?,

@@ -69,6 +69,9 @@ async fn run(
             () = stop.notified() => break,
             _ = ticks.tick() => {}
         }
+        if writing.upgrade().is_some_and(|writing| writing.is_refused().is_err()) {
+            break;
+        }
         match checkpoint(&mut conn, &writing).await {
             Ok((pages, moved)) => {
                 wal_pages.store(pages, Ordering::Relaxed);

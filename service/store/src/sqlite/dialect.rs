@@ -14,6 +14,8 @@ pub(super) use many::{
 };
 pub(super) use samples::{BLOCK, PACK, block, block_as_told, block_of, packs, stray_packs, tidy};
 
+pub(super) use crate::transfer::damaged_rows::of_sqlite as damaged_rows;
+
 use super::{Conn, Writer};
 use crate::error::StoreResult;
 use crate::locks::Locks;

@@ -270,7 +270,8 @@ impl Writing {
         outcome
     }
 
-    fn is_refused(&self) -> StoreResult<()> {
+    /// Fails where the disk has refused a write.
+    pub(super) fn is_refused(&self) -> StoreResult<()> {
         self.refused.get().map_or(Ok(()), |why| Err(StoreError::NotWritable(why.clone().into())))
     }
 
@@ -302,7 +303,7 @@ impl Writing {
     }
 
     /// Commits and closes. Closing the last connection folds the log into the file, but for where a write was refused: what is missing of
-    /// the file may be in the log alone then, and whoever opens the database next moves all of it again.
+    /// the file may be in the log alone then, and whoever opens it next, where nobody else has it open, moves all of that again.
     pub(super) async fn close(&self) {
         let Some(writer) = self.writer.lock().await.take() else { return };
         if self.is_refused().is_err() {

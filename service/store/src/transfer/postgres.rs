@@ -1,9 +1,10 @@
 //! A PostgreSQL database as a side of a transfer.
 
-use super::{Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Value, quoted};
+use super::{Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Unread, Value, quoted};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions, plant};
+use crate::record::StoreFault;
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
@@ -152,45 +153,98 @@ fn tuple(query: &mut QueryBuilder<Postgres>, values: &Row, kinds: impl Iterator<
     query.push(")");
 }
 
+/// Asks for the columns of a table.
+fn select(table: &Table) -> String {
+    let columns: Vec<_> = table.columns.iter().map(|(name, kind)| read_as(name, *kind)).collect();
+    format!("SELECT {} FROM \"{}\"", columns.join(", "), table.name)
+}
+
+/// The values of a row.
+fn values(table: &Table, row: &PgRow) -> Result<Row, Unread> {
+    let columns = table.columns.iter().enumerate();
+    let values = columns.map(|(at, (_, kind))| {
+        value(row, at, *kind).map_err(|error| Unread { column: at, error: error.into() })
+    });
+    values.collect()
+}
+
+/// Rows that no backup takes: as its sum reads them, something in them does not decode, as of a page that a disk has damaged. So many of
+/// a table at the most, one by one.
+pub(crate) async fn damaged_rows(
+    conn: &mut PgConnection,
+    most: usize,
+) -> Result<Vec<StoreFault>, TransferError> {
+    let (tables, _) = tables(conn).await?;
+    let mut faults = Vec::new();
+    // What has no key is told as that.
+    for table in tables.into_iter().flatten() {
+        let table = table.without_bytes()?;
+        let before = faults.len();
+        let mut query = QueryBuilder::<Postgres>::new(select(&table));
+        let mut found = query.build().persistent(false).fetch(&mut *conn);
+        while faults.len() - before < most
+            && let Some(row) = found.try_next().await?
+        {
+            if let Err(unread) = values(&table, &row) {
+                faults.push(table.fault(&table.key_beside(&row), unread)?);
+            }
+        }
+    }
+    Ok(faults)
+}
+
+/// A table's name, columns and key.
+type Declared = (String, Vec<(String, Kind)>, Vec<String>);
+
+/// Every table of the data, by name, and the columns that the database numbers itself, `(table, column)`.
+async fn tables(
+    conn: &mut PgConnection,
+) -> Result<(Vec<Result<Table, TransferError>>, Vec<(String, String)>), TransferError> {
+    // Partitions are part of their table, views are made of tables.
+    let columns: Vec<(String, String, String, bool, Option<i32>)> = sqlx::query_as(
+        "SELECT c.relname::TEXT, a.attname::TEXT, format_type(a.atttypid, NULL), a.attidentity <> '',
+                array_position(k.conkey::INT[], a.attnum::INT)
+         FROM pg_class c
+         JOIN pg_attribute a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped
+         LEFT JOIN pg_constraint k ON k.conrelid = c.oid AND k.contype = 'p'
+         WHERE c.relnamespace = quote_ident(current_schema())::regnamespace AND c.relkind IN ('r', 'p')
+           AND NOT c.relispartition
+         ORDER BY c.relname COLLATE \"C\", 5, a.attnum",
+    )
+    .fetch_all(&mut *conn)
+    .await?;
+    let mut tables: Vec<Declared> = Vec::new();
+    let mut numbered = Vec::new();
+    for (table, column, declared, is_numbered, in_key) in columns {
+        // What an admin keeps beside, such as a month that was detached, is his.
+        if LEFT_OUT.contains(&table.as_str()) || !is_ours(&table) {
+            continue;
+        }
+        let kind = kind(&declared)
+            .ok_or_else(|| TransferError::Schema(format!("{table}.{column} is of type {declared}")))?;
+        if is_numbered {
+            numbered.push((table.clone(), column.clone()));
+        }
+        if tables.last().is_none_or(|(name, _, _)| *name != table) {
+            tables.push((table, Vec::new(), Vec::new()));
+        }
+        if let Some((_, columns, key)) = tables.last_mut() {
+            if in_key.is_some() {
+                key.push(column.clone());
+            }
+            columns.push((column, kind));
+        }
+    }
+    let tables = tables.into_iter().map(|(name, columns, key)| Table::checked(name, columns, &key));
+    Ok((tables.collect(), numbered))
+}
+
 #[async_trait]
 impl Side for PostgresSide {
     async fn tables(&mut self) -> Result<Vec<Table>, TransferError> {
-        // Partitions are part of their table, views are made of tables.
-        let columns: Vec<(String, String, String, bool, Option<i32>)> = sqlx::query_as(
-            "SELECT c.relname::TEXT, a.attname::TEXT, format_type(a.atttypid, NULL), a.attidentity <> '',
-                    array_position(k.conkey::INT[], a.attnum::INT)
-             FROM pg_class c
-             JOIN pg_attribute a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped
-             LEFT JOIN pg_constraint k ON k.conrelid = c.oid AND k.contype = 'p'
-             WHERE c.relnamespace = quote_ident(current_schema())::regnamespace AND c.relkind IN ('r', 'p')
-               AND NOT c.relispartition
-             ORDER BY c.relname COLLATE \"C\", 5, a.attnum",
-        )
-        .fetch_all(&mut self.conn)
-        .await?;
-        let mut tables: Vec<(String, Vec<(String, Kind)>, Vec<String>)> = Vec::new();
-        self.numbered.clear();
-        for (table, column, declared, numbered, in_key) in columns {
-            // What an admin keeps beside, such as a month that was detached, is his.
-            if LEFT_OUT.contains(&table.as_str()) || !is_ours(&table) {
-                continue;
-            }
-            let kind = kind(&declared)
-                .ok_or_else(|| TransferError::Schema(format!("{table}.{column} is of type {declared}")))?;
-            if numbered {
-                self.numbered.push((table.clone(), column.clone()));
-            }
-            if tables.last().is_none_or(|(name, _, _)| *name != table) {
-                tables.push((table, Vec::new(), Vec::new()));
-            }
-            if let Some((_, columns, key)) = tables.last_mut() {
-                if in_key.is_some() {
-                    key.push(column.clone());
-                }
-                columns.push((column, kind));
-            }
-        }
-        tables.into_iter().map(|(name, columns, key)| Table::checked(name, columns, &key)).collect()
+        let (tables, numbered) = tables(&mut self.conn).await?;
+        self.numbered = numbered;
+        tables.into_iter().collect()
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {
@@ -214,7 +268,6 @@ impl Side for PostgresSide {
         until: Option<&Row>,
         limit: usize,
     ) -> StoreResult<Vec<Row>> {
-        let columns: Vec<_> = table.columns.iter().map(|(name, kind)| read_as(name, *kind)).collect();
         // By bytes, whatever the collation of the database: the other engine knows no other order.
         let key: Vec<_> = table
             .key
@@ -225,7 +278,7 @@ impl Side for PostgresSide {
             })
             .collect();
         let key = key.join(", ");
-        let mut query = QueryBuilder::new(format!("SELECT {} FROM \"{}\"", columns.join(", "), table.name));
+        let mut query = QueryBuilder::new(select(table));
         let kinds = || table.key.iter().map(|&at| table.columns[at].1);
         for (bound, sign, word) in
             [(after, ">", " WHERE "), (until, "<=", if after.is_some() { " AND " } else { " WHERE " })]
@@ -241,9 +294,9 @@ impl Side for PostgresSide {
         while !page.is_full()
             && let Some(row) = found.try_next().await?
         {
-            let columns = table.columns.iter().enumerate();
-            let values = columns.map(|(at, (_, kind))| value(&row, at, *kind));
-            page.add(values.collect::<Result<_, _>>()?);
+            let values =
+                values(table, &row).map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
+            page.add(values);
         }
         Ok(page.rows)
     }

@@ -1,8 +1,11 @@
 //! A SQLite file as a side of a transfer.
 
-use super::{Filling, Kind, LEFT_OUT, RECEIPTS, Row, SAMPLES, Side, Table, TransferError, Value, quoted};
+use super::{
+    Filling, Kind, LEFT_OUT, RECEIPTS, Row, SAMPLES, Side, Table, TransferError, Unread, Value, quoted,
+};
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
+use crate::record::StoreFault;
 use crate::rows::BlockRow;
 use crate::sqlite::{
     APPLIED, Cell, Form, HAS_MIGRATIONS, MIGRATIONS, by_name, insert_blocks, is_kept_for_another,
@@ -93,6 +96,43 @@ fn value(row: &SqliteRow, at: usize, kind: Kind) -> Result<Value, sqlx::Error> {
     })
 }
 
+/// The values of a row, but for the block of samples; `id` is where an id stands by its bytes.
+fn values(table: &Table, id: Option<usize>, row: &SqliteRow) -> Result<Row, Unread> {
+    let columns = table.columns.iter().enumerate();
+    let values = columns.map(|(at, (_, kind))| {
+        let read =
+            if Some(at) == id { id_of(row, at) } else { value(row, at, *kind).map_err(StoreError::from) };
+        read.map_err(|error| Unread { column: at, error })
+    });
+    values.collect()
+}
+
+/// Rows that no backup takes: as its sum reads them, something in them does not decode. So many of a table at the most.
+///
+/// In whatever order they come, one by one: they need no index, and no memory.
+pub(crate) async fn damaged_rows(
+    conn: &mut SqliteConnection,
+    most: usize,
+) -> Result<Vec<StoreFault>, TransferError> {
+    let (tables, _) = tables(conn).await?;
+    let mut faults = Vec::new();
+    // What is no table of this program's is told as that.
+    for table in tables.into_iter().flatten() {
+        let table = table.without_bytes()?;
+        let (id, before) = (id_by_bytes(&table), faults.len());
+        let mut query = QueryBuilder::<Sqlite>::new(select(&table, false));
+        let mut found = query.build().persistent(false).fetch(&mut *conn);
+        while faults.len() - before < most
+            && let Some(row) = found.try_next().await?
+        {
+            if let Err(unread) = values(&table, id, &row) {
+                faults.push(table.fault(&table.key_beside(&row), unread)?);
+            }
+        }
+    }
+    Ok(faults)
+}
+
 /// The table of samples as the other engine has it, in which each row has its block.
 fn samples() -> Result<Table, TransferError> {
     let columns = [
@@ -135,6 +175,11 @@ const RECOMMENDATION_ID: &str = "recommendation_id";
 /// Where a table has an id by its bytes that the other engine has by its text.
 fn id_by_bytes(table: &Table) -> Option<usize> {
     if table.name == RECOMMENDATIONS { table.place(RECOMMENDATION_ID) } else { None }
+}
+
+fn id_of(row: &SqliteRow, at: usize) -> StoreResult<Value> {
+    let id = recommendation_id::from_column(&row.try_get::<Vec<u8>, _>(at)?)?;
+    Ok(Value::Text(id.as_str().to_owned()))
 }
 
 /// A value of that column as it is kept.
@@ -203,46 +248,53 @@ fn tuple(query: &mut QueryBuilder<Sqlite>, values: &Row) {
     query.push(")");
 }
 
+/// Every table of the data, by name, and whether it keeps some shorter than databases of before did.
+async fn tables(conn: &mut SqliteConnection) -> StoreResult<(Vec<Result<Table, TransferError>>, bool)> {
+    let names: Vec<String> = sqlx::query_scalar(
+        "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite_%' ORDER BY name",
+    )
+    .fetch_all(&mut *conn)
+    .await?;
+    let (mut tables, mut is_shorter) = (Vec::new(), true);
+    for name in names.into_iter().filter(|name| !LEFT_OUT.contains(&name.as_str())) {
+        let columns: Vec<(String, String, i64)> =
+            // With those that are made of others, and without those.
+            sqlx::query_as("SELECT name, type, pk FROM pragma_table_xinfo($1) ORDER BY pk")
+                .bind(&name)
+                .fetch_all(&mut *conn)
+                .await?;
+        if name == SAMPLES {
+            is_shorter = !columns.iter().any(|(column, ..)| column == BLOCK);
+            if is_shorter {
+                tables.push(samples());
+                continue;
+            }
+        }
+        let columns: Vec<_> = columns
+            .into_iter()
+            .filter(|(column, ..)| !(name == CYCLES && is_kept_for_another(column)))
+            .collect();
+        let key: Vec<String> =
+            columns.iter().filter(|(_, _, pk)| *pk > 0).map(|(column, _, _)| column.clone()).collect();
+        let typed = columns.into_iter().map(|(column, declared, _)| match kind(&declared) {
+            Some(Kind::Bytes) if name == RECOMMENDATIONS && column == RECOMMENDATION_ID => {
+                Ok((column, Kind::Text))
+            }
+            Some(kind) => Ok((column, kind)),
+            None => Err(TransferError::Schema(format!("{name}.{column} is of type {declared}"))),
+        });
+        let typed = typed.collect::<Result<_, _>>();
+        tables.push(typed.and_then(|typed| Table::checked(name.clone(), typed, &key)));
+    }
+    Ok((tables, is_shorter))
+}
+
 #[async_trait]
 impl Side for SqliteSide {
     async fn tables(&mut self) -> Result<Vec<Table>, TransferError> {
-        let names: Vec<String> = sqlx::query_scalar(
-            "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite_%' ORDER BY name",
-        )
-        .fetch_all(&mut self.conn)
-        .await?;
-        let mut tables = Vec::new();
-        for name in names.into_iter().filter(|name| !LEFT_OUT.contains(&name.as_str())) {
-            let columns: Vec<(String, String, i64)> =
-                // With those that are made of others, and without those.
-                sqlx::query_as("SELECT name, type, pk FROM pragma_table_xinfo($1) ORDER BY pk")
-                    .bind(&name)
-                    .fetch_all(&mut self.conn)
-                    .await?;
-            if name == SAMPLES {
-                self.is_shorter = !columns.iter().any(|(column, ..)| column == BLOCK);
-                if self.is_shorter {
-                    tables.push(samples()?);
-                    continue;
-                }
-            }
-            let columns: Vec<_> = columns
-                .into_iter()
-                .filter(|(column, ..)| !(name == CYCLES && is_kept_for_another(column)))
-                .collect();
-            let key: Vec<String> =
-                columns.iter().filter(|(_, _, pk)| *pk > 0).map(|(column, _, _)| column.clone()).collect();
-            let typed = columns.into_iter().map(|(column, declared, _)| match kind(&declared) {
-                Some(Kind::Bytes) if name == RECOMMENDATIONS && column == RECOMMENDATION_ID => {
-                    Ok((column, Kind::Text))
-                }
-                Some(kind) => Ok((column, kind)),
-                None => Err(TransferError::Schema(format!("{name}.{column} is of type {declared}"))),
-            });
-            let typed = typed.collect::<Result<_, _>>()?;
-            tables.push(Table::checked(name, typed, &key)?);
-        }
-        Ok(tables)
+        let (tables, is_shorter) = tables(&mut self.conn).await?;
+        self.is_shorter = is_shorter;
+        tables.into_iter().collect()
     }
 
     async fn begin_snapshot(&mut self) -> StoreResult<()> {
@@ -281,15 +333,8 @@ impl Side for SqliteSide {
         while !page.is_full()
             && let Some(row) = found.try_next().await?
         {
-            let columns = table.columns.iter().enumerate();
-            let values = columns.map(|(at, (_, kind))| {
-                if Some(at) == id_by_bytes {
-                    let id = recommendation_id::from_column(&row.try_get::<Vec<u8>, _>(at)?)?;
-                    return Ok(Value::Text(id.as_str().to_owned()));
-                }
-                Ok(value(&row, at, *kind)?)
-            });
-            let values = values.collect::<StoreResult<Row>>()?;
+            let values = values(table, id_by_bytes, &row)
+                .map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
             page.add(if is_packed { with_block(table, values, &row)? } else { values });
         }
         Ok(page.rows)

@@ -2,9 +2,11 @@
 
 use super::super::{Conn, Db, dialect, quarantine};
 use crate::codec;
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::record::StoreFault;
 use crate::rows::{AdviceBody, is_content_of};
+use crate::stored_text::StoredText;
+use crate::transfer::TransferError;
 use sqlx::Row;
 
 /// Rows of a kind that are named.
@@ -15,9 +17,33 @@ const ROWS: i64 = 200;
 /// Reads all of them, and changes nothing.
 pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
     let mut faults = dialect::integrity(conn).await?;
+    match look_through(conn, &mut faults).await {
+        Ok(()) => {}
+        // A page that cannot be read: what was found before is told all the same.
+        Err(StoreError::NotWritable(error)) => faults.push(unread(&*error)),
+        Err(error @ StoreError::Damaged { .. }) => faults.push(unread(&error)),
+        Err(error) => return Err(error),
+    }
+    Ok(faults)
+}
+
+fn unread(error: &dyn std::fmt::Display) -> StoreFault {
+    fault("file", "database".to_owned(), &format!("its tables cannot be read any further: {error}"))
+}
+
+async fn look_through(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
+    match dialect::damaged_rows(conn, MOST_NAMED).await {
+        Ok(damaged) => faults.extend(damaged),
+        Err(TransferError::Store(error)) => return Err(error),
+        Err(TransferError::Schema(what)) => faults.push(fault("schema", "tables".to_owned(), &what)),
+        Err(error) => faults.push(fault("schema", "tables".to_owned(), &error.to_string())),
+    }
     let most = i64::try_from(MOST_NAMED).unwrap_or(i64::MAX);
-    let damaged = quarantine::damaged(conn, most).await?.into_iter();
-    faults.extend(damaged.map(|key| fault("quarantine", key, "its body is not what came")));
+    let (damaged, is_whole) = quarantine::damaged(conn, MOST_NAMED).await?;
+    faults.extend(damaged.into_iter().map(|key| fault("quarantine", key, "its body is not what came")));
+    if !is_whole {
+        unreadable("quarantine", faults)?;
+    }
     let silent: Vec<(dialect::RecommendationKey,)> = sqlx::query_as::<Db, _>(
         "SELECT r.recommendation_id FROM recommendations r WHERE NOT EXISTS (
              SELECT 1 FROM advices a WHERE a.advice_hash = r.advice_hash)
@@ -28,7 +54,7 @@ pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFa
     .await?;
     let silent = silent.into_iter().map(|(key,)| dialect::recommendation_of(&key));
     faults.extend(silent.map(|id| fault("recommendation", id, "what it advised is not there")));
-    let strays: Vec<(String, String)> = sqlx::query_as::<Db, _>(
+    let strays: Vec<(StoredText, StoredText)> = sqlx::query_as::<Db, _>(
         "SELECT s.machine_id, s.cycle_id FROM cycle_samples s WHERE NOT EXISTS (
              SELECT 1 FROM cycles c WHERE c.machine_id = s.machine_id AND c.cycle_id = s.cycle_id
                  AND c.received_at_us = s.received_at_us)
@@ -42,7 +68,7 @@ pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFa
     faults.extend(strays.map(|key| fault("samples", key, "they belong to no cycle")));
     faults.extend(dialect::stray_packs(conn, most).await?);
     // Overrides of a stream do not: they are there before their cycle, which may have gone to quarantine.
-    let cuts: Vec<(String, String)> = sqlx::query_as::<Db, _>(
+    let cuts: Vec<(StoredText, StoredText)> = sqlx::query_as::<Db, _>(
         "SELECT k.machine_id, k.cycle_id FROM cycle_cuts k WHERE NOT EXISTS (
              SELECT 1 FROM cycles c WHERE c.machine_id = k.machine_id AND c.cycle_id = k.cycle_id)
          ORDER BY k.machine_id, k.cycle_id LIMIT $1",
@@ -51,10 +77,9 @@ pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFa
     .fetch_all(&mut *conn)
     .await?;
     faults.extend(cuts.into_iter().map(of_none).map(|key| fault("cut", key, "it belongs to no cycle")));
-    advices(conn, &mut faults).await?;
-    overrides(conn, &mut faults).await?;
-    feed_profiles(conn, &mut faults).await?;
-    Ok(faults)
+    advices(conn, faults).await?;
+    overrides(conn, faults).await?;
+    feed_profiles(conn, faults).await
 }
 
 fn fault(kind: &'static str, key: String, detail: &str) -> StoreFault {
@@ -102,21 +127,23 @@ fn unreadable(table: &'static str, faults: &mut Vec<StoreFault>) -> StoreResult<
 }
 
 async fn overrides(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
-    let mut after = (String::new(), String::new());
+    let mut after = (StoredText::default(), StoredText::default());
     let most = faults.len() + MOST_NAMED;
     loop {
         let rows = sqlx::query::<Db>(
-            "SELECT machine_id, cycle_id, block FROM cycle_overrides WHERE (machine_id, cycle_id) > ($1, $2)
+            "SELECT machine_id, cycle_id, block FROM cycle_overrides
+             WHERE (machine_id, cycle_id) > (CAST($1 AS TEXT), CAST($2 AS TEXT))
              ORDER BY machine_id, cycle_id LIMIT $3",
         )
-        .bind(&after.0)
-        .bind(&after.1)
+        .bind(after.0.clone())
+        .bind(after.1.clone())
         .bind(ROWS)
         .fetch_all(&mut *conn)
         .await?;
         let before = after.clone();
         for row in &rows {
-            let (Ok(machine), Ok(cycle)) = (row.try_get::<String, _>(0), row.try_get::<String, _>(1)) else {
+            let (Ok(machine), Ok(cycle)) = (row.try_get::<StoredText, _>(0), row.try_get::<StoredText, _>(1))
+            else {
                 return unreadable("cycle_overrides", faults);
             };
             let block = row.try_get::<Vec<u8>, _>(2).ok();
@@ -135,21 +162,22 @@ async fn overrides(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult
 }
 
 async fn feed_profiles(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
-    let mut after = (String::new(), 0_i64);
+    let mut after = (StoredText::default(), 0_i64);
     let most = faults.len() + MOST_NAMED;
     loop {
         let rows = sqlx::query::<Db>(
             "SELECT profile_id, version, content, content_hash FROM feed_profile_versions
-             WHERE (profile_id, version) > ($1, $2) ORDER BY profile_id, version LIMIT $3",
+             WHERE (profile_id, version) > (CAST($1 AS TEXT), $2) ORDER BY profile_id, version LIMIT $3",
         )
-        .bind(&after.0)
+        .bind(after.0.clone())
         .bind(after.1)
         .bind(ROWS)
         .fetch_all(&mut *conn)
         .await?;
         let before = after.clone();
         for row in &rows {
-            let (Ok(profile), Ok(version)) = (row.try_get::<String, _>(0), row.try_get::<i64, _>(1)) else {
+            let (Ok(profile), Ok(version)) = (row.try_get::<StoredText, _>(0), row.try_get::<i64, _>(1))
+            else {
                 return unreadable("feed_profile_versions", faults);
             };
             let content = row.try_get::<String, _>(2).ok().zip(row.try_get::<Vec<u8>, _>(3).ok());
