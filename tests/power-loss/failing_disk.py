@@ -12,6 +12,19 @@ import load
 from service import PATIENCE_S, Connection, Service
 
 
+# What strace says of a call that it has refused.
+REFUSED = "(INJECTED)"
+
+
+def read(syncs):
+    with open(syncs, encoding="ascii") as file:
+        return file.read()
+
+
+def has_failed(syncs):
+    return REFUSED in read(syncs)
+
+
 def hold(binary, folder, seed):
     """Whether a server ends by the first sync of its database that fails, with all that it has acknowledged; what is wrong otherwise."""
     sent = load.Load(seed)
@@ -26,11 +39,14 @@ def hold(binary, folder, seed):
     service = Service(binary, folder, refused_sync=(database, 2, syncs))
     sent.to(service)
     end, machines = time.monotonic() + PATIENCE_S, 0
-    while service.process.poll() is None and time.monotonic() < end:
+    while not has_failed(syncs) and time.monotonic() < end:
         machine = load.MACHINES[machines % len(load.MACHINES)]
         machines += 1
         sent.post(machine, sent.cycle(machine))
-    if service.process.poll() is None:
+    # Nobody posts from here on, so that another checkpoint has the time to come.
+    try:
+        service.process.wait(PATIENCE_S)
+    except subprocess.TimeoutExpired:
         service.kill()
         return ["the server goes on after a sync of its database has failed"]
     Service.running.discard(service)
@@ -39,8 +55,7 @@ def hold(binary, folder, seed):
         faults.append(f"it does not say that a checkpoint failed: {service.said()[-1000:]}")
     if not os.path.exists(f"{database}-wal") or not os.path.getsize(f"{database}-wal"):
         faults.append("the log is gone, of which a part may not be in the database")
-    with open(syncs, encoding="ascii") as file:
-        after = file.read().partition("(INJECTED)")[2]
+    after = read(syncs).partition(REFUSED)[2]
     if "sync(" in after:
         faults.append(f"the database is synced again: {after}")
     acknowledged = [(exchange.machine, exchange.id) for exchange in sent.exchanges if exchange.acknowledged_cycles()]
