@@ -13,18 +13,23 @@ crate::engines::on_both!(
     an_entry_is_shown_with_its_body_and_discarded_with_a_reason,
     a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays,
     an_entry_that_another_server_settles_is_left_to_it,
+    an_entry_that_may_be_a_part_of_a_cycle_is_not_taken_for_a_whole_one,
 );
 
 const BOUNDS: QuarantineBounds = QuarantineBounds { entries: 10, bytes: 1_000_000 };
 
 async fn keep(app: &App, id: &str, body: &[u8]) {
+    keep_with(app, id, body, json!({"code": "invalid_content"}).to_string()).await;
+}
+
+async fn keep_with(app: &App, id: &str, body: &[u8], problem: String) {
     let entry = QuarantineEntry {
         id: id.to_owned(),
         machine: MachineId::try_from("M1").unwrap(),
         cycle: Some("c-1".to_owned()),
         received_at: NOW,
         code: "not_finite".to_owned(),
-        problem: json!({"code": "invalid_content"}).to_string(),
+        problem,
         content_type: "application/json".to_owned(),
         settled: None,
         size: body.len() as u64,
@@ -94,6 +99,22 @@ async fn an_entry_that_another_server_settles_is_left_to_it() {
     assert!(claim("another").await);
     app.state.store.release_quarantine("q1", "another").await.unwrap();
     assert_eq!(settle(&app, "q1", repaired).await.status, StatusCode::OK);
+}
+
+/// Its problem alone says that it is one, and a disk has damaged that.
+async fn an_entry_that_may_be_a_part_of_a_cycle_is_not_taken_for_a_whole_one() {
+    let app = App::registered().await;
+    let cycle = json!({"cycle_id": "c-1", "tool": "T1", "operation": "O1", "started_at": "2026-05-04T05:59:00Z",
+                       "reported": {"energy_joules": 5, "duration_ms": 4000}});
+    keep_with(&app, "q1", cycle.to_string().as_bytes(), "{\"cut_short\": true".to_owned()).await;
+    for body in [None, Some(cycle.to_string())] {
+        let taken = json!({"action": "reingest", "reason": "again", "body": body});
+        let refused = settle(&app, "q1", taken).await;
+        assert_eq!((refused.status, refused.code().as_str()), (StatusCode::CONFLICT, "body_damaged"));
+    }
+    assert_eq!(app.get("/v1/machines/M1/cycles/c-1").await.status, StatusCode::NOT_FOUND);
+    let discarded = settle(&app, "q1", json!({"action": "discard", "reason": "damaged"})).await;
+    assert_eq!(discarded.status, StatusCode::OK, "{discarded:?}");
 }
 
 async fn a_repaired_body_is_taken_in_and_one_that_is_still_wrong_stays() {
