@@ -101,14 +101,15 @@ async fn settle_alone(
     // One at a time, at this server and at those that share its database: of two repairs of an entry that come together, both would be
     // stored, and one told that it was not.
     let _settling = state.intake.settling().await?;
-    let holder = uuid::Uuid::now_v7().to_string();
-    let (own, claimed, now) = (holder.clone(), id.clone(), state.clock.now());
-    let is_ours =
-        state.commit(|store| async move { store.claim_quarantine(&claimed, &own, CLAIM, now).await }).await?;
     let found = entry(state, &id).await?;
     if found.0.settled.is_some() {
         return Err(already_settled());
     }
+    // What is settled since then is claimed by nobody.
+    let holder = uuid::Uuid::now_v7().to_string();
+    let (own, claimed, now) = (holder.clone(), id.clone(), state.clock.now());
+    let is_ours =
+        state.commit(|store| async move { store.claim_quarantine(&claimed, &own, CLAIM, now).await }).await?;
     if !is_ours {
         return Err(settled_elsewhere());
     }
