@@ -48,9 +48,24 @@ async fn dropped_samples_are_gone_and_say_why_and_the_summary_stays() {
 
     let put = app.put(&format!("{M1}/retention"), json!({"samples_bytes": 1})).await;
     assert!(put.status.is_success(), "{put:?}");
+    let tag = put.header("etag");
+    let place = format!("{M1}/retention");
+    let read = async |tag: &str| app.call(Role::Viewer, "GET", &place, &[("if-none-match", tag)], None).await;
+    assert_eq!(app.get(&place).await.header("etag"), tag, "the same body");
+    assert_eq!(read(tag).await.status, StatusCode::NOT_MODIFIED);
     retention::run(&app.state).await.unwrap();
+    let told = read(tag).await;
+    assert_eq!(told.status, StatusCode::OK, "more was dropped since: {told:?}");
+    assert_ne!(told.header("etag"), tag);
+    assert_eq!(read(told.header("etag")).await.status, StatusCode::NOT_MODIFIED);
+    // Who changes the limits goes by what was said, which no run changes.
+    for tag in [tag, "\"1\""] {
+        let same = Some(json!({"samples_bytes": 1}));
+        let put = app.call(Role::Engineer, "PUT", &place, &[("if-match", tag)], same).await;
+        assert_eq!((put.status, put.header("etag")), (StatusCode::OK, told.header("etag")), "{tag}: {put:?}");
+    }
     // PostgreSQL's decisions are made by its own clock.
-    let decisions = app.get(&format!("{M1}/retention")).await.json();
+    let decisions = app.get(&place).await.json();
     let dropped_at = &decisions["dropped"][0]["dropped_at"];
     assert!(dropped_at.is_string(), "{decisions}");
     for number in 1..=3 {

@@ -7,9 +7,23 @@ use feedwright_store::{Precondition, PutOutcome};
 use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use serde::Serialize;
 
+/// Stands in an ETag between the version and what the view shows.
+const OF_VIEW: char = '-';
+/// Digits that tell what a view shows.
+const DIGEST: usize = 16;
+
 /// The ETag of a version.
 pub fn etag(version: u64) -> HeaderValue {
     HeaderValue::try_from(format!("\"{version}\"")).unwrap_or(HeaderValue::from_static("\"\""))
+}
+
+/// The ETag of a view that changes within one version: it names the version, which is all that a change based on it needs, and what the view
+/// shows.
+pub fn etag_of<T: Serialize>(version: u64, view: &T) -> HeaderValue {
+    let shown = serde_json::to_vec(view).unwrap_or_default();
+    let digest = blake3::hash(&shown).to_hex();
+    HeaderValue::try_from(format!("\"{version}{OF_VIEW}{}\"", &digest[..DIGEST]))
+        .unwrap_or(HeaderValue::from_static("\"\""))
 }
 
 /// What a change expects to find: `If-Match: "3"`, `If-None-Match: *`, or nothing.
@@ -38,9 +52,19 @@ pub fn expected(headers: &HeaderMap) -> Result<Precondition, Problem> {
     }
 }
 
-/// The version of a strong ETag of this service.
+/// The version of a strong ETag of this service, whatever the view showed besides.
 fn version(tag: &str) -> Option<u64> {
-    tag.strip_prefix('"')?.strip_suffix('"')?.parse().ok().filter(|&version| version > 0)
+    let tag = tag.strip_prefix('"')?.strip_suffix('"')?;
+    let version = match tag.split_once(OF_VIEW) {
+        Some((version, digest))
+            if digest.len() == DIGEST && digest.bytes().all(|b| b.is_ascii_hexdigit()) =>
+        {
+            version
+        }
+        Some(_) => return None,
+        None => tag,
+    };
+    version.parse().ok().filter(|&version| version > 0)
 }
 
 /// Whether the client has what this ETag names: `If-None-Match`, where weak ones count, and `*` names anything that is there.
@@ -52,7 +76,11 @@ pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
 
 /// Answers a read: 304 where the client has this version.
 pub fn answer_read<T: Serialize>(headers: &HeaderMap, at: u64, view: &T) -> Response {
-    let tag = etag(at);
+    answer_tagged(headers, etag(at), view)
+}
+
+/// The same by an ETag.
+pub fn answer_tagged<T: Serialize>(headers: &HeaderMap, tag: HeaderValue, view: &T) -> Response {
     let has = tag.to_str().is_ok_and(|tag| is_known(headers, tag));
     let tag = [(header::ETAG, tag)];
     if has {
@@ -98,6 +126,12 @@ mod tests {
             expected(&headers).map_err(|problem| problem.code)
         };
         let (is, is_none) = (header::IF_MATCH, header::IF_NONE_MATCH);
+        let of_view = etag_of(3, &"shown");
+        assert_eq!(version(of_view.to_str().unwrap()), Some(3), "{of_view:?}");
+        assert_ne!(of_view, etag_of(3, &"shown later"));
+        for tag in ["\"3-\"", "\"3-0\"", "\"-0123456789abcdef\"", "\"3-0123456789abcdeg\"", "\"-3\""] {
+            assert_eq!(version(tag), None, "{tag}");
+        }
         assert!(matches!(expected(&[]), Ok(Precondition::Unstated)));
         assert!(matches!(expected(&[(is.clone(), "\"3\"")]), Ok(Precondition::Version(3))));
         assert!(matches!(expected(&[(is_none.clone(), "*")]), Ok(Precondition::Absent)));

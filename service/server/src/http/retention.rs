@@ -3,7 +3,7 @@
 use super::body::Json;
 use super::dto::retention::{RetentionBody, RetentionView};
 use super::extract::PathId;
-use super::precondition::{answer_put, expected};
+use super::precondition::{answer_put, answer_tagged, etag_of, expected};
 use super::problem::Problem;
 use crate::auth::Caller;
 use crate::state::AppState;
@@ -11,12 +11,12 @@ use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use feedwright_core::ids::MachineId;
 use feedwright_store::Store;
-use http::{HeaderMap, header};
+use http::{HeaderMap, HeaderValue, header};
 use std::sync::Arc;
 
 /// Says how long a machine's samples are kept. Without either limit they are kept for ever; summaries always are.
 ///
-/// Changing needs `If-Match` with the ETag of the last answer. Samples go at the next run of retention.
+/// Changing needs `If-Match` with the ETag of the last answer, whatever was dropped since. Samples go at the next run of retention.
 #[utoipa::path(put, path = "/v1/machines/{machine}/retention", tag = "machines",
     params(("machine" = String, Path), ("If-Match" = Option<String>, Header), ("If-None-Match" = Option<String>, Header)),
     request_body = RetentionBody,
@@ -37,22 +37,35 @@ pub(super) async fn put(
     let outcome = state.commit(put).await?;
     let outcome = outcome.ok_or_else(|| Problem::not_found("machine", id.as_str()))?;
     let view = view(&state, &id).await?;
-    Ok(answer_put(outcome, &format!("/v1/machines/{id}/retention"), &view))
+    let mut answer = answer_put(outcome, &format!("/v1/machines/{id}/retention"), &view);
+    if let Some(tag) = tag(&view) {
+        answer.headers_mut().insert(header::ETAG, tag);
+    }
+    Ok(answer)
 }
 
 /// Tells how long a machine's samples are kept, and what was dropped of them.
 #[utoipa::path(get, path = "/v1/machines/{machine}/retention", tag = "machines",
-    params(("machine" = String, Path)), responses((status = 200, body = RetentionView)))]
+    params(("machine" = String, Path)),
+    responses((status = 200, body = RetentionView), (status = 304, description = "As the ETag says")))]
 pub(super) async fn get(
     State(state): State<AppState>,
     PathId(id): PathId<MachineId>,
+    headers: HeaderMap,
 ) -> Result<Response, Problem> {
     if state.store.machine(&id).await?.is_none() {
         return Err(Problem::not_found("machine", id.as_str()));
     }
     let view = view(&state, &id).await?;
-    let tag = view.version.map(|version| [(header::ETAG, super::precondition::etag(version))]);
-    Ok((tag, axum::Json(view)).into_response())
+    Ok(match tag(&view) {
+        Some(tag) => answer_tagged(&headers, tag, &view),
+        None => axum::Json(view).into_response(),
+    })
+}
+
+/// Where something was said for the machine: another one as soon as more was dropped, too.
+fn tag(view: &RetentionView) -> Option<HeaderValue> {
+    view.version.map(|version| etag_of(version, view))
 }
 
 async fn view(state: &AppState, id: &MachineId) -> Result<RetentionView, Problem> {

@@ -53,7 +53,7 @@ pub struct RetentionView {
     pub body: RetentionBody,
     /// Whether they were said for this `machine`, or are the `server`'s settings.
     pub from: &'static str,
-    /// Version of what was said; the ETag holds it too.
+    /// Version of what was said; the ETag holds it too, and changes also with what was dropped.
     pub version: Option<u64>,
     /// When that was said, RFC 3339.
     pub updated_at: Option<String>,
