@@ -340,8 +340,11 @@ pub trait Store: Send + Sync + 'static {
     /// A recommendation that was handed out.
     async fn recommendation(&self, id: &RecommendationId) -> StoreResult<Option<IssuedRecommendation>>;
 
-    /// Alarms in the order of their numbers.
+    /// Alarms in the order of their numbers, as they are now.
     async fn alarms(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>>;
+    /// The same as far as none can be committed any more before them: whoever goes on behind a page is shown each, also one that was
+    /// committed after others of higher numbers.
+    async fn alarm_history(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>>;
     /// Acknowledges an alarm; `None` where there is none of that number.
     async fn acknowledge_alarm(
         &self,

@@ -7,7 +7,8 @@ use feedwright_core::cycle::{Cycle, CycleDraft, Flag};
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
-    Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition, Repair, Store,
+    AlarmFilter, Committed, CycleFilter, NewCycle, Page, PostgresOptions, PostgresStore, Precondition,
+    Repair, Store,
 };
 use sqlx::{Connection, Executor, PgConnection};
 use std::sync::Arc;
@@ -58,6 +59,55 @@ async fn who_reads_the_audit_is_shown_a_line_that_was_committed_late() {
     held.execute("ROLLBACK").await.unwrap();
     registered.await.unwrap();
     assert_eq!(subjects(last).await.0, ["tool/T1", "machine/M2"]);
+    held.close().await.unwrap();
+    given.done().await;
+}
+
+/// As lines of the audit are: an alarm of a group that takes long has a lower number than those that were raised meanwhile.
+#[tokio::test]
+async fn who_pages_through_alarms_is_shown_one_that_was_committed_late() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let (slow, quick) = (replica(&given).await, given.store());
+    shop(&*quick).await;
+    let pages = async |after| -> (Vec<String>, Option<i64>) {
+        let page = quick.alarm_history(&AlarmFilter::default(), Page { after, limit: 9 }).await.unwrap();
+        let last = page.last().map(|alarm| alarm.id).or(after);
+        (page.iter().map(|alarm| alarm.tool.as_ref().unwrap().to_string()).collect(), last)
+    };
+    let overload = async |store: &dyn Store, tool: &str| {
+        let (machine, tool) = ("M1".try_into().unwrap(), tool.try_into().unwrap());
+        store.raise_overload(&machine, &tool, "too much", at(1)).await.unwrap();
+    };
+    overload(&*quick, "T1").await;
+    let (told, last) = pages(None).await;
+    assert_eq!(told, ["T1"]);
+
+    // What a group advises is written behind its alarms, and waits for the table.
+    let mut held = PgConnection::connect(&given.address()).await.unwrap();
+    held.execute("BEGIN; LOCK TABLE recommendations IN SHARE MODE").await.unwrap();
+    let group =
+        [(1, "T2"), (2, "T3")].map(|(n, tool)| Run { tool: tool.to_owned(), load: 450.0, ..Run::nth(n) });
+    let stored = tokio::spawn(async move { commit(&*slow, &group).await });
+    const WAITS: &str =
+        "SELECT COUNT(*) > 0 FROM pg_locks WHERE relation = 'recommendations'::REGCLASS AND NOT granted";
+    while !sqlx::query_scalar::<_, bool>(WAITS).fetch_one(&mut held).await.unwrap() {
+        tokio::task::yield_now().await;
+    }
+    const SAY: &str =
+        "SELECT COUNT(*) FROM pg_locks WHERE locktype = 'advisory' AND classid = 'alarms'::REGCLASS";
+    let say: i64 = sqlx::query_scalar(SAY).fetch_one(&mut held).await.unwrap();
+    assert_eq!(say, 1, "a group says once that it raises some");
+    overload(&*quick, "T4").await;
+    assert_eq!(pages(last).await, (vec![], last), "alarms before that of T4 are open");
+    let open = AlarmFilter { open: Some(true), ..AlarmFilter::default() };
+    let open = quick.alarms(&open, Page { after: last, limit: 9 }).await.unwrap();
+    assert_eq!(open[0].tool.as_ref().unwrap().as_str(), "T4", "what is open is shown at once");
+    held.execute("ROLLBACK").await.unwrap();
+    let stored = stored.await.unwrap();
+    assert!(matches!(&stored[..], [Ok(Committed::Stored(_)), Ok(Committed::Stored(_))]), "{stored:?}");
+    assert_eq!(pages(last).await.0, ["T2", "T3", "T4"]);
     held.close().await.unwrap();
     given.done().await;
 }

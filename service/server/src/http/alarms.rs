@@ -16,6 +16,10 @@ use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
 const OPEN_ALARMS_PAGE: u32 = 1000;
 
 /// Lists alarms in the order they were raised.
+///
+/// Without `open` each alarm is on one page, whoever goes on from page to page: one that is raised while an older number is still being
+/// committed is listed after that. With it the list is of those that are open, or cleared, at the moment: one that changes meanwhile
+/// may be before the page that comes next, so begin anew to see what is open now.
 #[utoipa::path(get, path = "/v1/alarms", tag = "alarms", params(AlarmQuery),
     responses((status = 200, body = List<AlarmView>)))]
 pub(super) async fn list(
@@ -28,7 +32,11 @@ pub(super) async fn list(
         tool: query_id(query.tool.as_deref())?,
     };
     let paging = Paging::new(&state, format!("alarms {filter:?}"), query.limit, query.cursor.as_deref())?;
-    let rows = state.store.alarms(&filter, paging.page()).await?;
+    let rows = match query.open {
+        None => state.store.alarm_history(&filter, paging.page()).await?,
+        // What is open is shown at once, whatever is committed later.
+        Some(_) => state.store.alarms(&filter, paging.page()).await?,
+    };
     Ok(Json(paging.list(rows, |row| row.id, AlarmView::from)))
 }
 

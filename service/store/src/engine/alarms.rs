@@ -6,7 +6,7 @@
 //! A machine's quarantine alarm is open as long as an entry of it is unsettled. Silence, and a quarantine that fills up
 //! (an alarm of no machine), are raised and cleared by the round in `watch`.
 
-use super::{Conn, Db, audit};
+use super::{Conn, Db, audit, dialect};
 use crate::error::StoreResult;
 use crate::record::{Actor, Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
 use crate::rows::{AlarmChange, AlarmRow, id, word};
@@ -32,7 +32,9 @@ macro_rules! page {
             "WHERE ",
             $state,
             $number,
-            " > $1
+            " > $1 AND ",
+            $number,
+            " <= $5
                AND (CAST($2 AS TEXT) IS NULL OR machine_id = $2)
                AND (CAST($3 AS TEXT) IS NULL OR tool_id = $3)
              ORDER BY ",
@@ -93,10 +95,7 @@ pub(super) async fn follow_verdict(
     now: Timestamp,
 ) -> StoreResult<()> {
     let mut open = open_of(conn, tool).await?;
-    for change in changes(tool, verdict, &mut open) {
-        apply(conn, &change, now).await?;
-    }
-    Ok(())
+    apply(conn, &changes(tool, verdict, &mut open), now).await
 }
 
 /// A tool's open alarms that follow its verdict.
@@ -116,20 +115,25 @@ pub(super) async fn open_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<O
     open.collect()
 }
 
-/// Makes a change.
-pub(super) async fn apply(conn: &mut Conn, change: &AlarmChange, now: Timestamp) -> StoreResult<()> {
-    let query = match change {
-        AlarmChange::ClearVerdicts { tool_id, but } => {
-            sqlx::query::<Db>(AlarmChange::CLEAR_VERDICTS).bind(now.micros()).bind(tool_id).bind(*but)
-        }
-        AlarmChange::Raise { kind, machine_id, tool_id, message } => sqlx::query::<Db>(AlarmChange::RAISE)
-            .bind(*kind)
-            .bind(machine_id)
-            .bind(tool_id)
-            .bind(message)
-            .bind(now.micros()),
-    };
-    query.execute(&mut *conn).await?;
+/// Makes changes. Those of one transaction are best made at once: the first alarm of them says that there are some.
+pub(super) async fn apply(conn: &mut Conn, changes: &[AlarmChange], now: Timestamp) -> StoreResult<()> {
+    let mut raise = dialect::RAISE_FIRST;
+    for change in changes {
+        let query = match change {
+            AlarmChange::ClearVerdicts { tool_id, but } => {
+                sqlx::query::<Db>(AlarmChange::CLEAR_VERDICTS).bind(now.micros()).bind(tool_id).bind(*but)
+            }
+            AlarmChange::Raise { kind, machine_id, tool_id, message } => {
+                sqlx::query::<Db>(std::mem::replace(&mut raise, AlarmChange::RAISE))
+                    .bind(*kind)
+                    .bind(machine_id)
+                    .bind(tool_id)
+                    .bind(message)
+                    .bind(now.micros())
+            }
+        };
+        query.execute(&mut *conn).await?;
+    }
     Ok(())
 }
 
@@ -142,7 +146,7 @@ pub(super) async fn raise(
     message: &str,
     now: Timestamp,
 ) -> StoreResult<()> {
-    apply(conn, &AlarmChange::raise(kind, machine, tool, message.to_owned()), now).await
+    apply(conn, &[AlarmChange::raise(kind, machine, tool, message.to_owned())], now).await
 }
 
 /// Clears a machine's open alarm of a kind that concerns no tool.
@@ -210,10 +214,12 @@ pub(super) async fn acknowledge(
     Ok(alarm)
 }
 
+/// In the order of their numbers, up to `last`.
 pub(super) async fn list(
     conn: &mut Conn,
     filter: &AlarmFilter,
     page: &Page<RowNumber>,
+    last: RowNumber,
 ) -> StoreResult<Vec<Alarm>> {
     let sql = match filter.open {
         None => ALL,
@@ -225,6 +231,7 @@ pub(super) async fn list(
         .bind(filter.machine.as_ref().map(MachineId::as_str))
         .bind(filter.tool.as_ref().map(ToolId::as_str))
         .bind(i64::from(page.limit))
+        .bind(last)
         .fetch_all(&mut *conn)
         .await?;
     rows.iter().map(AlarmRow::alarm).collect()

@@ -2,7 +2,7 @@
 
 use super::{Conn, Db, alarms, machines, operations, tools, wear};
 use crate::error::StoreResult;
-use crate::record::{Alarm, AlarmFilter, FleetCycle, FleetRow, Page, Versioned};
+use crate::record::{Alarm, AlarmFilter, FleetCycle, FleetRow, Page, RowNumber, Versioned};
 use crate::rows::{FleetCycleRow, Place};
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::machine::Machine;
@@ -84,7 +84,7 @@ fn energy_ratios(recent: &[FleetCycle], tool: &ToolId, (verdict, life): &(Verdic
 
 async fn open_alarms(conn: &mut Conn, only: Option<&MachineId>) -> StoreResult<BTreeMap<String, Vec<Alarm>>> {
     let filter = AlarmFilter { open: Some(true), machine: only.cloned(), tool: None };
-    let open = alarms::list(conn, &filter, &Page { after: None, limit: MOST_ALARMS }).await?;
+    let open = alarms::list(conn, &filter, &Page { after: None, limit: MOST_ALARMS }, RowNumber::MAX).await?;
     let mut by_machine: BTreeMap<String, Vec<Alarm>> = BTreeMap::new();
     for alarm in open {
         if let Some(machine) = &alarm.machine {

@@ -802,7 +802,13 @@ impl Store for Engine {
     }
 
     async fn alarms(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {
-        read!(self, |conn| alarms::list(conn, filter, &page).await)
+        read!(self, |conn| alarms::list(conn, filter, &page, RowNumber::MAX).await)
+    }
+
+    async fn alarm_history(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {
+        // As with the audit.
+        let last = read!(self, |conn| dialect::last_alarm(conn).await)?;
+        read!(self, |conn| alarms::list(conn, filter, &page, last).await)
     }
 
     async fn acknowledge_alarm(

@@ -79,9 +79,7 @@ impl<'c> GroupTransaction<'c> {
                 for row in rest.with_new_advice() {
                     recommendations::keep_advice(conn, row).await?;
                 }
-                for change in &rest.alarms {
-                    alarms::apply(conn, change, now).await?;
-                }
+                alarms::apply(conn, &rest.alarms, now).await?;
                 dialect::write_rest(conn, rest, now, *is_distributed).await
             }
             State::Assumed(writer, assumption, cycles) => {

@@ -10,7 +10,7 @@ use crate::past;
 use crate::record::{
     AlarmKind, MachineContact, OpenAlarms, QuarantineBounds, QuarantineFill, Round, WatchSettings,
 };
-use crate::rows::{id, number, word};
+use crate::rows::{AlarmChange, id, number, word};
 use feedwright_core::ids::MachineId;
 use feedwright_core::units::Timestamp;
 use serde_json::json;
@@ -89,7 +89,7 @@ async fn silence(
     .bind(MOST_MACHINES)
     .fetch_all(&mut *conn)
     .await?;
-    let mut machines = Vec::with_capacity(rows.len());
+    let (mut machines, mut raised) = (Vec::with_capacity(rows.len()), Vec::new());
     for row in rows {
         let machine: MachineId = id("machine_id", &row.machine_id)?;
         let last_cycle_at = row.last_cycle_at_us.map(Timestamp::from_micros);
@@ -98,7 +98,7 @@ async fn silence(
         match (is_silent, row.silent_since_us, limit) {
             (true, None, Some(limit)) => {
                 let message = format!("machine {machine}: no cycle for more than {}", minutes(limit));
-                alarms::raise(conn, AlarmKind::MachineSilent, Some(&machine), None, &message, now).await?;
+                raised.push(AlarmChange::raise(AlarmKind::MachineSilent, Some(&machine), None, message));
             }
             (false, Some(_), _) => {
                 alarms::clear_of_machine(conn, AlarmKind::MachineSilent, &machine, now).await?;
@@ -107,6 +107,7 @@ async fn silence(
         }
         machines.push(MachineContact { machine, last_cycle_at, silent_after_ms: limit, is_silent });
     }
+    alarms::apply(conn, &raised, now).await?;
     Ok(machines)
 }
 

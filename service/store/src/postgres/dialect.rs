@@ -208,31 +208,75 @@ pub(super) fn locking(locks: &Locks) -> String {
     sql
 }
 
-/// Says, until the transaction ends, that it adds a line to the audit whose number is above all that are seen now. It keeps nobody out:
-/// lines are numbered in the order in which they are drawn, and seen in that in which they are committed.
+/// Says, until the transaction ends, that it adds a row to a table whose number is above all that are seen now. It keeps nobody out:
+/// rows are numbered in the order in which their numbers are drawn, and seen in that in which they are committed.
+macro_rules! says_it_adds {
+    ($table:literal, $number:literal) => {
+        concat!(
+            "SELECT pg_advisory_xact_lock_shared('",
+            $table,
+            "'::REGCLASS::OID::INTEGER,
+                 LEAST((SELECT COALESCE(MAX(",
+            $number,
+            "), 0) FROM ",
+            $table,
+            "), 2147483647)::INTEGER)"
+        )
+    };
+}
+
+/// The last number of a table before which no row is open: what is committed up to it is all that there will be. Two statements in this
+/// order: whatever has a number up to the one that is seen has drawn it, and says so or is committed when it is asked next.
+macro_rules! last_settled {
+    ($conn:expr, $table:literal, $number:literal) => {{
+        let seen: i64 = sqlx::query_scalar(concat!("SELECT COALESCE(MAX(", $number, "), 0) FROM ", $table))
+            .fetch_one(&mut *$conn)
+            .await?;
+        let open: Option<i64> = sqlx::query_scalar(concat!(
+            "SELECT MIN(objid::BIGINT) FROM pg_locks WHERE locktype = 'advisory' AND objsubid = 2
+                 AND classid = '",
+            $table,
+            "'::REGCLASS::OID
+                 AND database = (SELECT oid FROM pg_database WHERE datname = current_database())"
+        ))
+        .fetch_one(&mut *$conn)
+        .await?;
+        Ok(open.map_or(seen, |before| before.min(seen)))
+    }};
+}
+
+/// Says that the transaction adds a line to the audit.
 pub(super) async fn begin_audit_line(conn: &mut Conn) -> StoreResult<()> {
-    sqlx::query(
-        "SELECT pg_advisory_xact_lock_shared('audit'::REGCLASS::OID::INTEGER,
-             LEAST((SELECT COALESCE(MAX(audit_id), 0) FROM audit), 2147483647)::INTEGER)",
-    )
-    .execute(&mut *conn)
-    .await?;
+    sqlx::query(says_it_adds!("audit", "audit_id")).execute(&mut *conn).await?;
     Ok(())
 }
 
-/// The last line of the audit before which none is open: what is committed up to it is all that there will be.
+/// The last line of the audit before which none is open.
 pub(super) async fn last_audit_line(conn: &mut Conn) -> StoreResult<RowNumber> {
-    // In this order: whatever has a number up to this one has drawn it, and says so or is committed when it is asked next.
-    let seen: i64 =
-        sqlx::query_scalar("SELECT COALESCE(MAX(audit_id), 0) FROM audit").fetch_one(&mut *conn).await?;
-    let open: Option<i64> = sqlx::query_scalar(
-        "SELECT MIN(objid::BIGINT) FROM pg_locks WHERE locktype = 'advisory' AND objsubid = 2
-             AND classid = 'audit'::REGCLASS::OID
-             AND database = (SELECT oid FROM pg_database WHERE datname = current_database())",
-    )
-    .fetch_one(&mut *conn)
-    .await?;
-    Ok(open.map_or(seen, |before| before.min(seen)))
+    last_settled!(conn, "audit", "audit_id")
+}
+
+/// The first alarm that a transaction raises, as `AlarmChange::RAISE`: it says before it draws its number, by the same statement, as
+/// groups raise some, that the transaction adds alarms. Those that follow in the transaction have higher numbers.
+pub(super) const RAISE_FIRST: &str = concat!(
+    "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us)
+     SELECT CAST($1 AS TEXT), CAST($2 AS TEXT), CAST($3 AS TEXT), CAST($4 AS TEXT), CAST($5 AS BIGINT)
+     FROM (",
+    says_it_adds!("alarms", "alarm_id"),
+    " OFFSET 0) AS said
+     ON CONFLICT (kind, COALESCE(tool_id, ''), COALESCE(machine_id, '')) WHERE cleared_at_us IS NULL DO NOTHING"
+);
+
+/// The last alarm before which none is open.
+pub(super) async fn last_alarm(conn: &mut Conn) -> StoreResult<RowNumber> {
+    last_settled!(conn, "alarms", "alarm_id")
+}
+
+/// Has texts come as they are stored until the transaction ends: of a database in SQL_ASCII the server else gives none that does not decode,
+/// nor what stands beside it. One in UTF8 asks what it is given, and not what it gives.
+pub(super) async fn read_as_stored(conn: &mut Conn) -> StoreResult<()> {
+    sqlx::query("SET LOCAL client_encoding = 'SQL_ASCII'").execute(&mut *conn).await?;
+    Ok(())
 }
 
 /// A tool's caches. The tool's name is locked by then: rows of several machines stand on several nodes where the

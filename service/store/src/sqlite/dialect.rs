@@ -20,6 +20,7 @@ use super::{Conn, Writer};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::record::RowNumber;
+use crate::rows::AlarmChange;
 use crate::sqlite::recommendation_id;
 use feedwright_core::units::Timestamp;
 
@@ -85,6 +86,15 @@ pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_ve
 /// Whoever reads, reads one moment.
 macro_rules! at_one_moment {
     () => {
+/// The first alarm that a transaction raises is one as any other, as with lines of the audit.
+pub(super) const RAISE_FIRST: &str = AlarmChange::RAISE;
+
+/// As [`begin_audit_line`].
+#[expect(clippy::unused_async, reason = "the other engine asks its server")]
+pub(super) async fn last_alarm(_conn: &mut Conn) -> StoreResult<RowNumber> {
+    Ok(RowNumber::MAX)
+}
+
         "TRUE"
     };
 }
