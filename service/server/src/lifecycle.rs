@@ -1,5 +1,6 @@
 //! The life of the process: running, going down, or failed; and the tasks that have to end before it does.
 
+use feedwright_store::StoreError;
 use std::future::Future;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -69,6 +70,13 @@ impl Lifecycle {
         if self.why.set(why.to_owned()).is_ok() {
             tracing::error!(why, "giving up");
             self.failed.cancel();
+        }
+    }
+
+    /// The same where a change ended with a disk that fails.
+    pub fn heed(&self, error: &StoreError) {
+        if let Some(cause) = error.of_the_disk() {
+            self.fail(&format!("{error}: {cause}"));
         }
     }
 

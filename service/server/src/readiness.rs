@@ -1,7 +1,6 @@
 //! Whether the database takes writes, asked rarely enough that nobody can hammer the disk with the question.
 
 use crate::state::AppState;
-use feedwright_store::StoreError;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -53,9 +52,7 @@ impl AppState {
             let probed = state.store.probe_write(now).await;
             if let Err(error) = &probed {
                 tracing::warn!(%error, "write probe failed");
-                if let StoreError::NotWritable(source) = error {
-                    state.lifecycle.fail(&format!("the database does not take writes: {source}"));
-                }
+                state.lifecycle.heed(error);
             }
             // Nobody may be waiting any more; the answer is kept for the next one who asks.
             tell.send_replace(Some(probed.map_err(|error| error.to_string())));

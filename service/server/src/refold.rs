@@ -98,9 +98,8 @@ async fn one(state: &AppState, after: Option<&ToolId>) -> StoreResult<Option<(To
     let (asked, now) = (tool.clone(), state.clock.now());
     match state.commit(|store| async move { store.renew_fold(&asked, now).await }).await {
         Ok(anew) => Ok(Some((tool, anew))),
-        Err(
-            error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_) | StoreError::NotWritable(_)),
-        ) => Err(error),
+        Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))) => Err(error),
+        Err(error) if error.of_the_disk().is_some() => Err(error),
         Err(error) => {
             tracing::error!(%error, %tool, "the tool's fold is outdated and cannot be made anew");
             Ok(Some((tool, false)))

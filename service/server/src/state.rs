@@ -105,8 +105,8 @@ impl AppState {
     {
         let outcome = self.lifecycle.spawn(change(self.store.clone())).await;
         let result = outcome.unwrap_or_else(|error| Err(StoreError::OutcomeUnknown(Box::new(error))));
-        if let Err(StoreError::NotWritable(source)) = &result {
-            self.lifecycle.fail(&format!("the database does not take writes: {source}"));
+        if let Err(error) = &result {
+            self.lifecycle.heed(error);
         }
         result
     }

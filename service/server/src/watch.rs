@@ -7,7 +7,7 @@
 use crate::clock::Moment;
 use crate::state::AppState;
 use feedwright_core::ids::MachineId;
-use feedwright_store::{FleetRow, Page, StoreError, StoreResult};
+use feedwright_store::{FleetRow, Page, StoreResult};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -96,9 +96,7 @@ pub async fn round(state: &AppState) -> StoreResult<()> {
         Ok(found) => found,
         Err(error) => {
             state.intake.heard().restore(&taken);
-            if let StoreError::NotWritable(source) = &error {
-                state.lifecycle.fail(&format!("the database does not take writes: {source}"));
-            }
+            state.lifecycle.heed(&error);
             return Err(error);
         }
     };

@@ -12,6 +12,10 @@ pub enum StoreError {
     /// The disk or the server refuses writes: stop acknowledging and exit; an fsync is never retried.
     #[error("the database does not take writes")]
     NotWritable(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The disk refuses a read, or gives what is no page of a database: nothing was changed, and what is stored may be there all the same.
+    /// For a change it is as refused writes are.
+    #[error("the database cannot be read from its disk")]
+    NotReadable(#[source] Box<dyn std::error::Error + Send + Sync>),
     /// The row is refused by the database's own checks.
     #[error("the database refuses the row: {constraint}")]
     Refused {
@@ -75,6 +79,14 @@ impl StoreError {
     pub(crate) fn unless_known(applied: &[i64], known: &sqlx::migrate::Migrator) -> StoreResult<()> {
         let later = applied.iter().copied().find(|number| !known.version_exists(*number));
         later.map_or(Ok(()), |number| Err(Self::of_later_version(number)))
+    }
+
+    /// What the disk said where it is that which fails: after a change that ends with it nothing is acknowledged any more.
+    pub fn of_the_disk(&self) -> Option<&(dyn std::error::Error + Send + Sync)> {
+        match self {
+            Self::NotWritable(source) | Self::NotReadable(source) => Some(&**source),
+            _ => None,
+        }
     }
 
     /// What is damaged, with the cycle that it was found in.

@@ -9,6 +9,7 @@ impl From<sqlx::Error> for StoreError {
             sqlx::Error::Database(database) => match Fault::of(database.as_ref()) {
                 Fault::Refused => Self::Refused { constraint: constraint(database.as_ref()) },
                 Fault::NotWritable => Self::NotWritable(Box::new(error)),
+                Fault::NotReadable => Self::NotReadable(Box::new(error)),
                 Fault::Unavailable => Self::Unavailable(Box::new(error)),
                 Fault::Other => Self::Database(Box::new(error)),
             },
@@ -42,6 +43,7 @@ impl From<rusqlite::Error> for StoreError {
                 Self::Refused { constraint: named_last(message.as_deref().unwrap_or_default()).to_owned() }
             }
             Fault::NotWritable => Self::NotWritable(Box::new(error)),
+            Fault::NotReadable => Self::NotReadable(Box::new(error)),
             Fault::Unavailable => Self::Unavailable(Box::new(error)),
             Fault::Other => Self::Database(Box::new(error)),
         }
@@ -51,6 +53,7 @@ impl From<rusqlite::Error> for StoreError {
 enum Fault {
     Refused,
     NotWritable,
+    NotReadable,
     Unavailable,
     Other,
 }
@@ -58,6 +61,10 @@ enum Fault {
 /// Keys that PostgreSQL gives by itself: one that is there already is given by a sequence that was left behind, as by a move that
 /// brought none along, and says nothing of what was sent.
 const NUMBERED: [&str; 3] = ["alarms_pkey", "audit_pkey", "tool_events_pkey"];
+
+/// Extended codes of SQLite for a read that the disk refuses: `IOERR_READ`, `IOERR_SHORT_READ`, and `IOERR_CORRUPTFS`, which is a read's EIO;
+/// within a statement SQLite makes CORRUPT of that.
+pub(crate) const REFUSED_READS: [u32; 3] = [266, 522, 8458];
 
 impl Fault {
     fn of(error: &dyn DatabaseError) -> Self {
@@ -80,16 +87,25 @@ impl Fault {
         {
             return Self::of_sqlite(code);
         }
-        if is_between_nodes(&code, error.message()) { Self::Unavailable } else { Self::of_sqlstate(&code) }
+        match error.message() {
+            message if is_between_nodes(&code, message) => Self::Unavailable,
+            message if is_refused_read(&code, message) => Self::NotReadable,
+            _ => Self::of_sqlstate(&code),
+        }
     }
 
     /// <https://www.sqlite.org/rescode.html>: the low byte is the primary code.
-    const fn of_sqlite(code: u32) -> Self {
+    fn of_sqlite(code: u32) -> Self {
+        if REFUSED_READS.contains(&code) {
+            return Self::NotReadable;
+        }
         match code & 0xff {
             // BUSY, LOCKED, INTERRUPT
             5 | 6 | 9 => Self::Unavailable,
-            // READONLY, IOERR, CORRUPT, FULL, CANTOPEN, NOTADB
-            8 | 10 | 11 | 13 | 14 | 26 => Self::NotWritable,
+            // READONLY, IOERR, FULL, CANTOPEN
+            8 | 10 | 13 | 14 => Self::NotWritable,
+            // CORRUPT, NOTADB
+            11 | 26 => Self::NotReadable,
             // TOOBIG, CONSTRAINT, MISMATCH
             18..=20 => Self::Refused,
             _ => Self::Other,
@@ -99,8 +115,10 @@ impl Fault {
     /// Appendix A of PostgreSQL's manual.
     fn of_sqlstate(code: &str) -> Self {
         match code {
-            // I/O error, data or index corrupted
-            "58030" | "XX001" | "XX002" => Self::NotWritable,
+            // I/O error
+            "58030" => Self::NotWritable,
+            // data or index corrupted
+            "XX001" | "XX002" => Self::NotReadable,
             // read-only transaction (a demoted server: another one takes over), serialisation, deadlock, lock not
             // available, statement or session timed out; a right, or a database, that somebody has taken away, or that is closed to
             // everybody for a while
@@ -143,6 +161,11 @@ fn is_between_nodes(code: &str, message: &str) -> bool {
     }
 }
 
+/// Whether PostgreSQL tells an I/O error of what it reads.
+fn is_refused_read(code: &str, message: &str) -> bool {
+    code == "58030" && message.starts_with("could not read ")
+}
+
 fn constraint(error: &dyn DatabaseError) -> String {
     error.constraint().unwrap_or_else(|| named_last(error.message())).to_owned()
 }
@@ -169,6 +192,7 @@ impl StoreError {
             Self::Unavailable(_) => Self::Unavailable(text()),
             Self::OutcomeUnknown(_) => Self::OutcomeUnknown(text()),
             Self::NotWritable(_) => Self::NotWritable(text()),
+            Self::NotReadable(_) => Self::NotReadable(text()),
             Self::Refused { constraint } => Self::Refused { constraint: constraint.clone() },
             Self::Damaged { what } => Self::Damaged { what: what.clone() },
             Self::VersionMismatch { current } => Self::VersionMismatch { current: *current },
@@ -205,6 +229,17 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_read_that_the_disk_of_a_plant_refuses_is_no_write() {
+        let of_reading = "could not read block 7 in file \"base/5/16384\": Input/output error";
+        assert!(is_refused_read("58030", of_reading));
+        assert!(!is_refused_read("58030", "could not fsync file \"base/5/16384\": Input/output error"));
+        assert!(!is_refused_read(
+            "XX001",
+            "could not read block 7 in file \"base/5/16384\": read only 0 of 8192 bytes"
+        ));
+    }
+
     /// By extended result codes, as they come: what a store concludes of a refused write rests on them.
     #[test]
     fn failures_of_sqlite_are_told_apart() {
@@ -212,9 +247,15 @@ mod tests {
             let message = "CHECK constraint failed: cycles_coverage_range".to_owned();
             StoreError::from(rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(code), Some(message)))
         };
-        // Full, IOERR_WRITE, IOERR_FSYNC, CORRUPT, READONLY, CANTOPEN, NOTADB
-        for code in [13, 778, 1034, 11, 8, 14, 26] {
+        // Full, IOERR_WRITE, IOERR_FSYNC, READONLY, CANTOPEN
+        for code in [13, 778, 1034, 8, 14] {
             assert!(matches!(told(code), StoreError::NotWritable(_)), "{code}: {:?}", told(code));
+        }
+        // And CORRUPT, CORRUPT_INDEX, NOTADB
+        for code in REFUSED_READS.map(u32::cast_signed).into_iter().chain([11, 779, 26]) {
+            let told = told(code);
+            assert!(matches!(told, StoreError::NotReadable(_)), "{code}: {told:?}");
+            assert!(matches!(told.again(), StoreError::NotReadable(_)) && told.of_the_disk().is_some());
         }
         // BUSY, BUSY_RECOVERY, LOCKED, INTERRUPT
         for code in [5, 261, 6, 9] {

@@ -1,8 +1,9 @@
 //! SQLite's file and its write-ahead log, beside the store.
 
-use super::given::{Given, Run, commit, shop, stored};
+use super::given::{Given, Run, at, commit, engineer, shop, stored, tool};
 use feedwright_core::units::Timestamp;
-use feedwright_store::{SqliteOptions, SqliteStore, Store, StoreError};
+use feedwright_store::{Page, Precondition, SqliteOptions, SqliteStore, Store, StoreError};
+use sqlx::{ConnectOptions, Connection};
 use std::time::Duration;
 
 /// What stays of a log that was made longer, bytes.
@@ -72,4 +73,37 @@ async fn a_link_leads_to_the_file_and_its_log() {
     std::fs::remove_file(&link).unwrap();
     let lost = commit(&store, &[Run::nth(2)]).await.pop().unwrap();
     assert!(matches!(lost, Err(StoreError::NotWritable(_))), "{lost:?}");
+}
+
+/// What a disk gives in place of a page, or instead of EIO, is told as what it is: nobody wanted to write.
+#[tokio::test]
+async fn a_page_that_cannot_be_read_is_no_refused_write() {
+    let given = Given::sqlite().await;
+    shop(&*given.store()).await;
+    given.store().close().await;
+    let mut conn = sqlx::sqlite::SqliteConnectOptions::new().filename(given.file()).connect().await.unwrap();
+    let place: (i64, i64) = sqlx::query_as(
+        "SELECT rootpage, page_size FROM sqlite_schema, pragma_page_size WHERE name = 'audit' AND type = 'table'",
+    )
+    .fetch_one(&mut conn)
+    .await
+    .unwrap();
+    conn.close().await.unwrap();
+    let page = usize::try_from(place.1).unwrap();
+    let begin = usize::try_from(place.0 - 1).unwrap() * page;
+    let mut bytes = std::fs::read(given.file()).unwrap();
+    bytes[begin..begin + page].fill(0xff);
+    std::fs::write(given.file(), bytes).unwrap();
+
+    let store = SqliteStore::open(given.file(), SqliteOptions::default()).await.unwrap();
+    let read = store.audit(Page { after: None, limit: 9 }).await;
+    assert!(matches!(read, Err(StoreError::NotReadable(_))), "{read:?}");
+    assert_eq!(store.machines(Page { after: None, limit: 9 }).await.unwrap().len(), 1, "the rest is read");
+    // For a change it is as any failure of the disk: nothing is acknowledged any more.
+    let written = store.put_tool(tool("T9"), Precondition::Absent, &engineer(), at(1)).await;
+    assert!(matches!(written, Err(StoreError::NotReadable(_))), "{written:?}");
+    let other = store.probe_write(at(2)).await;
+    assert!(matches!(other, Err(StoreError::NotWritable(_))), "{other:?}");
+    store.close().await;
+    given.done().await;
 }

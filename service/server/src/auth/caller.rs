@@ -271,7 +271,8 @@ async fn lately_known_token(state: &AppState, hash: &[u8; 32]) -> StoreResult<Op
         return asked_token(state, hash, PATIENCE).await;
     }
     let error = match asked_token(state, hash, OUTAGE_PATIENCE).await {
-        Err(error @ (StoreError::Unavailable(_) | StoreError::NotWritable(_))) => error,
+        Err(error @ StoreError::Unavailable(_)) => error,
+        Err(error) if error.of_the_disk().is_some() => error,
         answer => return answer,
     };
     // Once more: it may have been revoked meanwhile.

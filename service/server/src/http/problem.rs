@@ -266,6 +266,9 @@ impl From<StoreError> for Problem {
             StoreError::NotWritable(_) => {
                 Self::unavailable("database_not_writable", "the database does not take writes", 30)
             }
+            StoreError::NotReadable(_) => {
+                Self::unavailable("database_not_readable", "the database cannot be read from its disk", 30)
+            }
             StoreError::Refused { constraint } => Self::new(
                 StatusCode::UNPROCESSABLE_ENTITY,
                 "refused_by_database",
@@ -322,6 +325,16 @@ fn private(error: &StoreError) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_read_that_the_disk_refuses_is_no_write() {
+        let of = |error| {
+            let problem = Problem::from(error);
+            (problem.status.as_u16(), problem.code, problem.headers.len())
+        };
+        assert_eq!(of(StoreError::NotReadable("EIO".into())), (503, "database_not_readable", 1));
+        assert_eq!(of(StoreError::NotWritable("EIO".into())), (503, "database_not_writable", 1));
+    }
 
     #[test]
     fn damaged_samples_are_told_of_their_cycle_and_once() {

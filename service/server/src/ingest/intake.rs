@@ -22,7 +22,6 @@ use feedwright_store::{
 };
 use futures_util::future::join_all;
 use http::StatusCode;
-use std::error::Error;
 use std::sync::{Arc, RwLock};
 use std::time::Duration;
 use tokio::sync::{Mutex, MutexGuard, Semaphore};
@@ -169,8 +168,8 @@ impl WriterObserver for Watch {
         self.metrics.commit_group_size.observe(cycles as f64);
     }
 
-    fn not_writable(&self, why: &(dyn Error + 'static)) {
-        self.lifecycle.fail(&format!("the database does not take writes: {why}"));
+    fn failed(&self, error: &StoreError) {
+        self.lifecycle.heed(error);
     }
 }
 

@@ -9,7 +9,6 @@
 use crate::clock::Clock;
 use feedwright_core::recommend::RecommendSettings;
 use feedwright_store::{Committed, NewCycle, Store, StoreError, StoreResult};
-use std::error::Error;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -44,8 +43,8 @@ struct Queued {
 pub trait WriterObserver: Send + Sync + 'static {
     /// A group of `cycles` was committed within `seconds`.
     fn committed(&self, cycles: usize, seconds: f64);
-    /// The database refuses writes, and why: the service must stop acknowledging and exit.
-    fn not_writable(&self, why: &(dyn Error + 'static));
+    /// A cycle was not committed: where it is the disk that fails the service must stop acknowledging and exit.
+    fn failed(&self, error: &StoreError);
 }
 
 /// Where cycles are handed in.
@@ -280,8 +279,8 @@ async fn run(
         expected = Expected::after(live, (took, ended), lanes.live.len());
         observer.committed(count, took.as_secs_f64());
         for (answer, outcome) in answers.into_iter().zip(outcomes) {
-            if let Err(StoreError::NotWritable(source)) = &outcome {
-                observer.not_writable(&**source);
+            if let Err(error) = &outcome {
+                observer.failed(error);
             }
             // A client that hung up does not wait; its cycle is kept all the same.
             let _ = answer.send(outcome);

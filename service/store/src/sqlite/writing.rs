@@ -295,10 +295,12 @@ impl Writing {
     }
 
     pub(super) fn heed<T>(&self, outcome: &StoreResult<T>) {
-        if let Err(StoreError::NotWritable(error)) = outcome {
-            tracing::error!(%error, "sqlite refuses writes, nothing is acknowledged any more");
+        if let Err(error) = outcome
+            && let Some(cause) = error.of_the_disk()
+        {
+            tracing::error!(error = %cause, "{error}, nothing is acknowledged any more");
             // The first reason stays.
-            let _ = self.refused.set(error.to_string());
+            let _ = self.refused.set(cause.to_string());
         }
     }
 

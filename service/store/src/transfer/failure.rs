@@ -2,6 +2,7 @@
 //! that a server works on, and of no backup.
 
 use super::TransferError;
+use crate::fault::REFUSED_READS;
 use std::error::Error;
 use std::fmt::Display;
 use std::io;
@@ -13,8 +14,6 @@ const CORRUPT: i32 = 11;
 const FULL: i32 = 13;
 const CANTOPEN: i32 = 14;
 const NOTADB: i32 = 26;
-/// Reading failed, or found less than there has to be.
-const IOERR_READ: [i32; 2] = [266, 522];
 
 const NO_SPACE: &str = "no space is left for it";
 
@@ -35,7 +34,7 @@ pub(super) fn io(path: &Path, what: &str, error: &io::Error) -> TransferError {
 pub(super) fn of_target(target: &Path, error: impl Into<TransferError>) -> TransferError {
     let error = error.into();
     match failure(&error) {
-        Some((code, _)) if IOERR_READ.contains(&code) => error,
+        Some((code, _)) if is_read(code) => error,
         Some((code, what)) => match code & 0xff {
             FULL => file(target, NO_SPACE),
             IOERR => file(target, format!("cannot be written; is there space left for it? ({what})")),
@@ -50,7 +49,7 @@ pub(super) fn of_target(target: &Path, error: impl Into<TransferError>) -> Trans
 pub(super) fn of_source(source: &Path, error: impl Into<TransferError>) -> TransferError {
     let error = error.into();
     match failure(&error) {
-        Some((code, what)) if IOERR_READ.contains(&code) => file(source, format!("cannot be read ({what})")),
+        Some((code, what)) if is_read(code) => file(source, format!("cannot be read ({what})")),
         Some((code, what)) => match code & 0xff {
             CORRUPT | NOTADB => file(source, format!("is damaged ({what})")),
             CANTOPEN => file(source, format!("cannot be opened ({what})")),
@@ -64,7 +63,7 @@ pub(super) fn of_source(source: &Path, error: impl Into<TransferError>) -> Trans
 pub(super) fn of_backup(backup: &Path, error: impl Into<TransferError>) -> TransferError {
     let error = error.into();
     match failure(&error) {
-        Some((code, what)) if IOERR_READ.contains(&code) => file(backup, format!("is damaged ({what})")),
+        Some((code, what)) if is_read(code) => file(backup, format!("is damaged ({what})")),
         Some((code, what)) => match code & 0xff {
             CORRUPT => file(backup, format!("is damaged ({what})")),
             NOTADB => file(backup, "is no backup of this program, or damaged"),
@@ -72,6 +71,11 @@ pub(super) fn of_backup(backup: &Path, error: impl Into<TransferError>) -> Trans
         },
         None => error,
     }
+}
+
+/// Whether reading failed, or found less than there has to be.
+fn is_read(code: i32) -> bool {
+    REFUSED_READS.contains(&code.cast_unsigned())
 }
 
 /// What SQLite says, with its extended code; `None` where it is not SQLite that fails.

@@ -20,7 +20,7 @@ pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFa
     match look_through(conn, &mut faults).await {
         Ok(()) => {}
         // A page that cannot be read: what was found before is told all the same.
-        Err(StoreError::NotWritable(error)) => faults.push(unread(&*error)),
+        Err(StoreError::NotWritable(error) | StoreError::NotReadable(error)) => faults.push(unread(&*error)),
         Err(error @ StoreError::Damaged { .. }) => faults.push(unread(&error)),
         Err(error) => return Err(error),
     }
