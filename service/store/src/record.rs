@@ -809,7 +809,15 @@ pub struct Dropped {
 }
 
 /// Tables of which a tool's wear is folded.
-const FOLDED: [&str; 4] = ["cycles", "operations", "tools", "tool_events"];
+const FOLDED: [&str; 5] = ["cycles", "operations", "operation_asks", "tools", "tool_events"];
+/// Their columns of which none is: they are shown, or something else rests on them. A cycle of which one of these is damaged is at fault
+/// by itself, too, and what is folded of it is in doubt.
+const NOT_FOLDED: [(&str, &[&str]); 4] = [
+    ("cycles", &["outcome", "process"]),
+    ("operations", &["feature", "name", "program", "setup", "work_material"]),
+    ("tool_events", &["actor", "reason", "revoked_by"]),
+    ("tools", &["name", "serial", "tool_type"]),
+];
 
 /// What is wrong with something stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -821,6 +829,8 @@ pub struct StoreFault {
     pub key: String,
     /// What is wrong.
     pub detail: String,
+    /// Of a row the column that it is in.
+    pub column: Option<String>,
 }
 
 impl StoreFault {
@@ -828,9 +838,18 @@ impl StoreFault {
     /// is read, or show them elsewhere, as an index does that is wrong, or it is in what a fold rests on besides, or what is left of
     /// a cycle says that there was one.
     pub fn may_mislead_wear(&self) -> bool {
-        matches!(self.kind, "file" | "schema" | "samples" | "cut")
-            || (matches!(self.kind, "table" | "row")
-                && self.key.split(' ').next().is_some_and(|table| FOLDED.contains(&table)))
+        match self.kind {
+            "file" | "schema" | "samples" | "cut" => true,
+            "table" | "row" => self.key.split(' ').next().is_some_and(|table| self.is_folded(table)),
+            _ => false,
+        }
+    }
+
+    /// Whether it is in what wear is folded of; where it does not tell its column it may be.
+    fn is_folded(&self, table: &str) -> bool {
+        let is_not =
+            |column: &str| NOT_FOLDED.iter().any(|(of, columns)| *of == table && columns.contains(&column));
+        FOLDED.contains(&table) && !self.column.as_deref().is_some_and(is_not)
     }
 }
 

@@ -244,9 +244,9 @@ impl Table {
     /// The same as a fault: no backup takes such a row.
     fn fault(&self, key: &str, Unread { column, error }: Unread) -> StoreResult<StoreFault> {
         let StoreError::Damaged { .. } = error else { return Err(error) };
-        let column = &self.columns[column].0;
+        let column = self.columns[column].0.clone();
         let detail = format!("its {column} does not decode, so that no backup or copy takes it");
-        Ok(StoreFault { kind: "row", key: format!("{} {key}", self.name), detail })
+        Ok(StoreFault { kind: "row", key: format!("{} {key}", self.name), detail, column: Some(column) })
     }
 
     fn show_key(&self, row: &Row) -> String {
@@ -258,6 +258,36 @@ impl Table {
 struct Unread {
     column: usize,
     error: StoreError,
+}
+
+/// What does not decode of the rows of a table: so much of it is told at the most, and the first that may mislead wear in any case.
+struct DamagedRows<'a> {
+    table: &'a Table,
+    most: usize,
+    faults: &'a mut Vec<StoreFault>,
+    told: usize,
+    mislead: bool,
+}
+
+impl<'a> DamagedRows<'a> {
+    const fn of(table: &'a Table, most: usize, faults: &'a mut Vec<StoreFault>) -> Self {
+        Self { table, most, faults, told: 0, mislead: false }
+    }
+
+    fn add(&mut self, key: &str, unread: Unread) -> StoreResult<()> {
+        let fault = self.table.fault(key, unread)?;
+        let misleads = fault.may_mislead_wear();
+        if self.told < self.most || (misleads && !self.mislead) {
+            self.told += 1;
+            self.mislead |= misleads;
+            self.faults.push(fault);
+        }
+        Ok(())
+    }
+
+    const fn are_told(&self) -> bool {
+        self.told >= self.most && self.mislead
+    }
 }
 
 /// A page as its rows come: it ends with as many of them as were asked for, or with as many bytes as one is large.

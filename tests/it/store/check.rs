@@ -13,7 +13,7 @@ use feedwright_core::wear::Exclusion;
 use feedwright_store::transfer::{Address, back_up_sqlite, copy};
 use feedwright_store::{
     Actor, CheckPage, Committed, CycleFilter, Doubt, Left, NewCycle, Page, Precondition, QuarantineBounds,
-    QuarantineEntry, Repair, Role, SessionRecord, Store, StoreError, TokenRecord,
+    QuarantineEntry, Repair, Role, SessionRecord, Store, StoreError, StoreFault, TokenRecord,
 };
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, SqliteConnection};
 use std::collections::BTreeSet;
@@ -1021,10 +1021,16 @@ async fn all_kinds(store: &dyn Store) {
 }
 
 /// The file beside its store, as a disk changes it: nothing is asked of keys and constraints.
-async fn beside(given: &Given) -> SqliteConnection {
+async fn on_disk(given: &Given) -> SqliteConnection {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(given.file()).foreign_keys(false);
     let mut conn = options.connect().await.unwrap();
     conn.execute("PRAGMA ignore_check_constraints = ON").await.unwrap();
+    conn
+}
+
+/// The same where the audit is changed, too.
+async fn beside(given: &Given) -> SqliteConnection {
+    let mut conn = on_disk(given).await;
     conn.execute("DROP TRIGGER audit_refuses_update").await.unwrap();
     conn
 }
@@ -1186,6 +1192,65 @@ async fn a_damaged_name_takes_nothing_else_away() {
     assert!(!store.create_first_token(token("tok-2"), &admin()).await.unwrap());
     super::given::stored(&*store, &Run { seconds: 6000, ..Run::nth(30) }).await;
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    given.done().await;
+}
+
+/// What wear is folded of is one thing, and what is only shown another: `--repair` folds over the one, and not over the other.
+#[tokio::test]
+async fn what_is_only_shown_misleads_no_wear() {
+    let given = Given::sqlite().await;
+    let store = given.store();
+    all_kinds(&*store).await;
+    let mut conn = on_disk(&given).await;
+    let shown = [
+        ("cycles", "process"),
+        ("machines", "name"),
+        ("operations", "name"),
+        ("operations", "program"),
+        ("tool_events", "actor"),
+        ("tool_events", "reason"),
+        ("tools", "name"),
+    ];
+    let mut tried = BTreeSet::new();
+    let texts = texts(&mut conn).await;
+    let folded = ["cycles", "machines", "operation_asks", "operations", "tool_events", "tools"];
+    for (table, column, text) in texts.iter().filter(|(table, ..)| folded.contains(&table.as_str())) {
+        let change = |from: &str, to: &str| {
+            let sql = format!(
+                "UPDATE {table} SET {column} = CAST(x'{to}' AS TEXT) WHERE {column} = CAST(x'{from}' AS TEXT)"
+            );
+            AssertSqlSafe(sql)
+        };
+        let damaged = format!("{}FF", &text[..text.len() - 2]);
+        assert!(conn.execute(change(text, &damaged)).await.unwrap().rows_affected() > 0);
+        let faults = store.check_tables().await.unwrap();
+        let is_shown = shown.contains(&(table.as_str(), column.as_str()));
+        let of_rows = || faults.iter().filter(|fault| fault.kind == "row");
+        let here = of_rows().find(|fault| fault.column.as_ref() == Some(column)).unwrap();
+        let key = column.ends_with("_id") || ["kind", "strategy", "law_version"].contains(&column.as_str());
+        let misleads = table != "machines" && (key || (table == "operations" && column == "process"));
+        assert_eq!(here.may_mislead_wear(), misleads, "{table}.{column}: {faults:?}");
+        // Words that a table refuses are told of it as a whole.
+        if is_shown && !faults.iter().any(|fault| fault.kind == "table") {
+            assert!(!faults.iter().any(StoreFault::may_mislead_wear), "{table}.{column}: {faults:?}");
+        }
+        tried.extend(is_shown.then_some((table.as_str(), column.as_str())));
+        conn.execute(change(&damaged, text)).await.unwrap();
+    }
+    assert!(tried.len() > 4, "{tried:?}");
+
+    // Whatever else of a row is damaged is told too: what misleads is not behind what does not.
+    conn.execute("UPDATE operations SET name = CAST(x'41ff' AS TEXT)").await.unwrap();
+    conn.execute("UPDATE tools SET name = CAST(x'41ff' AS TEXT)").await.unwrap();
+    let foldable = async || !store.check_tables().await.unwrap().iter().any(StoreFault::may_mislead_wear);
+    assert!(foldable().await);
+    conn.execute("UPDATE tool_wear SET state = x'00' WHERE tool_id = 'T1'").await.unwrap();
+    let folded = store.check_wear(Repair::AllBut(&Doubt::default())).await.unwrap();
+    assert!(folded.different.iter().all(|wear| wear.left.is_none()) && !folded.different.is_empty());
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
+    conn.execute("UPDATE operations SET process = CAST(x'41ff' AS TEXT)").await.unwrap();
+    assert!(!foldable().await);
+    conn.close().await.unwrap();
     given.done().await;
 }
 

@@ -20,7 +20,7 @@ const PAGE: u32 = 200;
 pub struct Arguments {
     /// Folds wear again where the cache differs from it, but not over cycles that say something else than was taken in, nor where
     /// cycles that were counted are missing or nothing says whether they are what was taken in, nor in a file in whose pages,
-    /// indexes, cycles, operations, tools or events SQLite finds faults.
+    /// indexes, cycles, operations, tools or events SQLite finds faults that may mislead it.
     /// Nothing else can be repaired: what is damaged is named.
     #[arg(long)]
     repair: bool,

@@ -58,7 +58,7 @@ pub(super) async fn page(
                 let tool: Option<StoredText> = row.try_get("tool_id").ok();
                 let tool = tool.as_ref().and_then(StoredText::as_str);
                 page.doubt.tools.extend(tool.and_then(|tool| ToolId::try_from(tool).ok()));
-                page.faults.push(StoreFault { kind: "cycle", key, detail: what });
+                page.faults.push(StoreFault { kind: "cycle", key, detail: what, column: None });
                 continue;
             }
             row => row?,
@@ -78,7 +78,7 @@ pub(super) async fn page(
             } else {
                 page.doubt.tools.extend(id::<ToolId>("tool_id", &tool));
             }
-            page.faults.push(StoreFault { kind, key: key.clone(), detail });
+            page.faults.push(StoreFault { kind, key: key.clone(), detail, column: None });
         };
         let (Ok(machine), Ok(cycle)) =
             (id::<MachineId>("machine_id", &row.machine_id), id::<CycleId>("cycle_id", &row.cycle_id))
@@ -177,7 +177,7 @@ pub(super) async fn page(
             // Its index says otherwise than the table: there would be no end.
             let (key, detail) =
                 ("cycles".to_owned(), "its rows cannot be gone through by their key".to_owned());
-            page.faults.push(StoreFault { kind: "table", key, detail });
+            page.faults.push(StoreFault { kind: "table", key, detail, column: None });
         }
     }
     Ok(page)

@@ -1,6 +1,8 @@
 //! A PostgreSQL database as a side of a transfer.
 
-use super::{Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Unread, Value, quoted};
+use super::{
+    DamagedRows, Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Unread, Value, quoted,
+};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions, plant};
@@ -160,12 +162,11 @@ fn select(table: &Table) -> String {
 }
 
 /// The values of a row.
-fn values(table: &Table, row: &PgRow) -> Result<Row, Unread> {
+fn values(table: &Table, row: &PgRow) -> impl Iterator<Item = Result<Value, Unread>> {
     let columns = table.columns.iter().enumerate();
-    let values = columns.map(|(at, (_, kind))| {
+    columns.map(|(at, (_, kind))| {
         value(row, at, *kind).map_err(|error| Unread { column: at, error: error.into() })
-    });
-    values.collect()
+    })
 }
 
 /// Rows that no backup takes: as its sum reads them, something in them does not decode, as of a page that a disk has damaged. So many of
@@ -179,14 +180,14 @@ pub(crate) async fn damaged_rows(
     // What has no key is told as that.
     for table in tables.into_iter().flatten() {
         let table = table.without_bytes()?;
-        let before = faults.len();
+        let mut damaged = DamagedRows::of(&table, most, &mut faults);
         let mut query = QueryBuilder::<Postgres>::new(select(&table));
         let mut found = query.build().persistent(false).fetch(&mut *conn);
-        while faults.len() - before < most
+        while !damaged.are_told()
             && let Some(row) = found.try_next().await?
         {
-            if let Err(unread) = values(&table, &row) {
-                faults.push(table.fault(&table.key_beside(&row), unread)?);
+            for unread in values(&table, &row).filter_map(Result::err) {
+                damaged.add(&table.key_beside(&row), unread)?;
             }
         }
     }
@@ -294,9 +295,8 @@ impl Side for PostgresSide {
         while !page.is_full()
             && let Some(row) = found.try_next().await?
         {
-            let values =
-                values(table, &row).map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
-            page.add(values);
+            let values: Result<Row, _> = values(table, &row).collect();
+            page.add(values.map_err(|unread| table.unread(&table.key_beside(&row), unread))?);
         }
         Ok(page.rows)
     }

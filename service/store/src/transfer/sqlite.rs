@@ -1,7 +1,8 @@
 //! A SQLite file as a side of a transfer.
 
 use super::{
-    Filling, Kind, LEFT_OUT, RECEIPTS, Row, SAMPLES, Side, Table, TransferError, Unread, Value, quoted,
+    DamagedRows, Filling, Kind, LEFT_OUT, RECEIPTS, Row, SAMPLES, Side, Table, TransferError, Unread, Value,
+    quoted,
 };
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
@@ -97,14 +98,13 @@ fn value(row: &SqliteRow, at: usize, kind: Kind) -> Result<Value, sqlx::Error> {
 }
 
 /// The values of a row, but for the block of samples; `id` is where an id stands by its bytes.
-fn values(table: &Table, id: Option<usize>, row: &SqliteRow) -> Result<Row, Unread> {
+fn values(table: &Table, id: Option<usize>, row: &SqliteRow) -> impl Iterator<Item = Result<Value, Unread>> {
     let columns = table.columns.iter().enumerate();
-    let values = columns.map(|(at, (_, kind))| {
+    columns.map(move |(at, (_, kind))| {
         let read =
             if Some(at) == id { id_of(row, at) } else { value(row, at, *kind).map_err(StoreError::from) };
         read.map_err(|error| Unread { column: at, error })
-    });
-    values.collect()
+    })
 }
 
 /// Rows that no backup takes: as its sum reads them, something in them does not decode. So many of a table at the most.
@@ -119,14 +119,14 @@ pub(crate) async fn damaged_rows(
     // What is no table of this program's is told as that.
     for table in tables.into_iter().flatten() {
         let table = table.without_bytes()?;
-        let (id, before) = (id_by_bytes(&table), faults.len());
+        let (id, mut damaged) = (id_by_bytes(&table), DamagedRows::of(&table, most, &mut faults));
         let mut query = QueryBuilder::<Sqlite>::new(select(&table, false));
         let mut found = query.build().persistent(false).fetch(&mut *conn);
-        while faults.len() - before < most
+        while !damaged.are_told()
             && let Some(row) = found.try_next().await?
         {
-            if let Err(unread) = values(&table, id, &row) {
-                faults.push(table.fault(&table.key_beside(&row), unread)?);
+            for unread in values(&table, id, &row).filter_map(Result::err) {
+                damaged.add(&table.key_beside(&row), unread)?;
             }
         }
     }
@@ -333,8 +333,8 @@ impl Side for SqliteSide {
         while !page.is_full()
             && let Some(row) = found.try_next().await?
         {
-            let values = values(table, id_by_bytes, &row)
-                .map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
+            let values: Result<Row, _> = values(table, id_by_bytes, &row).collect();
+            let values = values.map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
             page.add(if is_packed { with_block(table, values, &row)? } else { values });
         }
         Ok(page.rows)

@@ -83,7 +83,7 @@ async fn look_through(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreRes
 }
 
 fn fault(kind: &'static str, key: String, detail: &str) -> StoreFault {
-    StoreFault { kind, key, detail: detail.to_owned() }
+    StoreFault { kind, key, detail: detail.to_owned(), column: None }
 }
 
 /// Whether what was advised can be read, and is what its hash says.

@@ -77,7 +77,7 @@ async fn names(conn: &mut Conn) -> StoreResult<Vec<String>> {
 }
 
 fn fault(kind: &'static str, key: &str, detail: &str) -> StoreFault {
-    StoreFault { kind, key: key.to_owned(), detail: detail.to_owned() }
+    StoreFault { kind, key: key.to_owned(), detail: detail.to_owned(), column: None }
 }
 
 #[cfg(test)]

@@ -34,7 +34,7 @@ pub(in crate::sqlite) async fn of_file(path: &Path) -> StoreResult<Vec<StoreFaul
 
 /// Row by row: where a page cannot be read SQLite tells what it has found up to there, and then fails.
 async fn pages(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
-    let of_file = |detail| StoreFault { kind: "file", key: "sqlite".to_owned(), detail };
+    let of_file = |detail| StoreFault { kind: "file", key: "sqlite".to_owned(), detail, column: None };
     let mut found = sqlx::query_scalar::<_, String>("PRAGMA integrity_check(100)").fetch(conn);
     let (mut faults, mut told) = (Vec::new(), 0);
     loop {
@@ -65,14 +65,16 @@ fn fault_of(line: &str) -> StoreFault {
     let of_value = || line.split_once(" value in ").filter(|(what, _)| !what.contains(' ')).map(|(_, of)| of);
     match line.strip_prefix("CHECK constraint failed in ").or_else(of_value) {
         Some(of) => {
-            let table = of.split('.').next().unwrap_or(of).to_owned();
+            let (table, column) =
+                of.split_once('.').map_or((of, None), |(table, column)| (table, Some(column)));
             StoreFault {
                 kind: "table",
-                key: table,
+                key: table.to_owned(),
                 detail: format!("a row of it is none that it takes: {line}"),
+                column: column.map(str::to_owned),
             }
         }
-        None => StoreFault { kind: "file", key: "sqlite".to_owned(), detail: line },
+        None => StoreFault { kind: "file", key: "sqlite".to_owned(), detail: line, column: None },
     }
 }
 
@@ -92,7 +94,7 @@ async fn schema(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
             Some(found) if found != definition => "its definition is another than the migrations make",
             Some(_) => return None,
         };
-        Some(StoreFault { kind: "schema", key: name.clone(), detail: detail.to_owned() })
+        Some(StoreFault { kind: "schema", key: name.clone(), detail: detail.to_owned(), column: None })
     });
     Ok(differing.collect())
 }

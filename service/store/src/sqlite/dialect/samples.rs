@@ -119,6 +119,7 @@ pub(in crate::sqlite) async fn stray_packs(conn: &mut Conn, most: i64) -> StoreR
         kind: "samples",
         key: format!("pack {pack}"),
         detail: "they belong to no cycle".to_owned(),
+        column: None,
     };
     Ok(strays.into_iter().map(fault).collect())
 }
