@@ -871,8 +871,32 @@ pub struct CheckPage {
     pub next: Option<CheckedTo>,
 }
 
-/// Machine and id of the last cycle of a page, as they are stored: also of one that is damaged.
-pub type CheckedTo = (StoredText, StoredText);
+/// How far rows are gone through by a key with texts, of which some may be damaged: PostgreSQL takes such a text from nobody, and an index
+/// may have it where it was before. So behind the last row whose key is sound, and so many rows more.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub struct Through<K> {
+    pub(crate) key: K,
+    past: u32,
+}
+
+impl<K> Through<K> {
+    /// Passes the next row.
+    pub(crate) fn pass(&mut self, key: K, is_sound: bool) {
+        if is_sound {
+            (self.key, self.past) = (key, 0);
+        } else {
+            self.past += 1;
+        }
+    }
+
+    /// How many rows behind that of the key are gone through.
+    pub(crate) fn past(&self) -> i64 {
+        self.past.into()
+    }
+}
+
+/// Machine and id of a cycle to which a page has come, as they are stored.
+pub type CheckedTo = Through<(StoredText, StoredText)>;
 
 /// Names a row of the quarantine, of alarms or of audit in a list.
 pub type RowNumber = i64;

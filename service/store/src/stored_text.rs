@@ -15,6 +15,11 @@ impl StoredText {
         std::str::from_utf8(&self.0).ok()
     }
 
+    /// Whether it decodes.
+    pub(crate) fn is_sound(&self) -> bool {
+        self.as_str().is_some()
+    }
+
     /// As people are shown it: what does not decode is replaced. For nothing that decides.
     pub(crate) fn shown(&self) -> String {
         String::from_utf8_lossy(&self.0).into_owned()

@@ -15,7 +15,7 @@ use feedwright_store::{
     Actor, CheckPage, Committed, CycleFilter, Doubt, Left, NewCycle, Page, Precondition, QuarantineBounds,
     QuarantineEntry, Repair, Role, SessionRecord, Store, StoreError, StoreFault, TokenRecord,
 };
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, SqliteConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, SqliteConnection};
 use std::collections::BTreeSet;
 
 stories!(with tables:
@@ -1193,6 +1193,82 @@ async fn a_damaged_name_takes_nothing_else_away() {
     super::given::stored(&*store, &Run { seconds: 6000, ..Run::nth(30) }).await;
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     given.done().await;
+}
+
+/// Without sums of its pages PostgreSQL gives what a disk has made of them. It takes no such text, neither from who damages it for a test nor
+/// from who asks what comes behind it; one in SQL_ASCII takes it, and gives it to nobody who asks for UTF-8.
+#[tokio::test]
+async fn a_key_of_a_plant_that_does_not_decode_is_named_and_the_rest_is_checked() {
+    const BYTES: &str = "ENCODING SQL_ASCII LOCALE 'C' TEMPLATE template0";
+    for made in ["", BYTES] {
+        let Some(given) = Given::postgres_made(made).await else {
+            return;
+        };
+        let store = given.store();
+        all_kinds(&*store).await;
+        assert_eq!(store.check_tables().await.unwrap(), []);
+        let mut disk = PgConnection::connect(&given.address()).await.unwrap();
+        // Bytes are taken for a text without a look at them, and nothing is asked of keys.
+        disk.execute(
+            "SET session_replication_role = replica;
+             CREATE FUNCTION as_a_disk_has_it(bytea, int) RETURNS text IMMUTABLE STRICT LANGUAGE internal
+                 AS 'bytea_substr_no_len'",
+        )
+        .await
+        .unwrap();
+        for (table, column, rows) in [
+            ("cycles", "cycle_id", "cycle_id IN ('c00003', 'c00004', 'c00008')"),
+            ("cycles", "tool_id", "cycle_id = 'c00002'"),
+            ("tools", "tool_id", "tool_id = 'T1'"),
+            ("cycle_overrides", "cycle_id", "TRUE"),
+            ("feed_profile_versions", "profile_id", "TRUE"),
+            ("quarantine", "quarantine_id", "quarantine_id = 'q1'"),
+            ("recommendations", "recommendation_id", "TRUE"),
+        ] {
+            disk.execute("BEGIN").await.unwrap();
+            let kept = format!("CREATE TABLE kept AS SELECT * FROM {table}");
+            disk.execute(AssertSqlSafe(kept)).await.unwrap();
+            let damage = format!(
+                "UPDATE {table} SET {column} = as_a_disk_has_it(
+                     set_byte({column}::bytea, length({column}) - 2, 255), 1) WHERE {rows}"
+            );
+            let damaged = disk.execute(AssertSqlSafe(damage)).await.unwrap().rows_affected();
+            disk.execute("COMMIT").await.unwrap();
+            assert!(damaged > 0, "{table}.{column}");
+            let faults = store.check_tables().await.unwrap();
+            let told = |fault: &&StoreFault| {
+                fault.kind == "row"
+                    && fault.key.starts_with(&format!("{table} "))
+                    && fault.column.as_deref() == Some(column)
+            };
+            assert_eq!(faults.iter().filter(told).count() as u64, damaged, "{table}.{column}: {faults:?}");
+            for limit in [1, 2, 3, 100] {
+                let (mut after, mut checked, mut told) = (None, 0, 0);
+                loop {
+                    let page = store.check_cycles(after.as_ref(), limit).await.unwrap();
+                    checked += page.checked;
+                    told += page.faults.len() as u64;
+                    match page.next {
+                        Some(next) => after = Some(next),
+                        None => break,
+                    }
+                }
+                assert_eq!(checked, 8, "{table}.{column}, {limit} at a time");
+                assert!(table != "cycles" || told == damaged, "{column}: {told}");
+            }
+            let wear = store.check_wear(Repair::No).await.unwrap();
+            if table == "tools" {
+                assert_eq!(wear.unreadable.len(), 1, "{wear:?}");
+            }
+            let back = format!(
+                "DELETE FROM {table}; INSERT INTO {table} OVERRIDING SYSTEM VALUE SELECT * FROM kept; DROP TABLE kept"
+            );
+            disk.execute(AssertSqlSafe(back)).await.unwrap();
+            assert_eq!(store.check_tables().await.unwrap(), [], "{table}.{column}");
+        }
+        disk.close().await.unwrap();
+        given.done().await;
+    }
 }
 
 /// What wear is folded of is one thing, and what is only shown another: `--repair` folds over the one, and not over the other.

@@ -14,21 +14,14 @@ use feedwright_core::wear::{Exclusion, FOLD_VERSION, OrderKey, ToolFold};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The next registered tool, or one that has a cache, after `after`; as it is stored, so that one that is damaged is gone past.
-pub(super) async fn next_tool(
-    conn: &mut Conn,
-    after: Option<&StoredText>,
-) -> StoreResult<Option<StoredText>> {
-    let next: Option<StoredText> = sqlx::query_scalar::<Db, _>(
-        "SELECT MIN(tool_id) FROM (
-             SELECT MIN(tool_id) AS tool_id FROM tools WHERE tool_id > CAST($1 AS TEXT)
-             UNION ALL SELECT MIN(tool_id) AS tool_id FROM tool_wear
-                 WHERE tool_id > CAST($1 AS TEXT)) AS next",
-    )
-    .bind(after.cloned().unwrap_or_default())
-    .fetch_one(&mut *conn)
-    .await?;
-    Ok(next)
+/// Every registered tool, and each that has a cache; as they are stored, those whose id is damaged too.
+pub(super) async fn tools(conn: &mut Conn) -> StoreResult<BTreeSet<StoredText>> {
+    dialect::read_as_stored(conn).await?;
+    let found: Vec<StoredText> =
+        sqlx::query_scalar::<Db, _>("SELECT tool_id FROM tools UNION SELECT tool_id FROM tool_wear")
+            .fetch_all(&mut *conn)
+            .await?;
+    Ok(found.into_iter().collect())
 }
 
 #[derive(sqlx::FromRow)]
@@ -125,6 +118,7 @@ pub(super) async fn tool(
     tool: &ToolId,
     doubt: Option<&Doubt>,
 ) -> StoreResult<(u64, Vec<DifferingWear>)> {
+    dialect::read_as_stored(conn).await?;
     let repair = doubt.is_some();
     if repair {
         dialect::lock(conn, &Locks::tool(tool)).await?;

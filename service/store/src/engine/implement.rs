@@ -764,15 +764,8 @@ impl Store for Engine {
 
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck> {
         let mut checked = WearCheck::default();
-        let mut after = None;
         let doubt = repair.doubt().cloned().map(Arc::new);
-        loop {
-            let last = after.clone();
-            let next = snapshot!(self, |conn| check::next_tool(conn, last.as_ref()).await)?;
-            let Some(next) = next else {
-                return Ok(checked);
-            };
-            after = Some(next.clone());
+        for next in snapshot!(self, |conn| check::tools(conn).await)? {
             let Some(tool) = next.as_str().and_then(|tool| ToolId::try_from(tool).ok()) else {
                 checked.unreadable.push((next.to_string(), "its id is no identifier".to_owned()));
                 continue;
@@ -790,6 +783,7 @@ impl Store for Engine {
                 Err(error) => return Err(error),
             }
         }
+        Ok(checked)
     }
 
     async fn issue_recommendation(&self, issued: &IssuedRecommendation) -> StoreResult<()> {

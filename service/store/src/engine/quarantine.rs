@@ -3,7 +3,7 @@
 use super::{Conn, Db, alarms, audit, dialect};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
-use crate::record::{Actor, AlarmKind, Page, QuarantineBounds, QuarantineEntry};
+use crate::record::{Actor, AlarmKind, Page, QuarantineBounds, QuarantineEntry, Through};
 use crate::rows::{QuarantineRow, count, number};
 use crate::stored_text::StoredText;
 use feedwright_core::ids::MachineId;
@@ -189,19 +189,22 @@ pub(super) async fn get(
 /// whether all could be gone through.
 pub(super) async fn damaged(conn: &mut Conn, most: usize) -> StoreResult<(Vec<String>, bool)> {
     let mut damaged = Vec::new();
-    let mut after = StoredText::default();
+    let mut after = Through::<StoredText>::default();
     while damaged.len() < most {
         // One at a time: a body may be as long as a batch. Nothing of its other texts, which may be damaged.
         let row = sqlx::query::<Db>(
             "SELECT quarantine_id, size, body, body_hash FROM quarantine
-             WHERE quarantine_id > CAST($1 AS TEXT) ORDER BY quarantine_id LIMIT 1",
+             WHERE quarantine_id > CAST($1 AS TEXT) ORDER BY quarantine_id LIMIT 1 OFFSET $2",
         )
-        .bind(after.clone())
+        .bind(after.key.clone())
+        .bind(after.past())
         .fetch_optional(&mut *conn)
         .await?;
         let Some(row) = row else { break };
         let id: StoredText = row.try_get(0)?;
-        if id <= after {
+        let before = after.clone();
+        after.pass(id.clone(), id.is_sound());
+        if after <= before {
             return Ok((damaged, false));
         }
         let (body, hash) = (row.try_get::<Vec<u8>, _>(2), row.try_get::<Vec<u8>, _>(3));
@@ -209,7 +212,6 @@ pub(super) async fn damaged(conn: &mut Conn, most: usize) -> StoreResult<(Vec<St
         if kept.and_then(|((body, size), hash)| unpacked(&body, size, &hash)).is_none() {
             damaged.push(id.to_string());
         }
-        after = id;
     }
     Ok((damaged, true))
 }

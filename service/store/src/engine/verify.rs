@@ -25,7 +25,7 @@ macro_rules! select_sql {
         concat!(
             "SELECT ", $("c.", stringify!($column), ", ",)* "1 AS one FROM cycles c
              WHERE (c.machine_id, c.cycle_id) > (CAST($1 AS TEXT), CAST($2 AS TEXT))
-             ORDER BY c.machine_id, c.cycle_id LIMIT $3"
+             ORDER BY c.machine_id, c.cycle_id LIMIT $3 OFFSET $4"
         )
     };
 }
@@ -37,12 +37,14 @@ pub(super) async fn page(
     limit: u32,
     max_samples: usize,
 ) -> StoreResult<CheckPage> {
+    dialect::read_as_stored(conn).await?;
     dialect::keep_partitions(conn).await?;
     let after = after.cloned().unwrap_or_default();
     let rows = sqlx::query::<Db>(cycle_columns!(select_sql))
-        .bind(after.0.clone())
-        .bind(after.1.clone())
+        .bind(after.key.0.clone())
+        .bind(after.key.1.clone())
         .bind(i64::from(limit))
+        .bind(after.past())
         .fetch_all(&mut *conn)
         .await?;
     let mut page = CheckPage { checked: rows.len() as u64, ..CheckPage::default() };
@@ -51,8 +53,11 @@ pub(super) async fn page(
     let (mut contexts, mut decisions) = (Contexts::default(), Decisions::default());
     let mut last = after.clone();
     for row in &rows {
-        last = (row.try_get("machine_id")?, row.try_get("cycle_id")?);
-        let key = format!("{}/{}", last.0, last.1);
+        let (machine, cycle): (StoredText, StoredText) =
+            (row.try_get("machine_id")?, row.try_get("cycle_id")?);
+        let key = format!("{machine}/{cycle}");
+        let is_sound = machine.is_sound() && cycle.is_sound();
+        last.pass((machine, cycle), is_sound);
         let mut row = match CycleRow::from_row(row).map_err(StoreError::from) {
             Err(StoreError::Damaged { what }) => {
                 let tool: Option<StoredText> = row.try_get("tool_id").ok();

@@ -14,6 +14,7 @@ use super::{Conn, Writer};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::{RowNumber, StoreFault};
+use crate::stored_text::StoredText;
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
 use std::fmt::Write;
@@ -71,6 +72,8 @@ pub(super) use block_bytes;
 
 /// What stands for the id of a recommendation.
 pub(super) type RecommendationKey = String;
+/// The same as it is read where it may be damaged.
+pub(super) type StoredRecommendation = StoredText;
 
 /// What an id of a recommendation is looked for by.
 pub(super) fn recommendation_key(id: &str) -> RecommendationKey {
@@ -78,8 +81,8 @@ pub(super) fn recommendation_key(id: &str) -> RecommendationKey {
 }
 
 /// The id, as it is told where something is wrong.
-pub(super) fn recommendation_of(key: &RecommendationKey) -> String {
-    key.clone()
+pub(super) fn recommendation_of(key: &StoredText) -> String {
+    key.to_string()
 }
 
 /// A row has its block to itself, and goes with it.

@@ -68,6 +68,12 @@ pub(super) async fn lock(_conn: &mut Conn, _locks: &Locks) -> StoreResult<()> {
     Ok(())
 }
 
+/// Texts are given as they are stored.
+#[expect(clippy::unused_async, reason = "the other engine asks its server")]
+pub(super) async fn read_as_stored(_conn: &mut Conn) -> StoreResult<()> {
+    Ok(())
+}
+
 /// One writer commits one line behind the other.
 #[expect(clippy::unused_async, reason = "the other engine asks its server")]
 pub(super) async fn begin_audit_line(_conn: &mut Conn) -> StoreResult<()> {
@@ -80,12 +86,6 @@ pub(super) async fn last_audit_line(_conn: &mut Conn) -> StoreResult<RowNumber> 
     Ok(RowNumber::MAX)
 }
 
-/// A tool's caches, inside a transaction that nobody else writes beside.
-pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version, judging_change FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
-
-/// Whoever reads, reads one moment.
-macro_rules! at_one_moment {
-    () => {
 /// The first alarm that a transaction raises is one as any other, as with lines of the audit.
 pub(super) const RAISE_FIRST: &str = AlarmChange::RAISE;
 
@@ -95,6 +95,12 @@ pub(super) async fn last_alarm(_conn: &mut Conn) -> StoreResult<RowNumber> {
     Ok(RowNumber::MAX)
 }
 
+/// A tool's caches, inside a transaction that nobody else writes beside.
+pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version, judging_change FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
+
+/// Whoever reads, reads one moment.
+macro_rules! at_one_moment {
+    () => {
         "TRUE"
     };
 }
@@ -136,6 +142,8 @@ pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> String {
 
 /// What stands for the id of a recommendation.
 pub(super) type RecommendationKey = Vec<u8>;
+/// The same as it is read where it may be damaged.
+pub(super) type StoredRecommendation = RecommendationKey;
 
 /// What an id of a recommendation is looked for by.
 pub(super) fn recommendation_key(id: &str) -> RecommendationKey {

@@ -3,7 +3,7 @@
 use super::super::{Conn, Db, dialect, quarantine};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
-use crate::record::StoreFault;
+use crate::record::{StoreFault, Through};
 use crate::rows::{AdviceBody, is_content_of};
 use crate::stored_text::StoredText;
 use crate::transfer::TransferError;
@@ -16,6 +16,7 @@ const ROWS: i64 = 200;
 
 /// Reads all of them, and changes nothing.
 pub(in super::super) async fn tables(conn: &mut Conn) -> StoreResult<Vec<StoreFault>> {
+    dialect::read_as_stored(conn).await?;
     let mut faults = dialect::integrity(conn).await?;
     match look_through(conn, &mut faults).await {
         Ok(()) => {}
@@ -44,7 +45,7 @@ async fn look_through(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreRes
     if !is_whole {
         unreadable("quarantine", faults)?;
     }
-    let silent: Vec<(dialect::RecommendationKey,)> = sqlx::query_as::<Db, _>(
+    let silent: Vec<(dialect::StoredRecommendation,)> = sqlx::query_as::<Db, _>(
         "SELECT r.recommendation_id FROM recommendations r WHERE NOT EXISTS (
              SELECT 1 FROM advices a WHERE a.advice_hash = r.advice_hash)
          ORDER BY r.recommendation_id LIMIT $1",
@@ -127,17 +128,18 @@ fn unreadable(table: &'static str, faults: &mut Vec<StoreFault>) -> StoreResult<
 }
 
 async fn overrides(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
-    let mut after = (StoredText::default(), StoredText::default());
+    let mut after = Through::<(StoredText, StoredText)>::default();
     let most = faults.len() + MOST_NAMED;
     loop {
         let rows = sqlx::query::<Db>(
             "SELECT machine_id, cycle_id, block FROM cycle_overrides
              WHERE (machine_id, cycle_id) > (CAST($1 AS TEXT), CAST($2 AS TEXT))
-             ORDER BY machine_id, cycle_id LIMIT $3",
+             ORDER BY machine_id, cycle_id LIMIT $3 OFFSET $4",
         )
-        .bind(after.0.clone())
-        .bind(after.1.clone())
+        .bind(after.key.0.clone())
+        .bind(after.key.1.clone())
         .bind(ROWS)
+        .bind(after.past())
         .fetch_all(&mut *conn)
         .await?;
         let before = after.clone();
@@ -150,7 +152,8 @@ async fn overrides(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult
             if block.is_none_or(|block| codec::decode_overrides(&block).is_err()) {
                 faults.push(fault("overrides", format!("{machine}/{cycle}"), "they cannot be read"));
             }
-            after = (machine, cycle);
+            let is_sound = machine.is_sound() && cycle.is_sound();
+            after.pass((machine, cycle), is_sound);
         }
         if rows.is_empty() || faults.len() >= most {
             return Ok(());
@@ -162,16 +165,17 @@ async fn overrides(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult
 }
 
 async fn feed_profiles(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreResult<()> {
-    let mut after = (StoredText::default(), 0_i64);
+    let mut after = Through::<(StoredText, i64)>::default();
     let most = faults.len() + MOST_NAMED;
     loop {
         let rows = sqlx::query::<Db>(
             "SELECT profile_id, version, content, content_hash FROM feed_profile_versions
-             WHERE (profile_id, version) > (CAST($1 AS TEXT), $2) ORDER BY profile_id, version LIMIT $3",
+             WHERE (profile_id, version) > (CAST($1 AS TEXT), $2) ORDER BY profile_id, version LIMIT $3 OFFSET $4",
         )
-        .bind(after.0.clone())
-        .bind(after.1)
+        .bind(after.key.0.clone())
+        .bind(after.key.1)
         .bind(ROWS)
+        .bind(after.past())
         .fetch_all(&mut *conn)
         .await?;
         let before = after.clone();
@@ -185,7 +189,8 @@ async fn feed_profiles(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreRe
                 let key = format!("{profile}/{version}");
                 faults.push(fault("feed profile", key, "its content is not what was drafted"));
             }
-            after = (profile, version);
+            let is_sound = profile.is_sound();
+            after.pass((profile, version), is_sound);
         }
         if rows.is_empty() || faults.len() >= most {
             return Ok(());
