@@ -23,6 +23,8 @@ pub use digest::TableSum;
 
 use crate::error::{StoreError, StoreResult};
 use crate::record::StoreFault;
+use crate::row_sum::{ROW_SUM, SUMMED_VERSION, Standing, VERSION, Writers};
+use crate::rows::SUMMED;
 use crate::stored_text::StoredText;
 use async_trait::async_trait;
 
@@ -54,6 +56,8 @@ const PAGE_ROWS: usize = 1_000;
 const PAGE_GROWTH: usize = 4;
 /// Rows of the first page of a table: how large they are is not known yet.
 const FIRST_PAGE_ROWS: usize = 32;
+/// What is told of a row whose sum is another.
+const NOT_AS_WRITTEN: &str = "it is not what was written, as its sum says";
 /// Parameters of one statement; SQLite takes 32,766.
 const MOST_PARAMETERS: usize = 30_000;
 
@@ -249,6 +253,46 @@ impl Table {
         Ok(StoreFault { kind: "row", key: format!("{} {key}", self.name), detail })
     }
 
+    /// What the sum of a row says of it; `None` where the table has no sums, as one of a database of before.
+    fn standing(&self, row: &Row, writers: Writers) -> Option<Standing> {
+        let summed = SUMMED.iter().find(|summed| summed.table == self.name)?;
+        let value = |column: &str| self.place(column).and_then(|at| row.get(at));
+        let whole = |column: &str| match value(column) {
+            Some(Value::Whole(value)) => Some(*value),
+            _ => None,
+        };
+        self.place(ROW_SUM)?;
+        let again = || summed.over(summed.columns.iter().map(|column| value(column).unwrap_or(&Value::Null)));
+        Some(Standing::of((whole(ROW_SUM), whole(SUMMED_VERSION)), whole(VERSION)?, writers, again))
+    }
+
+    /// A row that may be taken: it is refused where it is not what was written, and a sum that says nothing of it is left behind.
+    fn held(&self, mut row: Row, writers: Writers) -> StoreResult<Row> {
+        match self.standing(&row, writers) {
+            None | Some(Standing::Sound) => {}
+            Some(Standing::Unsummed) => {
+                for at in [ROW_SUM, SUMMED_VERSION].into_iter().filter_map(|column| self.place(column)) {
+                    row[at] = Value::Null;
+                }
+            }
+            Some(Standing::Damaged) => {
+                let what = format!("{} {}: {NOT_AS_WRITTEN}", self.name, self.show_key(&row));
+                return Err(StoreError::Damaged { what });
+            }
+        }
+        Ok(row)
+    }
+
+    /// A row that is not what was written, as a fault: no backup takes it.
+    fn sum_fault(&self, row: &Row, writers: Writers) -> Option<StoreFault> {
+        let is_damaged = self.standing(row, writers) == Some(Standing::Damaged);
+        is_damaged.then(|| StoreFault {
+            kind: "row",
+            key: format!("{} {}", self.name, self.show_key(row)),
+            detail: format!("{NOT_AS_WRITTEN}, so that no backup or copy takes it"),
+        })
+    }
+
     fn show_key(&self, row: &Row) -> String {
         self.key_of(row).iter().map(Value::show).collect::<Vec<_>>().join("/")
     }
@@ -366,6 +410,23 @@ mod tests {
             [40, 4, 1]
         );
         assert_eq!(next_page(Some(&[])), 1);
+    }
+
+    /// A column that is added is summed too, unless it is written behind the row's back.
+    #[tokio::test]
+    async fn every_column_of_what_is_registered_is_in_its_sum() {
+        let mut model = SqliteSide::model().await.unwrap();
+        let tables = model.tables().await.unwrap();
+        for summed in SUMMED {
+            let table = tables.iter().find(|table| table.name == summed.table).unwrap();
+            let behind = [ROW_SUM, SUMMED_VERSION, "judging_change"];
+            let mut columns: Vec<&str> = table.columns.iter().map(|(name, _)| name.as_str()).collect();
+            columns.retain(|name| !behind.contains(name));
+            let mut in_sum = summed.columns.to_vec();
+            in_sum.sort_unstable();
+            assert_eq!(in_sum, columns, "{}", summed.table);
+        }
+        Box::new(model).close().await;
     }
 
     /// The size of the rows before says nothing of those that follow.

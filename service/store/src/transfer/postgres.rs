@@ -5,11 +5,14 @@ use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions, plant};
 use crate::record::StoreFault;
+use crate::row_sum::Writers;
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
 use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
 
+/// Servers of before may have registered since the tables are those of this version.
+const WRITERS: Writers = Writers::BesideOlder;
 /// What is told of a table that is not there (SQLSTATE).
 const UNDEFINED_TABLE: &str = "42P01";
 /// It idles while the other side is read, and reads whole tables, whatever limits a role has for its questions. The last setting
@@ -168,7 +171,7 @@ fn values(table: &Table, row: &PgRow) -> Result<Row, Unread> {
     values.collect()
 }
 
-/// Rows that no backup takes: as its sum reads them, something in them does not decode, as of a page that a disk has damaged. So many of
+/// Rows that no backup takes: as its sum reads them, something in them does not decode, or they are not what was written, as of a page that a disk has damaged. So many of
 /// a table at the most, one by one.
 pub(crate) async fn damaged_rows(
     conn: &mut PgConnection,
@@ -185,8 +188,9 @@ pub(crate) async fn damaged_rows(
         while faults.len() - before < most
             && let Some(row) = found.try_next().await?
         {
-            if let Err(unread) = values(&table, &row) {
-                faults.push(table.fault(&table.key_beside(&row), unread)?);
+            match values(&table, &row) {
+                Ok(row) => faults.extend(table.sum_fault(&row, WRITERS)),
+                Err(unread) => faults.push(table.fault(&table.key_beside(&row), unread)?),
             }
         }
     }
@@ -296,7 +300,7 @@ impl Side for PostgresSide {
         {
             let values =
                 values(table, &row).map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
-            page.add(values);
+            page.add(table.held(values, WRITERS)?);
         }
         Ok(page.rows)
     }
