@@ -280,7 +280,7 @@ impl CycleIntake {
             operation: around.operation.as_ref(),
         };
         let mut summary = summarise(&cycle, context);
-        summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
+        summary.flags.insert_if(!around.has_tool(), Flag::ToolUnregistered);
         let encoded = self.habits.encode(&cycle, places);
         // A group waits with tens of cycles: the memory of their samples serves the next ones meanwhile.
         let cycle = Arc::new(cycle.with_samples(None));
