@@ -396,6 +396,10 @@ async fn what_a_server_of_before_changed_of_an_operation_is_noted_with_the_next_
         at(20).micros()
     );
     assert_eq!(given.raw(AssertSqlSafe(changed)).await.unwrap(), 1);
+    if !given.is_postgres() {
+        // No server of before opens such a file: there it is somebody's who says that it is meant.
+        given.raw("UPDATE operations SET row_sum = NULL, summed_version = NULL").await.unwrap();
+    }
     given.raw("UPDATE registry_generation SET changes = changes + 1").await.unwrap();
     let worn = (1..=40).map(|n| super::wear::reported("T1", n, 1000.0 + 4.0 * f64::from(n), 5.1)).collect();
     super::wear::store_all(&*store, worn).await;
