@@ -33,8 +33,8 @@ pub(crate) enum Found<T> {
     Absent,
     /// It is what was written, as far as anything says.
     Sound(T),
-    /// It is there, and is not what was written.
-    Damaged,
+    /// It is there, and is not what was written; as it stands, where it decodes.
+    Damaged(Option<T>),
 }
 
 impl<T> Found<T> {
@@ -42,15 +42,19 @@ impl<T> Found<T> {
         match self {
             Self::Absent => Found::Absent,
             Self::Sound(found) => Found::Sound(of(found)),
-            Self::Damaged => Found::Damaged,
+            Self::Damaged(found) => Found::Damaged(found.map(of)),
         }
+    }
+
+    pub(crate) const fn is_damaged(&self) -> bool {
+        matches!(self, Self::Damaged(_))
     }
 
     /// What is there and sound.
     pub(crate) fn sound(self) -> Option<T> {
         match self {
             Self::Sound(found) => Some(found),
-            Self::Absent | Self::Damaged => None,
+            Self::Absent | Self::Damaged(_) => None,
         }
     }
 }
@@ -62,10 +66,10 @@ pub(crate) fn surroundings(
     tool: Found<Tool>,
 ) -> Surroundings {
     let mut damaged = known.damaged.clone();
-    if operation == Found::Damaged {
+    if operation.is_damaged() {
         damaged.push(Damaged::Operation);
     }
-    if tool == Found::Damaged {
+    if tool.is_damaged() {
         damaged.push(Damaged::Tool);
     }
     Surroundings {

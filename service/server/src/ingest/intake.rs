@@ -297,6 +297,8 @@ impl CycleIntake {
         // A task of its own: what asks the database is never cut off.
         let asked = tokio::spawn(async move { store.machine(&machine).await });
         match timeout(PATIENCE, asked).await {
+            // It is there, and what is sent of it is kept.
+            Ok(Ok(Err(StoreError::Damaged { .. }))) => Ok(true),
             Ok(Ok(found)) => found.map(|found| found.is_some()),
             Ok(Err(lost)) => Err(StoreError::Unavailable(lost.into())),
             Err(late) => Err(StoreError::Unavailable(late.into())),

@@ -276,8 +276,7 @@ async fn count_all(
         }
         let machines = fresh.entry(&cycle.tool).or_default();
         if let Placed::New(row, summary) = placed {
-            let facts =
-                FactsRow::of(row, summary, registry.operations.get(&cycle.operation).map(AsRef::as_ref));
+            let facts = FactsRow::of(row, summary, registry.as_it_stands(&cycle.operation));
             machines.entry(&cycle.machine).or_default().push(facts);
         }
     }

@@ -132,7 +132,7 @@ pub(super) async fn knowledge(
     };
     if let Some(setup) = &operation.turning {
         let model = match registry::to_decide_by(get(conn, ModelKind::Turning, &setup.model).await)? {
-            Found::Damaged => return Ok(Knowledge::Damaged),
+            Found::Damaged(_) => return Ok(Knowledge::Damaged),
             Found::Absent => None,
             Found::Sound(found) => match found.value.content {
                 ModelContent::Turning(model) => Some(Box::new(model)),
@@ -143,7 +143,7 @@ pub(super) async fn knowledge(
     }
     if let Some(setup) = &operation.plunge {
         let material = match registry::to_decide_by(get(conn, ModelKind::Plunge, &setup.material).await)? {
-            Found::Damaged => return Ok(Knowledge::Damaged),
+            Found::Damaged(_) => return Ok(Knowledge::Damaged),
             Found::Absent => None,
             Found::Sound(found) => match found.value.content {
                 ModelContent::Plunge(material) => Some(Box::new(material)),

@@ -45,9 +45,9 @@ pub(super) async fn changed(conn: &mut Conn) -> StoreResult<()> {
 pub(super) fn to_decide_by<T>(read: StoreResult<Option<Versioned<T>>>) -> StoreResult<Found<Versioned<T>>> {
     match read {
         Ok(None) => Ok(Found::Absent),
-        Ok(Some(found)) if found.is_damaged => Ok(Found::Damaged),
+        Ok(Some(found)) if found.is_damaged => Ok(Found::Damaged(Some(found))),
         Ok(Some(found)) => Ok(Found::Sound(found)),
-        Err(StoreError::Damaged { .. }) => Ok(Found::Damaged),
+        Err(StoreError::Damaged { .. }) => Ok(Found::Damaged(None)),
         Err(error) => Err(error),
     }
 }
@@ -109,7 +109,7 @@ pub(super) async fn machine_to_decide_by(
     let machine = match to_decide_by(machines::get(conn, id).await)? {
         Found::Absent => return Ok(None),
         Found::Sound(found) => found.value,
-        Found::Damaged => {
+        Found::Damaged(_) => {
             damaged.push(Damaged::Machine);
             Machine::unknown(id.clone())
         }
@@ -164,7 +164,7 @@ async fn operation(
         return Ok(known);
     }
     let found = to_decide_by(operations::dated(conn, id).await)?.map(|found| Arc::new(found.value));
-    if found == Found::Damaged {
+    if found.is_damaged() {
         tell(&[Damaged::Operation], id.as_str());
     }
     registry.learn_operation(generation, id, found.clone());
@@ -181,7 +181,7 @@ async fn tool(
         return Ok(known);
     }
     let found = to_decide_by(tools::get(conn, id).await)?.map(|found| Arc::new(found.value));
-    if found == Found::Damaged {
+    if found.is_damaged() {
         tell(&[Damaged::Tool], id.as_str());
     }
     registry.learn_tool(generation, id, found.clone());
@@ -215,7 +215,8 @@ pub(super) struct GroupRegistry {
     pub(super) operations: BTreeMap<OperationId, Arc<DatedOperation>>,
     /// Sound and damaged ones.
     pub(super) tools: BTreeSet<ToolId>,
-    damaged_operations: BTreeSet<OperationId>,
+    /// As they stand, where they decode.
+    damaged_operations: BTreeMap<OperationId, Option<Arc<DatedOperation>>>,
     damaged_tools: BTreeSet<ToolId>,
 }
 
@@ -225,20 +226,26 @@ impl GroupRegistry {
         self.operations.get(id).map(|known| &***known)
     }
 
+    /// An operation as its row stands: a fold that is made of what is stored goes by that too.
+    pub(super) fn as_it_stands(&self, id: &OperationId) -> Option<&DatedOperation> {
+        let damaged = || self.damaged_operations.get(id)?.as_deref();
+        self.operations.get(id).map(AsRef::as_ref).or_else(damaged)
+    }
+
     fn add_operation(&mut self, id: &OperationId, found: Found<Arc<DatedOperation>>) {
         match found {
             Found::Absent => {}
             Found::Sound(known) => {
                 self.operations.insert(id.clone(), known);
             }
-            Found::Damaged => {
-                self.damaged_operations.insert(id.clone());
+            Found::Damaged(known) => {
+                self.damaged_operations.insert(id.clone(), known);
             }
         }
     }
 
     fn add_tool(&mut self, id: &ToolId, found: &Found<Arc<Tool>>) {
-        if *found == Found::Damaged {
+        if found.is_damaged() {
             self.damaged_tools.insert(id.clone());
         }
         if *found != Found::Absent {
@@ -250,7 +257,7 @@ impl GroupRegistry {
     pub(super) fn damaged(&self, cycle: &Cycle) -> Vec<Damaged> {
         let mut damaged =
             self.machines.get(&cycle.machine).map(|known| known.damaged.clone()).unwrap_or_default();
-        if self.damaged_operations.contains(&cycle.operation) {
+        if self.damaged_operations.contains_key(&cycle.operation) {
             damaged.push(Damaged::Operation);
         }
         if self.damaged_tools.contains(&cycle.tool) {

@@ -94,7 +94,7 @@ impl Contexts {
         let unregistered = row.flags & Flag::OperationUnregistered as i64 != 0;
         let operation = match operation {
             Found::Absent => None,
-            Found::Damaged => {
+            Found::Damaged(_) => {
                 // Received while it was damaged, a cycle is flagged as of one that is not registered.
                 same &= unregistered;
                 None
@@ -120,7 +120,7 @@ impl Contexts {
             Found::Absent => {
                 return Err(StoreError::Damaged { what: format!("its machine `{id}` is not there") });
             }
-            Found::Damaged => {
+            Found::Damaged(_) => {
                 is_damaged = true;
                 let (value, updated_at) = (Machine::unknown(id.clone()), Timestamp::from_micros(0));
                 Versioned { value, version: 0, updated_at, is_damaged }
