@@ -61,7 +61,7 @@ async fn faults(store: &dyn Store) -> Vec<String> {
 }
 
 /// Goes through all rows, and sums those that have no sum.
-async fn held(store: &dyn Store) -> SumPage {
+pub(super) async fn held(store: &dyn Store) -> SumPage {
     let (mut all, mut after) = (SumPage::default(), None);
     loop {
         let page = store.hold_sums(after.as_ref()).await.unwrap();
@@ -338,7 +338,7 @@ async fn a_feed_profile_that_is_for_somebody_else_is_not_run(given: &Given) {
     }
 }
 
-/// Cycles of meanwhile count as of an operation that is not registered, and as its own from then on.
+/// A fold goes on by what stands there, as one that is made anew does, and follows what is put.
 async fn folds_follow_when_a_damaged_operation_is_put_anew(given: &Given) {
     let store = given.store();
     shop(&*store).await;
