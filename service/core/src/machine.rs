@@ -16,6 +16,9 @@ pub const SPEED_RANGE: Range = Range::new(0.0, 1_000_000.0, "rpm");
 /// Interpolator cycles.
 pub const IPO_RANGE: Range = Range::new(0.01, 10_000.0, "ms");
 
+/// Interpolator cycle of a machine of which nothing is known, ms: that of most controls, and nothing is decided by it.
+const UNKNOWN_IPO_PERIOD_MS: f64 = 8.0;
+
 /// Slopes of fitted lines, N or N·m per percent.
 pub const SLOPE_RANGE: Range = Range::new(-1_000_000.0, 1_000_000.0, "(N/% or N·m/%)");
 /// Intercepts of fitted lines, N or N·m.
@@ -276,6 +279,26 @@ pub struct Machine {
 }
 
 impl Machine {
+    /// A machine of which nothing is known but its name: no load tells anything, and nobody may leave 100 % of the programmed feed.
+    #[must_use]
+    pub fn unknown(id: MachineId) -> Self {
+        let limits = FeedLimits {
+            min_mm_min: FEED_RANGE.min,
+            max_mm_min: FEED_RANGE.max,
+            override_min_percent: 100.0,
+            override_max_percent: 100.0,
+        };
+        Self {
+            name: id.as_str().to_owned(),
+            id,
+            control: String::new(),
+            ipo_period_ms: UNKNOWN_IPO_PERIOD_MS,
+            spindle: SpindleRating::default(),
+            feed_drive: FeedDriveRating::default(),
+            limits,
+        }
+    }
+
     /// Checks the ratings and the IPO period; limits are valid by their type.
     pub fn validated(self) -> Result<Self, Vec<Violation>> {
         let mut wrong = Vec::new();

@@ -66,8 +66,42 @@ pub struct Question<'a> {
     pub profiles: &'a [ActiveProfile],
     /// The profile version that the cycle named which is being answered.
     pub ran: Option<&'a ProfileVersion>,
+    /// What of all this was found damaged where it is stored. None of it is to be decided by: instead of the machine stands
+    /// [`Machine::unknown`], instead of the rest nothing.
+    pub damaged: &'a [Damaged],
     /// How long things stay good.
     pub settings: RecommendSettings,
+}
+
+/// What people registered and a disk has changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Damaged {
+    /// The machine: its limits and what its loads refer to.
+    Machine,
+    /// The machine's newest fitted lines.
+    Calibration,
+    /// The operation.
+    Operation,
+    /// The tool.
+    Tool,
+    /// The library entry that the operation names.
+    Model,
+    /// A feed profile for the operation and the tool's type.
+    FeedProfile,
+}
+
+impl Damaged {
+    /// As a sentence names it.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Machine => "machine",
+            Self::Calibration => "machine's calibration",
+            Self::Operation => "operation",
+            Self::Tool => "tool",
+            Self::Model => "operation's library entry",
+            Self::FeedProfile => "feed profile",
+        }
+    }
 }
 
 /// What the shop should do before or while running the next cycle.
@@ -209,12 +243,24 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     let quality = quality(verdict, data_age_ms, settings);
     let stale = quality == DataQuality::Stale;
     let mut action = action(verdict.state);
-    let profile = profile(question, action, stale, &mut say);
+    let damaged = damaged(question);
+    for what in &damaged {
+        let what = what.as_str();
+        say(
+            "registered_data_damaged",
+            &format!(
+                "what is stored of the {what} is damaged: run the program as it is until it is put anew"
+            ),
+        );
+    }
+    let is_damaged = !damaged.is_empty();
+    let profile = if is_damaged { None } else { profile(question, action, stale, &mut say) };
     if !question.tool_registered {
         say("tool_unregistered", "the tool is not registered: its cycles are kept and counted once it is");
     }
     let mut feed = None;
     match operation {
+        _ if is_damaged => {}
         None => say("operation_unregistered", "the operation is not registered: run its program as it is"),
         Some(operation) => match operation.programmed_feed_mm_min {
             None => say("no_programmed_feed", "the operation declares no feed: run its program as it is"),
@@ -240,10 +286,10 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
     if stale {
         say("data_stale", "the tool's last cycle that counted is older than data stays good");
     }
-    let process_advice = operation.and_then(|operation| {
+    let process_advice = operation.filter(|_| !is_damaged).and_then(|operation| {
         held(&mut action, &mut say, |action, say| process::advise(question, operation, stale, action, say))
     });
-    let reference_cycle = reference_cycle(question, action, &mut say);
+    let reference_cycle = if is_damaged { None } else { reference_cycle(question, action, &mut say) };
     // Whoever runs the profile runs it within what was set for it as well.
     let of_profile = profile.map(|one| one.profile.limits());
     let limits = of_profile.map_or(machine.limits, |own| {
@@ -251,7 +297,7 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         machine.limits.within((own.feed_min_mm_min, own.feed_max_mm_min), overrides_percent)
     });
     let set_load = |of_operation: fn(&Operation) -> Option<f64>, of_profile: Option<f64>| {
-        lower(operation.and_then(of_operation), of_profile)
+        lower(operation.filter(|_| !is_damaged).and_then(of_operation), of_profile)
     };
     Recommendation {
         issued_at: now,
@@ -284,6 +330,17 @@ pub fn recommend(question: &Question<'_>) -> Recommendation {
         reasons,
         law_version: LAW_VERSION.to_owned(),
     }
+}
+
+/// What must not be decided by, each once.
+fn damaged(question: &Question<'_>) -> Vec<Damaged> {
+    let mut damaged = question.damaged.to_vec();
+    if *question.knowledge == Knowledge::Damaged {
+        damaged.push(Damaged::Model);
+    }
+    damaged.sort_unstable();
+    damaged.dedup();
+    damaged
 }
 
 /// What `advise` adds; nothing, with the reason, where it panics.

@@ -26,6 +26,7 @@ pub mod series;
 pub mod server;
 pub mod state;
 pub mod stream;
+mod sums;
 pub mod table;
 pub mod telemetry;
 pub mod tls;

@@ -105,6 +105,7 @@ pub struct Metrics {
     ready: IntGauge,
     last_round: Gauge,
     last_backup: Gauge,
+    damaged_rows: IntGauge,
     registered_machines: IntGauge,
     quarantine_entries: IntGauge,
     quarantine_max_entries: IntGauge,
@@ -213,6 +214,10 @@ impl Metrics {
             last_backup: new.gauge(
                 "feedwright_last_backup_timestamp_seconds",
                 "The database's state of when is backed up, as `feedwright backup` noted; 0 where it never did",
+            )?,
+            damaged_rows: new.int_gauge(
+                "feedwright_registry_damaged_rows",
+                "Machines, calibrations, tools, operations and library entries that are not what was written, when they were last looked through",
             )?,
             registered_machines: new.int_gauge(
                 "feedwright_machines",
@@ -360,6 +365,10 @@ impl Metrics {
     }
 
     /// Takes what a round of the watch found.
+    pub(crate) fn damaged_rows(&self, rows: usize) {
+        self.damaged_rows.set(i64::try_from(rows).unwrap_or(i64::MAX));
+    }
+
     pub(crate) fn round(&self, found: &Round, now: Timestamp) {
         for kind in AlarmKind::ALL {
             let of_kind = found.alarms.iter().filter(|alarms| alarms.kind == kind);

@@ -141,6 +141,7 @@ impl ListeningServer {
         let state = AppState::new(config, store, clock, metrics, intake, lifecycle);
         crate::retention::start(&state);
         crate::refold::start(&state);
+        crate::sums::start(&state);
         let link = crate::live::start(&state);
         crate::stream::start(&state);
         crate::watch::start(&state);

@@ -1,12 +1,14 @@
 //! What the store keeps, as values.
 
+use crate::error::{StoreError, StoreResult};
 use crate::stored_text::StoredText;
 use feedwright_core::cycle::{Cycle, Outcome};
+use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
 use feedwright_core::plunge::Material;
-use feedwright_core::recommend::Recommendation;
+use feedwright_core::recommend::{Damaged, Recommendation};
 use feedwright_core::summary::CycleSummary;
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::turning::TurningModel;
@@ -25,6 +27,34 @@ pub struct Versioned<T> {
     pub version: u64,
     /// When this version came into force.
     pub updated_at: Timestamp,
+    /// Whether it is not what was written, as its sum says: to be shown as that, and for nothing that decides.
+    pub is_damaged: bool,
+}
+
+impl<T> Versioned<T> {
+    /// To decide by.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] where it is not what was written.
+    pub fn sound(self) -> StoreResult<Self> {
+        if self.is_damaged {
+            return Err(StoreError::Damaged {
+                what: "a row of the registry is not what was written".to_owned(),
+            });
+        }
+        Ok(self)
+    }
+}
+
+/// Fitted lines of a machine as they are kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredCalibration {
+    /// The lines.
+    pub calibration: Calibration,
+    /// When they were fitted.
+    pub fitted_at: Timestamp,
+    /// Whether they are not what was written, as their sum says.
+    pub is_damaged: bool,
 }
 
 /// What a change expects to find.
@@ -662,6 +692,24 @@ pub struct Surroundings {
     pub operation: Option<Operation>,
     /// The tool, where it is registered.
     pub tool: Option<Tool>,
+    /// What of these was found damaged: instead of the machine stands [`Machine::unknown`], instead of the others nothing.
+    pub damaged: Vec<Damaged>,
+}
+
+impl Surroundings {
+    /// Whether the tool is registered.
+    pub fn has_tool(&self) -> bool {
+        self.tool.is_some() || self.damaged.contains(&Damaged::Tool)
+    }
+}
+
+/// The active feed profiles for an operation and a tool.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ActiveProfiles {
+    /// By their wear bands; none where any of them is damaged.
+    pub profiles: Vec<ActiveProfile>,
+    /// Whether one is not what was activated.
+    pub are_damaged: bool,
 }
 
 /// What wear is not folded over again, as it would be wrong as if it were right.

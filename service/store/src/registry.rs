@@ -4,7 +4,8 @@
 use crate::record::Surroundings;
 use feedwright_core::ids::{MachineId, OperationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
-use feedwright_core::operation::DatedOperation;
+use feedwright_core::operation::{DatedOperation, Operation};
+use feedwright_core::recommend::Damaged;
 use feedwright_core::tool::Tool;
 use feedwright_core::units::Timestamp;
 use std::collections::HashMap;
@@ -14,11 +15,70 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Entries of a kind that are kept; beyond them the kind is read anew. A plant has hundreds of machines.
 const MOST: usize = 10_000;
 
-/// A machine with its newest fitted lines.
+/// A machine with its newest fitted lines, to decide by.
 #[derive(Debug, Clone)]
 pub(crate) struct KnownMachine {
+    /// [`Machine::unknown`] where it is damaged.
     pub(crate) machine: Arc<Machine>,
+    /// None where they are damaged.
     pub(crate) calibration: Option<Arc<Calibration>>,
+    /// Which of the two is.
+    pub(crate) damaged: Vec<Damaged>,
+}
+
+/// What was found of a name, to decide by.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Found<T> {
+    /// It is not registered.
+    Absent,
+    /// It is what was written, as far as anything says.
+    Sound(T),
+    /// It is there, and is not what was written; as it stands, where it decodes.
+    Damaged(Option<T>),
+}
+
+impl<T> Found<T> {
+    pub(crate) fn map<U>(self, of: impl FnOnce(T) -> U) -> Found<U> {
+        match self {
+            Self::Absent => Found::Absent,
+            Self::Sound(found) => Found::Sound(of(found)),
+            Self::Damaged(found) => Found::Damaged(found.map(of)),
+        }
+    }
+
+    pub(crate) const fn is_damaged(&self) -> bool {
+        matches!(self, Self::Damaged(_))
+    }
+
+    /// What is there and sound.
+    pub(crate) fn sound(self) -> Option<T> {
+        match self {
+            Self::Sound(found) => Some(found),
+            Self::Absent | Self::Damaged(_) => None,
+        }
+    }
+}
+
+/// What a summary or a recommendation needs.
+pub(crate) fn surroundings(
+    known: &KnownMachine,
+    operation: Found<Operation>,
+    tool: Found<Tool>,
+) -> Surroundings {
+    let mut damaged = known.damaged.clone();
+    if operation.is_damaged() {
+        damaged.push(Damaged::Operation);
+    }
+    if tool.is_damaged() {
+        damaged.push(Damaged::Tool);
+    }
+    Surroundings {
+        machine: (*known.machine).clone(),
+        calibration: known.calibration.as_deref().cloned(),
+        operation: operation.sound(),
+        tool: tool.sound(),
+        damaged,
+    }
 }
 
 /// What was read under one generation. Of tools and operations it is also known that there are none of a name;
@@ -27,8 +87,8 @@ pub(crate) struct KnownMachine {
 struct Known {
     generation: i64,
     machines: HashMap<MachineId, KnownMachine>,
-    operations: HashMap<OperationId, Option<Arc<DatedOperation>>>,
-    tools: HashMap<ToolId, Option<Arc<Tool>>>,
+    operations: HashMap<OperationId, Found<Arc<DatedOperation>>>,
+    tools: HashMap<ToolId, Found<Arc<Tool>>>,
 }
 
 /// The server that was asked last, and how often it was another one than before.
@@ -89,24 +149,20 @@ impl Registry {
         let tool = known.tools.get(tool)?.clone();
         let generation = known.generation;
         drop(known);
-        let around = Surroundings {
-            machine: (*found.machine).clone(),
-            calibration: found.calibration.as_deref().cloned(),
-            operation: operation.map(|operation| operation.at(at).into_owned()),
-            tool: tool.as_deref().cloned(),
-        };
-        Some((around, generation))
+        let operation = operation.map(|operation| operation.at(at).into_owned());
+        let tool = tool.map(|tool| (*tool).clone());
+        Some((surroundings(&found, operation, tool), generation))
     }
 
     pub(crate) fn machine(&self, generation: i64, id: &MachineId) -> Option<KnownMachine> {
         self.at(generation)?.machines.get(id).cloned()
     }
 
-    pub(crate) fn operation(&self, generation: i64, id: &OperationId) -> Option<Option<Arc<DatedOperation>>> {
+    pub(crate) fn operation(&self, generation: i64, id: &OperationId) -> Option<Found<Arc<DatedOperation>>> {
         self.at(generation)?.operations.get(id).cloned()
     }
 
-    pub(crate) fn tool(&self, generation: i64, id: &ToolId) -> Option<Option<Arc<Tool>>> {
+    pub(crate) fn tool(&self, generation: i64, id: &ToolId) -> Option<Found<Arc<Tool>>> {
         self.at(generation)?.tools.get(id).cloned()
     }
 
@@ -120,14 +176,14 @@ impl Registry {
         &self,
         generation: i64,
         id: &OperationId,
-        operation: Option<Arc<DatedOperation>>,
+        operation: Found<Arc<DatedOperation>>,
     ) {
         if let Some(mut known) = self.at(generation) {
             keep(&mut known.operations, id.clone(), operation);
         }
     }
 
-    pub(crate) fn learn_tool(&self, generation: i64, id: &ToolId, tool: Option<Arc<Tool>>) {
+    pub(crate) fn learn_tool(&self, generation: i64, id: &ToolId, tool: Found<Arc<Tool>>) {
         if let Some(mut known) = self.at(generation) {
             keep(&mut known.tools, id.clone(), tool);
         }
@@ -149,14 +205,14 @@ mod tests {
         let registry = Registry::default();
         let tool: ToolId = "T1".try_into().unwrap();
         let first = registry.generation(1_700_000_000_000_000, 6);
-        registry.learn_tool(first, &tool, None);
+        registry.learn_tool(first, &tool, Found::Absent);
         assert_eq!(registry.generation(1_700_000_000_000_000, 6), first);
         assert!(registry.tool(first, &tool).is_some());
         // Started before the one that it takes over from, and changed as often.
         let second = registry.generation(1_690_000_000_000_000, 6);
         assert!(second > first);
         assert!(registry.tool(second, &tool).is_none(), "asked for anew");
-        registry.learn_tool(second, &tool, None);
+        registry.learn_tool(second, &tool, Found::Absent);
         assert!(registry.tool(first, &tool).is_none(), "a slow reader adds nothing");
         assert!(registry.tool(registry.generation(1_690_000_000_000_000, 7), &tool).is_none());
     }

@@ -34,7 +34,12 @@ pub(crate) use saved::{
 pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
 
 use crate::error::{StoreError, StoreResult};
+use crate::row_sum::Summed;
 use feedwright_core::invalid::Violation;
+
+/// The tables whose rows have a sum.
+pub(crate) const SUMMED: [Summed; 5] =
+    [MachineRow::SUMMED, CalibrationRow::SUMMED, ToolRow::SUMMED, OperationRow::SUMMED, ModelRow::SUMMED];
 
 fn damaged(column: &str) -> StoreError {
     StoreError::Damaged { what: format!("column {column} holds what it must not") }

@@ -8,15 +8,16 @@ use crate::feed_profile::{
 use crate::notice::Notices;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter, CycleKey,
-    CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
-    NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber,
-    SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
-    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
+    CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model,
+    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round,
+    RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCalibration,
+    StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings,
+    WearCheck,
 };
+use crate::row_sum::{SumPage, SummedTo};
 use async_trait::async_trait;
 use feedwright_core::cycle::{Cycle, ProfileVersion, Samples};
-use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
@@ -191,11 +192,7 @@ pub trait Store: Send + Sync + 'static {
         page: Page<u32>,
     ) -> StoreResult<Vec<StoredProfileVersion>>;
     /// Active versions for an operation and the type of a tool.
-    async fn active_profiles(
-        &self,
-        operation: &OperationId,
-        tool: &ToolId,
-    ) -> StoreResult<Vec<ActiveProfile>>;
+    async fn active_profiles(&self, operation: &OperationId, tool: &ToolId) -> StoreResult<ActiveProfiles>;
     /// The last `most` cycles that ran a version, oldest first.
     async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>>;
     /// The last `most` cycles of an operation with tools of a type, oldest first.
@@ -216,11 +213,8 @@ pub trait Store: Send + Sync + 'static {
         now: Timestamp,
     ) -> StoreResult<Option<Calibration>>;
     /// A machine's fitted lines, oldest version first.
-    async fn calibrations(
-        &self,
-        machine: &MachineId,
-        page: Page<u32>,
-    ) -> StoreResult<Vec<(Calibration, Timestamp)>>;
+    async fn calibrations(&self, machine: &MachineId, page: Page<u32>)
+    -> StoreResult<Vec<StoredCalibration>>;
 
     /// What is known around a cycle; `None` where the machine is not registered.
     async fn surroundings(
@@ -229,6 +223,11 @@ pub trait Store: Send + Sync + 'static {
         operation: &OperationId,
         tool: &ToolId,
     ) -> StoreResult<Option<Surroundings>>;
+
+    /// Holds the next page of what people registered against its sums.
+    async fn hold_sums(&self, after: Option<&SummedTo>) -> StoreResult<SumPage>;
+    /// Sums the rows of that page that have no sum of their version, as they are; how many.
+    async fn sum_rows(&self, after: Option<&SummedTo>) -> StoreResult<u64>;
 
     /// As [`Store::surroundings`], from memory where it is there: as of a moment ago, with the generation of the
     /// registry that it belongs to, and with what the operation asked for at a time. For a [`NewCycle`] that began then, whose

@@ -26,6 +26,12 @@ impl StoredText {
     }
 }
 
+impl From<&str> for StoredText {
+    fn from(text: &str) -> Self {
+        Self(text.as_bytes().to_vec())
+    }
+}
+
 /// On one line, as faults are told.
 impl fmt::Display for StoredText {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

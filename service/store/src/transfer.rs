@@ -23,6 +23,8 @@ pub use digest::TableSum;
 
 use crate::error::{StoreError, StoreResult};
 use crate::record::StoreFault;
+use crate::row_sum::{ROW_SUM, SUMMED_VERSION, Standing, VERSION, Writers};
+use crate::rows::SUMMED;
 use crate::stored_text::StoredText;
 use async_trait::async_trait;
 
@@ -54,6 +56,8 @@ const PAGE_ROWS: usize = 1_000;
 const PAGE_GROWTH: usize = 4;
 /// Rows of the first page of a table: how large they are is not known yet.
 const FIRST_PAGE_ROWS: usize = 32;
+/// What is told of a row whose sum is another.
+const NOT_AS_WRITTEN: &str = "it is not what was written, as its sum says";
 /// Parameters of one statement; SQLite takes 32,766.
 const MOST_PARAMETERS: usize = 30_000;
 
@@ -249,6 +253,47 @@ impl Table {
         Ok(StoreFault { kind: "row", key: format!("{} {key}", self.name), detail, column: Some(column) })
     }
 
+    /// What the sum of a row says of it; `None` where the table has no sums, as one of a database of before.
+    fn standing(&self, row: &Row, writers: Writers) -> Option<Standing> {
+        let summed = SUMMED.iter().find(|summed| summed.table == self.name)?;
+        let value = |column: &str| self.place(column).and_then(|at| row.get(at));
+        let whole = |column: &str| match value(column) {
+            Some(Value::Whole(value)) => Some(*value),
+            _ => None,
+        };
+        self.place(ROW_SUM)?;
+        let again = || summed.over(summed.columns.iter().map(|column| value(column).unwrap_or(&Value::Null)));
+        Some(Standing::of((whole(ROW_SUM), whole(SUMMED_VERSION)), whole(VERSION)?, writers, again))
+    }
+
+    /// A row that may be taken: it is refused where it is not what was written, and a sum that says nothing of it is left behind.
+    fn held(&self, mut row: Row, writers: Writers) -> StoreResult<Row> {
+        match self.standing(&row, writers) {
+            None | Some(Standing::Sound) => {}
+            Some(Standing::Unsummed) => {
+                for at in [ROW_SUM, SUMMED_VERSION].into_iter().filter_map(|column| self.place(column)) {
+                    row[at] = Value::Null;
+                }
+            }
+            Some(Standing::Damaged) => {
+                let what = format!("{} {}: {NOT_AS_WRITTEN}", self.name, self.show_key(&row));
+                return Err(StoreError::Damaged { what });
+            }
+        }
+        Ok(row)
+    }
+
+    /// A row that is not what was written, as a fault: no backup takes it.
+    fn sum_fault(&self, row: &Row, writers: Writers) -> Option<StoreFault> {
+        let is_damaged = self.standing(row, writers) == Some(Standing::Damaged);
+        is_damaged.then(|| StoreFault {
+            kind: "row",
+            key: format!("{} {}", self.name, self.show_key(row)),
+            detail: format!("{NOT_AS_WRITTEN}, so that no backup or copy takes it"),
+            column: None,
+        })
+    }
+
     fn show_key(&self, row: &Row) -> String {
         self.key_of(row).iter().map(Value::show).collect::<Vec<_>>().join("/")
     }
@@ -260,7 +305,7 @@ struct Unread {
     error: StoreError,
 }
 
-/// What does not decode of the rows of a table: so much of it is told at the most, and the first that may mislead wear in any case.
+/// What is damaged of the rows of a table: so much of it is told at the most, and the first that may mislead wear in any case.
 struct DamagedRows<'a> {
     table: &'a Table,
     most: usize,
@@ -274,15 +319,36 @@ impl<'a> DamagedRows<'a> {
         Self { table, most, faults, told: 0, mislead: false }
     }
 
-    fn add(&mut self, key: &str, unread: Unread) -> StoreResult<()> {
-        let fault = self.table.fault(key, unread)?;
+    /// Looks at the values of a row, all of them, and at what its sum says where each can be read.
+    fn look(
+        &mut self,
+        values: impl Iterator<Item = Result<Value, Unread>>,
+        key: impl Fn() -> String,
+        writers: Writers,
+    ) -> StoreResult<()> {
+        let (mut row, mut is_read) = (Row::new(), true);
+        for value in values {
+            match value {
+                Ok(value) => row.push(value),
+                Err(unread) => {
+                    is_read = false;
+                    self.add(self.table.fault(&key(), unread)?);
+                }
+            }
+        }
+        if is_read && let Some(fault) = self.table.sum_fault(&row, writers) {
+            self.add(fault);
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, fault: StoreFault) {
         let misleads = fault.may_mislead_wear();
         if self.told < self.most || (misleads && !self.mislead) {
             self.told += 1;
             self.mislead |= misleads;
             self.faults.push(fault);
         }
-        Ok(())
     }
 
     const fn are_told(&self) -> bool {
@@ -396,6 +462,23 @@ mod tests {
             [40, 4, 1]
         );
         assert_eq!(next_page(Some(&[])), 1);
+    }
+
+    /// A column that is added is summed too, unless it is written behind the row's back.
+    #[tokio::test]
+    async fn every_column_of_what_is_registered_is_in_its_sum() {
+        let mut model = SqliteSide::model().await.unwrap();
+        let tables = model.tables().await.unwrap();
+        for summed in SUMMED {
+            let table = tables.iter().find(|table| table.name == summed.table).unwrap();
+            let behind = [ROW_SUM, SUMMED_VERSION, "judging_change"];
+            let mut columns: Vec<&str> = table.columns.iter().map(|(name, _)| name.as_str()).collect();
+            columns.retain(|name| !behind.contains(name));
+            let mut in_sum = summed.columns.to_vec();
+            in_sum.sort_unstable();
+            assert_eq!(in_sum, columns, "{}", summed.table);
+        }
+        Box::new(model).close().await;
     }
 
     /// The size of the rows before says nothing of those that follow.

@@ -11,8 +11,8 @@ use feedwright_core::operation::Operation;
 use feedwright_core::recommend::{RecommendSettings, Recommendation};
 use feedwright_core::tool::Tool;
 use feedwright_store::{
-    Actor, Committed, CycleFilter, FeedProfile, FeedProfileFilter, NewProfileVersion, Page, Precondition,
-    ProfileMove, ProfileSource, Role, Store, StoreError, StoreResult, profile_hash,
+    ActiveProfiles, Actor, Committed, CycleFilter, FeedProfile, FeedProfileFilter, NewProfileVersion, Page,
+    Precondition, ProfileMove, ProfileSource, Role, Store, StoreError, StoreResult, profile_hash,
 };
 use std::sync::Arc;
 
@@ -293,7 +293,8 @@ async fn only_the_active_version_that_fits_is_handed_out(store: Arc<dyn Store>) 
         last = reasons(&next(32.2).await).into_iter().map(str::to_owned).collect();
     }
     assert_eq!(last, ["profile_beyond_wear"]);
-    assert!(store.active_profiles(&operation("O1").id, &"T9".try_into().unwrap()).await.unwrap().is_empty());
+    let of_none = store.active_profiles(&operation("O1").id, &"T9".try_into().unwrap()).await.unwrap();
+    assert_eq!(of_none, ActiveProfiles::default());
 }
 
 async fn the_cycles_of_a_version_are_found(store: Arc<dyn Store>) {

@@ -21,6 +21,7 @@ mod recent;
 mod registry;
 mod replicas;
 mod retention;
+mod row_sums;
 mod service;
 mod streams;
 mod transfer;

@@ -59,7 +59,7 @@ async fn entries_are_put_by_version_and_kinds_do_not_mix(store: Arc<dyn Store>) 
     assert_eq!(audit.iter().filter(|line| line.action == "model.put").count(), 2);
 }
 
-fn turned() -> Operation {
+pub(super) fn turned() -> Operation {
     let JobInput { depth_mm, interval_min, limits, domain, .. } = JobInput::alaskari_oraby_2017();
     let setup = TurningSetup {
         model: "alaskari-oraby-2017".try_into().unwrap(),

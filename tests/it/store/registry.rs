@@ -129,13 +129,14 @@ async fn calibrations_are_numbered(store: Arc<dyn Store>) {
     }
     let all = store.calibrations(&id, Page { after: None, limit: 10 }).await.unwrap();
     assert_eq!(all.len(), 2);
-    assert_eq!(all[1], (Calibration { version: 2, ..second.clone() }, at(3)));
+    assert_eq!(all[1].calibration, Calibration { version: 2, ..second.clone() });
+    assert_eq!((all[1].fitted_at, all[1].is_damaged), (at(3), false));
     assert_eq!(store.calibrations(&id, Page { after: Some(1), limit: 10 }).await.unwrap(), all[1..]);
     let unknown = store.add_calibration(&"M9".try_into().unwrap(), first, &engineer(), at(3)).await.unwrap();
     assert_eq!(unknown, None);
     let around =
         store.surroundings(&id, &"O1".try_into().unwrap(), &"T1".try_into().unwrap()).await.unwrap().unwrap();
-    assert_eq!(around.calibration, Some(all[1].0.clone()));
+    assert_eq!(around.calibration, Some(all[1].calibration.clone()));
 }
 
 async fn every_change_leaves_its_line(store: Arc<dyn Store>) {

@@ -598,13 +598,21 @@ async fn a_target_that_somebody_else_wrote_is_refused_by_table_and_key() {
 
     // Changed behind the program's back, where the source did not change it, and where it did.
     for (name, sql, told) in [
-        ("tool", "UPDATE tools SET name = 'x' WHERE tool_id = 'T1'", "tools T1 is there with other content"),
+        (
+            "tool",
+            "UPDATE tools SET name = 'x', row_sum = NULL, summed_version = NULL WHERE tool_id = 'T1'",
+            "tools T1 is there with other content",
+        ),
         (
             "machine",
-            "UPDATE machines SET version = 9 WHERE machine_id = 'M1'",
+            "UPDATE machines SET version = 9, row_sum = NULL, summed_version = NULL WHERE machine_id = 'M1'",
             "machines M1 is newer than in the source",
         ),
-        ("surplus", "UPDATE operations SET operation_id = 'O9'", "operations O9 is not in the source"),
+        (
+            "surplus",
+            "UPDATE operations SET operation_id = 'O9', row_sum = NULL, summed_version = NULL",
+            "operations O9 is not in the source",
+        ),
         (
             "samples",
             "UPDATE cycle_samples SET cycle_id = 'c99999' WHERE cycle_id = 'c00079'",

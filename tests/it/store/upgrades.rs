@@ -3,6 +3,7 @@
 use super::given::{
     Given, Run, at, commit, engineer, event, machine, operation, shop, stored, tool, unpacked,
 };
+use super::row_sums::held;
 use feedwright_core::cycle::Flag;
 use feedwright_core::ids::RecommendationId;
 use feedwright_core::recommend::RecommendSettings;
@@ -11,7 +12,7 @@ use feedwright_core::wear::{Exclusion, FOLD_VERSION, ToolState};
 use feedwright_store::transfer::{TableSum, back_up_postgres, back_up_sqlite, restore_to_sqlite};
 use feedwright_store::{
     AlarmFilter, Committed, CycleFilter, Doubt, NewCycle, Page, PostgresOptions, PostgresStore, Precondition,
-    Repair, SqliteOptions, SqliteStore, Store,
+    Repair, SqliteOptions, SqliteStore, Store, SumPage,
 };
 use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, SqliteConnection};
@@ -314,6 +315,7 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
     );
     given.raw(AssertSqlSafe(orphan)).await.unwrap();
     let (before, folded) = (shown(&*store, &advice).await, folds(given).await);
+    held(&*store).await;
     store.close().await;
     let summed = sums(given).await;
     assert!(summed.iter().any(|(table, sum)| table == "recommendations" && sum.rows == 61), "{summed:?}");
@@ -330,6 +332,8 @@ async fn what_a_database_of_before_holds_is_all_there_and_goes_on(given: &Given)
         store.close().await;
     }
     let store = open(given).await;
+    // Rows have no sums yet; a server gives them those that they have where they are written.
+    assert_eq!(held(&*store).await, SumPage { unsummed: 6, ..SumPage::default() });
     let (upgraded, rows) = (sums(given).await, |sums: &[(String, TableSum)]| {
         sums.iter().find(|(table, _)| table == "recommendations").map(|(_, sum)| sum.rows)
     });
@@ -396,6 +400,10 @@ async fn what_a_server_of_before_changed_of_an_operation_is_noted_with_the_next_
         at(20).micros()
     );
     assert_eq!(given.raw(AssertSqlSafe(changed)).await.unwrap(), 1);
+    if !given.is_postgres() {
+        // No server of before opens such a file: there it is somebody's who says that it is meant.
+        given.raw("UPDATE operations SET row_sum = NULL, summed_version = NULL").await.unwrap();
+    }
     given.raw("UPDATE registry_generation SET changes = changes + 1").await.unwrap();
     let worn = (1..=40).map(|n| super::wear::reported("T1", n, 1000.0 + 4.0 * f64::from(n), 5.1)).collect();
     super::wear::store_all(&*store, worn).await;

@@ -33,6 +33,8 @@ pub enum Knowledge {
     },
     /// Of a plunge: the library entry, where it exists.
     Plunge(Option<Box<Material>>),
+    /// The library entry was found damaged where it is stored.
+    Damaged,
 }
 
 /// What an edge has cut since it was new.

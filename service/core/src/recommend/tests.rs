@@ -113,6 +113,7 @@ fn asked(
         knowledge,
         profiles: &[],
         ran: None,
+        damaged: &[],
         settings: RecommendSettings::default(),
     })
 }
@@ -302,6 +303,7 @@ fn stale_data_advises_no_pair() {
             knowledge: &knowledge,
             profiles: &[],
             ran: None,
+            damaged: &[],
             settings,
         })
     };
@@ -407,6 +409,7 @@ fn a_profile_is_run_within_its_own_limits_too_and_at_the_lower_of_two_set_loads(
         knowledge: &Knowledge::None,
         profiles,
         ran: None,
+        damaged: &[],
         settings: RecommendSettings::default(),
     };
     let with = recommend(&question(&active[..]));
@@ -430,4 +433,25 @@ fn a_profile_is_run_within_its_own_limits_too_and_at_the_lower_of_two_set_loads(
         (Some(45.0), Some(25.0))
     );
     assert_eq!(without.limits, machine.limits);
+    // By what is damaged nothing is decided, whatever else is known.
+    for what in [
+        Damaged::Machine,
+        Damaged::Calibration,
+        Damaged::Operation,
+        Damaged::Tool,
+        Damaged::Model,
+        Damaged::FeedProfile,
+    ] {
+        let neutral = recommend(&Question { damaged: &[what, what], ..question(&active[..]) });
+        assert!(neutral.profile.is_none() && neutral.feed_mm_min.is_none());
+        assert_eq!((neutral.spindle_load_set_percent, neutral.feed_drive_load_set_percent), (None, None));
+        assert_eq!(neutral.override_percent.to_bits(), NEUTRAL_OVERRIDE_PERCENT.to_bits());
+        let told = neutral.reasons.iter().filter(|(code, _)| code == "registered_data_damaged");
+        assert_eq!(told.count(), 1, "{:?}", neutral.reasons);
+        assert!(neutral.reasons[0].1.contains(what.as_str()), "{:?}", neutral.reasons);
+        assert!(!says(&neutral, "no_profile") && !says(&neutral, "profile_active"));
+    }
+    let knowledge = &Knowledge::Damaged;
+    let neutral = recommend(&Question { knowledge, ..question(&active[..]) });
+    assert!(says(&neutral, "registered_data_damaged") && neutral.profile.is_none());
 }

@@ -52,7 +52,7 @@ pub(super) async fn list(
         return Err(Problem::not_found("machine", machine.as_str()));
     }
     let rows = state.store.calibrations(&machine, paging.page()).await?;
-    Ok(axum::Json(paging.list(rows, |(row, _)| row.version, CalibrationView::from)))
+    Ok(axum::Json(paging.list(rows, |row| row.calibration.version, CalibrationView::from)))
 }
 
 /// Fits a machine's lines to its stored dynamometer cycles and adds them as a version, unless `dry_run`.

@@ -65,6 +65,10 @@ pub struct Registered<T> {
     pub version: u64,
     /// When this version came into force, RFC 3339.
     pub updated_at: String,
+    /// Whether the disk has changed it since it was written: nothing is decided by it until it is put anew. Left out where it is not
+    /// known to be.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub damaged: bool,
     /// What was registered.
     #[serde(flatten)]
     pub body: T,

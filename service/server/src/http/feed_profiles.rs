@@ -99,7 +99,7 @@ pub(super) async fn checked(state: &AppState, at: &str, content: &ProfileBody) -
         let why = format!("the operation `{id}` is not registered: register it first");
         Violation::new(format!("{at}.operation"), "operation_unregistered", why)
     })?;
-    let operation = operation.value;
+    let operation = operation.sound()?.value;
     if matches!(operation.process, Process::Turning | Process::Milling) {
         let why = "only operations that go into depth have a feed over depth";
         return Err(Violation::new(format!("{at}.operation"), "other_process", why).into());
@@ -135,7 +135,7 @@ fn no_version(version: u32) -> Problem {
 /// Refuses a version that was made for another operation than the one that is registered now.
 pub(super) async fn must_fit(state: &AppState, stored: &StoredProfileVersion) -> Result<(), Problem> {
     let Some(operation) = state.store.operation(stored.content.operation()).await? else { return Ok(()) };
-    choose::fits(&stored.version, &stored.content, &operation.value)
+    choose::fits(&stored.version, &stored.content, &operation.sound()?.value)
         .map_err(|(code, why)| Problem::new(StatusCode::CONFLICT, code, why))
 }
 

@@ -60,7 +60,8 @@ pub(super) async fn turning_model(
         TurningModelChoice::Entry(entry) => return Ok(entry.model(&format!("{path}.entry"))?),
         TurningModelChoice::Id(id) => ModelId::parse(&format!("{path}.id"), &id)?,
     };
-    match state.store.model(ModelKind::Turning, &id).await?.map(|stored| stored.value.content) {
+    let stored = state.store.model(ModelKind::Turning, &id).await?.map(Versioned::sound).transpose()?;
+    match stored.map(|stored| stored.value.content) {
         Some(ModelContent::Turning(model)) => Ok(model),
         _ => Err(unknown(&format!("{path}.id"), id.as_str())),
     }
@@ -76,7 +77,8 @@ pub(super) async fn material(
         PlungeMaterialChoice::Entry(entry) => return Ok(entry.material(&format!("{path}.entry"))?),
         PlungeMaterialChoice::Id(id) => ModelId::parse(&format!("{path}.id"), &id)?,
     };
-    match state.store.model(ModelKind::Plunge, &id).await?.map(|stored| stored.value.content) {
+    let stored = state.store.model(ModelKind::Plunge, &id).await?.map(Versioned::sound).transpose()?;
+    match stored.map(|stored| stored.value.content) {
         Some(ModelContent::Plunge(material)) => Ok(material),
         _ => Err(unknown(&format!("{path}.id"), id.as_str())),
     }

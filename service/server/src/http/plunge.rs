@@ -67,7 +67,7 @@ pub(super) async fn recorded(
     let id =
         OperationId::parse("operation", &query.operation).map_err(|bad: Violation| Problem::from(bad))?;
     let operation = state.store.operation(&id).await?;
-    let operation = operation.ok_or_else(|| Problem::not_found("operation", id.as_str()))?.value;
+    let operation = operation.ok_or_else(|| Problem::not_found("operation", id.as_str()))?.sound()?.value;
     let filter = CycleFilter { operation: Some(id), ..CycleFilter::default() };
     let rows = state.store.last_cycles(&filter, most + 1).await?;
     // The one too many is the oldest.

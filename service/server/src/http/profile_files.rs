@@ -56,7 +56,7 @@ pub(super) async fn export(
     if let Some(machine) = query_id::<MachineId>(query.machine.as_deref())? {
         caller.must_be_for(machine.as_str())?;
         let found = state.store.machine(&machine).await?;
-        let found = found.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?;
+        let found = found.ok_or_else(|| Problem::not_found("machine", machine.as_str()))?.sound()?;
         // A file of its content alone is for a machine too.
         nc::within(&stored.content, &found.value.limits)
             .map_err(|wrong| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, wrong.code, wrong.message))?;

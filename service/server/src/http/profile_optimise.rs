@@ -29,7 +29,7 @@ use feedwright_core::invalid::Violation;
 use feedwright_core::operation::Operation;
 use feedwright_core::units::Strategy;
 use feedwright_core::wear::Verdict;
-use feedwright_store::{StoredCycle, StoredProfileVersion};
+use feedwright_store::{StoredCycle, StoredProfileVersion, Versioned};
 use http::StatusCode;
 use serde::Deserialize;
 use std::collections::HashMap;
@@ -61,7 +61,7 @@ pub(super) async fn start(
             format!("the operation `{id}` is not registered"),
         )
     })?;
-    let operation = operation.value;
+    let operation = operation.sound()?.value;
     let depth_mm = operation.depth_mm.ok_or_else(|| {
         Violation::new(
             "operation",
@@ -154,7 +154,7 @@ async fn watts_per_percent(
     latest: Option<&StoredCycle>,
 ) -> Result<Option<f64>, Problem> {
     let Some(latest) = latest else { return Ok(None) };
-    let machine = state.store.machine(&latest.cycle.machine).await?;
+    let machine = state.store.machine(&latest.cycle.machine).await?.map(Versioned::sound).transpose()?;
     Ok(machine.and_then(|machine| machine.value.spindle.watts_per_percent(operation.spindle_speed_rpm)))
 }
 

@@ -8,7 +8,7 @@ use crate::state::AppState;
 use axum::Json;
 use axum::extract::State;
 use feedwright_core::ids::{MachineId, OperationId, RecommendationId, ToolId};
-use feedwright_core::recommend::{Knowledge, Question, recommend};
+use feedwright_core::recommend::{Damaged, Knowledge, Question, recommend};
 use feedwright_store::IssuedRecommendation;
 use http::StatusCode;
 use serde::Deserialize;
@@ -53,18 +53,23 @@ pub async fn get_recommendation(
         Some(operation) => state.store.knowledge(operation, &tool).await?,
         None => Knowledge::None,
     };
-    let profiles = state.store.active_profiles(&operation, &tool).await?;
+    let active = state.store.active_profiles(&operation, &tool).await?;
+    let mut damaged = around.damaged.clone();
+    if active.are_damaged {
+        damaged.push(Damaged::FeedProfile);
+    }
     let advice = recommend(&Question {
         now: state.clock.now(),
         machine: &around.machine,
         operation_id: &operation,
         operation: around.operation.as_ref(),
         tool_id: &tool,
-        tool_registered: around.tool.is_some(),
+        tool_registered: around.has_tool(),
         verdict: &verdict,
         knowledge: &knowledge,
-        profiles: &profiles,
+        profiles: &active.profiles,
         ran: None,
+        damaged: &damaged,
         settings: state.config.recommendation.settings(),
     });
     let id = RecommendationId::parse("id", &format!("{}{}", uuid::Uuid::now_v7(), advice.id_ending()))?;

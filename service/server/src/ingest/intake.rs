@@ -279,7 +279,7 @@ impl CycleIntake {
             operation: around.operation.as_ref(),
         };
         let mut summary = summarise(&cycle, context);
-        summary.flags.insert_if(around.tool.is_none(), Flag::ToolUnregistered);
+        summary.flags.insert_if(!around.has_tool(), Flag::ToolUnregistered);
         let encoded = self.habits.encode(&cycle, places);
         // A group waits with tens of cycles: the memory of their samples serves the next ones meanwhile.
         let cycle = Arc::new(cycle.with_samples(None));
@@ -296,6 +296,8 @@ impl CycleIntake {
         // A task of its own: what asks the database is never cut off.
         let asked = tokio::spawn(async move { store.machine(&machine).await });
         match timeout(PATIENCE, asked).await {
+            // It is there, and what is sent of it is kept.
+            Ok(Ok(Err(StoreError::Damaged { .. }))) => Ok(true),
             Ok(Ok(found)) => found.map(|found| found.is_some()),
             Ok(Err(lost)) => Err(StoreError::Unavailable(lost.into())),
             Err(late) => Err(StoreError::Unavailable(late.into())),

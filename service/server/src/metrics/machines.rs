@@ -14,7 +14,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Reasons of a recommendation that leaves the feed as it is, the one that someone can do something about first; what
 /// is none of these is "other".
-const NEUTRAL_REASONS: [&str; 8] = [
+const NEUTRAL_REASONS: [&str; 9] = [
+    "registered_data_damaged",
     "data_stale",
     "tool_unregistered",
     "operation_unregistered",

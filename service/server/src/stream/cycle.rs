@@ -13,7 +13,7 @@ use feedwright_core::closed_loop::control::{self, LOOP_LAW_VERSION, Program, Sta
 use feedwright_core::closed_loop::plunge::{BoundedFeed, PlungeLimits, PlungeLoop};
 use feedwright_core::closed_loop::profile;
 use feedwright_core::closed_loop::record::Timing;
-use feedwright_core::closed_loop::{Begun, LoopReason, Mode, RunningCycle, SampleAdvice};
+use feedwright_core::closed_loop::{Begun, LoopReason, LoopReasons, Mode, RunningCycle, SampleAdvice};
 use feedwright_core::contact::{ContactInput, ContactSettings};
 use feedwright_core::cycle::{Channel, ProfileVersion, check_seq};
 use feedwright_core::friction::error::Invalid;
@@ -334,7 +334,7 @@ pub async fn begin(
             Program::Unknown | Program::Profile(_) | Program::Refused(_) => None,
         };
         let limits = &around.machine.limits;
-        program = profile::named(version, &active, (operation, limits), (verdict, stale), told);
+        program = profile::named(version, &active.profiles, (operation, limits), (verdict, stale), told);
         if let Program::Profile(profile) = &program {
             program_hash = Some(profile.hash.to_string());
         }
@@ -358,6 +358,10 @@ pub async fn begin(
         }
         None => None,
     };
+    let is_damaged = !around.damaged.is_empty();
+    if is_damaged {
+        tracing::error!(%machine, damaged = ?around.damaged, "what is stored around this cycle is damaged: it stays neutral");
+    }
     let standing = Standing {
         machine: &around.machine,
         operation: around.operation.as_ref(),
@@ -371,10 +375,9 @@ pub async fn begin(
     let control = control::control(&standing, &config.law(), checked.timing.period_ms(), plunge)
         .unwrap_or_else(|error| {
             tracing::warn!(%machine, %error, "no law for this cycle");
-            let mut neutral = feedwright_core::closed_loop::LoopReasons::NONE;
-            neutral.add(LoopReason::NoLaw);
-            (control::Control::Neutral, neutral, feedwright_core::closed_loop::LoopReasons::NONE)
+            neutral(LoopReasons::NONE)
         });
+    let control = if is_damaged { neutral(control.1) } else { control };
     let runs_profile = matches!(program, Program::Profile(_));
     let begun_with = Arc::new(BegunWith {
         machine: around.machine.clone(),
@@ -407,6 +410,12 @@ pub async fn begin(
         came: (checked.begun.received_at, checked.came_at),
         begun_with,
     }))
+}
+
+/// No law, beside other reasons.
+fn neutral(mut reasons: LoopReasons) -> (control::Control, LoopReasons, LoopReasons) {
+    reasons.add(LoopReason::NoLaw);
+    (control::Control::Neutral, reasons, LoopReasons::NONE)
 }
 
 /// Whether an overload of a machine is open that nobody has acknowledged.

@@ -59,7 +59,8 @@ pub async fn open(
     if state.lifecycle.is_stopping() {
         return Err(Problem::unavailable("shutting_down", "the service is shutting down", 5));
     }
-    if state.store.machine(&machine).await?.is_none() {
+    // One that is damaged is there: its streams are neutral.
+    if !state.intake.knows(&machine).await? {
         let detail = format!("there is no machine `{machine}`");
         return Err(Problem::new(StatusCode::NOT_FOUND, "unknown_machine", detail));
     }

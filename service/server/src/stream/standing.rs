@@ -95,6 +95,9 @@ async fn holds(state: &AppState, begun_with: &BegunWith) -> StoreResult<bool> {
     let Some(around) = store.surroundings(&machine.id, operation_id, tool_id).await? else {
         return Ok(false);
     };
+    if !around.damaged.is_empty() {
+        return Ok(false);
+    }
     // Names are for people.
     let renamed = Machine { name: machine.name.clone(), ..around.machine };
     let name = operation.as_ref().map(|operation| operation.name.clone());
@@ -113,7 +116,7 @@ async fn holds(state: &AppState, begun_with: &BegunWith) -> StoreResult<bool> {
     match profile {
         Some(version) => {
             let active = store.active_profiles(operation_id, tool_id).await?;
-            Ok(active.iter().any(|one| one.version == *version))
+            Ok(active.profiles.iter().any(|one| one.version == *version))
         }
         None => Ok(true),
     }

@@ -73,7 +73,9 @@ impl Library {
         if let Some(known) = self.surroundings.get(&key) {
             return Ok(known.clone());
         }
-        let found = self.store.surroundings(&meta.machine, &meta.operation, &meta.tool).await?.map(Arc::new);
+        let found = self.store.surroundings(&meta.machine, &meta.operation, &meta.tool).await?;
+        // Without the machine's limits nothing is foretold.
+        let found = found.filter(|around| around.damaged.is_empty()).map(Arc::new);
         self.surroundings.insert(key, found.clone());
         Ok(found)
     }

@@ -10,15 +10,15 @@ use crate::error::{StoreError, StoreResult};
 use crate::history::beginning;
 use crate::locks::Locks;
 use crate::record::{
-    AlarmKind, Committed, ContentHash, CycleAnswer, IssuedRecommendation, NewCycle, StoredCycle,
+    ActiveProfiles, AlarmKind, Committed, ContentHash, CycleAnswer, IssuedRecommendation, NewCycle,
+    StoredCycle,
 };
 use crate::registry::Registry;
 use crate::rows::{AlarmChange, BlockRow, CutRow, CycleRow, FactsRow, IssuedRow, Place, Rest, SavedWear};
 use crate::work::Written;
 use feedwright_core::cycle::{Cycle, Flag};
-use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, OperationId, RecommendationId, ToolId};
-use feedwright_core::recommend::{Knowledge, Question, RecommendSettings, recommend};
+use feedwright_core::recommend::{Damaged, Knowledge, Question, RecommendSettings, recommend};
 use feedwright_core::summary::{Context, CycleSummary, summarise};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
@@ -111,7 +111,7 @@ async fn count(
 /// What is known for an operation with a tool: for its process, and its active feed profiles.
 struct Known {
     process: Knowledge,
-    profiles: Arc<[ActiveProfile]>,
+    profiles: Arc<ActiveProfiles>,
 }
 
 static UNKNOWN: LazyLock<Known> =
@@ -141,7 +141,7 @@ async fn know_all<'a>(
                 Some(None) => {
                     let conn = transaction.conn().await?;
                     let active = feed_profiles::active(conn, &cycle.operation, &cycle.tool).await?;
-                    let active: Arc<[ActiveProfile]> = active.into();
+                    let active = Arc::new(active);
                     // Where a group may not be taken for granted, a server of before may change what is active.
                     if dialect::MAY_ASSUME {
                         memory.keep_profiles(&cycle.operation, &cycle.tool, &active);
@@ -276,8 +276,7 @@ async fn count_all(
         }
         let machines = fresh.entry(&cycle.tool).or_default();
         if let Placed::New(row, summary) = placed {
-            let facts =
-                FactsRow::of(row, summary, registry.operations.get(&cycle.operation).map(AsRef::as_ref));
+            let facts = FactsRow::of(row, summary, registry.as_it_stands(&cycle.operation));
             machines.entry(&cycle.machine).or_default().push(facts);
         }
     }
@@ -398,6 +397,10 @@ fn answer(
         .ok_or_else(|| StoreError::Damaged { what: "a cycle of no machine".to_owned() })?;
     let operation = registry.operation(&cycle.operation);
     let tool_registered = registry.tools.contains(&cycle.tool);
+    let mut damaged = registry.damaged(cycle);
+    if known.profiles.are_damaged {
+        damaged.push(Damaged::FeedProfile);
+    }
     let recommendation = recommend(&Question {
         now,
         machine,
@@ -407,8 +410,9 @@ fn answer(
         tool_registered,
         verdict: &verdict,
         knowledge: &known.process,
-        profiles: &known.profiles,
+        profiles: &known.profiles.profiles,
         ran: cycle.profile.as_ref(),
+        damaged: &damaged,
         settings,
     });
     let id = recommendation_id(now, recommendation.id_ending())?;

@@ -7,12 +7,11 @@ use crate::feed_profile::{
     profile_hash,
 };
 use crate::locks::Locks;
-use crate::record::{Actor, CycleFilter, CycleMeta, Page, Precondition, StoredCycle};
+use crate::record::{ActiveProfiles, Actor, CycleFilter, CycleMeta, Page, Precondition, StoredCycle};
 use crate::rows::{
     ActiveProfileRow, CycleWithSamples, FeedProfileRow, ProfileVersionRow, id, wear_from_column,
 };
 use feedwright_core::cycle::ProfileVersion;
-use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::feed::life_cycle::{Refusal, Step, VersionState, step};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ProfileId, ToolId};
 use feedwright_core::units::Timestamp;
@@ -366,14 +365,14 @@ async fn roll_back(conn: &mut Conn, line: &FeedProfile, actor: &Actor, now: Time
     audit::add(conn, actor, now, "feed_profile.rollback", subject, &detail).await
 }
 
-/// Active versions for an operation and the type of a tool, by their wear bands.
+/// Active versions for an operation and the type of a tool, by their wear bands; none where one is damaged.
 pub(super) async fn active(
     conn: &mut Conn,
     operation: &OperationId,
     tool: &ToolId,
-) -> StoreResult<Vec<ActiveProfile>> {
-    let rows: Vec<ActiveProfileRow> = sqlx::query_as::<Db, _>(
-        "SELECT v.profile_id, v.version, v.content_hash, v.content
+) -> StoreResult<ActiveProfiles> {
+    let rows = sqlx::query_as::<Db, ActiveProfileRow>(
+        "SELECT v.profile_id, v.version, v.content_hash, v.content, p.operation_id, p.tool_type, p.wear_from
          FROM feed_profiles p
          JOIN tools t ON t.tool_type = p.tool_type
          JOIN feed_profile_versions v ON v.profile_id = p.profile_id AND v.version = p.active_version
@@ -384,8 +383,17 @@ pub(super) async fn active(
     .bind(tool.as_str())
     .bind(MOST_ACTIVE)
     .fetch_all(&mut *conn)
-    .await?;
-    rows.iter().map(ActiveProfileRow::active).collect()
+    .await;
+    let rows = rows.map_err(StoreError::from);
+    match rows.and_then(|rows| rows.iter().map(ActiveProfileRow::active).collect()) {
+        Ok(profiles) => Ok(ActiveProfiles { profiles, are_damaged: false }),
+        // The others alone may have a faster one take the place of what is meant for a worn tool.
+        Err(StoreError::Damaged { what }) => {
+            tracing::error!(%operation, %tool, what, "an active feed profile is damaged: none is run");
+            Ok(ActiveProfiles { profiles: Vec::new(), are_damaged: true })
+        }
+        Err(error) => Err(error),
+    }
 }
 
 /// The last cycles that ran a version, oldest first.

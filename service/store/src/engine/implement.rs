@@ -4,7 +4,7 @@ use super::operations::OperationPut;
 use super::{
     CLOCK_AHEAD_US, Db, Engine, ONE_CLOCK_US, alarms, audit, check, commit, cycles, dialect, feed_profiles,
     fleet, life, machines, models, operations, quarantine, recommendations, registry, retention, series,
-    sessions, streams, tokens, tools, verify, watch, wear,
+    sessions, streams, sums, tokens, tools, verify, watch, wear,
 };
 use crate::codec::{self, Columns};
 use crate::error::{StoreError, StoreResult};
@@ -17,16 +17,17 @@ use crate::past;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::Group;
 use crate::record::{
-    Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter, CycleKey,
-    CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model, ModelKind,
-    NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round, RowNumber,
-    SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCycle, StoredToolEvent,
-    StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings, WearCheck,
+    ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
+    CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model,
+    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round,
+    RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCalibration,
+    StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings,
+    WearCheck,
 };
+use crate::row_sum::{SumPage, SummedTo};
 use crate::store::Store;
 use async_trait::async_trait;
 use feedwright_core::cycle::{Cycle, ProfileVersion};
-use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
@@ -486,11 +487,7 @@ impl Store for Engine {
         read!(self, |conn| feed_profiles::versions(conn, id, &page).await)
     }
 
-    async fn active_profiles(
-        &self,
-        operation: &OperationId,
-        tool: &ToolId,
-    ) -> StoreResult<Vec<ActiveProfile>> {
+    async fn active_profiles(&self, operation: &OperationId, tool: &ToolId) -> StoreResult<ActiveProfiles> {
         read!(self, |conn| feed_profiles::active(conn, operation, tool).await)
     }
 
@@ -523,7 +520,7 @@ impl Store for Engine {
         &self,
         machine: &MachineId,
         page: Page<u32>,
-    ) -> StoreResult<Vec<(Calibration, Timestamp)>> {
+    ) -> StoreResult<Vec<StoredCalibration>> {
         read!(self, |conn| machines::calibrations(conn, machine, &page).await)
     }
 
@@ -535,6 +532,15 @@ impl Store for Engine {
     ) -> StoreResult<Option<Surroundings>> {
         let (machine, operation, tool) = (machine.clone(), operation.clone(), tool.clone());
         snapshot!(self, |conn| machines::surroundings(conn, &machine, &operation, &tool).await)
+    }
+
+    async fn hold_sums(&self, after: Option<&SummedTo>) -> StoreResult<SumPage> {
+        read!(self, |conn| Ok(sums::page(conn, after).await?.0))
+    }
+
+    async fn sum_rows(&self, after: Option<&SummedTo>) -> StoreResult<u64> {
+        let after = after.cloned();
+        write!(self, |conn| sums::sum(conn, after.as_ref()).await)
     }
 
     async fn recent_surroundings(

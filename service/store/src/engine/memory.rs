@@ -6,10 +6,9 @@
 use super::registry::GroupRegistry;
 use super::wear::{Heads, ToolWear, Versions};
 use crate::error::StoreResult;
-use crate::record::NewCycle;
+use crate::record::{ActiveProfiles, NewCycle};
 use crate::registry::Registry;
 use crate::rows::{ADVICE_HASH_BYTES, Advice, AdviceBody};
-use feedwright_core::feed::choose::ActiveProfile;
 use feedwright_core::ids::{OperationId, ToolId};
 use feedwright_core::recommend::Recommendation;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
@@ -34,7 +33,7 @@ pub(in super::super) struct Memory {
     groups: u64,
     tools: HashMap<ToolId, (u64, ToolWear)>,
     /// Active feed profiles for operations with tools, under this generation.
-    profiles: HashMap<(OperationId, ToolId), Arc<[ActiveProfile]>>,
+    profiles: HashMap<(OperationId, ToolId), Arc<ActiveProfiles>>,
     advices: HashSet<[u8; ADVICE_HASH_BYTES]>,
     /// Recommendations that gave advices of late, the newest first: most are given again, to whatever tool.
     given: VecDeque<(Recommendation, Advice)>,
@@ -111,7 +110,7 @@ impl Memory {
 
     /// The active feed profiles for an operation with a tool, where they are remembered. Whoever changes which are active, or
     /// what a tool is, begins another generation, which the group is held against before it is written.
-    pub(super) fn profiles(&self, operation: &OperationId, tool: &ToolId) -> Option<Arc<[ActiveProfile]>> {
+    pub(super) fn profiles(&self, operation: &OperationId, tool: &ToolId) -> Option<Arc<ActiveProfiles>> {
         if self.profiles.is_empty() {
             return None;
         }
@@ -123,7 +122,7 @@ impl Memory {
         &mut self,
         operation: &OperationId,
         tool: &ToolId,
-        profiles: &Arc<[ActiveProfile]>,
+        profiles: &Arc<ActiveProfiles>,
     ) {
         if self.profiles.len() >= MOST_TOOLS {
             self.profiles.clear();

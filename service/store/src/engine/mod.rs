@@ -25,6 +25,7 @@ mod retention;
 mod series;
 mod sessions;
 mod streams;
+mod sums;
 mod tokens;
 mod tools;
 mod transaction;

@@ -1,10 +1,11 @@
 //! The model library, and what an edge has cut.
 
-use super::{Conn, Db, audit, dialect, operations, tools};
+use super::{Conn, Db, audit, dialect, operations, registry, tools};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
 use crate::record::{Actor, Model, ModelContent, ModelKind, Page, Precondition, PutOutcome, Versioned};
+use crate::registry::Found;
 use crate::rows::{CutRow, EdgeCycleRow, ModelRow, Place, content_json, count};
 use feedwright_core::ids::{ModelId, ToolId};
 use feedwright_core::operation::Operation;
@@ -16,7 +17,10 @@ use std::collections::btree_map::Entry;
 
 macro_rules! select {
     ($tail:literal) => {
-        concat!("SELECT kind, model_id, body, version, updated_at_us FROM models ", $tail)
+        concat!(
+            "SELECT kind, model_id, body, version, updated_at_us, row_sum, summed_version FROM models ",
+            $tail
+        )
     };
 }
 
@@ -30,7 +34,7 @@ pub(super) async fn get(
         .bind(id.as_str())
         .fetch_optional(&mut *conn)
         .await?;
-    row.map(|row| row.versioned()).transpose()
+    row.map(|row| row.versioned(dialect::WRITERS)).transpose()
 }
 
 pub(super) async fn list(
@@ -45,7 +49,7 @@ pub(super) async fn list(
             .bind(i64::from(page.limit))
             .fetch_all(&mut *conn)
             .await?;
-    rows.iter().map(ModelRow::versioned).collect()
+    rows.iter().map(|row| row.versioned(dialect::WRITERS)).collect()
 }
 
 pub(super) async fn put(
@@ -58,26 +62,36 @@ pub(super) async fn put(
     let kind = model.content.kind();
     let subject = format!("model/{}/{}", kind.as_str(), model.id);
     dialect::lock(conn, &Locks::subject("model", &subject)).await?;
-    let existing = get(conn, kind, &model.id).await?;
-    let known = existing.as_ref().map(|existing| (existing.version, existing.value == *model));
-    let outcome = precondition::decide(known, expects)?;
+    let named = match kind {
+        ModelKind::Turning => "turning models",
+        ModelKind::Plunge => "plunge models",
+    };
+    let found = get(conn, kind, &model.id).await;
+    let existing = registry::existing(conn, found, (named, model.id.as_str())).await?;
+    let outcome = precondition::decide(existing.as_ref().map(|existing| existing.held(model)), expects)?;
     if let PutOutcome::Unchanged(_) = outcome {
         return Ok(outcome);
     }
     let body = content_json(&model.content)?;
+    let row = ModelRow::of(model, outcome.version(), now)?;
     sqlx::query::<Db>(
-        "INSERT INTO models (kind, model_id, body, version, updated_at_us) VALUES ($1, $2, $3, $4, $5)
+        "INSERT INTO models (kind, model_id, body, version, updated_at_us, row_sum, summed_version)
+         VALUES ($1, $2, $3, $4, $5, $6, $7)
          ON CONFLICT (kind, model_id) DO UPDATE SET body = excluded.body, version = excluded.version,
-             updated_at_us = excluded.updated_at_us",
+             updated_at_us = excluded.updated_at_us, row_sum = excluded.row_sum,
+             summed_version = excluded.summed_version",
     )
-    .bind(kind.as_str())
-    .bind(model.id.as_str())
-    .bind(body.to_string())
-    .bind(count("version", outcome.version())?)
-    .bind(now.micros())
+    .bind(&row.kind)
+    .bind(&row.model_id)
+    .bind(&row.body)
+    .bind(row.version)
+    .bind(row.updated_at_us)
+    .bind(row.row_sum)
+    .bind(row.summed_version)
     .execute(&mut *conn)
     .await?;
-    let before = existing.map(|existing| content_json(&existing.value.content)).transpose()?;
+    let before = existing.and_then(|existing| existing.value);
+    let before = before.map(|before| content_json(&before.content)).transpose()?;
     audit::add(conn, actor, now, "model.put", subject, &audit::change(before.as_ref(), &body, outcome))
         .await?;
     Ok(outcome)
@@ -117,20 +131,25 @@ pub(super) async fn knowledge(
         return Ok(Knowledge::None);
     };
     if let Some(setup) = &operation.turning {
-        let model =
-            get(conn, ModelKind::Turning, &setup.model).await?.and_then(|found| match found.value.content {
+        let model = match registry::to_decide_by(get(conn, ModelKind::Turning, &setup.model).await)? {
+            Found::Damaged(_) => return Ok(Knowledge::Damaged),
+            Found::Absent => None,
+            Found::Sound(found) => match found.value.content {
                 ModelContent::Turning(model) => Some(Box::new(model)),
                 ModelContent::Plunge(_) => None,
-            });
+            },
+        };
         return Ok(Knowledge::Turning { model, history: history(conn, tool).await? });
     }
     if let Some(setup) = &operation.plunge {
-        let material = get(conn, ModelKind::Plunge, &setup.material).await?.and_then(|found| {
-            match found.value.content {
+        let material = match registry::to_decide_by(get(conn, ModelKind::Plunge, &setup.material).await)? {
+            Found::Damaged(_) => return Ok(Knowledge::Damaged),
+            Found::Absent => None,
+            Found::Sound(found) => match found.value.content {
                 ModelContent::Plunge(material) => Some(Box::new(material)),
                 ModelContent::Turning(_) => None,
-            }
-        });
+            },
+        };
         return Ok(Knowledge::Plunge(material));
     }
     Ok(Knowledge::None)

@@ -1,11 +1,11 @@
 //! Operations.
 
-use super::{Conn, Db, audit, dialect};
+use super::{Conn, Db, audit, dialect, registry};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
 use crate::record::{Actor, Page, Precondition, PutOutcome, Versioned};
-use crate::rows::{OperationRow, TurnedAs, count, operation_json, optional_float, setup_json, setup_of};
+use crate::rows::{OperationRow, TurnedAs, operation_json, optional_float, setup_json, setup_of};
 use feedwright_core::ids::OperationId;
 use feedwright_core::operation::{Ask, DatedOperation, Operation};
 use feedwright_core::units::Timestamp;
@@ -19,7 +19,7 @@ macro_rules! select {
             "SELECT operation_id, name, process, program, feature, work_material, thickness_mm, depth_mm,
                     spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
                     feed_drive_load_set_percent, baseline_cycles, window_cycles, reference_every_cycles,
-                    reference_feed_mm_min, setup, version, updated_at_us
+                    reference_feed_mm_min, setup, version, updated_at_us, row_sum, summed_version
              FROM operations ",
             $tail
         )
@@ -31,7 +31,7 @@ pub(super) async fn get(conn: &mut Conn, id: &OperationId) -> StoreResult<Option
         .bind(id.as_str())
         .fetch_optional(&mut *conn)
         .await?;
-    row.map(|row| row.versioned()).transpose()
+    row.map(|row| row.versioned(dialect::WRITERS)).transpose()
 }
 
 /// With what it has asked for over time.
@@ -48,6 +48,7 @@ pub(super) async fn dated(
     Ok(Some(Versioned {
         version: found.version,
         updated_at: found.updated_at,
+        is_damaged: found.is_damaged,
         value: DatedOperation::new(found.value, asks),
     }))
 }
@@ -186,7 +187,7 @@ pub(super) async fn list(
             .bind(i64::from(page.limit))
             .fetch_all(&mut *conn)
             .await?;
-    rows.iter().map(OperationRow::versioned).collect()
+    rows.iter().map(|row| row.versioned(dialect::WRITERS)).collect()
 }
 
 /// Whether the fold judges cycles of the two alike: what a `FoldSettings` takes out of an operation.
@@ -246,19 +247,21 @@ pub(super) async fn put(
     now: Timestamp,
 ) -> StoreResult<OperationPut> {
     dialect::lock(conn, &Locks::operation(&operation.id)).await?;
-    let existing = get(conn, &operation.id).await?;
-    let known = existing.as_ref().map(|existing| (existing.version, existing.value == *operation));
-    let outcome = precondition::decide(known, expects)?;
+    let named = ("operations", operation.id.as_str());
+    let found = get(conn, &operation.id).await;
+    let existing = registry::existing(conn, found, named).await?;
+    let outcome = precondition::decide(existing.as_ref().map(|existing| existing.held(operation)), expects)?;
     if let PutOutcome::Unchanged(_) = outcome {
         return Ok(OperationPut { outcome, judged_otherwise: false });
     }
     let setup = setup_json(operation.turning.as_ref(), operation.plunge.as_ref())?;
+    let row = OperationRow::of(operation, outcome.version(), now)?;
     sqlx::query::<Db>(
         "INSERT INTO operations (operation_id, name, process, program, feature, work_material, thickness_mm,
              depth_mm, spindle_speed_rpm, programmed_feed_mm_min, spindle_load_set_percent,
              feed_drive_load_set_percent, baseline_cycles, window_cycles, setup, version, updated_at_us,
-             reference_every_cycles, reference_feed_mm_min)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19)
+             reference_every_cycles, reference_feed_mm_min, row_sum, summed_version)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19, $20, $21)
          ON CONFLICT (operation_id) DO UPDATE SET name = excluded.name, process = excluded.process,
              program = excluded.program, feature = excluded.feature, work_material = excluded.work_material,
              thickness_mm = excluded.thickness_mm, depth_mm = excluded.depth_mm,
@@ -269,30 +272,33 @@ pub(super) async fn put(
              baseline_cycles = excluded.baseline_cycles, window_cycles = excluded.window_cycles,
              reference_every_cycles = excluded.reference_every_cycles,
              reference_feed_mm_min = excluded.reference_feed_mm_min, setup = excluded.setup,
-             version = excluded.version, updated_at_us = excluded.updated_at_us",
+             version = excluded.version, updated_at_us = excluded.updated_at_us,
+             row_sum = excluded.row_sum, summed_version = excluded.summed_version",
     )
-    .bind(operation.id.as_str())
+    .bind(&row.operation_id)
     .bind(&operation.name)
-    .bind(operation.process.as_str())
-    .bind(&operation.program)
-    .bind(&operation.feature)
-    .bind(&operation.work_material)
-    .bind(optional_float("thickness_mm", operation.thickness_mm)?)
-    .bind(optional_float("depth_mm", operation.depth_mm)?)
-    .bind(optional_float("spindle_speed_rpm", operation.spindle_speed_rpm)?)
-    .bind(optional_float("programmed_feed_mm_min", operation.programmed_feed_mm_min)?)
-    .bind(optional_float("spindle_load_set_percent", operation.spindle_load_set_percent)?)
-    .bind(optional_float("feed_drive_load_set_percent", operation.feed_drive_load_set_percent)?)
-    .bind(i64::from(operation.wear.baseline_cycles))
-    .bind(i64::from(operation.wear.window_cycles))
-    .bind(setup.as_ref().map(ToString::to_string))
-    .bind(count("version", outcome.version())?)
-    .bind(now.micros())
-    .bind(operation.wear.reference_every_cycles.map(i64::from))
-    .bind(optional_float("reference_feed_mm_min", operation.wear.reference_feed_mm_min)?)
+    .bind(&row.process)
+    .bind(&row.program)
+    .bind(&row.feature)
+    .bind(&row.work_material)
+    .bind(row.thickness_mm)
+    .bind(row.depth_mm)
+    .bind(row.spindle_speed_rpm)
+    .bind(row.programmed_feed_mm_min)
+    .bind(row.spindle_load_set_percent)
+    .bind(row.feed_drive_load_set_percent)
+    .bind(row.baseline_cycles)
+    .bind(row.window_cycles)
+    .bind(&row.setup)
+    .bind(row.version)
+    .bind(row.updated_at_us)
+    .bind(row.reference_every_cycles)
+    .bind(row.reference_feed_mm_min)
+    .bind(row.row_sum)
+    .bind(row.summed_version)
     .execute(&mut *conn)
     .await?;
-    let before = match existing.as_ref().map(|existing| &existing.value) {
+    let before = match existing.as_ref().and_then(|existing| existing.value.as_ref()) {
         None => None,
         Some(known) => {
             let setup = setup_json(known.turning.as_ref(), known.plunge.as_ref())?;
@@ -301,15 +307,19 @@ pub(super) async fn put(
     };
     let detail = audit::change(before.as_ref(), &operation_json(operation, setup.as_ref()), outcome);
     audit::add(conn, actor, now, "operation.put", format!("operation/{}", operation.id), &detail).await?;
-    // What stands here so far may be from a server of before, which notes nothing.
-    if let Some(existing) = &existing {
-        let since = existing.updated_at.min(now);
-        note_asks(conn, &existing.value, since).await?;
-        note_turning(conn, &existing.value, since).await?;
+    // What stands here so far may be from a server of before, which notes nothing. What is damaged nobody asked for.
+    let sound = existing.as_ref().filter(|existing| !existing.is_damaged);
+    if let Some((value, updated_at)) =
+        sound.and_then(|existing| existing.value.as_ref().zip(existing.updated_at))
+    {
+        let since = updated_at.min(now);
+        note_asks(conn, value, since).await?;
+        note_turning(conn, value, since).await?;
     }
     note_asks(conn, operation, now).await?;
     note_turning(conn, operation, now).await?;
-    let judged_otherwise = !judged_alike(existing.as_ref().map(|existing| &existing.value), operation)
-        && number_change(conn, &operation.id).await?;
+    // Folds of meanwhile went by what was damaged.
+    let known = sound.and_then(|existing| existing.value.as_ref());
+    let judged_otherwise = !judged_alike(known, operation) && number_change(conn, &operation.id).await?;
     Ok(OperationPut { outcome, judged_otherwise })
 }

@@ -52,6 +52,7 @@ pub(super) async fn get(
             },
             version: number("version", row.version)?,
             updated_at: Timestamp::from_micros(row.updated_at_us),
+            is_damaged: false,
         })
     })
     .transpose()

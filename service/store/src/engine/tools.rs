@@ -1,11 +1,11 @@
 //! Tools and their events.
 
-use super::{Conn, Db, alarms, audit, dialect, wear};
+use super::{Conn, Db, alarms, audit, dialect, registry, wear};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::precondition;
 use crate::record::{Actor, Page, Precondition, PutOutcome, RowNumber, StoredToolEvent, Versioned};
-use crate::rows::{EventRow, PlacedEvent, ToolRow, count, optional_float, tool_json};
+use crate::rows::{EventRow, PlacedEvent, ToolRow, tool_json};
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
@@ -15,7 +15,8 @@ use std::collections::BTreeMap;
 macro_rules! select {
     ($tail:literal) => {
         concat!(
-            "SELECT tool_id, name, serial, tool_type, diameter_mm, version, updated_at_us FROM tools ",
+            "SELECT tool_id, name, serial, tool_type, diameter_mm, version, updated_at_us, row_sum, summed_version
+             FROM tools ",
             $tail
         )
     };
@@ -26,7 +27,7 @@ pub(super) async fn get(conn: &mut Conn, id: &ToolId) -> StoreResult<Option<Vers
         .bind(id.as_str())
         .fetch_optional(&mut *conn)
         .await?;
-    row.map(|row| row.versioned()).transpose()
+    row.map(|row| row.versioned(dialect::WRITERS)).transpose()
 }
 
 pub(super) async fn list(conn: &mut Conn, page: &Page<ToolId>) -> StoreResult<Vec<Versioned<Tool>>> {
@@ -35,7 +36,7 @@ pub(super) async fn list(conn: &mut Conn, page: &Page<ToolId>) -> StoreResult<Ve
         .bind(i64::from(page.limit))
         .fetch_all(&mut *conn)
         .await?;
-    rows.iter().map(ToolRow::versioned).collect()
+    rows.iter().map(|row| row.versioned(dialect::WRITERS)).collect()
 }
 
 pub(super) async fn put(
@@ -46,29 +47,34 @@ pub(super) async fn put(
     now: Timestamp,
 ) -> StoreResult<PutOutcome> {
     dialect::lock(conn, &Locks::tool(&tool.id)).await?;
-    let existing = get(conn, &tool.id).await?;
-    let known = existing.as_ref().map(|existing| (existing.version, existing.value == *tool));
-    let outcome = precondition::decide(known, expects)?;
+    let found = get(conn, &tool.id).await;
+    let existing = registry::existing(conn, found, ("tools", tool.id.as_str())).await?;
+    let outcome = precondition::decide(existing.as_ref().map(|existing| existing.held(tool)), expects)?;
     if let PutOutcome::Unchanged(_) = outcome {
         return Ok(outcome);
     }
+    let row = ToolRow::of(tool, outcome.version(), now)?;
     sqlx::query::<Db>(
-        "INSERT INTO tools (tool_id, name, serial, tool_type, diameter_mm, version, updated_at_us)
-         VALUES ($1, $2, $3, $4, $5, $6, $7)
+        "INSERT INTO tools (tool_id, name, serial, tool_type, diameter_mm, version, updated_at_us, row_sum,
+             summed_version)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)
          ON CONFLICT (tool_id) DO UPDATE SET name = excluded.name, serial = excluded.serial,
              tool_type = excluded.tool_type, diameter_mm = excluded.diameter_mm, version = excluded.version,
-             updated_at_us = excluded.updated_at_us",
+             updated_at_us = excluded.updated_at_us, row_sum = excluded.row_sum,
+             summed_version = excluded.summed_version",
     )
-    .bind(tool.id.as_str())
+    .bind(&row.tool_id)
     .bind(&tool.name)
-    .bind(&tool.serial)
-    .bind(&tool.tool_type)
-    .bind(optional_float("diameter_mm", tool.diameter_mm)?)
-    .bind(count("version", outcome.version())?)
-    .bind(now.micros())
+    .bind(&row.serial)
+    .bind(&row.tool_type)
+    .bind(row.diameter_mm)
+    .bind(row.version)
+    .bind(row.updated_at_us)
+    .bind(row.row_sum)
+    .bind(row.summed_version)
     .execute(&mut *conn)
     .await?;
-    let before = existing.map(|existing| tool_json(&existing.value));
+    let before = existing.and_then(|existing| existing.value).map(|before| tool_json(&before));
     let detail = audit::change(before.as_ref(), &tool_json(tool), outcome);
     audit::add(conn, actor, now, "tool.put", format!("tool/{}", tool.id), &detail).await?;
     if outcome == PutOutcome::Created {

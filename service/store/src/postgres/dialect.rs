@@ -14,10 +14,14 @@ use super::{Conn, Writer};
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::record::{RowNumber, StoreFault};
+use crate::row_sum::Writers;
 use crate::stored_text::StoredText;
 use feedwright_core::ids::{CycleId, MachineId};
 use feedwright_core::units::Timestamp;
 use std::fmt::Write;
+
+/// While several servers are upgraded one by one, those of before register too.
+pub(super) const WRITERS: Writers = Writers::BesideOlder;
 
 /// Months for which partitions of samples are kept ready, the present one included.
 const MONTHS_AHEAD: i32 = 13;

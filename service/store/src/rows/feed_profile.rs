@@ -124,11 +124,21 @@ pub(crate) struct ActiveProfileRow {
     version: i64,
     content_hash: Vec<u8>,
     content: String,
+    operation_id: String,
+    tool_type: String,
+    wear_from: i64,
 }
 
 impl ActiveProfileRow {
     pub(crate) fn active(&self) -> StoreResult<ActiveProfile> {
         let (profile, hash) = content(&self.content, &self.content_hash)?;
+        // Whom it is for stands in its content too, which its hash is of.
+        let line = (self.operation_id.as_str(), self.tool_type.as_str(), self.wear_from);
+        let own =
+            (profile.operation().as_str(), profile.tool_type(), wear_from_column(profile.wear().from_level));
+        if line != own {
+            return Err(damaged("feed_profiles.operation_id"));
+        }
         Ok(ActiveProfile {
             version: ProfileVersion {
                 profile: id("profile_id", &self.profile_id)?,

@@ -5,6 +5,7 @@
 use super::{id, word};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{Model, ModelContent, ModelKind, Versioned};
+use crate::row_sum::{Writers, summed};
 use feedwright_core::ids::ModelId;
 use feedwright_core::plunge::{
     DrillInput, DrillingLaw, LoopLatencyInput, Material, MaterialInput, PlungeSetup,
@@ -197,15 +198,33 @@ pub(crate) fn content_json(content: &ModelContent) -> StoreResult<Value> {
 /// A row of `models`.
 #[derive(Debug, Clone, sqlx::FromRow)]
 pub(crate) struct ModelRow {
-    kind: String,
-    model_id: String,
-    body: String,
-    version: i64,
-    updated_at_us: i64,
+    pub(crate) kind: String,
+    pub(crate) model_id: String,
+    pub(crate) body: String,
+    pub(crate) version: i64,
+    pub(crate) updated_at_us: i64,
+    pub(crate) row_sum: Option<i64>,
+    pub(crate) summed_version: Option<i64>,
 }
 
+summed!(ModelRow of "models": kind, model_id, body, version, updated_at_us);
+
 impl ModelRow {
-    pub(crate) fn versioned(&self) -> StoreResult<Versioned<Model>> {
+    /// As it is to be written.
+    pub(crate) fn of(model: &Model, version: u64, now: Timestamp) -> StoreResult<Self> {
+        let row = Self {
+            kind: model.content.kind().as_str().to_owned(),
+            model_id: model.id.as_str().to_owned(),
+            body: content_json(&model.content)?.to_string(),
+            version: super::count("version", version)?,
+            updated_at_us: now.micros(),
+            row_sum: None,
+            summed_version: None,
+        };
+        Ok(row.with_sum())
+    }
+
+    pub(crate) fn versioned(&self, writers: Writers) -> StoreResult<Versioned<Model>> {
         let refused = |_| super::damaged("models.body");
         let content = match word("kind", &self.kind, ModelKind::parse)? {
             ModelKind::Turning => {
@@ -221,6 +240,7 @@ impl ModelRow {
             value: Model { id: id("model_id", &self.model_id)?, content },
             version: super::number("version", self.version)?,
             updated_at: Timestamp::from_micros(self.updated_at_us),
+            is_damaged: self.is_damaged(writers),
         })
     }
 }

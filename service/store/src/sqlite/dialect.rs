@@ -20,9 +20,13 @@ use super::{Conn, Writer};
 use crate::error::StoreResult;
 use crate::locks::Locks;
 use crate::record::RowNumber;
+use crate::row_sum::Writers;
 use crate::rows::AlarmChange;
 use crate::sqlite::recommendation_id;
 use feedwright_core::units::Timestamp;
+
+/// A program of before refuses a file of this one.
+pub(super) const WRITERS: Writers = Writers::Alone;
 
 /// The connection that a group asks with, and that writes what is not written as a whole.
 pub(super) fn asked(writer: &mut Writer) -> StoreResult<&mut Conn> {

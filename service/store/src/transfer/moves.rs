@@ -1,5 +1,7 @@
 //! What may have moved on in a source since an earlier copy of it: table by table, how a row changes and whether it goes.
 //!
+//! A row that had no sum yet is given one, whatever table it is of.
+//!
 //! What happened once stands for ever: cycles, advice, what tools went through, the audit. A target may have no row of these
 //! that the source has not, to the bit. As every change of what people register leaves a line in the audit, and every cycle
 //! its row, a target that passes was not written by anybody else. So the other tables may follow the source, each as far as
@@ -7,6 +9,7 @@
 
 use super::{Row, Side, Table, TransferError, Value};
 use crate::error::StoreResult;
+use crate::row_sum::{ROW_SUM, SUMMED_VERSION};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Why a row is refused.
@@ -113,6 +116,8 @@ impl<'a> Moves<'a> {
             pairs.filter(|(_, (was, is))| was != is).map(|((name, _), (was, _))| (name.as_str(), was))
         };
         let may = match self.kind {
+            // Of both sides the sum was held, or there was none yet.
+            _ if differing().all(|(name, _)| matches!(name, ROW_SUM | SUMMED_VERSION)) => true,
             Kind::Never | Kind::Dropped => false,
             Kind::Anyhow => true,
             Kind::Within(columns) => differing().all(|(name, _)| columns.contains(&name)),

@@ -7,11 +7,14 @@ use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions, plant};
 use crate::record::StoreFault;
+use crate::row_sum::Writers;
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgRow};
 use sqlx::{ConnectOptions, Connection, Postgres, QueryBuilder, Row as _};
 
+/// Servers of before may have registered since the tables are those of this version.
+const WRITERS: Writers = Writers::BesideOlder;
 /// What is told of a table that is not there (SQLSTATE).
 const UNDEFINED_TABLE: &str = "42P01";
 /// It idles while the other side is read, and reads whole tables, whatever limits a role has for its questions. The last setting
@@ -169,7 +172,7 @@ fn values(table: &Table, row: &PgRow) -> impl Iterator<Item = Result<Value, Unre
     })
 }
 
-/// Rows that no backup takes: as its sum reads them, something in them does not decode, as of a page that a disk has damaged. So many of
+/// Rows that no backup takes: as its sum reads them, something in them does not decode, or they are not what was written, as of a page that a disk has damaged. So many of
 /// a table at the most, one by one.
 pub(crate) async fn damaged_rows(
     conn: &mut PgConnection,
@@ -186,9 +189,7 @@ pub(crate) async fn damaged_rows(
         while !damaged.are_told()
             && let Some(row) = found.try_next().await?
         {
-            for unread in values(&table, &row).filter_map(Result::err) {
-                damaged.add(&table.key_beside(&row), unread)?;
-            }
+            damaged.look(values(&table, &row), || table.key_beside(&row), WRITERS)?;
         }
     }
     Ok(faults)
@@ -296,7 +297,8 @@ impl Side for PostgresSide {
             && let Some(row) = found.try_next().await?
         {
             let values: Result<Row, _> = values(table, &row).collect();
-            page.add(values.map_err(|unread| table.unread(&table.key_beside(&row), unread))?);
+            let values = values.map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
+            page.add(table.held(values, WRITERS)?);
         }
         Ok(page.rows)
     }

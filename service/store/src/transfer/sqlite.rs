@@ -7,6 +7,7 @@ use super::{
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
 use crate::record::StoreFault;
+use crate::row_sum::Writers;
 use crate::rows::BlockRow;
 use crate::sqlite::{
     APPLIED, Cell, Form, HAS_MIGRATIONS, MIGRATIONS, by_name, insert_blocks, is_kept_for_another,
@@ -21,6 +22,8 @@ use std::time::Duration;
 
 /// A writer that is at work is waited for so long.
 const PATIENCE: Duration = Duration::from_secs(30);
+/// Who may have written a file of this version.
+const WRITERS: Writers = Writers::Alone;
 /// Rows that are read ahead of the one that is looked at. Each of samples comes with a whole pack, and no page counts them.
 const ROWS_AHEAD: usize = 4;
 
@@ -107,7 +110,7 @@ fn values(table: &Table, id: Option<usize>, row: &SqliteRow) -> impl Iterator<It
     })
 }
 
-/// Rows that no backup takes: as its sum reads them, something in them does not decode. So many of a table at the most.
+/// Rows that no backup takes: as its sum reads them, something in them does not decode, or they are not what was written. So many of a table at the most.
 ///
 /// In whatever order they come, one by one: they need no index, and no memory.
 pub(crate) async fn damaged_rows(
@@ -125,9 +128,7 @@ pub(crate) async fn damaged_rows(
         while !damaged.are_told()
             && let Some(row) = found.try_next().await?
         {
-            for unread in values(&table, id, &row).filter_map(Result::err) {
-                damaged.add(&table.key_beside(&row), unread)?;
-            }
+            damaged.look(values(&table, id, &row), || table.key_beside(&row), WRITERS)?;
         }
     }
     Ok(faults)
@@ -335,7 +336,11 @@ impl Side for SqliteSide {
         {
             let values: Result<Row, _> = values(table, id_by_bytes, &row).collect();
             let values = values.map_err(|unread| table.unread(&table.key_beside(&row), unread))?;
-            page.add(if is_packed { with_block(table, values, &row)? } else { values });
+            page.add(if is_packed {
+                with_block(table, values, &row)?
+            } else {
+                table.held(values, WRITERS)?
+            });
         }
         Ok(page.rows)
     }

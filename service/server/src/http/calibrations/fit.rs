@@ -10,7 +10,7 @@ use feedwright_core::friction::error::Invalid;
 use feedwright_core::ids::MachineId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::machine::{Calibration, FittedLine};
-use feedwright_store::{CycleFilter, Page, Store, StoreResult, StoredCycle};
+use feedwright_store::{CycleFilter, Page, Store, StoreResult, StoredCalibration, StoredCycle};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -207,15 +207,15 @@ fn line(
     }
 }
 
-/// The newest fitted lines of a machine.
+/// The newest fitted lines of a machine; none where they are damaged, as nothing of them is carried over.
 pub(super) async fn newest(store: &dyn Store, machine: &MachineId) -> StoreResult<Option<Calibration>> {
-    let mut newest: Option<Calibration> = None;
+    let mut newest: Option<StoredCalibration> = None;
     loop {
-        let after = newest.as_ref().map(|calibration| calibration.version);
+        let after = newest.as_ref().map(|fitted| fitted.calibration.version);
         let page = store.calibrations(machine, Page { after, limit: PAGE }).await?;
         match page.into_iter().next_back() {
-            Some((calibration, _)) => newest = Some(calibration),
-            None => return Ok(newest),
+            Some(fitted) => newest = Some(fitted),
+            None => return Ok(newest.filter(|fitted| !fitted.is_damaged).map(|fitted| fitted.calibration)),
         }
     }
 }

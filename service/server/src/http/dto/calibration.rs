@@ -4,6 +4,7 @@ use super::time;
 use feedwright_core::invalid::{Range, Violation};
 use feedwright_core::machine::{Calibration, FittedLine};
 use feedwright_core::units::Timestamp;
+use feedwright_store::StoredCalibration;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -104,6 +105,9 @@ pub struct CalibrationView {
     pub version: u32,
     /// When it came into force, RFC 3339.
     pub created_at: String,
+    /// Whether the disk has changed it since it was written: nothing is decided by it. Left out where it is not known to be.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub damaged: bool,
     /// Thrust (N) over feed-drive load (%).
     pub thrust: Option<LineBody>,
     /// Torque (N·m) over spindle load (%).
@@ -111,10 +115,17 @@ pub struct CalibrationView {
 }
 
 impl From<(Calibration, Timestamp)> for CalibrationView {
-    fn from((calibration, at): (Calibration, Timestamp)) -> Self {
+    fn from((calibration, fitted_at): (Calibration, Timestamp)) -> Self {
+        StoredCalibration { calibration, fitted_at, is_damaged: false }.into()
+    }
+}
+
+impl From<StoredCalibration> for CalibrationView {
+    fn from(StoredCalibration { calibration, fitted_at, is_damaged }: StoredCalibration) -> Self {
         Self {
             version: calibration.version,
-            created_at: time::show(at),
+            created_at: time::show(fitted_at),
+            damaged: is_damaged,
             thrust: calibration.thrust.map(LineBody::from),
             torque: calibration.torque.map(LineBody::from),
         }

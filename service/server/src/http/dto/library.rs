@@ -162,7 +162,8 @@ impl PlungeMaterialBody {
 
 fn registered<T>(stored: &Versioned<Model>, body: T) -> Registered<T> {
     let id = stored.value.id.as_str().to_owned();
-    Registered { id, version: stored.version, updated_at: time::show(stored.updated_at), body }
+    let updated_at = time::show(stored.updated_at);
+    Registered { id, version: stored.version, updated_at, damaged: stored.is_damaged, body }
 }
 
 /// An entry as it is answered; none where it is of the other kind.

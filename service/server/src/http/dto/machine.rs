@@ -137,6 +137,12 @@ impl From<Versioned<Machine>> for Registered<MachineBody> {
             },
         };
         let updated_at = time::show(stored.updated_at);
-        Self { id: id.as_str().to_owned(), version: stored.version, updated_at, body }
+        Self {
+            id: id.as_str().to_owned(),
+            version: stored.version,
+            updated_at,
+            damaged: stored.is_damaged,
+            body,
+        }
     }
 }

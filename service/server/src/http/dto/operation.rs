@@ -156,6 +156,7 @@ impl From<Versioned<Operation>> for Registered<OperationBody> {
             plunge: operation.plunge.map(Into::into),
         };
         let id = operation.id.as_str().to_owned();
-        Self { id, version: stored.version, updated_at: time::show(stored.updated_at), body }
+        let (version, updated_at) = (stored.version, time::show(stored.updated_at));
+        Self { id, version, updated_at, damaged: stored.is_damaged, body }
     }
 }

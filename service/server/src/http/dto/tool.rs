@@ -51,7 +51,13 @@ impl From<Versioned<Tool>> for Registered<ToolBody> {
         let Tool { id, name, serial, tool_type, diameter_mm } = stored.value;
         let body = ToolBody { name, serial, tool_type, diameter_mm };
         let updated_at = time::show(stored.updated_at);
-        Self { id: id.as_str().to_owned(), version: stored.version, updated_at, body }
+        Self {
+            id: id.as_str().to_owned(),
+            version: stored.version,
+            updated_at,
+            damaged: stored.is_damaged,
+            body,
+        }
     }
 }
 

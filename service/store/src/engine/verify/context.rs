@@ -1,8 +1,9 @@
 //! Machine, operation and fitted lines as they were when a cycle was received, as far as that can be known.
 
-use super::super::{Conn, machines, operations};
+use super::super::{Conn, machines, operations, registry};
 use crate::error::{StoreError, StoreResult};
-use crate::record::{Page, Versioned};
+use crate::record::{Page, StoredCalibration, Versioned};
+use crate::registry::Found;
 use crate::rows::CycleRow;
 use feedwright_core::cycle::{Cycle, Flag};
 use feedwright_core::ids::{MachineId, OperationId};
@@ -20,13 +21,16 @@ const CLOCKS_APART_US: i64 = 600_000_000;
 #[derive(Default)]
 pub(super) struct Contexts {
     machines: HashMap<MachineId, Arc<Around>>,
-    operations: HashMap<OperationId, Option<Arc<Versioned<DatedOperation>>>>,
+    operations: HashMap<OperationId, Found<Arc<Versioned<DatedOperation>>>>,
 }
 
 struct Around {
+    /// Of one that is damaged nothing is known.
     machine: Versioned<Machine>,
-    /// With when each was fitted, oldest first.
-    calibrations: Vec<(Calibration, Timestamp)>,
+    /// Oldest first.
+    calibrations: Vec<StoredCalibration>,
+    /// Whether the machine or fitted lines are not what was written.
+    is_damaged: bool,
 }
 
 /// What a summary rests on besides its cycle.
@@ -61,7 +65,7 @@ impl Known {
     }
 
     pub(super) fn calibration(&self) -> Option<&Calibration> {
-        self.calibration.and_then(|at| self.around.calibrations.get(at)).map(|(calibration, _)| calibration)
+        self.calibration.and_then(|at| self.around.calibrations.get(at)).map(|fitted| &fitted.calibration)
     }
 
     pub(super) fn operation(&self) -> Option<&Operation> {
@@ -78,9 +82,10 @@ impl Contexts {
         // No cycle comes before its machine is registered: the first version was in force from the first cycle on.
         let machine = &around.machine;
         let mut same = machine.version == 1 || when(machine.updated_at, received) == When::Before;
+        same &= !around.is_damaged;
         let mut calibration = None;
-        for (at, (_, fitted_at)) in around.calibrations.iter().enumerate() {
-            match when(*fitted_at, received) {
+        for (at, fitted) in around.calibrations.iter().enumerate() {
+            match when(fitted.fitted_at, received) {
                 When::Before => calibration = Some(at),
                 When::About => same = false,
                 When::After => {}
@@ -88,11 +93,16 @@ impl Contexts {
         }
         let unregistered = row.flags & Flag::OperationUnregistered as i64 != 0;
         let operation = match operation {
-            None => None,
+            Found::Absent => None,
+            Found::Damaged(_) => {
+                // Received while it was damaged, a cycle is flagged as of one that is not registered.
+                same &= unregistered;
+                None
+            }
             // Registered by then or not: the flag says so, whatever clock told when. Its first version, and one that was there
             // before, is the one that was in force.
-            Some(_) if unregistered => None,
-            Some(operation) => {
+            Found::Sound(_) if unregistered => None,
+            Found::Sound(operation) => {
                 same &= operation.version == 1 || when(operation.updated_at, received) == When::Before;
                 Some(operation.value.at(cycle.started_at).into_owned())
             }
@@ -104,11 +114,28 @@ impl Contexts {
         if let Some(known) = self.machines.get(id) {
             return Ok(known.clone());
         }
-        let machine = machines::get(conn, id).await?;
-        let machine = machine
-            .ok_or_else(|| StoreError::Damaged { what: format!("its machine `{id}` is not there") })?;
-        let calibrations = machines::calibrations(conn, id, &Page { after: None, limit: u32::MAX }).await?;
-        let around = Arc::new(Around { machine, calibrations });
+        let mut is_damaged = false;
+        let machine = match registry::to_decide_by(machines::get(conn, id).await)? {
+            Found::Sound(machine) => machine,
+            Found::Absent => {
+                return Err(StoreError::Damaged { what: format!("its machine `{id}` is not there") });
+            }
+            Found::Damaged(_) => {
+                is_damaged = true;
+                let (value, updated_at) = (Machine::unknown(id.clone()), Timestamp::from_micros(0));
+                Versioned { value, version: 0, updated_at, is_damaged }
+            }
+        };
+        let all = Page { after: None, limit: u32::MAX };
+        let calibrations = match machines::calibrations(conn, id, &all).await {
+            Err(StoreError::Damaged { .. }) => {
+                is_damaged = true;
+                Vec::new()
+            }
+            calibrations => calibrations?,
+        };
+        is_damaged |= calibrations.iter().any(|fitted| fitted.is_damaged);
+        let around = Arc::new(Around { machine, calibrations, is_damaged });
         self.machines.insert(id.clone(), around.clone());
         Ok(around)
     }
@@ -117,11 +144,11 @@ impl Contexts {
         &mut self,
         conn: &mut Conn,
         id: &OperationId,
-    ) -> StoreResult<Option<Arc<Versioned<DatedOperation>>>> {
+    ) -> StoreResult<Found<Arc<Versioned<DatedOperation>>>> {
         if let Some(known) = self.operations.get(id) {
             return Ok(known.clone());
         }
-        let operation = operations::dated(conn, id).await?.map(Arc::new);
+        let operation = registry::to_decide_by(operations::dated(conn, id).await)?.map(Arc::new);
         self.operations.insert(id.clone(), operation.clone());
         Ok(operation)
     }
