@@ -153,18 +153,26 @@ macro_rules! facts_columns {
 pub(super) use facts_columns;
 
 macro_rules! select_facts {
-    ($tail:literal) => {
+    ($($tail:tt)*) => {
         concat!(
             "SELECT ",
             facts_columns!(),
             " FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
              WHERE c.tool_id = $1 AND c.started_at_us >= $2
                AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($2, $3, $4, $5) ",
-            $tail,
+            $($tail)*,
             " ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $6"
         )
     };
 }
+
+/// The next cycles of a tool, of all machines.
+const FACTS_OF_TOOL: &str = select_facts!("");
+
+/// The next cycles of a tool on one machine: those of the tool are gone through, and never those of the machine, which may be more by any
+/// factor.
+pub(in super::super) const FACTS_OF_TOOL_ON_MACHINE: &str =
+    select_facts!("AND ", dialect::checked!("c.machine_id"), " = $7");
 
 /// The place after which to read on, as columns.
 fn after(order: Option<&OrderKey>) -> StoreResult<(i64, String, i64, String)> {
@@ -187,7 +195,7 @@ pub(super) async fn facts_after(
     last: Option<&OrderKey>,
 ) -> StoreResult<Vec<FactsRow>> {
     let (at, after_machine, seq, cycle) = after(last)?;
-    let sql = if machine.is_some() { select_facts!("AND c.machine_id = $7") } else { select_facts!("") };
+    let sql = if machine.is_some() { FACTS_OF_TOOL_ON_MACHINE } else { FACTS_OF_TOOL };
     let query = sqlx::query_as::<Db, FactsRow>(sql)
         .bind(tool.as_str())
         .bind(at)
@@ -551,17 +559,22 @@ pub(super) enum Of<'a> {
     All,
 }
 
+/// Up to so many cycles of a tool on one machine are counted.
+pub(in super::super) const FIRST_OF_TOOL_ON_MACHINE: &str = concat!(
+    "SELECT CAST(COUNT(*) AS BIGINT) FROM (
+         SELECT 1 FROM cycles WHERE tool_id = $1 AND ",
+    dialect::checked!("machine_id"),
+    " = $2 LIMIT $3) AS first"
+);
+
 /// Whether a tool has more cycles of a machine than these, which are stored by now.
 async fn has_more(conn: &mut Conn, tool: &ToolId, machine: &MachineId, these: usize) -> StoreResult<bool> {
-    let found: i64 = sqlx::query_scalar::<Db, _>(
-        "SELECT CAST(COUNT(*) AS BIGINT) FROM (
-             SELECT 1 FROM cycles WHERE tool_id = $1 AND machine_id = $2 LIMIT $3) AS first",
-    )
-    .bind(tool.as_str())
-    .bind(machine.as_str())
-    .bind(count("these", these as u64 + 1)?)
-    .fetch_one(&mut *conn)
-    .await?;
+    let found: i64 = sqlx::query_scalar::<Db, _>(FIRST_OF_TOOL_ON_MACHINE)
+        .bind(tool.as_str())
+        .bind(machine.as_str())
+        .bind(count("these", these as u64 + 1)?)
+        .fetch_one(&mut *conn)
+        .await?;
     Ok(found > count("these", these as u64)?)
 }
 
