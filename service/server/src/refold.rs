@@ -8,7 +8,7 @@
 
 use crate::state::AppState;
 use feedwright_core::ids::ToolId;
-use feedwright_store::{StoreError, StoreResult};
+use feedwright_store::{FoldKey, StoreError, StoreResult};
 use std::time::{Duration, Instant};
 
 /// Pauses are so many times as long as what was done before them.
@@ -71,9 +71,9 @@ async fn rest(state: &AppState, pause: Duration) {
     }
 }
 
-/// Has those that need not follow a change say so: the next round would look through their tools' cycles again.
+/// Has those that need not follow a change say so: whoever loads them would ask again what changed.
 async fn note_unchanged(state: &AppState) {
-    let mut after: Option<ToolId> = None;
+    let mut after: Option<FoldKey> = None;
     while !state.lifecycle.is_stopping() {
         let (begun, from) = (Instant::now(), after.clone());
         match state.commit(|store| async move { store.note_unchanged_folds(from.as_ref()).await }).await {

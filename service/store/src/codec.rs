@@ -116,6 +116,7 @@ mod noise;
 mod overrides;
 pub(crate) mod pack;
 mod predict;
+pub(crate) mod ran;
 mod range;
 mod rice;
 mod squeeze;

@@ -445,6 +445,9 @@ pub struct Page<K> {
 /// Where a page of cycles goes on: `(started_at, machine, cycle)`, unique and in the order of the list.
 pub type CycleKey = (Timestamp, MachineId, CycleId);
 
+/// The fold of a tool's cycles on one machine.
+pub type FoldKey = (ToolId, MachineId);
+
 /// An event of a tool as it is kept.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredToolEvent {

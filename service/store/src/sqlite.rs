@@ -18,6 +18,8 @@ mod group_writer;
 mod journal;
 mod kept;
 mod open;
+#[cfg(test)]
+mod plans;
 mod readers;
 pub(crate) mod recommendation_id;
 mod writing;

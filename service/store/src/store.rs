@@ -9,11 +9,11 @@ use crate::notice::Notices;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::record::{
     ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
-    CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model,
-    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round,
-    RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCalibration,
-    StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings,
-    WearCheck,
+    CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, FoldKey, IssuedRecommendation, LevelPoint,
+    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair,
+    Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
+    StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife,
+    Versioned, WatchSettings, WearCheck,
 };
 use crate::row_sum::{SumPage, SummedTo};
 use async_trait::async_trait;
@@ -323,11 +323,12 @@ pub trait Store: Send + Sync + 'static {
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
     /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
-    /// The next registered tool after `after` with a fold that an earlier version of the rules made, or that is behind a change of an operation.
+    /// The next registered tool after `after` with a fold that an earlier version of the rules made, that is behind a change of an operation, or
+    /// of which nobody has noted what operations it ran.
     async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>>;
-    /// Writes to the next folds after those of `after` that they need not follow changes of operations which their tools never ran, so that nobody
-    /// looks again; whose was the last. `None` behind the last.
-    async fn note_unchanged_folds(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>>;
+    /// Looks at some folds after that one, and writes to those that need not follow changes of operations which their cycles never ran that they
+    /// are up to date; which was the last that was looked at. `None` behind the last.
+    async fn note_unchanged_folds(&self, after: Option<&FoldKey>) -> StoreResult<Option<FoldKey>>;
     /// Makes such folds of a tool anew, durably, and has its alarms follow; `false` where there are none any more.
     async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair` says so. A tool whose

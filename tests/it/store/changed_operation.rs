@@ -15,6 +15,9 @@ stories!(with tables:
     folds_follow_one_by_one_with_their_alarms,
     what_no_cycle_ran_changes_no_fold,
     a_check_believes_no_fold_that_is_behind,
+    what_never_ran_it_is_known_without_its_cycles,
+    one_of_many_folds_is_found_behind_those_that_need_not_follow,
+    what_a_server_of_before_has_counted_is_found_out_once,
 );
 
 /// What is cached, as it was before the operation changed: as if no fold had followed it yet.
@@ -24,6 +27,8 @@ const AS_IT_WAS: [&str; 5] = [
     "UPDATE tool_wear SET
          state = (SELECT state FROM kept_tool_wear AS kept
                   WHERE kept.machine_id = tool_wear.machine_id AND kept.tool_id = tool_wear.tool_id),
+         ran = (SELECT ran FROM kept_tool_wear AS kept
+                WHERE kept.machine_id = tool_wear.machine_id AND kept.tool_id = tool_wear.tool_id),
          judging_change = (SELECT judging_change FROM kept_tool_wear AS kept
                            WHERE kept.machine_id = tool_wear.machine_id AND kept.tool_id = tool_wear.tool_id)",
     "DELETE FROM tool_wear_checkpoints",
@@ -157,7 +162,7 @@ async fn folds_follow_one_by_one_with_their_alarms(given: &Given) {
     assert_eq!(given.numbers(numbers).await, [1, 1, 1, 0]);
     let states = given.wear_states().await;
     let last = store.note_unchanged_folds(None).await.unwrap().expect("T3");
-    assert_eq!((last.as_str(), store.note_unchanged_folds(Some(&last)).await.unwrap()), ("T3", None));
+    assert_eq!((last.0.as_str(), store.note_unchanged_folds(Some(&last)).await.unwrap()), ("T3", None));
     assert_eq!((given.numbers(numbers).await, given.wear_states().await), (vec![1, 1, 1, 1], states));
     assert_eq!(told(&*store).await, after);
     assert_eq!(alarms(&*store).await, wanted);
@@ -200,4 +205,98 @@ async fn a_check_believes_no_fold_that_is_behind(given: &Given) {
     assert!(repaired.different.iter().all(|wear| wear.left.is_none()), "{repaired:?}");
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, vec![]);
     assert_eq!(told(&*store).await, after);
+}
+
+/// Who looked through the cycles of T3 would find there that it ran O1: what it ran is told by its fold, however long its history is.
+async fn what_never_ran_it_is_known_without_its_cycles(given: &Given) {
+    let store = given.store();
+    history(given).await;
+    let [_, after] = changed(given).await;
+    let moved = given.raw("UPDATE cycles SET operation_id = 'O1' WHERE tool_id = 'T3'").await.unwrap();
+    assert_eq!(moved, 500);
+    let followed = follow(&*store).await;
+    assert_eq!(followed, ["T1", "T2"].map(|tool| ToolId::try_from(tool).unwrap()));
+    let next = Run { tool: "T3".to_owned(), operation: "O2", sampled: false, ..Run::nth(3000) };
+    let verdict = stored(&*store, &next).await.verdict;
+    assert_eq!((verdict.cycles, &verdict.baselines), (after[2].0.cycles + 1, &after[2].0.baselines));
+    // A check reads all of them, and tells what the fold does not.
+    let told = store.check_wear(Repair::No).await.unwrap();
+    assert_eq!(differing(&told), [("M1", "T3")]);
+    given.raw("UPDATE cycles SET operation_id = 'O2' WHERE tool_id = 'T3'").await.unwrap();
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, vec![]);
+}
+
+/// More folds than are looked at at once, those of one tool among them.
+async fn one_of_many_folds_is_found_behind_those_that_need_not_follow(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    store.put_operation(operation("O2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    for id in ["T2", "T3"] {
+        store.put_tool(tool(id), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    }
+    let machines: Vec<&'static str> = (0..230).map(|n| &*format!("N{n:03}").leak()).collect();
+    for id in &machines {
+        store.put_machine(machine(id), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    }
+    let last = machines.len() - 1;
+    let by = |at: usize| if at == last { "O1" } else { "O2" };
+    let run = |(n, (at, machine)): (u32, (usize, &&'static str))| Run {
+        machine,
+        tool: "T2".to_owned(),
+        operation: by(at),
+        sampled: false,
+        ..Run::nth(n)
+    };
+    let runs: Vec<Run> = (1..).zip(machines.iter().enumerate()).map(run).collect();
+    commit(&*store, &runs).await;
+    stored(&*store, &Run { tool: "T3".to_owned(), sampled: false, ..Run::nth(500) }).await;
+    let numbers = "SELECT judging_change FROM tool_wear WHERE judging_change = 0";
+    assert_eq!(given.numbers(numbers).await.len(), 231);
+
+    // Numbered as a server does that is stopped then.
+    let wear = WearSettings { baseline_cycles: 3, window_cycles: 4, ..Default::default() };
+    let change = Operation { wear, ..operation("O1") };
+    store.put_operation(change, Precondition::Version(1), &engineer(), at(200_000)).await.unwrap();
+    given.raw("UPDATE tool_wear SET judging_change = 0").await.unwrap();
+    let tools = ["T2", "T3"].map(|tool| ToolId::try_from(tool).unwrap());
+    assert_eq!(store.next_outdated_fold(None).await.unwrap(), Some(tools[0].clone()), "by its last machine");
+    assert_eq!(store.next_outdated_fold(Some(&tools[0])).await.unwrap(), Some(tools[1].clone()));
+    assert_eq!(follow(&*store).await, tools);
+    assert_eq!(given.numbers(numbers).await, [] as [i64; 0], "with one all of a tool go along");
+
+    // Those of tools that ran it on no machine say so page by page.
+    given.raw("UPDATE tool_wear SET judging_change = 0 WHERE machine_id < 'N229'").await.unwrap();
+    let (mut pages, mut after) = (0, None);
+    while let Some(last) = store.note_unchanged_folds(after.as_ref()).await.unwrap() {
+        (pages, after) = (pages + 1, Some(last));
+    }
+    assert_eq!(pages, 3);
+    assert_eq!(given.numbers(numbers).await.len(), 1, "T3 ran it and is left to be made anew");
+    assert_eq!(store.check_wear(Repair::No).await.unwrap().different, vec![]);
+}
+
+/// Its folds say of fewer cycles which operations they ran, or nothing: nobody believes that, and who makes folds anew notes it.
+async fn what_a_server_of_before_has_counted_is_found_out_once(given: &Given) {
+    let store = given.store();
+    history(given).await;
+    let [_, after] = changed(given).await;
+    let noted = "SELECT folded FROM tool_wear WHERE ran IS NOT NULL";
+    let of_one_cycle = if given.is_postgres() {
+        "UPDATE tool_wear SET ran = '\\x01'::BYTEA"
+    } else {
+        "UPDATE tool_wear SET ran = x'01'"
+    };
+    for of_before in ["UPDATE tool_wear SET ran = NULL", of_one_cycle] {
+        assert_eq!(given.raw(of_before).await.unwrap(), 4);
+        assert_eq!(told(&*store).await, after, "whoever reads reads the cycles");
+        let followed = follow(&*store).await;
+        assert_eq!(followed, ["T1", "T2", "T3"].map(|tool| ToolId::try_from(tool).unwrap()));
+        assert_eq!(given.numbers(noted).await.len(), 4);
+        assert_eq!(store.next_outdated_fold(None).await.unwrap(), None);
+        assert_eq!(store.check_wear(Repair::No).await.unwrap().different, vec![]);
+        assert_eq!(told(&*store).await, after);
+        for sql in AS_IT_WAS {
+            given.raw(sql).await.unwrap();
+        }
+    }
 }

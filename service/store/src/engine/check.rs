@@ -2,6 +2,7 @@
 
 use super::wear::{self, ToolWear};
 use super::{Conn, Db, alarms, dialect, registry};
+use crate::codec::ran::Ran;
 use crate::error::StoreResult;
 use crate::history::Walk;
 use crate::locks::Locks;
@@ -133,7 +134,7 @@ pub(super) async fn tool(
         let on_the_way = on_the_way.chain(overall.values_mut().map(|(_, (state, _))| state));
         of_states.chain(on_the_way).for_each(|(version, _)| *version = wear::BEHIND);
     }
-    let events = known.events;
+    let events = &known.events;
     let mut machines: BTreeSet<MachineId> = states.keys().cloned().collect();
     if wear::is_registered(conn, tool).await? {
         machines.extend(wear::machines_of(conn, tool).await?);
@@ -152,7 +153,7 @@ pub(super) async fn tool(
         Ok(holds(Some(state), fold) && (state.0 != version || last.as_ref() == Some(of)))
     };
     let mut overall_same = true;
-    let mut walk = Walk::new(&events);
+    let mut walk = Walk::new(events);
     while !overall.is_empty() {
         let page = wear::facts_after(conn, tool, None, walk.fold().last()).await?;
         if page.is_empty() {
@@ -170,9 +171,10 @@ pub(super) async fn tool(
     overall_same &= overall.is_empty();
     let mut different = Vec::new();
     for machine in &machines {
-        let mut walk = Walk::new(&events);
+        let mut walk = Walk::new(events);
         // One that is of all of them is told of the first.
         let mut same = std::mem::replace(&mut overall_same, true);
+        let mut ran = Ran::nothing();
         loop {
             let page = wear::facts_after(conn, tool, Some(machine), walk.fold().last()).await?;
             if page.is_empty() {
@@ -180,6 +182,7 @@ pub(super) async fn tool(
             }
             for row in &page {
                 step(&mut walk, row)?;
+                ran.note(&row.operation_id, row.started_at_us);
                 if walk.at_checkpoint() {
                     let found = checkpoints.remove(&(machine.clone(), count("folded", walk.folded())?));
                     same &= checkpoint_holds(found.as_ref(), walk.fold())?;
@@ -190,6 +193,8 @@ pub(super) async fn tool(
         let state = states.get(machine);
         same &=
             state.is_some_and(|(of, _)| *of == folded) && holds(state.map(|(_, state)| state), walk.fold());
+        // Who goes by it would not follow a change of an operation that it lacks.
+        same &= known.ran(machine).is_none_or(|noted| *noted == ran);
         // Checkpoints beyond the history are left over from nothing.
         same &= !checkpoints.keys().any(|(of, _)| of == machine);
         if !same {

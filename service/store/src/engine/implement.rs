@@ -1,6 +1,7 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::operations::OperationPut;
+use super::wear::{After, Looks};
 use super::{
     CLOCK_AHEAD_US, Db, Engine, ONE_CLOCK_US, alarms, audit, check, commit, cycles, dialect, feed_profiles,
     fleet, life, machines, models, operations, quarantine, recommendations, registry, retention, series,
@@ -18,11 +19,11 @@ use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::Group;
 use crate::record::{
     ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
-    CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, IssuedRecommendation, LevelPoint, Model,
-    ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair, Round,
-    RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault, StoredCalibration,
-    StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife, Versioned, WatchSettings,
-    WearCheck,
+    CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, FoldKey, IssuedRecommendation, LevelPoint,
+    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair,
+    Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
+    StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife,
+    Versioned, WatchSettings, WearCheck,
 };
 use crate::row_sum::{SumPage, SummedTo};
 use crate::store::Store;
@@ -156,12 +157,12 @@ impl Engine {
     /// Makes the folds anew that are behind a change of an operation, one tool after the other, as far as that is done soon, so that alarms
     /// follow as well. The change is stored by then, and holds whether this succeeds or not.
     async fn follow_change(&self, now: Timestamp) {
-        let (until, mut after) = (Instant::now() + FOLLOWED_AT_ONCE, None);
+        let (until, mut after) = (Instant::now() + FOLLOWED_AT_ONCE, After::Nothing);
         while Instant::now() < until {
-            let tool = match self.look_for_outdated(after.as_ref()).await {
+            let tool = match self.look_for_outdated(&after, Looks::AtOnce).await {
                 Ok(wear::Looked::Found(tool)) => tool,
-                Ok(wear::Looked::NoneUpTo(tool)) => {
-                    after = Some(tool);
+                Ok(wear::Looked::NoneUpTo(fold)) => {
+                    after = After::Fold(fold);
                     continue;
                 }
                 Ok(wear::Looked::End) => return,
@@ -172,12 +173,12 @@ impl Engine {
             if let Err(error) = self.renew_fold(&tool, now).await {
                 tracing::warn!(%error, %tool, "the tool's fold does not follow a changed operation at once");
             }
-            after = Some(tool);
+            after = After::Tool(tool);
         }
     }
 
-    async fn look_for_outdated(&self, after: Option<&ToolId>) -> StoreResult<wear::Looked> {
-        read!(self, |conn| wear::next_outdated(conn, after).await)
+    async fn look_for_outdated(&self, after: &After, looks: Looks) -> StoreResult<wear::Looked> {
+        read!(self, |conn| wear::next_outdated(conn, after, looks).await)
     }
 
     /// Commits a group, again where the server was lost or chose it as a deadlock's victim: what was committed after
@@ -737,11 +738,11 @@ impl Store for Engine {
     }
 
     async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
-        let mut after = after.cloned();
+        let mut after = after.cloned().map_or(After::Nothing, After::Tool);
         loop {
-            match self.look_for_outdated(after.as_ref()).await? {
+            match self.look_for_outdated(&after, Looks::InBackground).await? {
                 wear::Looked::Found(tool) => return Ok(Some(tool)),
-                wear::Looked::NoneUpTo(tool) => after = Some(tool),
+                wear::Looked::NoneUpTo(fold) => after = After::Fold(fold),
                 wear::Looked::End => return Ok(None),
             }
         }
@@ -759,12 +760,16 @@ impl Store for Engine {
         })
     }
 
-    async fn note_unchanged_folds(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
-        let after = after.map_or_else(String::new, ToString::to_string);
-        let (judging_change, rows) = snapshot!(self, |conn| wear::next_unchanged(conn, &after).await)?;
-        let Some((_, last)) = rows.last() else { return Ok(None) };
-        let last = crate::rows::id("tool_id", last)?;
-        write!(self, |conn| wear::note_unchanged(conn, judging_change, &rows).await)?;
+    async fn note_unchanged_folds(&self, after: Option<&FoldKey>) -> StoreResult<Option<FoldKey>> {
+        let after = after.cloned().map_or(After::Nothing, After::Fold);
+        let Some(wear::Unchanged { last, folds, judging_change }) =
+            snapshot!(self, |conn| wear::next_unchanged(conn, &after).await)?
+        else {
+            return Ok(None);
+        };
+        if !folds.is_empty() {
+            write!(self, |conn| wear::note_unchanged(conn, judging_change, &folds).await)?;
+        }
         Ok(Some(last))
     }
 

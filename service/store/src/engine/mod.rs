@@ -31,7 +31,7 @@ mod tools;
 mod transaction;
 mod verify;
 mod watch;
-mod wear;
+pub(super) mod wear;
 
 pub(super) use memory::Memory;
 pub(super) use wear::Heads;

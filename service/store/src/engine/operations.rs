@@ -9,6 +9,7 @@ use crate::rows::{OperationRow, TurnedAs, operation_json, optional_float, setup_
 use feedwright_core::ids::OperationId;
 use feedwright_core::operation::{Ask, DatedOperation, Operation};
 use feedwright_core::units::Timestamp;
+use std::collections::BTreeMap;
 
 /// From when on what was asked for first holds: before every cycle. Migration 31 has it too.
 const ALWAYS: Timestamp = Timestamp::from_micros(-9_000_000_000_000_000_000);
@@ -208,6 +209,24 @@ pub(super) async fn last_judging_change(conn: &mut Conn) -> StoreResult<i64> {
     )
     .fetch_one(&mut *conn)
     .await?)
+}
+
+/// Operations whose last such change comes after one of a number, each with its own; nothing is asked where that is the last one.
+pub(super) async fn changed_since(
+    conn: &mut Conn,
+    since: i64,
+    last: i64,
+) -> StoreResult<BTreeMap<String, i64>> {
+    if since >= last {
+        return Ok(BTreeMap::new());
+    }
+    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
+        "SELECT operation_id, judging_change FROM operations WHERE judging_change > 0 AND judging_change > $1",
+    )
+    .bind(since)
+    .fetch_all(&mut *conn)
+    .await?;
+    Ok(rows.into_iter().collect())
 }
 
 /// Numbers a change after which the operation's cycles are judged otherwise, where it has any: folds that were made before go along

@@ -228,7 +228,8 @@ pub(super) async fn levels(
 ) -> StoreResult<Vec<LevelPoint>> {
     let known = ToolWear::load(conn, tool).await?;
     let events = known.events.clone();
-    let machines = wear::machines_of(conn, tool).await?;
+    // Each cycle of a registered tool is counted in a fold, in the transaction that stores it.
+    let machines = known.machines();
     // Of one machine the checkpoints are those of the whole tool.
     let of = match machines.as_slice() {
         [only] => Of::Machine(only),

@@ -2,9 +2,11 @@
 
 use super::transaction::GroupTransaction;
 use super::{Conn, Db, alarms, dialect, operations, tools};
+use crate::codec::ran::Ran;
 use crate::codec::state;
 use crate::error::StoreResult;
 use crate::history::{Walk, beginning, verdict_after};
+use crate::record::FoldKey;
 use crate::registry::Registry;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, ToolId};
@@ -37,6 +39,8 @@ struct Cached {
     /// `None` where the stored state is of another version or damaged.
     fold: Option<ToolFold>,
     folded: u64,
+    /// The operations that its cycles ran; `None` where that is not known, as who wrote the row noted none.
+    ran: Option<Ran>,
     /// Version of the stored row; 0 where there is none.
     version: i64,
     /// Whether the row has to be written.
@@ -72,6 +76,7 @@ struct WearRow {
     state: Vec<u8>,
     version: i64,
     judging_change: i64,
+    ran: Option<Vec<u8>>,
 }
 
 /// Versions of the stored folds of one tool, by machine: what a fold in memory is held against.
@@ -153,18 +158,26 @@ macro_rules! facts_columns {
 pub(super) use facts_columns;
 
 macro_rules! select_facts {
-    ($tail:literal) => {
+    ($($tail:tt)*) => {
         concat!(
             "SELECT ",
             facts_columns!(),
             " FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
              WHERE c.tool_id = $1 AND c.started_at_us >= $2
                AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($2, $3, $4, $5) ",
-            $tail,
+            $($tail)*,
             " ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $6"
         )
     };
 }
+
+/// The next cycles of a tool, of all machines.
+const FACTS_OF_TOOL: &str = select_facts!("");
+
+/// The next cycles of a tool on one machine: those of the tool are gone through, and never those of the machine, which may be more by any
+/// factor.
+pub(in super::super) const FACTS_OF_TOOL_ON_MACHINE: &str =
+    select_facts!("AND ", dialect::checked!("c.machine_id"), " = $7");
 
 /// The place after which to read on, as columns.
 fn after(order: Option<&OrderKey>) -> StoreResult<(i64, String, i64, String)> {
@@ -187,7 +200,7 @@ pub(super) async fn facts_after(
     last: Option<&OrderKey>,
 ) -> StoreResult<Vec<FactsRow>> {
     let (at, after_machine, seq, cycle) = after(last)?;
-    let sql = if machine.is_some() { select_facts!("AND c.machine_id = $7") } else { select_facts!("") };
+    let sql = if machine.is_some() { FACTS_OF_TOOL_ON_MACHINE } else { FACTS_OF_TOOL };
     let query = sqlx::query_as::<Db, FactsRow>(sql)
         .bind(tool.as_str())
         .bind(at)
@@ -238,7 +251,7 @@ impl ToolWear {
         let (mut wear, behind) = Self::load_by(
             conn,
             tool,
-            "SELECT machine_id, folded, fold_version, state, version, judging_change FROM tool_wear
+            "SELECT machine_id, folded, fold_version, state, version, judging_change, ran FROM tool_wear
              WHERE tool_id = $1 ORDER BY machine_id",
         )
         .await?;
@@ -259,19 +272,29 @@ impl ToolWear {
         let judging_change = operations::last_judging_change(conn).await?;
         let rows: Vec<WearRow> =
             sqlx::query_as::<Db, _>(sql).bind(tool.as_str()).fetch_all(&mut *conn).await?;
-        let known = rows.iter().map(|row| row.judging_change).min().unwrap_or(judging_change);
-        let behind = if known < judging_change {
-            judged_otherwise_since(conn, tool, known).await?
-        } else {
-            BTreeMap::new()
-        };
-        let mut machines = BTreeMap::new();
+        let since = rows.iter().map(|row| row.judging_change).min().unwrap_or(judging_change);
+        let changes = operations::changed_since(conn, since, judging_change).await?;
+        let (mut machines, mut behind, mut untold) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
         for row in rows {
+            let machine: MachineId = id("machine_id", &row.machine_id)?;
             let fold = readable(row.fold_version, &row.state);
             let folded = number("folded", row.folded)?;
+            let ran = ran_of(row.ran.as_deref(), folded);
             let changed = row.judging_change < judging_change;
-            let cached = Cached { fold, folded, version: row.version, changed };
-            machines.insert(id("machine_id", &row.machine_id)?, cached);
+            match (&ran, changed) {
+                (Some(Ran::These(ran)), true) => {
+                    if let Some(first) = first_changed(ran, &changes, row.judging_change) {
+                        behind.insert(machine.clone(), Place::at(Timestamp::from_micros(first)));
+                    }
+                }
+                (_, true) => untold.push(machine.clone()),
+                (_, false) => {}
+            }
+            machines.insert(machine, Cached { fold, folded, ran, version: row.version, changed });
+        }
+        if !untold.is_empty() {
+            let mut told = judged_otherwise_since(conn, tool, since).await?;
+            behind.extend(untold.into_iter().filter_map(|machine| told.remove_entry(&machine)));
         }
         let (events, unplaced) = tools::placed_events(conn, tool).await?;
         let wear = Self {
@@ -323,6 +346,7 @@ impl ToolWear {
                     tool_id: self.tool.clone(),
                     folded: count("folded", cached.folded)?,
                     state: fold.to_bytes(),
+                    ran: cached.ran.as_ref().map(|ran| ran.to_bytes(cached.folded)),
                     version: cached.version,
                     judging_change: self.judging_change,
                 }));
@@ -339,9 +363,32 @@ impl ToolWear {
     }
 
     /// Keeps the fold that one machine's walk came to; it is written with [`ToolWear::take_changed`].
-    fn keep(&mut self, machine: &MachineId, fold: ToolFold, folded: u64) {
+    fn keep(&mut self, machine: &MachineId, fold: ToolFold, folded: u64, ran: Option<Ran>) {
         let version = self.machines.get(machine).map_or(0, |cached| cached.version);
-        self.machines.insert(machine.clone(), Cached { fold: Some(fold), folded, version, changed: true });
+        let cached = Cached { fold: Some(fold), folded, ran, version, changed: true };
+        self.machines.insert(machine.clone(), cached);
+    }
+
+    /// The operations that one machine's cycles ran, where that is known.
+    pub(super) fn ran(&self, machine: &MachineId) -> Option<&Ran> {
+        self.machines.get(machine)?.ran.as_ref()
+    }
+
+    /// Finds out which operations were run, where nobody noted it: once for each fold, through all of its tool's cycles.
+    async fn find_ran(&mut self, conn: &mut Conn) -> StoreResult<()> {
+        for (machine, cached) in &mut self.machines {
+            if cached.ran.is_none() && cached.fold.is_some() {
+                let found: Vec<(String, i64)> = sqlx::query_as::<Db, _>(RAN_OF_TOOL_ON_MACHINE)
+                    .bind(self.tool.as_str())
+                    .bind(machine.as_str())
+                    .fetch_all(&mut *conn)
+                    .await?;
+                let mut ran = Ran::nothing();
+                found.iter().for_each(|(operation, first)| ran.note(operation, *first));
+                (cached.ran, cached.changed) = (Some(ran), true);
+            }
+        }
+        Ok(())
     }
 
     /// Machines that have a cache.
@@ -369,13 +416,14 @@ impl ToolWear {
             && has_more(transaction.conn().await?, &self.tool, machine, new.len()).await?
         {
             // Its cache is lost, and its cycles are not.
-            let lost = Cached { fold: None, folded: 0, version: 0, changed: true };
+            let lost = Cached { fold: None, folded: 0, ran: None, version: 0, changed: true };
             self.machines.insert(machine.clone(), lost);
             return self.refold(transaction.conn().await?, machine, &BEGINNING).await;
         }
         let cached = self.machines.entry(machine.clone()).or_insert_with(|| Cached {
             fold: Some(beginning(&self.events)),
             folded: 0,
+            ran: Some(Ran::nothing()),
             version: 0,
             changed: true,
         });
@@ -383,7 +431,7 @@ impl ToolWear {
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
             return self.refold(transaction.conn().await?, machine, &Place::of(&first)).await;
         };
-        let folded = cached.folded;
+        let (folded, mut ran) = (cached.folded, cached.ran.take());
         // The machine's newest need not be the tool's.
         if self.machines.len() > 1 && !self.whole.as_ref().is_some_and(|(whole, _)| newest(whole)) {
             self.whole = None;
@@ -392,12 +440,13 @@ impl ToolWear {
         let mut walk = Walk::resume(fold, folded, &self.events);
         for row in new {
             walk.step(row)?;
+            note_ran(&mut ran, row);
             if walk.at_checkpoint() {
                 save_checkpoint(transaction.conn().await?, &self.tool, Of::Machine(machine), &walk).await?;
             }
         }
         let (folded, fold) = (walk.folded(), walk.into_fold());
-        self.keep(machine, fold, folded);
+        self.keep(machine, fold, folded, ran);
         self.count_whole(transaction, new).await
     }
 
@@ -453,6 +502,9 @@ impl ToolWear {
             forget_checkpoints(conn, &self.tool, &good).await?;
         }
         let (fold, folded) = resumed.unwrap_or_else(|| (beginning(&self.events), 0));
+        // What was noted holds for all cycles that were counted, and those that were not are gone through from here on.
+        let noted = self.machines.get(machine).and_then(|cached| cached.ran.clone());
+        let mut ran = if folded == 0 { Some(Ran::nothing()) } else { noted };
         sqlx::query::<Db>(
             "DELETE FROM tool_wear_checkpoints WHERE machine_id = $1 AND tool_id = $2 AND folded > $3",
         )
@@ -469,13 +521,14 @@ impl ToolWear {
             }
             for row in &page {
                 walk.step(row)?;
+                note_ran(&mut ran, row);
                 if walk.at_checkpoint() {
                     save_checkpoint(conn, &self.tool, Of::Machine(machine), &walk).await?;
                 }
             }
         }
         let (folded, fold) = (walk.folded(), walk.into_fold());
-        self.keep(machine, fold, folded);
+        self.keep(machine, fold, folded, ran);
         Ok(())
     }
 
@@ -551,17 +604,22 @@ pub(super) enum Of<'a> {
     All,
 }
 
+/// Up to so many cycles of a tool on one machine are counted.
+pub(in super::super) const FIRST_OF_TOOL_ON_MACHINE: &str = concat!(
+    "SELECT CAST(COUNT(*) AS BIGINT) FROM (
+         SELECT 1 FROM cycles WHERE tool_id = $1 AND ",
+    dialect::checked!("machine_id"),
+    " = $2 LIMIT $3) AS first"
+);
+
 /// Whether a tool has more cycles of a machine than these, which are stored by now.
 async fn has_more(conn: &mut Conn, tool: &ToolId, machine: &MachineId, these: usize) -> StoreResult<bool> {
-    let found: i64 = sqlx::query_scalar::<Db, _>(
-        "SELECT CAST(COUNT(*) AS BIGINT) FROM (
-             SELECT 1 FROM cycles WHERE tool_id = $1 AND machine_id = $2 LIMIT $3) AS first",
-    )
-    .bind(tool.as_str())
-    .bind(machine.as_str())
-    .bind(count("these", these as u64 + 1)?)
-    .fetch_one(&mut *conn)
-    .await?;
+    let found: i64 = sqlx::query_scalar::<Db, _>(FIRST_OF_TOOL_ON_MACHINE)
+        .bind(tool.as_str())
+        .bind(machine.as_str())
+        .bind(count("these", these as u64 + 1)?)
+        .fetch_one(&mut *conn)
+        .await?;
     Ok(found > count("these", these as u64)?)
 }
 
@@ -725,95 +783,210 @@ pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) ->
     wear.verdict(conn).await
 }
 
-/// Whether a row of `tool_wear` is of a tool that ran, on its machine, what changed since.
-macro_rules! judged_otherwise {
-    () => {
-        "EXISTS (SELECT 1 FROM cycles c WHERE c.tool_id = w.tool_id AND c.machine_id = w.machine_id
-             AND c.operation_id IN (SELECT o.operation_id FROM operations o WHERE o.judging_change > w.judging_change))"
-    };
+/// What is noted of the operations that a fold's cycles ran, where it is of as many cycles as the fold: a server of before counts
+/// cycles and notes nothing.
+fn ran_of(noted: Option<&[u8]>, folded: u64) -> Option<Ran> {
+    Ran::from_bytes(noted?, folded)
 }
 
-/// From where on a tool's cycles are judged otherwise than before the changes of operations after one of a number, by machine.
+/// Notes the operation of a cycle that is counted.
+fn note_ran(ran: &mut Option<Ran>, row: &FactsRow) {
+    if let Some(ran) = ran {
+        ran.note(&row.operation_id, row.started_at_us);
+    }
+}
+
+/// When the first cycle began that ran an operation which changed after a number, of those that are noted.
+fn first_changed(ran: &BTreeMap<String, i64>, changes: &BTreeMap<String, i64>, since: i64) -> Option<i64> {
+    let changed = |operation: &String| changes.get(operation).is_some_and(|change| *change > since);
+    ran.iter().filter(|(operation, _)| changed(operation)).map(|(_, first)| *first).min()
+}
+
+/// Which operations a tool's cycles on a machine ran, each with when the first of them began.
+pub(in super::super) const RAN_OF_TOOL_ON_MACHINE: &str = concat!(
+    "SELECT operation_id, MIN(started_at_us) FROM cycles WHERE tool_id = $1 AND ",
+    dialect::checked!("machine_id"),
+    " = $2 GROUP BY ",
+    dialect::checked!("operation_id"),
+);
+
+/// From when on a tool's cycles ran what changed after a number, by machine.
+pub(in super::super) const JUDGED_OTHERWISE: &str = concat!(
+    "SELECT machine_id, MIN(started_at_us) FROM cycles WHERE tool_id = $1 AND ",
+    dialect::checked!("operation_id"),
+    " IN (SELECT operation_id FROM operations WHERE judging_change > $2) GROUP BY ",
+    dialect::checked!("machine_id"),
+);
+
+/// From where on a tool's cycles are judged otherwise than before the changes of operations after one of a number, by machine: where
+/// it is not noted which operations they ran, all of them are gone through.
 async fn judged_otherwise_since(
     conn: &mut Conn,
     tool: &ToolId,
     judging_change: i64,
 ) -> StoreResult<BTreeMap<MachineId, Place>> {
-    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
-        "SELECT machine_id, MIN(started_at_us) FROM cycles
-         WHERE tool_id = $1 AND operation_id IN (SELECT operation_id FROM operations WHERE judging_change > $2)
-         GROUP BY machine_id",
-    )
-    .bind(tool.as_str())
-    .bind(judging_change)
-    .fetch_all(&mut *conn)
-    .await?;
+    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(JUDGED_OTHERWISE)
+        .bind(tool.as_str())
+        .bind(judging_change)
+        .fetch_all(&mut *conn)
+        .await?;
     let places = rows
         .iter()
         .map(|(machine, first)| Ok((id("machine_id", machine)?, Place::at(Timestamp::from_micros(*first)))));
     places.collect()
 }
 
-/// Folds that are looked at in one statement: of each all cycles of its tool may be.
-const LOOKED_AT: i64 = 50;
+/// Folds that are looked at in one statement, and written in one transaction.
+const LOOKED_AT: i64 = 100;
+
+/// Behind every machine of a tool, as identifiers are of ASCII.
+const BEHIND_MACHINES: &str = "~";
+
+/// The next folds with what they have gone along with: rows of folds alone, never of cycles. Where tools begin stands twice, as PostgreSQL
+/// else goes through all of those before.
+pub(in super::super) const LOOK: &str =
+    "SELECT w.tool_id, w.machine_id, w.fold_version, w.folded, w.judging_change, w.ran,
+         CAST(CASE WHEN t.tool_id IS NULL THEN 0 ELSE 1 END AS BIGINT) AS registered
+     FROM tool_wear w LEFT JOIN tools t ON t.tool_id = w.tool_id AND t.tool_id >= $1
+     WHERE (w.tool_id, w.machine_id) > ($1, $2) ORDER BY w.tool_id, w.machine_id LIMIT $3";
+
+#[derive(sqlx::FromRow)]
+struct LookRow {
+    tool_id: String,
+    machine_id: String,
+    fold_version: i64,
+    folded: i64,
+    judging_change: i64,
+    ran: Option<Vec<u8>>,
+    registered: i64,
+}
+
+/// Where a fold stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Standing {
+    /// Nothing is to be done; or a newer server wrote it, which judges by it.
+    UpToDate,
+    /// It is behind changes of operations that its cycles never ran: whatever is counted in it later is judged by what is in force then.
+    Unchanged,
+    /// Earlier rules made it, or it is behind a change of an operation that its cycles ran.
+    Outdated,
+    /// It is not noted which operations its cycles ran.
+    Unnoted,
+}
+
+/// Some folds in the order of tools and machines, and where they stand.
+struct Look {
+    rows: Vec<(LookRow, Standing)>,
+    judging_change: i64,
+}
+
+impl Look {
+    async fn after(conn: &mut Conn, after: (&str, &str)) -> StoreResult<Self> {
+        let judging_change = operations::last_judging_change(conn).await?;
+        let rows: Vec<LookRow> = sqlx::query_as::<Db, _>(LOOK)
+            .bind(after.0)
+            .bind(after.1)
+            .bind(LOOKED_AT)
+            .fetch_all(&mut *conn)
+            .await?;
+        let since = rows.iter().map(|row| row.judging_change).min().unwrap_or(judging_change);
+        let changes = operations::changed_since(conn, since, judging_change).await?;
+        let rows = rows.into_iter().map(|row| {
+            let ran = ran_of(row.ran.as_deref(), number("folded", row.folded)?);
+            let standing = match (row.fold_version - i64::from(FOLD_VERSION), ran) {
+                (..0, _) => Standing::Outdated,
+                (1.., _) => Standing::UpToDate,
+                (0, None) => Standing::Unnoted,
+                (0, _) if row.judging_change >= judging_change => Standing::UpToDate,
+                (0, Some(Ran::These(ran))) if first_changed(&ran, &changes, row.judging_change).is_none() => {
+                    Standing::Unchanged
+                }
+                (0, Some(_)) => Standing::Outdated,
+            };
+            Ok((row, standing))
+        });
+        Ok(Self { rows: rows.collect::<StoreResult<_>>()?, judging_change })
+    }
+
+    fn last(&self) -> StoreResult<Option<FoldKey>> {
+        let Some((row, _)) = self.rows.last() else { return Ok(None) };
+        Ok(Some((id("tool_id", &row.tool_id)?, id("machine_id", &row.machine_id)?)))
+    }
+}
+
+/// Behind which folds a look begins.
+#[derive(Debug, Clone)]
+pub(super) enum After {
+    Nothing,
+    Tool(ToolId),
+    Fold(FoldKey),
+}
+
+impl After {
+    fn key(&self) -> (&str, &str) {
+        match self {
+            Self::Nothing => ("", ""),
+            Self::Tool(tool) => (tool.as_str(), BEHIND_MACHINES),
+            Self::Fold((tool, machine)) => (tool.as_str(), machine.as_str()),
+        }
+    }
+}
+
+/// Cycles of a fold that is made anew while somebody waits for an answer, at most: it is made in one transaction, which nobody breaks off.
+const AT_ONCE: i64 = 10_000;
+
+/// Who looks for outdated folds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Looks {
+    /// An answer that waits: longer folds, and those of which it is not noted what they ran, are left to who makes folds anew in the background.
+    AtOnce,
+    InBackground,
+}
 
 /// What a look for outdated folds came to.
 pub(super) enum Looked {
     /// The next tool that has one.
     Found(ToolId),
-    /// There is none up to this tool.
-    NoneUpTo(ToolId),
+    /// There is none up to this fold.
+    NoneUpTo(FoldKey),
     /// There is none any more.
     End,
 }
 
-/// Looks at the next registered tools after `after` for a fold that an earlier version of the rules made, or that is behind a change of an
-/// operation which its tool ran. One of a later version is a newer server's, which judges by it.
-pub(super) async fn next_outdated(conn: &mut Conn, after: Option<&ToolId>) -> StoreResult<Looked> {
-    let judging_change = operations::last_judging_change(conn).await?;
-    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(concat!(
-        "SELECT w.tool_id, CAST(CASE WHEN w.fold_version < $1 OR ",
-        judged_otherwise!(),
-        " THEN 1 ELSE 0 END AS BIGINT)
-         FROM tool_wear w JOIN tools t ON t.tool_id = w.tool_id
-         WHERE (w.fold_version < $1 OR w.fold_version = $1 AND w.judging_change < $3)
-           AND w.tool_id > $2 AND t.tool_id > $2 ORDER BY w.tool_id LIMIT $4"
-    ))
-    .bind(i64::from(FOLD_VERSION))
-    .bind(after.map_or("", ToolId::as_str))
-    .bind(judging_change)
-    .bind(LOOKED_AT)
-    .fetch_all(&mut *conn)
-    .await?;
-    if let Some((tool, _)) = rows.iter().find(|(_, outdated)| *outdated == 1) {
-        return Ok(Looked::Found(id("tool_id", tool)?));
+/// Looks at the next folds for one of a registered tool that an earlier version of the rules made, that is behind a change of an operation
+/// which its cycles ran, or of which nobody has noted what they ran.
+pub(super) async fn next_outdated(conn: &mut Conn, after: &After, looks: Looks) -> StoreResult<Looked> {
+    let look = Look::after(conn, after.key()).await?;
+    let wanted = |(row, standing): &&(LookRow, Standing)| {
+        let is_due = match looks {
+            Looks::AtOnce => *standing == Standing::Outdated && row.folded <= AT_ONCE,
+            Looks::InBackground => matches!(standing, Standing::Outdated | Standing::Unnoted),
+        };
+        row.registered == 1 && is_due
+    };
+    if let Some((row, _)) = look.rows.iter().find(wanted) {
+        return Ok(Looked::Found(id("tool_id", &row.tool_id)?));
     }
-    let Some((last, _)) = rows.last() else { return Ok(Looked::End) };
-    // Of the last one there may be more machines, where a page is full.
-    let is_full = count("rows", rows.len() as u64)? == LOOKED_AT;
-    let whole = rows.iter().rev().map(|(tool, _)| tool).find(|tool| is_full && *tool != last);
-    Ok(Looked::NoneUpTo(id("tool_id", whole.unwrap_or(last))?))
+    Ok(look.last()?.map_or(Looked::End, Looked::NoneUpTo))
 }
 
-/// Machine and tool of the next folds that are behind a change of an operation which their tools never ran, and the number of that change:
-/// whatever is counted in them later is judged by what is in force then.
-pub(super) async fn next_unchanged(
-    conn: &mut Conn,
-    after: &str,
-) -> StoreResult<(i64, Vec<(String, String)>)> {
-    let judging_change = operations::last_judging_change(conn).await?;
-    let rows = sqlx::query_as::<Db, _>(concat!(
-        "SELECT w.machine_id, w.tool_id FROM tool_wear w
-         WHERE w.judging_change < $1 AND w.tool_id > $2 AND NOT ",
-        judged_otherwise!(),
-        " ORDER BY w.tool_id LIMIT $3"
-    ))
-    .bind(judging_change)
-    .bind(after)
-    .bind(LOOKED_AT)
-    .fetch_all(&mut *conn)
-    .await?;
-    Ok((judging_change, rows))
+/// Some folds that need not follow a change.
+pub(super) struct Unchanged {
+    /// The last fold that was looked at.
+    pub(super) last: FoldKey,
+    /// Machine and tool of those that need not.
+    pub(super) folds: Vec<(String, String)>,
+    /// The number of the change.
+    pub(super) judging_change: i64,
+}
+
+/// Looks at the next folds for those that are behind a change of an operation which their cycles never ran. `None` behind the last.
+pub(super) async fn next_unchanged(conn: &mut Conn, after: &After) -> StoreResult<Option<Unchanged>> {
+    let look = Look::after(conn, after.key()).await?;
+    let Some(last) = look.last()? else { return Ok(None) };
+    let unchanged = look.rows.into_iter().filter(|(_, standing)| *standing == Standing::Unchanged);
+    let folds = unchanged.map(|(row, _)| (row.machine_id, row.tool_id)).collect();
+    Ok(Some(Unchanged { last, folds, judging_change: look.judging_change }))
 }
 
 /// Writes to folds that they have gone along with a change; their versions stay, as nothing else is otherwise.
@@ -835,8 +1008,8 @@ pub(super) async fn note_unchanged(
     Ok(())
 }
 
-/// Makes a tool's folds of earlier versions anew, and those that are behind a change of an operation; the tool's name is locked by
-/// then. `None` where there are none.
+/// Makes a tool's folds of earlier versions anew, and those that are behind a change of an operation, and notes which operations their
+/// cycles ran where nobody did; the tool's name is locked by then. `None` where there are none.
 pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Option<Verdict>> {
     let outdated: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
         "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version < $2
@@ -852,6 +1025,7 @@ pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> Sto
         let from = if *version == BEHIND { END } else { BEGINNING };
         wear.refold(conn, &id("machine_id", machine)?, &from).await?;
     }
+    wear.find_ran(conn).await?;
     let changed = wear.take_changed()?;
     if changed.is_empty() {
         return Ok(None);

@@ -289,8 +289,16 @@ pub(super) async fn read_as_stored(conn: &mut Conn) -> StoreResult<()> {
 /// A tool's caches. The tool's name is locked by then: rows of several machines stand on several nodes where the
 /// database is distributed, and cannot be locked together there.
 pub(super) const WEAR_OF_TOOL_LOCKED: &str =
-    "SELECT machine_id, folded, fold_version, state, version, judging_change FROM tool_wear
+    "SELECT machine_id, folded, fold_version, state, version, judging_change, ran FROM tool_wear
      WHERE tool_id = $1 ORDER BY machine_id";
+
+/// A column that rows are held against. The planner knows how long histories are, and Citus asks the machine's node alone.
+macro_rules! checked {
+    ($column:literal) => {
+        $column
+    };
+}
+pub(super) use checked;
 
 /// Whether what is read of several machines is of one moment. Where Citus distributes the database, a worker may show a commit later
 /// than it was told: a state over all machines would have left out what then comes before it.

@@ -27,6 +27,8 @@ pub(crate) struct SavedWear {
     pub(crate) version: i64,
     /// Number of the last change of an operation that it has gone along with.
     pub(crate) judging_change: i64,
+    /// Which operations its cycles ran, where that is known.
+    pub(crate) ran: Option<Vec<u8>>,
 }
 
 /// A row of `cycle_samples`, with its block.

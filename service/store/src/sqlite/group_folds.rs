@@ -100,31 +100,42 @@ impl Folds {
 fn write(conn: &Connection, row: &SavedWear, at: Timestamp, stored: i64) -> StoreResult<()> {
     let (state, at, version) = (state::pack(&row.state), at.micros(), row.version + 1);
     let (machine, tool) = (row.machine_id.as_str(), row.tool_id.as_str());
-    let written =
-        if stored > 0 {
-            conn.prepare_cached(
+    let written = if stored > 0 {
+        conn.prepare_cached(
             "UPDATE tool_wear SET folded = ?, fold_version = ?, state = ?, updated_at_us = ?, version = ?,
-                 judging_change = ?
+                 judging_change = ?, ran = ?
              WHERE machine_id = ? AND tool_id = ? AND version = ?",
         )?
-        .execute((row.folded, FOLD_VERSION, state, at, version, row.judging_change, machine, tool, stored))?
-        } else {
-            conn.prepare_cached(
-                "INSERT INTO tool_wear (folded, fold_version, state, updated_at_us, version, judging_change,
-                 machine_id, tool_id)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-            )?
-            .execute((
-                row.folded,
-                FOLD_VERSION,
-                state,
-                at,
-                version,
-                row.judging_change,
-                machine,
-                tool,
-            ))?
-        };
+        .execute((
+            row.folded,
+            FOLD_VERSION,
+            state,
+            at,
+            version,
+            row.judging_change,
+            &row.ran,
+            machine,
+            tool,
+            stored,
+        ))?
+    } else {
+        conn.prepare_cached(
+            "INSERT INTO tool_wear (folded, fold_version, state, updated_at_us, version, judging_change,
+                 ran, machine_id, tool_id)
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        )?
+        .execute((
+            row.folded,
+            FOLD_VERSION,
+            state,
+            at,
+            version,
+            row.judging_change,
+            &row.ran,
+            machine,
+            tool,
+        ))?
+    };
     if written != 1 {
         // Its cycles would be stored and not counted.
         return Err(StoreError::Damaged { what: format!("the fold of tool {} is gone", row.tool_id) });

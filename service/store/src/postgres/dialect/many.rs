@@ -57,12 +57,13 @@ const BLOCKS: &str = "INSERT INTO cycle_samples (machine_id, received_at_us, cyc
 /// Folds, see [`bind_wear`]: each over the very version that it was made of. Locks see to that; where a database of several nodes
 /// shows a commit later than it was told, a newer fold must not be lost all the same.
 const WEAR: &str =
-    "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us, judging_change)
-     SELECT machine_id, tool_id, folded, $6, state, version + 1, $7, judging_change
-     FROM UNNEST($1, $2, $3, $4, $5, $8) AS saved (machine_id, tool_id, folded, state, version, judging_change)
+    "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us, judging_change, ran)
+     SELECT machine_id, tool_id, folded, $6, state, version + 1, $7, judging_change, ran
+     FROM UNNEST($1, $2, $3, $4, $5, $8, $9) AS saved (machine_id, tool_id, folded, state, version, judging_change, ran)
      ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
          fold_version = excluded.fold_version, state = excluded.state, version = excluded.version,
-         updated_at_us = excluded.updated_at_us, judging_change = excluded.judging_change
+         updated_at_us = excluded.updated_at_us, judging_change = excluded.judging_change,
+         ran = excluded.ran
      WHERE tool_wear.version = excluded.version - 1
      RETURNING version";
 
@@ -116,6 +117,7 @@ fn bind_wear<'q>(query: Bound<'q>, rows: &'q [Arc<SavedWear>], now: Timestamp) -
         .bind(i64::from(FOLD_VERSION))
         .bind(now.micros())
         .bind(rows.iter().map(|row| row.judging_change).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.ran.as_deref()).collect::<Vec<_>>())
 }
 
 fn bind_recommendations<'q>(query: Bound<'q>, rows: &'q [IssuedRow]) -> Bound<'q> {
@@ -209,7 +211,7 @@ mod tests {
             .collect();
         let mut sorted = numbers.clone();
         sorted.sort_unstable();
-        assert_eq!(sorted, (1..=31).collect::<Vec<_>>(), "each once");
+        assert_eq!(sorted, (1..=32).collect::<Vec<_>>(), "each once");
         assert_eq!(numbered_after("SELECT $2, $1, '' WHERE $10", 3), "SELECT $5, $4, '' WHERE $13");
     }
 }

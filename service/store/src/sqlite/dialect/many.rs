@@ -192,11 +192,12 @@ pub(crate) async fn insert_blocks(conn: &mut Conn, rows: &[BlockRow<'_>]) -> Sto
 
 static WEAR: LazyLock<Statements> = LazyLock::new(|| {
     Statements::new(
-        "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us, judging_change) VALUES ",
-        "(?,?,?,?,?,1,?,?)",
+        "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us, judging_change, ran) VALUES ",
+        "(?,?,?,?,?,1,?,?,?)",
         " ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
              fold_version = excluded.fold_version, state = excluded.state, version = tool_wear.version + 1,
-             updated_at_us = excluded.updated_at_us, judging_change = excluded.judging_change",
+             updated_at_us = excluded.updated_at_us, judging_change = excluded.judging_change,
+             ran = excluded.ran",
     )
 });
 
@@ -209,7 +210,8 @@ fn bind_wear(mut query: Query, rows: &[Arc<SavedWear>], now: Timestamp) -> Query
             .bind(i64::from(FOLD_VERSION))
             .bind(state::pack(&row.state))
             .bind(now.micros())
-            .bind(row.judging_change);
+            .bind(row.judging_change)
+            .bind(row.ran.clone());
     }
     query
 }
