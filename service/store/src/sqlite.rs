@@ -18,6 +18,8 @@ mod group_writer;
 mod journal;
 mod kept;
 mod open;
+#[cfg(test)]
+mod plans;
 mod readers;
 pub(crate) mod recommendation_id;
 mod writing;
@@ -84,6 +86,8 @@ struct Inner {
     max_samples: usize,
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
+    /// Of which machine samples were dropped last, where a run is at it.
+    dropping: Slot<String>,
     recent: Arc<Recent>,
     alone: bool,
 }
@@ -100,6 +104,10 @@ impl SqliteStore {
 
     fn memory(&self) -> &Slot<engine::Memory> {
         &self.inner.memory
+    }
+
+    fn dropping(&self) -> &Slot<String> {
+        &self.inner.dropping
     }
 
     /// What is kept of tools that were asked for: one snapshot tells what is counted and what is stored.
