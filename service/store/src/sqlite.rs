@@ -19,7 +19,7 @@ mod journal;
 mod kept;
 mod open;
 #[cfg(test)]
-mod plans;
+pub(crate) mod plans;
 mod readers;
 pub(crate) mod recommendation_id;
 mod writing;

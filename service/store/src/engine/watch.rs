@@ -4,7 +4,7 @@
 //! round raises and clears them. `now` is one clock's for all servers on the database, and never earlier than it was for the
 //! round before: who is silent does not depend on who asks.
 
-use super::{CLOCK_AHEAD_US, Conn, Db, alarms, dialect};
+use super::{CLOCK_AHEAD_US, Conn, Db, alarms, dialect, quarantine};
 use crate::error::StoreResult;
 use crate::past;
 use crate::record::{
@@ -39,7 +39,7 @@ pub(super) async fn round(
     }
     note(conn, heard, now).await?;
     let machines = silence(conn, settings, now).await?;
-    let quarantine = quarantine(conn, settings, now).await?;
+    let quarantine = filled(conn, settings, now).await?;
     let alarms = open_alarms(conn).await?;
     Ok(Round { machines, quarantine, alarms, last_backup_at: last_backup(conn).await? })
 }
@@ -115,17 +115,8 @@ fn minutes(ms: i64) -> String {
     if ms % 60_000 == 0 { format!("{} min", ms / 60_000) } else { format!("{} s", ms / 1000) }
 }
 
-async fn quarantine(
-    conn: &mut Conn,
-    settings: &WatchSettings,
-    now: Timestamp,
-) -> StoreResult<QuarantineFill> {
-    let (entries, bytes): (i64, i64) = sqlx::query_as::<Db, _>(
-        "SELECT COUNT(*), CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine
-         WHERE settled_at_us IS NULL",
-    )
-    .fetch_one(&mut *conn)
-    .await?;
+async fn filled(conn: &mut Conn, settings: &WatchSettings, now: Timestamp) -> StoreResult<QuarantineFill> {
+    let (entries, bytes) = quarantine::count_filled(conn).await?;
     let fill = QuarantineFill {
         entries: number("entries", entries)?,
         bytes: number("bytes", bytes)?,

@@ -161,7 +161,8 @@ pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
              ('tool_checkpoints', 'SELECT'), ('tool_checkpoints', 'INSERT'), ('tool_checkpoints', 'UPDATE'), ('tool_checkpoints', 'DELETE'),
              ('advices', 'SELECT'), ('advices', 'INSERT'), ('recommendations', 'SELECT'), ('recommendations', 'INSERT'),
              ('machine_contacts', 'SELECT'), ('machine_contacts', 'INSERT'), ('machine_contacts', 'UPDATE'), ('alarms', 'SELECT'), ('alarms', 'INSERT'),
-             ('alarms', 'UPDATE'), ('quarantine', 'SELECT'), ('quarantine', 'INSERT'), ('quarantine', 'UPDATE')) AS t (name, needed)
+             ('alarms', 'UPDATE'), ('quarantine', 'SELECT'), ('quarantine', 'INSERT'), ('quarantine', 'UPDATE'),
+             ('quarantine_fill', 'SELECT'), ('quarantine_fill', 'INSERT'), ('quarantine_fill', 'UPDATE')) AS t (name, needed)
          WHERE NOT has_table_privilege(name, needed) OR row_security_active(name)",
     )
     .fetch_all(&mut *conn)

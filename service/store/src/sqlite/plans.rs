@@ -3,7 +3,7 @@
 use super::open::MIGRATIONS;
 
 /// What a statement looks into and whether it sorts, one behind the other, in a database as the migrations make it.
-pub(super) fn plan(sql: &str) -> Vec<String> {
+pub(crate) fn plan(sql: &str) -> Vec<String> {
     let conn = rusqlite::Connection::open_in_memory().unwrap();
     for migration in MIGRATIONS.iter() {
         conn.execute_batch(migration.sql.as_str()).unwrap();
