@@ -45,6 +45,7 @@ COMMIT;
 -- local: audit
 -- local: quarantine
 -- local: quarantine_claims
+-- local: quarantine_fill
 -- local: tokens
 -- local: machine_contacts
 -- local: tool_checkpoints

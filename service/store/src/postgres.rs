@@ -118,6 +118,8 @@ struct Inner {
     clock: CommonClock,
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
+    /// Of which machine samples were dropped last, where a run is at it.
+    dropping: Slot<String>,
 }
 
 /// What a server says that is there.
@@ -167,6 +169,10 @@ impl PostgresStore {
 
     fn memory(&self) -> &Slot<engine::Memory> {
         &self.inner.memory
+    }
+
+    fn dropping(&self) -> &Slot<String> {
+        &self.inner.dropping
     }
 
     /// Nothing is kept of tools that were asked for: with Citus, what is counted on one worker and what is stored on

@@ -19,7 +19,7 @@ mod journal;
 mod kept;
 mod open;
 #[cfg(test)]
-mod plans;
+pub(crate) mod plans;
 mod readers;
 pub(crate) mod recommendation_id;
 mod writing;
@@ -86,6 +86,8 @@ struct Inner {
     max_samples: usize,
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
+    /// Of which machine samples were dropped last, where a run is at it.
+    dropping: Slot<String>,
     recent: Arc<Recent>,
     alone: bool,
 }
@@ -102,6 +104,10 @@ impl SqliteStore {
 
     fn memory(&self) -> &Slot<engine::Memory> {
         &self.inner.memory
+    }
+
+    fn dropping(&self) -> &Slot<String> {
+        &self.inner.dropping
     }
 
     /// What is kept of tools that were asked for: one snapshot tells what is counted and what is stored.

@@ -35,11 +35,12 @@ pub(crate) mod damaged_rows {
 }
 
 /// Tables that belong to the program and not to the data.
-const LEFT_OUT: [&str; 9] = [
+const LEFT_OUT: [&str; 10] = [
     "_sqlx_migrations",
     "write_probe",
     "last_backup",
     "retention_clock",
+    "quarantine_fill",
     "backup_sums",
     "backup_made",
     "groups_journal",

@@ -1,6 +1,6 @@
 //! Alarms are raised and cleared with what they tell of.
 
-use super::given::{Run, at, engineer, event, machine, shop, stored, stories};
+use super::given::{Given, Run, at, engineer, event, machine, shop, stored, stories};
 use feedwright_core::cycle::Flag;
 use feedwright_core::ids::MachineId;
 use feedwright_core::tool::ToolEventKind;
@@ -93,6 +93,43 @@ async fn an_overload_waits_for_a_person(store: Arc<dyn Store>) {
     assert_eq!(rest, all[1..]);
     let elsewhere = AlarmFilter { machine: Some("M2".try_into().unwrap()), ..AlarmFilter::default() };
     assert_eq!(store.alarms(&elsewhere, Page { after: None, limit: 100 }).await.unwrap(), []);
+}
+
+/// Who asks for a machine's or a tool's alarms, as the fleet does for one machine, goes through no others, open or cleared.
+#[tokio::test]
+async fn alarms_of_a_machine_or_a_tool_are_read_alone() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = &*given.store();
+    shop(store).await;
+    let others = "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us, cleared_at_us)
+                  SELECT 'overload', 'M' || n % 60, 'T' || n / 60 % 100, 'm', n, CASE WHEN n % 3 < 2 THEN n END
+                  FROM generate_series(1, 6000) AS n";
+    assert_eq!(given.raw(others).await.unwrap(), 6000);
+    given.raw("ANALYZE alarms").await.unwrap();
+    stored(store, &Run { load: 450.0, ..Run::nth(1) }).await;
+    let (machine, tool): (MachineId, _) = ("M1".try_into().unwrap(), "T1".try_into().unwrap());
+    let of_machine = AlarmFilter { open: Some(true), machine: Some(machine.clone()), tool: None };
+    let of_tool = AlarmFilter { open: Some(true), machine: None, tool: Some(tool) };
+    let of_both = AlarmFilter { machine: Some(machine.clone()), ..of_tool.clone() };
+    for (filter, open) in [(of_machine.clone(), 1), (of_tool.clone(), 21), (of_both, 1)] {
+        let page = Page { after: None, limit: 100 };
+        assert_eq!(store.alarms(&filter, page).await.unwrap().len(), open, "{filter:?}");
+    }
+    for filter in [of_machine, of_tool].map(|filter| AlarmFilter { open: Some(false), ..filter }) {
+        let page = Page { after: None, limit: 9 };
+        assert_eq!(store.alarms(&filter, page).await.unwrap().len(), 9, "{filter:?}");
+    }
+    // A page of those that are open.
+    let open = AlarmFilter { open: Some(true), ..AlarmFilter::default() };
+    assert_eq!(store.alarms(&open, Page { after: Some(3000), limit: 9 }).await.unwrap()[0].id, 3002);
+    let row = store.fleet_machine(&machine, 5).await.unwrap().unwrap();
+    assert_eq!(row.alarms.len(), 1);
+    let read = given.read_of("alarms").await;
+    // 2,000 are open, and 6,000 were; a machine has 100 of them, a tool 60.
+    assert!(read < 300, "{read}");
+    given.done().await;
 }
 
 /// What each list has is held against that of all.

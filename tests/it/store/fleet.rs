@@ -1,6 +1,6 @@
 //! The fleet at a glance, and sessions of browsers.
 
-use super::given::{Run, at, commit, engineer, event, machine, mounted, operation, shop, stories};
+use super::given::{Given, Run, at, commit, engineer, event, machine, mounted, operation, shop, stories};
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::wear::ToolState;
 use feedwright_store::{Page, Precondition, Role, SessionRecord, Store, TokenRecord};
@@ -11,6 +11,33 @@ stories!(
     a_glance_at_energies_is_of_this_life_and_each_over_what_it_is_compared_with,
     a_session_is_found_with_its_token_and_the_oldest_makes_room,
 );
+
+mod tables {
+    super::stories!(with tables: the_alarms_of_a_machine_are_shown_however_many_others_are_open);
+    use super::the_alarms_of_a_machine_are_shown_however_many_others_are_open;
+}
+
+/// Those of a machine that were raised last, behind more than a list of all would hold.
+async fn the_alarms_of_a_machine_are_shown_however_many_others_are_open(given: &Given) {
+    let store = &*given.store();
+    shop(store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    let alarms = async || -> Vec<usize> {
+        let rows = store.fleet(Page { after: None, limit: 10 }, 5).await.unwrap();
+        rows.iter().map(|row| row.alarms.len()).collect()
+    };
+    let raised = "INSERT INTO alarms (kind, machine_id, message, raised_at_us) VALUES ('machine_silent', 'M2', 'm', 1)";
+    given.raw(raised).await.unwrap();
+    assert_eq!(alarms().await, [0, 1]);
+    let others = "INSERT INTO alarms (kind, machine_id, message, raised_at_us)
+                  WITH RECURSIVE numbers (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM numbers WHERE n < 2500)
+                  SELECT 'machine_silent', 'X' || n, 'm', n FROM numbers";
+    assert_eq!(given.raw(others).await.unwrap(), 2500);
+    given.raw("INSERT INTO alarms (kind, machine_id, message, raised_at_us) VALUES ('quarantine', 'M1', 'm', 1)").await.unwrap();
+    assert_eq!(alarms().await, [1, 1]);
+    let alone = store.fleet_machine(&"M1".try_into().unwrap(), 5).await.unwrap().unwrap();
+    assert_eq!(alone.alarms.len(), 1);
+}
 
 async fn the_fleet_tells_of_every_machine_its_newest_cycles_and_its_tool(store: Arc<dyn Store>) {
     shop(&*store).await;

@@ -206,6 +206,23 @@ impl Given {
         .unwrap()
     }
 
+    /// Rows and entries of indexes that servers on PostgreSQL have read of a table, by name: whoever ends tells what it did. Closes the store.
+    pub(crate) async fn read_of(&self, table: &str) -> i64 {
+        self.store.close().await;
+        let mut conn = PgConnection::connect(&self.address()).await.unwrap();
+        let others = "SELECT count(*) FROM pg_stat_activity
+                      WHERE datname = current_database() AND pid <> pg_backend_pid() AND backend_type = 'client backend'";
+        while sqlx::query_scalar::<_, i64>(others).fetch_one(&mut conn).await.unwrap() > 0 {
+            tokio::task::yield_now().await;
+        }
+        let read = sqlx::query_scalar(
+            "SELECT CAST(seq_tup_read + (SELECT COALESCE(SUM(idx_tup_read), 0) FROM pg_stat_user_indexes i
+                                         WHERE i.relid = t.relid) AS BIGINT)
+             FROM pg_stat_user_tables t WHERE relname = $1",
+        );
+        read.bind(table).fetch_one(&mut conn).await.unwrap()
+    }
+
     async fn sqlite_tables(&self) -> SqliteConnection {
         let Place::File(folder) = &self.place else { unreachable!("only a file has these") };
         // Who reads by the store has what was acknowledged committed; who reads beside it does not. A store that is closed

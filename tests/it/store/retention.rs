@@ -27,6 +27,7 @@ stories!(
     what_goes_while_a_decision_is_taken_back_is_told_too,
     what_is_committed_after_a_decision_was_taken_back_is_kept,
     a_clock_that_is_not_set_yet_takes_nothing_back,
+    a_step_goes_on_where_the_last_one_was_and_leaves_no_machine_out,
 );
 
 const DAY: i64 = 86_400;
@@ -580,6 +581,80 @@ async fn each_machine_has_its_decisions(given: &Given) {
     let checked = store.check_cycles(None, 100).await.unwrap();
     let faults: Vec<_> = checked.faults.iter().map(|fault| (fault.kind, fault.key.as_str())).collect();
     assert_eq!((checked.dropped, faults.as_slice()), (gone, [("samples", "M2/c00005")].as_slice()));
+}
+
+/// What a step costs is no matter of how many decisions there ever were.
+#[tokio::test]
+async fn a_step_reads_the_newest_decisions_and_no_others() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = &*given.store();
+    year(store).await;
+    for n in 2..=40 {
+        let registered = super::given::machine(&format!("M{n}"));
+        store.put_machine(registered, Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    }
+    assert_eq!(store.decide_drops(days(1), at(1000 * DAY)).await.unwrap().len(), 1);
+    let decided = "INSERT INTO sample_drops (machine_id, before_us, dropped_at_us, reason, cycles, bytes)
+                   SELECT 'M' || machine, day, day, 'age', 1, 1
+                   FROM generate_series(1, 40) AS machine, generate_series(1, 365) AS day";
+    assert_eq!(given.raw(decided).await.unwrap(), 40 * 365);
+    given.raw("ANALYZE sample_drops").await.unwrap();
+    for step in 0..10 {
+        assert_eq!(store.drop_some(1).await.unwrap().cycles, 1, "{step}");
+    }
+    assert_eq!(store.drop_some(1).await.unwrap(), Dropped::default());
+    let read = given.read_of("sample_drops").await;
+    // A run looks once for each machine, and some times for each step; it went through 14,600 for each of them.
+    assert!(read < 500, "{read}");
+    given.done().await;
+}
+
+/// Steps remember the machine that they were at; in which order machines are gone through is not changed by that, nor is any left out.
+async fn a_step_goes_on_where_the_last_one_was_and_leaves_no_machine_out(store: Arc<dyn Store>) {
+    let store = &*store;
+    year(store).await;
+    for id in ["M0", "M2"] {
+        store.put_machine(super::given::machine(id), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    }
+    let of = |machine: &'static str, n: u32| Run { machine, seconds: i64::from(n) * 30 * DAY, ..Run::nth(n) };
+    for n in 0..3 {
+        stored(store, &of("M2", n)).await;
+    }
+    let now = 400 * DAY;
+    let told = async || {
+        let mut counts = Vec::new();
+        for machine in ["M0", "M1", "M2"] {
+            let drops = store.sample_drops(&machine.try_into().unwrap()).await.unwrap();
+            counts.push(drops.iter().map(|drop| drop.cycles).sum::<u64>());
+        }
+        counts
+    };
+    assert_eq!(store.decide_drops(days(30), at(now)).await.unwrap().len(), 2);
+    store.drop_some(8).await.unwrap();
+    assert_eq!(told().await, [0, 8, 0]);
+    store.drop_some(8).await.unwrap();
+    store.drop_some(1).await.unwrap();
+    assert_eq!(told().await, [0, 10, 1]);
+    // What was received before the decision, and is committed behind the machine's turn, goes in the same run.
+    stored(store, &Run { id: "late".to_owned(), ..of("M1", 1) }).await;
+    store.drop_some(8).await.unwrap();
+    assert_eq!(told().await, [0, 10, 3]);
+    store.drop_some(8).await.unwrap();
+    assert_eq!(told().await, [0, 11, 3]);
+    // What is decided between two steps goes in its order.
+    for machine in ["M0", "M1"] {
+        stored(store, &Run { id: "later".to_owned(), ..of(machine, 2) }).await;
+    }
+    stored(store, &Run { id: "more".to_owned(), ..of("M1", 2) }).await;
+    store.drop_some(1).await.unwrap();
+    assert_eq!(told().await, [0, 12, 3]);
+    assert_eq!(store.decide_drops(days(30), at(now + 40 * DAY)).await.unwrap().len(), 2);
+    store.drop_some(1).await.unwrap();
+    assert_eq!(told().await, [1, 12, 3]);
+    assert_eq!(run(store, days(30), now + 40 * DAY).await.1.cycles, 1);
+    assert_eq!(told().await, [1, 13, 3]);
 }
 
 /// Several servers are apart by minutes; a single one is not apart from itself.

@@ -16,8 +16,13 @@ stories!(
 );
 
 mod tables {
-    super::stories!(with tables: the_audit_only_grows, the_tables_refuse_what_is_no_number);
-    use super::{the_audit_only_grows, the_tables_refuse_what_is_no_number};
+    super::stories!(
+        with tables: the_audit_only_grows, the_tables_refuse_what_is_no_number, how_far_the_quarantine_is_filled_is_kept_whoever_changes_it
+    );
+    use super::{
+        how_far_the_quarantine_is_filled_is_kept_whoever_changes_it, the_audit_only_grows,
+        the_tables_refuse_what_is_no_number,
+    };
 }
 
 fn entry(id: &str, cycle: Option<&str>) -> QuarantineEntry {
@@ -100,6 +105,141 @@ async fn the_quarantine_is_bounded_and_keeps_a_body_once(store: Arc<dyn Store>) 
     let bytes = QuarantineBounds { entries: 100, bytes: 4 };
     let full = store.quarantine(entry("q8", None), vec![7; 100], bytes).await;
     assert!(matches!(full, Err(StoreError::Full { .. })), "{full:?}");
+}
+
+/// Counted anew, and as it is kept.
+async fn filled(given: &Given) -> [Vec<i64>; 4] {
+    [
+        given.numbers("SELECT COUNT(*) FROM quarantine WHERE settled_at_us IS NULL").await,
+        given.numbers("SELECT entries FROM quarantine_fill").await,
+        given
+            .numbers(
+                "SELECT CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine WHERE settled_at_us IS NULL",
+            )
+            .await,
+        given.numbers("SELECT bytes FROM quarantine_fill").await,
+    ]
+}
+
+/// Of how many entries, and that what is kept is what is counted.
+async fn agrees(given: &Given, entries: i64) {
+    let [counted, kept, bytes, kept_bytes] = filled(given).await;
+    assert_eq!((&counted, &bytes), (&kept, &kept_bytes));
+    assert_eq!(counted, [entries]);
+}
+
+async fn how_far_the_quarantine_is_filled_is_kept_whoever_changes_it(given: &Given) {
+    let store = &*given.store();
+    shop(store).await;
+    agrees(given, 0).await;
+    let bounds = QuarantineBounds { entries: 4, bytes: 10_000 };
+    let keep = async |n: u8| store.quarantine(entry(&format!("q{n}"), None), vec![n; 9], bounds).await;
+    for n in 1..=3 {
+        keep(n).await.unwrap();
+        keep(n).await.unwrap();
+    }
+    agrees(given, 3).await;
+    assert!(settle(store, "q2", "discarded", at(9)).await);
+    agrees(given, 2).await;
+    // What a disk has damaged is kept anew when it comes again.
+    let damaged = "UPDATE quarantine SET body = substr(body, 1, 3), stored_bytes = 3 WHERE quarantine_id IN ('q1', 'q2')";
+    given.raw(damaged).await.unwrap();
+    agrees(given, 2).await;
+    assert_eq!((keep(1).await.unwrap(), keep(2).await.unwrap()), ("q1".to_owned(), "q2".to_owned()));
+    agrees(given, 2).await;
+    given.raw("UPDATE quarantine SET settled_at_us = NULL, settled_how = NULL").await.unwrap();
+    agrees(given, 3).await;
+    given.raw("DELETE FROM quarantine WHERE quarantine_id = 'q1'").await.unwrap();
+    agrees(given, 2).await;
+    // It is wrong, or is not there, as after a table was brought back by itself: the next round sets it right, and until then a line is
+    // taken by what is kept.
+    for wrong in ["UPDATE quarantine_fill SET entries = 4", "DELETE FROM quarantine_fill"] {
+        given.raw(wrong).await.unwrap();
+        store.watch(Vec::new(), &super::given::watched(), at(20)).await.unwrap();
+        agrees(given, 2).await;
+    }
+    given.raw("DELETE FROM quarantine_fill").await.unwrap();
+    keep(4).await.unwrap();
+    agrees(given, 3).await;
+    keep(5).await.unwrap();
+    let full = keep(6).await;
+    assert!(matches!(full, Err(StoreError::Full { .. })), "{full:?}");
+    agrees(given, 4).await;
+}
+
+/// Of two servers that take lines at once, no more are kept than there is room for, and no fewer.
+#[tokio::test]
+async fn two_servers_fill_the_quarantine_to_its_bound_and_no_further() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let (one, other) = (given.store(), given.server_of_its_own().await);
+    let other: Arc<dyn Store> = Arc::new(other);
+    shop(&*one).await;
+    let bounds = QuarantineBounds { entries: 25, bytes: 1_000_000 };
+    for (round, room) in [(0_u8, 25), (1, 9)] {
+        let kept = (0..40_u8).map(|n| {
+            let store = Arc::clone(if n % 2 == 0 { &one } else { &other });
+            tokio::spawn(async move {
+                let entry = entry(&format!("r{round}-{n:02}"), None);
+                match store.quarantine(entry, vec![round, n], bounds).await {
+                    Ok(_) => true,
+                    Err(StoreError::Full { .. }) => false,
+                    Err(error) => panic!("{error}"),
+                }
+            })
+        });
+        let kept = futures_util::future::join_all(kept).await;
+        assert_eq!(kept.into_iter().filter(|kept| *kept.as_ref().unwrap()).count(), room);
+        agrees(&given, 25).await;
+        let page = Page { after: None, limit: 9 };
+        let open = one.quarantined(None, true, page).await.unwrap();
+        let settling = open.iter().enumerate().map(|(n, entry)| {
+            let store = Arc::clone(if n % 2 == 0 { &one } else { &other });
+            let id = entry.id.clone();
+            tokio::spawn(async move { settle(&*store, &id, "discarded", at(9)).await })
+        });
+        for settled in futures_util::future::join_all(settling).await {
+            assert!(settled.unwrap());
+        }
+        agrees(&given, 16).await;
+    }
+    other.close().await;
+    given.done().await;
+}
+
+/// A line that cannot be accepted costs what it costs, however many wait and have waited.
+#[tokio::test]
+async fn a_line_reads_none_of_the_entries_that_wait() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    let store = &*given.store();
+    shop(store).await;
+    let others = "INSERT INTO quarantine (quarantine_id, machine_id, cycle_id, received_at_us, code, problem, content_type, size,
+                      stored_bytes, body, body_hash, settled_at_us, settled_how)
+                  SELECT 'a' || n, CASE WHEN n % 2 = 0 THEN 'M1' ELSE 'M2' END, NULL, 0, 'c', '{}', 't', 1, 1, '',
+                      decode(lpad(to_hex(n), 64, '0'), 'hex'), CASE WHEN n % 2 = 0 THEN 1 END, CASE WHEN n % 2 = 0 THEN 'x' END
+                  FROM generate_series(1, 6000) AS n";
+    assert_eq!(given.raw(others).await.unwrap(), 6000);
+    given.raw("ANALYZE quarantine").await.unwrap();
+    let bounds = QuarantineBounds { entries: 10_000, bytes: 1_000_000 };
+    for n in 1..=5 {
+        store.quarantine(entry(&format!("b{n}"), None), vec![n], bounds).await.unwrap();
+    }
+    let machine = "M1".try_into().unwrap();
+    let page = |limit| Page { after: None, limit };
+    assert_eq!(store.quarantined(Some(&machine), true, page(9)).await.unwrap().len(), 5);
+    for n in 1..=5 {
+        assert!(settle(store, &format!("b{n}"), "discarded", at(9)).await);
+    }
+    assert_eq!(store.quarantined(Some(&machine), true, page(9)).await.unwrap().len(), 0);
+    assert_eq!(store.quarantined(Some(&machine), false, page(9)).await.unwrap().len(), 9);
+    assert_eq!(store.quarantined(None, true, page(9)).await.unwrap().len(), 9);
+    let read = given.read_of("quarantine").await;
+    // They were 3,000 for each line, and 6,000 for each list of a machine.
+    assert!(read < 150, "{read}");
+    given.done().await;
 }
 
 async fn of_two_who_settle_an_entry_one_does(store: Arc<dyn Store>) {

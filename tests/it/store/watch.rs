@@ -22,6 +22,11 @@ stories!(
     usage_tells_sizes_and_connections
 );
 
+mod tables {
+    super::stories!(with tables: a_round_goes_through_every_machine);
+    use super::a_round_goes_through_every_machine;
+}
+
 fn id(text: &str) -> MachineId {
     text.try_into().unwrap()
 }
@@ -90,6 +95,37 @@ async fn a_machine_that_falls_silent_alarms_until_it_posts_again(store: Arc<dyn 
     store.watch(vec![], &off, at(1_000_730)).await.unwrap();
     assert_eq!(open(&*store).await, [], "a machine that is not watched any more is not silent");
     stored(&*store, &Run::nth(1)).await;
+}
+
+/// However many machines there are, none is left out: neither is the last of them silent unnoticed, nor is it cleared too late.
+async fn a_round_goes_through_every_machine(given: &Given) {
+    let store = &*given.store();
+    shop(store).await;
+    let others = "INSERT INTO machines (machine_id, name, control, ipo_period_ms, spindle_reference, spindle_rated_power_watts,
+                      spindle_base_speed_rpm, feed_drive_reference, feed_drive_rated_thrust_newtons, feed_min_mm_min,
+                      feed_max_mm_min, override_min_percent, override_max_percent, version, updated_at_us)
+                  WITH RECURSIVE numbers (n) AS (SELECT 10001 UNION ALL SELECT n + 1 FROM numbers WHERE n < 20500)
+                  SELECT 'X' || n, name, control, ipo_period_ms, spindle_reference, spindle_rated_power_watts,
+                      spindle_base_speed_rpm, feed_drive_reference, feed_drive_rated_thrust_newtons, feed_min_mm_min,
+                      feed_max_mm_min, override_min_percent, override_max_percent, version, updated_at_us
+                  FROM machines, numbers";
+    assert_eq!(given.raw(others).await.unwrap(), 10_500);
+    let round = async |heard: Vec<_>, seconds| store.watch(heard, &settings(), at(seconds)).await.unwrap();
+    let last = id("X20500");
+    let found = round(vec![(last.clone(), Duration::ZERO)], 1_000_000).await;
+    assert_eq!(found.machines.len(), 10_501);
+    assert!(found.machines.is_sorted_by(|a, b| a.machine < b.machine), "each once");
+    let found = round(vec![], 1_000_601).await;
+    assert_eq!(
+        found.machines.last().map(|contact| (&contact.machine, contact.is_silent)),
+        Some((&last, true))
+    );
+    assert_eq!(
+        open(store).await.into_iter().map(|alarm| alarm.machine).collect::<Vec<_>>(),
+        [Some(last.clone())]
+    );
+    round(vec![(last, Duration::ZERO)], 1_000_700).await;
+    assert_eq!(open(store).await, []);
 }
 
 /// Its last contact stood at a time yet to come, up to which nothing was later.

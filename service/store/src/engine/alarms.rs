@@ -16,38 +16,56 @@ use feedwright_core::wear::{ToolState, Verdict};
 use serde_json::json;
 
 macro_rules! select {
-    ($($tail:literal),+) => {
+    ($tail:expr) => {
         concat!(
             "SELECT alarm_id, kind, machine_id, tool_id, message, raised_at_us, cleared_at_us, acknowledged_by,
                     acknowledged_at_us
              FROM alarms ",
-            $($tail),+
+            $tail
         )
     };
 }
 
 macro_rules! page {
-    ($state:literal, $number:literal) => {
-        select!(
+    ($which:expr, $number:literal) => {
+        select!(concat!(
             "WHERE ",
-            $state,
+            $which,
             $number,
             " > $1 AND ",
             $number,
-            " <= $5
-               AND (CAST($2 AS TEXT) IS NULL OR machine_id = $2)
-               AND (CAST($3 AS TEXT) IS NULL OR tool_id = $3)
-             ORDER BY ",
+            " <= $2 ORDER BY ",
             $number,
-            " LIMIT $4"
-        )
+            " LIMIT $3"
+        ))
     };
 }
 
-const ALL: &str = page!("", "alarm_id");
-const CLEARED: &str = page!("cleared_at_us IS NOT NULL AND ", "alarm_id");
-// Few are open, and an index has those alone. By the plain number an engine may go through all that ever were, as they are in order.
-const OPEN: &str = page!("cleared_at_us IS NULL AND ", "alarm_id + 0");
+/// Statements with an index each: of all alarms, of those that are open, and of those that are cleared.
+type Pages = [&'static str; 3];
+
+macro_rules! pages {
+    ($whose:literal) => {
+        [
+            page!($whose, "alarm_id"),
+            page!(concat!($whose, "cleared_at_us IS NULL AND "), "alarm_id"),
+            page!(concat!($whose, "cleared_at_us IS NOT NULL AND "), "alarm_id"),
+        ]
+    };
+}
+
+const OF_ANY: Pages = [
+    page!("", "alarm_id"),
+    // By the plain number an engine may go through all that ever were, as they are in order.
+    page!("cleared_at_us IS NULL AND ", "alarm_id + 0"),
+    page!("cleared_at_us IS NOT NULL AND ", "alarm_id"),
+];
+const OF_MACHINE: Pages = pages!("machine_id = $4 AND ");
+const OF_TOOL: Pages = pages!("tool_id = $4 AND ");
+const OF_BOTH: Pages = pages!("machine_id = $4 AND tool_id = $5 AND ");
+
+const OPEN_OF_TOOL: &str = "SELECT kind, machine_id FROM alarms
+     WHERE tool_id = $1 AND cleared_at_us IS NULL AND kind IN ('worn', 'broken_suspected', 'conditions_changed')";
 
 const fn kind_of(state: ToolState) -> Option<AlarmKind> {
     match state {
@@ -100,14 +118,8 @@ pub(super) async fn follow_verdict(
 
 /// A tool's open alarms that follow its verdict.
 pub(super) async fn open_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<Open>> {
-    let open: Vec<(String, Option<String>)> = sqlx::query_as::<Db, _>(
-        "SELECT kind, machine_id FROM alarms
-         WHERE tool_id = $1 AND cleared_at_us IS NULL
-           AND kind IN ('worn', 'broken_suspected', 'conditions_changed')",
-    )
-    .bind(tool.as_str())
-    .fetch_all(&mut *conn)
-    .await?;
+    let open: Vec<(String, Option<String>)> =
+        sqlx::query_as::<Db, _>(OPEN_OF_TOOL).bind(tool.as_str()).fetch_all(&mut *conn).await?;
     let open = open.into_iter().map(|(kind, machine)| {
         let machine = machine.map(|machine| id("machine_id", &machine)).transpose()?;
         Ok((word("kind", &kind, AlarmKind::parse)?, machine))
@@ -221,26 +233,80 @@ pub(super) async fn list(
     page: &Page<RowNumber>,
     last: RowNumber,
 ) -> StoreResult<Vec<Alarm>> {
-    let sql = match filter.open {
-        None => ALL,
-        Some(true) => OPEN,
-        Some(false) => CLEARED,
+    let (machine, tool) = (filter.machine.as_ref(), filter.tool.as_ref());
+    let [all, open, cleared] = match (machine, tool) {
+        (None, None) => OF_ANY,
+        (Some(_), None) => OF_MACHINE,
+        (None, Some(_)) => OF_TOOL,
+        (Some(_), Some(_)) => OF_BOTH,
     };
-    let rows: Vec<AlarmRow> = sqlx::query_as::<Db, _>(sql)
+    let sql = match filter.open {
+        None => all,
+        Some(true) => open,
+        Some(false) => cleared,
+    };
+    let mut query = sqlx::query_as::<Db, AlarmRow>(sql)
         .bind(page.after.unwrap_or(i64::MIN))
-        .bind(filter.machine.as_ref().map(MachineId::as_str))
-        .bind(filter.tool.as_ref().map(ToolId::as_str))
-        .bind(i64::from(page.limit))
         .bind(last)
-        .fetch_all(&mut *conn)
-        .await?;
+        .bind(i64::from(page.limit));
+    if let Some(machine) = machine {
+        query = query.bind(machine.as_str());
+    }
+    if let Some(tool) = tool {
+        query = query.bind(tool.as_str());
+    }
+    let rows = query.fetch_all(&mut *conn).await?;
     rows.iter().map(AlarmRow::alarm).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sqlite::plans::plan;
     use feedwright_core::wear::OrderKey;
+
+    #[test]
+    fn each_filter_has_an_index_of_its_own() {
+        let by = [
+            (
+                OF_ANY,
+                [
+                    "INTEGER PRIMARY KEY (rowid>? AND rowid<?)",
+                    "INDEX alarms_open_by_number (<expr>>? AND <expr><?)",
+                ],
+            ),
+            (
+                OF_MACHINE,
+                [
+                    "INDEX alarms_by_machine (machine_id=? AND alarm_id>? AND alarm_id<?)",
+                    "INDEX alarms_open_by_machine (machine_id=? AND alarm_id>? AND alarm_id<?)",
+                ],
+            ),
+            (
+                OF_TOOL,
+                [
+                    "INDEX alarms_by_tool (tool_id=? AND alarm_id>? AND alarm_id<?)",
+                    "INDEX alarms_open_by_tool (tool_id=? AND alarm_id>? AND alarm_id<?)",
+                ],
+            ),
+            (
+                OF_BOTH,
+                [
+                    "INDEX alarms_by_tool (tool_id=? AND alarm_id>? AND alarm_id<?)",
+                    "INDEX alarms_open_by_tool (tool_id=? AND alarm_id>? AND alarm_id<?)",
+                ],
+            ),
+        ];
+        for ([all, open, cleared], [of_all, of_open]) in by {
+            for (sql, by) in [(all, of_all), (open, of_open), (cleared, of_all)] {
+                assert_eq!(plan(sql), [format!("SEARCH alarms USING {by}")], "{sql}");
+            }
+        }
+        let open_of = "SEARCH alarms USING INDEX alarms_open_by_tool (tool_id=?)";
+        for sql in [OPEN_OF_TOOL, AlarmChange::CLEAR_VERDICTS] {
+            assert_eq!(plan(sql), [open_of], "{sql}");
+        }
+    }
 
     fn verdict(state: ToolState) -> Verdict {
         let mut verdict = Verdict::unknown("masked_by_feed", "said first");

@@ -10,7 +10,9 @@ use feedwright_core::operation::Ask;
 use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 
-/// Open alarms that are told of; a fleet with more has other troubles than a longer list.
+/// Open alarms that are read for all machines at once; where there are more, each machine's are asked for.
+const FEW_ALARMS: u32 = 500;
+/// Open alarms of a machine that are told of; one with more has other troubles than a longer list.
 const MOST_ALARMS: u32 = 2000;
 
 // Newest first along an index: as many rows are read as are wanted, whatever the history holds.
@@ -26,7 +28,7 @@ const LAST_CYCLES: &str = concat!(
 /// its open alarms.
 pub(super) async fn list(conn: &mut Conn, page: &Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>> {
     let machines = machines::list(conn, page).await?;
-    rows(conn, machines, None, recent).await
+    rows(conn, machines, recent).await
 }
 
 /// One machine likewise; `None` where it is not registered.
@@ -34,23 +36,21 @@ pub(super) async fn one(conn: &mut Conn, machine: &MachineId, recent: u32) -> St
     let Some(known) = machines::get(conn, machine).await? else {
         return Ok(None);
     };
-    Ok(rows(conn, vec![known], Some(machine), recent).await?.pop())
+    Ok(rows(conn, vec![known], recent).await?.pop())
 }
 
-async fn rows(
-    conn: &mut Conn,
-    machines: Vec<Versioned<Machine>>,
-    only: Option<&MachineId>,
-    recent: u32,
-) -> StoreResult<Vec<FleetRow>> {
-    let mut alarms = open_alarms(conn, only).await?;
+async fn rows(conn: &mut Conn, machines: Vec<Versioned<Machine>>, recent: u32) -> StoreResult<Vec<FleetRow>> {
+    let mut few_alarms = if machines.len() > 1 { few_open_alarms(conn).await? } else { None };
     let mut known_tools: BTreeMap<ToolId, (Option<String>, (Verdict, Place))> = BTreeMap::new();
     let mut known_operations: BTreeMap<OperationId, Option<String>> = BTreeMap::new();
     let mut asks = BTreeMap::new();
     let mut rows = Vec::with_capacity(machines.len());
     for machine in machines {
         let recent = last_cycles(conn, &machine.value.id, recent, &mut asks).await?;
-        let alarms = alarms.remove(machine.value.id.as_str()).unwrap_or_default();
+        let alarms = match &mut few_alarms {
+            Some(few) => few.remove(machine.value.id.as_str()).unwrap_or_default(),
+            None => open_alarms(conn, Some(&machine.value.id), MOST_ALARMS).await?,
+        };
         let Some(FleetCycle { tool, facts, .. }) = recent.first() else {
             let (names, energy_ratios) = ((None, None), Vec::new());
             rows.push(FleetRow { machine, recent, names, verdict: None, energy_ratios, alarms });
@@ -82,16 +82,24 @@ fn energy_ratios(recent: &[FleetCycle], tool: &ToolId, (verdict, life): &(Verdic
     of_life.filter_map(|cycle| verdict.ratio_of(&cycle.facts, cycle.settings.as_ref()?)).collect()
 }
 
-async fn open_alarms(conn: &mut Conn, only: Option<&MachineId>) -> StoreResult<BTreeMap<String, Vec<Alarm>>> {
-    let filter = AlarmFilter { open: Some(true), machine: only.cloned(), tool: None };
-    let open = alarms::list(conn, &filter, &Page { after: None, limit: MOST_ALARMS }, RowNumber::MAX).await?;
+/// All open alarms by their machines, where they are few.
+async fn few_open_alarms(conn: &mut Conn) -> StoreResult<Option<BTreeMap<String, Vec<Alarm>>>> {
+    let open = open_alarms(conn, None, FEW_ALARMS).await?;
+    if open.len() >= FEW_ALARMS as usize {
+        return Ok(None);
+    }
     let mut by_machine: BTreeMap<String, Vec<Alarm>> = BTreeMap::new();
     for alarm in open {
         if let Some(machine) = &alarm.machine {
             by_machine.entry(machine.as_str().to_owned()).or_default().push(alarm);
         }
     }
-    Ok(by_machine)
+    Ok(Some(by_machine))
+}
+
+async fn open_alarms(conn: &mut Conn, of: Option<&MachineId>, most: u32) -> StoreResult<Vec<Alarm>> {
+    let filter = AlarmFilter { open: Some(true), machine: of.cloned(), tool: None };
+    alarms::list(conn, &filter, &Page { after: None, limit: most }, RowNumber::MAX).await
 }
 
 async fn last_cycles(

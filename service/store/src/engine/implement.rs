@@ -42,6 +42,8 @@ use std::time::{Duration, Instant};
 
 /// How often it is tried to take a decision back by which more and more goes meanwhile; the next run tries again.
 const TAKE_BACK_ATTEMPTS: u32 = 3;
+/// Machines that are looked at in one snapshot for samples that are to go.
+const MOST_LOOKED_AT: i64 = 512;
 /// Machines that are read at a time.
 const MACHINES_PAGE: u32 = 100;
 /// Bytes of a block that is read on the thread of whoever asks: a millisecond or so. A larger one would hold up streams.
@@ -126,6 +128,35 @@ macro_rules! snapshot {
 }
 
 impl Engine {
+    /// The next machine of which samples are to go: that of the step before, or the first one behind it, or the first of all.
+    /// Looked for beside the writer: a step that finds them gone by then deletes nothing.
+    async fn next_to_drop(&self) -> StoreResult<Option<String>> {
+        let before = self.dropping().take();
+        let was_at_first = before.is_empty();
+        let mut found = self.to_drop_from(before).await?;
+        if found.is_none() && !was_at_first {
+            found = self.to_drop_from(String::new()).await?;
+        }
+        self.dropping().put(found.clone().unwrap_or_default());
+        Ok(found)
+    }
+
+    /// The first machine from one on of which samples are to go.
+    async fn to_drop_from(&self, mut from: String) -> StoreResult<Option<String>> {
+        // Most steps go on where the last one was.
+        let mut most = 1;
+        loop {
+            let (found, last) = snapshot!(self, |conn| dialect::next_to_drop(conn, &from, most).await)?;
+            match (found, last) {
+                (Some(found), _) => return Ok(Some(found)),
+                (None, None) => return Ok(None),
+                // The least text behind it.
+                (None, Some(last)) => from = last + "\u{1}",
+            }
+            most = (most * 8).min(MOST_LOOKED_AT);
+        }
+    }
+
     /// Takes back what a clock that was ahead has decided on a machine's samples. What is gone by it stays told: its
     /// cycles are named first, some at a time, which the writer can bear; where more goes meanwhile, again.
     async fn take_back(&self, machine: &MachineId, now: Timestamp) -> StoreResult<()> {
@@ -690,6 +721,8 @@ impl Store for Engine {
                 let id = machine.value.id.clone();
                 if let Some((horizon, said)) = horizon {
                     let made = write!(self, |conn| retention::decide(conn, &id, horizon, said, now).await)?;
+                    // What is dropped goes machine by machine, from the first of them on.
+                    self.dropping().put(String::new());
                     decided.extend(made);
                 }
             }
@@ -709,7 +742,10 @@ impl Store for Engine {
     }
 
     async fn drop_some(&self, most: u32) -> StoreResult<Dropped> {
-        let dropped = write!(self, |conn| retention::delete_some(conn, most).await)?;
+        let dropped = match self.next_to_drop().await? {
+            Some(machine) => write!(self, |conn| retention::delete_some(conn, &machine, most).await)?,
+            None => write!(self, |conn| retention::tidy(conn).await)?,
+        };
         let freed = self.give_back().await?;
         Ok(Dropped { more: dropped.more || freed, ..dropped })
     }

@@ -16,7 +16,7 @@ use std::time::Duration;
 const LEVEL: i32 = 3;
 
 macro_rules! select {
-    ($more:literal, $tail:literal) => {
+    ($more:literal, $tail:expr) => {
         concat!(
             "SELECT quarantine_id, machine_id, cycle_id, received_at_us, code, problem, content_type, size,
                     settled_at_us, settled_how",
@@ -26,6 +26,19 @@ macro_rules! select {
         )
     };
 }
+
+macro_rules! page {
+    ($which:literal) => {
+        select!("", concat!("WHERE ", $which, "quarantine_id > $1 ORDER BY quarantine_id LIMIT $2"))
+    };
+}
+
+const ALL: &str = page!("");
+const OPEN: &str = page!("settled_at_us IS NULL AND ");
+const OF_MACHINE: &str = page!("machine_id = $3 AND ");
+const OPEN_OF_MACHINE: &str = page!("settled_at_us IS NULL AND machine_id = $3 AND ");
+
+const FILLED: &str = "SELECT entries, bytes FROM quarantine_fill";
 
 /// A body ready to be kept.
 pub(super) struct Packed {
@@ -75,12 +88,7 @@ pub(super) async fn add(
         }
         return Ok(id);
     }
-    let (entries, bytes): (i64, i64) = sqlx::query_as::<Db, _>(
-        "SELECT COUNT(*), CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine
-         WHERE settled_at_us IS NULL",
-    )
-    .fetch_one(&mut *conn)
-    .await?;
+    let (entries, bytes) = filled(conn).await?;
     let entries: u64 = number("entries", entries)?;
     let bytes: u64 = number("bytes", bytes)?;
     if entries >= bounds.entries || bytes.saturating_add(packed.body.len() as u64) > bounds.bytes {
@@ -111,6 +119,52 @@ pub(super) async fn add(
     Ok(id)
 }
 
+/// How many entries are not settled, and how many bytes they take: kept with every change of the table, and not counted by each line that
+/// cannot be accepted. Under the lock of the quarantine.
+async fn filled(conn: &mut Conn) -> StoreResult<(i64, i64)> {
+    if let Some(filled) = sqlx::query_as::<Db, _>(FILLED).fetch_optional(&mut *conn).await? {
+        return Ok(filled);
+    }
+    count_anew(conn).await?;
+    Ok(sqlx::query_as::<Db, _>(FILLED).fetch_one(&mut *conn).await?)
+}
+
+/// Counts entries that are not settled, and sets right what is kept of that where somebody has changed it by other means.
+pub(super) async fn count_filled(conn: &mut Conn) -> StoreResult<(i64, i64)> {
+    // One statement sees one moment: what is kept is changed in the transactions in which entries are.
+    let (entries, bytes, kept): (i64, i64, i64) = sqlx::query_as::<Db, _>(
+        "SELECT counted.entries, counted.bytes, CAST(COUNT(f.only_row) AS BIGINT)
+         FROM (SELECT COUNT(*) AS entries, CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) AS bytes
+               FROM quarantine WHERE settled_at_us IS NULL) AS counted
+         LEFT JOIN quarantine_fill f ON f.entries = counted.entries AND f.bytes = counted.bytes
+         GROUP BY counted.entries, counted.bytes",
+    )
+    .fetch_one(&mut *conn)
+    .await?;
+    if kept == 0 {
+        tracing::warn!(
+            entries,
+            bytes,
+            "what was kept of how far the quarantine is filled was not so; it is counted anew"
+        );
+        dialect::lock(conn, &Locks::subject("quarantine", "")).await?;
+        count_anew(conn).await?;
+    }
+    Ok((entries, bytes))
+}
+
+async fn count_anew(conn: &mut Conn) -> StoreResult<()> {
+    sqlx::query::<Db>(
+        "INSERT INTO quarantine_fill (only_row, entries, bytes)
+         SELECT 1, COUNT(*), CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine
+         WHERE settled_at_us IS NULL
+         ON CONFLICT (only_row) DO UPDATE SET entries = excluded.entries, bytes = excluded.bytes",
+    )
+    .execute(&mut *conn)
+    .await?;
+    Ok(())
+}
+
 /// The id under which an entry is kept: the one that it came with, or the next behind all that are kept. Ids are made when bodies come,
 /// and whoever lists goes on behind the last one that was shown: what was committed later under an id before it would never be.
 async fn behind_all(conn: &mut Conn, id: &str) -> StoreResult<String> {
@@ -125,25 +179,25 @@ async fn behind_all(conn: &mut Conn, id: &str) -> StoreResult<String> {
     Ok(next.map_or_else(|| id.to_owned(), |next| uuid::Uuid::from_u128(next).to_string()))
 }
 
+/// A page of a machine's entries, or of all, by statements that have an index each.
 pub(super) async fn list(
     conn: &mut Conn,
     machine: Option<&MachineId>,
     open: bool,
     page: &Page<String>,
 ) -> StoreResult<Vec<QuarantineEntry>> {
-    let rows: Vec<QuarantineRow> = sqlx::query_as::<Db, _>(select!(
-        "",
-        "WHERE quarantine_id > $1 AND (CAST($2 AS TEXT) IS NULL OR machine_id = $2)
-           AND ($3 = 0 OR settled_at_us IS NULL)
-         ORDER BY quarantine_id LIMIT $4"
-    ))
-    .bind(page.after.as_deref().unwrap_or(""))
-    .bind(machine.map(MachineId::as_str))
-    .bind(i64::from(open))
-    .bind(i64::from(page.limit))
-    .fetch_all(&mut *conn)
-    .await?;
-    rows.iter().map(QuarantineRow::entry).collect()
+    let (after, limit) = (page.after.as_deref().unwrap_or(""), i64::from(page.limit));
+    let sql = match (machine, open) {
+        (None, false) => ALL,
+        (None, true) => OPEN,
+        (Some(_), false) => OF_MACHINE,
+        (Some(_), true) => OPEN_OF_MACHINE,
+    };
+    let mut query = sqlx::query_as::<Db, QuarantineRow>(sql).bind(after).bind(limit);
+    if let Some(machine) = machine {
+        query = query.bind(machine.as_str());
+    }
+    query.fetch_all(&mut *conn).await?.iter().map(QuarantineRow::entry).collect()
 }
 
 #[derive(sqlx::FromRow)]
@@ -284,4 +338,25 @@ pub(super) async fn settle(
         alarms::clear_of_machine(conn, AlarmKind::Quarantine, &machine, now).await?;
     }
     Ok(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sqlite::plans::plan;
+
+    #[test]
+    fn each_list_has_an_index_of_its_own_and_no_line_counts_the_others() {
+        let by = [
+            (ALL, "INDEX sqlite_autoindex_quarantine_1 (quarantine_id>?)"),
+            (OPEN, "INDEX quarantine_unsettled (quarantine_id>?)"),
+            (OF_MACHINE, "INDEX quarantine_by_machine (machine_id=? AND quarantine_id>?)"),
+            (OPEN_OF_MACHINE, "INDEX quarantine_unsettled_by_machine (machine_id=? AND quarantine_id>?)"),
+        ];
+        for (sql, by) in by {
+            assert_eq!(plan(sql), [format!("SEARCH quarantine USING {by}")], "{sql}");
+        }
+        // Of one row.
+        assert_eq!(plan(FILLED), ["SCAN quarantine_fill"]);
+    }
 }

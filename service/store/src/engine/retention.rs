@@ -303,27 +303,13 @@ pub(super) async fn decide(
     }))
 }
 
-/// Deletes the next few samples that decisions name, and when none are left what they leave in packs; says how many, and
-/// whether there may be more.
-pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropped> {
+/// Deletes the next few samples of a machine that its decisions name; says how many. There may be more.
+pub(super) async fn delete_some(conn: &mut Conn, machine: &str, most: u32) -> StoreResult<Dropped> {
     // Whoever drops a partition has locked that, and asks for the table; this asks for the table, and then for its partitions.
     dialect::lock(conn, &Locks::subject("partitions", "")).await?;
-    let machine: Option<String> = sqlx::query_scalar::<Db, _>(
-        // A machine's newest decision names all that the others do, of which there is one for each day.
-        "SELECT d.machine_id FROM (SELECT machine_id, MAX(before_us) AS before_us FROM sample_drops
-                                   GROUP BY machine_id) AS d
-         WHERE EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = d.machine_id
-                           AND s.received_at_us < d.before_us)
-         ORDER BY d.machine_id LIMIT 1",
-    )
-    .fetch_optional(&mut *conn)
-    .await?;
-    let Some(machine) = machine else {
-        return Ok(Dropped { more: dialect::tidy(conn).await?, ..Dropped::default() });
-    };
-    dialect::lock(conn, &Locks::subject("retention", &machine)).await?;
+    dialect::lock(conn, &Locks::subject("retention", machine)).await?;
     // Read under the lock: what stood before it may have been taken back by whoever had it.
-    let before = dropped_before(conn, &machine).await?;
+    let before = dropped_before(conn, machine).await?;
     let lengths: Vec<i64> = sqlx::query_scalar::<Db, _>(concat!(
         "DELETE FROM cycle_samples WHERE machine_id = $1 AND (machine_id, received_at_us, cycle_id) IN (
              SELECT machine_id, received_at_us, cycle_id FROM cycle_samples
@@ -331,14 +317,20 @@ pub(super) async fn delete_some(conn: &mut Conn, most: u32) -> StoreResult<Dropp
          RETURNING ",
         dialect::block_bytes!(),
     ))
-    .bind(&machine)
+    .bind(machine)
     .bind(before)
     .bind(i64::from(most))
     .fetch_all(&mut *conn)
     .await?;
     let bytes = lengths.iter().sum::<i64>();
-    counted(conn, &machine, i64::try_from(lengths.len()).unwrap_or(i64::MAX), bytes).await?;
+    counted(conn, machine, i64::try_from(lengths.len()).unwrap_or(i64::MAX), bytes).await?;
     Ok(Dropped { cycles: lengths.len() as u64, bytes: number("bytes", bytes)?, more: true })
+}
+
+/// Where no samples are left that decisions name, a little of what they leave in packs goes; says whether there may be more.
+pub(super) async fn tidy(conn: &mut Conn) -> StoreResult<Dropped> {
+    dialect::lock(conn, &Locks::subject("partitions", "")).await?;
+    Ok(Dropped { more: dialect::tidy(conn).await?, ..Dropped::default() })
 }
 
 /// Drops the oldest partition of which nothing is kept, where the engine has partitions and one is so. Not in the minutes

@@ -4,7 +4,7 @@
 //! round raises and clears them. `now` is one clock's for all servers on the database, and never earlier than it was for the
 //! round before: who is silent does not depend on who asks.
 
-use super::{CLOCK_AHEAD_US, Conn, Db, alarms, dialect};
+use super::{CLOCK_AHEAD_US, Conn, Db, alarms, dialect, quarantine};
 use crate::error::StoreResult;
 use crate::past;
 use crate::record::{
@@ -16,8 +16,8 @@ use feedwright_core::units::Timestamp;
 use serde_json::json;
 use std::time::Duration;
 
-/// Most machines that a round looks at.
-const MOST_MACHINES: i64 = 10_000;
+/// Machines that are read at a time: a round looks at all of them.
+const MACHINES_PAGE: i64 = 1_000;
 /// The quarantine's alarm is cleared when it has emptied to this share of the share that raised it.
 const CLEARED_AT: f64 = 0.8;
 
@@ -39,7 +39,7 @@ pub(super) async fn round(
     }
     note(conn, heard, now).await?;
     let machines = silence(conn, settings, now).await?;
-    let quarantine = quarantine(conn, settings, now).await?;
+    let quarantine = filled(conn, settings, now).await?;
     let alarms = open_alarms(conn).await?;
     Ok(Round { machines, quarantine, alarms, last_backup_at: last_backup(conn).await? })
 }
@@ -72,40 +72,44 @@ async fn note(conn: &mut Conn, heard: &[(MachineId, Duration)], now: Timestamp) 
     Ok(())
 }
 
+const CONTACTS: &str = "SELECT m.machine_id, c.last_cycle_at_us, a.raised_at_us AS silent_since_us
+     FROM machines m
+     LEFT JOIN machine_contacts c ON c.machine_id = m.machine_id
+     LEFT JOIN alarms a ON a.machine_id = m.machine_id AND a.kind = 'machine_silent' AND a.tool_id IS NULL
+         AND a.cleared_at_us IS NULL
+     WHERE m.machine_id > $1
+     ORDER BY m.machine_id LIMIT $2";
+
 /// Every machine with when it was last heard of; a machine that never sent a cycle is not silent.
 async fn silence(
     conn: &mut Conn,
     settings: &WatchSettings,
     now: Timestamp,
 ) -> StoreResult<Vec<MachineContact>> {
-    let rows: Vec<ContactRow> = sqlx::query_as::<Db, _>(
-        "SELECT m.machine_id, c.last_cycle_at_us, a.raised_at_us AS silent_since_us
-         FROM machines m
-         LEFT JOIN machine_contacts c ON c.machine_id = m.machine_id
-         LEFT JOIN alarms a ON a.machine_id = m.machine_id AND a.kind = 'machine_silent' AND a.tool_id IS NULL
-             AND a.cleared_at_us IS NULL
-         ORDER BY m.machine_id LIMIT $1",
-    )
-    .bind(MOST_MACHINES)
-    .fetch_all(&mut *conn)
-    .await?;
-    let (mut machines, mut raised) = (Vec::with_capacity(rows.len()), Vec::new());
-    for row in rows {
-        let machine: MachineId = id("machine_id", &row.machine_id)?;
-        let last_cycle_at = row.last_cycle_at_us.map(Timestamp::from_micros);
-        let limit = settings.silent_after_ms(&machine);
-        let is_silent = last_cycle_at.zip(limit).is_some_and(|(last, limit)| now.millis_since(last) > limit);
-        match (is_silent, row.silent_since_us, limit) {
-            (true, None, Some(limit)) => {
-                let message = format!("machine {machine}: no cycle for more than {}", minutes(limit));
-                raised.push(AlarmChange::raise(AlarmKind::MachineSilent, Some(&machine), None, message));
+    let (mut machines, mut raised, mut after) = (Vec::new(), Vec::new(), String::new());
+    loop {
+        let rows: Vec<ContactRow> =
+            sqlx::query_as::<Db, _>(CONTACTS).bind(&after).bind(MACHINES_PAGE).fetch_all(&mut *conn).await?;
+        let Some(last) = rows.last() else { break };
+        after.clone_from(&last.machine_id);
+        for row in rows {
+            let machine: MachineId = id("machine_id", &row.machine_id)?;
+            let last_cycle_at = row.last_cycle_at_us.map(Timestamp::from_micros);
+            let limit = settings.silent_after_ms(&machine);
+            let is_silent =
+                last_cycle_at.zip(limit).is_some_and(|(last, limit)| now.millis_since(last) > limit);
+            match (is_silent, row.silent_since_us, limit) {
+                (true, None, Some(limit)) => {
+                    let message = format!("machine {machine}: no cycle for more than {}", minutes(limit));
+                    raised.push(AlarmChange::raise(AlarmKind::MachineSilent, Some(&machine), None, message));
+                }
+                (false, Some(_), _) => {
+                    alarms::clear_of_machine(conn, AlarmKind::MachineSilent, &machine, now).await?;
+                }
+                _ => {}
             }
-            (false, Some(_), _) => {
-                alarms::clear_of_machine(conn, AlarmKind::MachineSilent, &machine, now).await?;
-            }
-            _ => {}
+            machines.push(MachineContact { machine, last_cycle_at, silent_after_ms: limit, is_silent });
         }
-        machines.push(MachineContact { machine, last_cycle_at, silent_after_ms: limit, is_silent });
     }
     alarms::apply(conn, &raised, now).await?;
     Ok(machines)
@@ -115,17 +119,8 @@ fn minutes(ms: i64) -> String {
     if ms % 60_000 == 0 { format!("{} min", ms / 60_000) } else { format!("{} s", ms / 1000) }
 }
 
-async fn quarantine(
-    conn: &mut Conn,
-    settings: &WatchSettings,
-    now: Timestamp,
-) -> StoreResult<QuarantineFill> {
-    let (entries, bytes): (i64, i64) = sqlx::query_as::<Db, _>(
-        "SELECT COUNT(*), CAST(COALESCE(SUM(stored_bytes), 0) AS BIGINT) FROM quarantine
-         WHERE settled_at_us IS NULL",
-    )
-    .fetch_one(&mut *conn)
-    .await?;
+async fn filled(conn: &mut Conn, settings: &WatchSettings, now: Timestamp) -> StoreResult<QuarantineFill> {
+    let (entries, bytes) = quarantine::count_filled(conn).await?;
     let fill = QuarantineFill {
         entries: number("entries", entries)?,
         bytes: number("bytes", bytes)?,
@@ -163,4 +158,20 @@ async fn open_alarms(conn: &mut Conn) -> StoreResult<Vec<OpenAlarms>> {
         })
     });
     alarms.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sqlite::plans::plan;
+
+    #[test]
+    fn a_round_finds_what_stands_of_each_machine_by_keys() {
+        let steps = [
+            "SEARCH m USING PRIMARY KEY (machine_id>?)",
+            "SEARCH c USING PRIMARY KEY (machine_id=?) LEFT-JOIN",
+            "SEARCH a USING INDEX alarms_open_by_machine (machine_id=?) LEFT-JOIN",
+        ];
+        assert_eq!(plan(CONTACTS), steps);
+    }
 }

@@ -123,6 +123,36 @@ pub(super) async fn drop_partition(
     Ok(done.then(|| held.collect()))
 }
 
+/// The first of so many machines from one on of which samples are left that its newest decision names, and with it all that the others do; and
+/// the last that was looked at. One machine at a time: each is one worker's work where Citus distributes the database, which refuses it
+/// for a list of them, and elsewhere the server knows by then which partitions it need not look into.
+pub(super) async fn next_to_drop(
+    conn: &mut Conn,
+    from: &str,
+    most: i64,
+) -> StoreResult<(Option<String>, Option<String>)> {
+    let machines: Vec<String> = sqlx::query_scalar(
+        "SELECT machine_id FROM machines WHERE machine_id >= $1 ORDER BY machine_id LIMIT $2",
+    )
+    .bind(from)
+    .bind(most)
+    .fetch_all(&mut *conn)
+    .await?;
+    for machine in &machines {
+        let is_any: bool = sqlx::query_scalar(
+            "SELECT EXISTS (SELECT 1 FROM cycle_samples WHERE machine_id = $1 AND received_at_us <
+                 (SELECT MAX(before_us) FROM sample_drops WHERE machine_id = $1))",
+        )
+        .bind(machine)
+        .fetch_one(&mut *conn)
+        .await?;
+        if is_any {
+            return Ok((Some(machine.clone()), None));
+        }
+    }
+    Ok((None, machines.last().cloned()))
+}
+
 /// What a probe of one row does not see: whether the role may still write what cycles write.
 pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
     let not: Vec<String> = sqlx::query_scalar(
@@ -135,7 +165,8 @@ pub(super) async fn may_write(conn: &mut Conn) -> StoreResult<()> {
              ('tool_checkpoints', 'SELECT'), ('tool_checkpoints', 'INSERT'), ('tool_checkpoints', 'UPDATE'), ('tool_checkpoints', 'DELETE'),
              ('advices', 'SELECT'), ('advices', 'INSERT'), ('recommendations', 'SELECT'), ('recommendations', 'INSERT'),
              ('machine_contacts', 'SELECT'), ('machine_contacts', 'INSERT'), ('machine_contacts', 'UPDATE'), ('alarms', 'SELECT'), ('alarms', 'INSERT'),
-             ('alarms', 'UPDATE'), ('quarantine', 'SELECT'), ('quarantine', 'INSERT'), ('quarantine', 'UPDATE')) AS t (name, needed)
+             ('alarms', 'UPDATE'), ('quarantine', 'SELECT'), ('quarantine', 'INSERT'), ('quarantine', 'UPDATE'),
+             ('quarantine_fill', 'SELECT'), ('quarantine_fill', 'INSERT'), ('quarantine_fill', 'UPDATE')) AS t (name, needed)
          WHERE NOT has_table_privilege(name, needed) OR row_security_active(name)",
     )
     .fetch_all(&mut *conn)

@@ -151,6 +151,7 @@ impl PostgresStore {
             clock: options.clock,
             registry: Arc::default(),
             memory: Slot::default(),
+            dropping: Slot::default(),
         };
         let mut lent = inner.lent().await?;
         let mut transaction = lent.begin_with(inner.begin()).await?;

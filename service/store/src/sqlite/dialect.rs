@@ -48,6 +48,23 @@ pub(super) async fn drop_partition(
     Ok(None)
 }
 
+/// The first machine from one on of which samples are left that its newest decision names, and with it all that the others do. Two looks
+/// into keys for each machine, however many decisions and cycles it has.
+pub(super) const NEXT_TO_DROP: &str = "SELECT m.machine_id FROM machines m
+     WHERE m.machine_id >= $1
+       AND EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = m.machine_id AND s.received_at_us <
+                       (SELECT MAX(before_us) FROM sample_drops d WHERE d.machine_id = m.machine_id))
+     ORDER BY m.machine_id LIMIT 1";
+
+/// The first machine from one on of which samples are to go. All are gone through, so that none is left to go on behind.
+pub(super) async fn next_to_drop(
+    conn: &mut Conn,
+    from: &str,
+    _most: i64,
+) -> StoreResult<(Option<String>, Option<String>)> {
+    Ok((sqlx::query_scalar(NEXT_TO_DROP).bind(from).fetch_optional(&mut *conn).await?, None))
+}
+
 /// There are no rights of tables.
 #[expect(clippy::unused_async, reason = "the other engine asks for its rights")]
 pub(super) async fn may_write(_conn: &mut Conn) -> StoreResult<()> {
@@ -197,3 +214,21 @@ pub(super) const NOTE_CONTACTS: &str = "INSERT INTO machine_contacts (machine_id
      SELECT json_extract(value, '$[0]'), json_extract(value, '$[1]') FROM json_each($1) WHERE TRUE
      ON CONFLICT (machine_id) DO UPDATE
      SET last_cycle_at_us = MAX(machine_contacts.last_cycle_at_us, excluded.last_cycle_at_us)";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sqlite::plans::plan;
+
+    #[test]
+    fn the_next_machine_of_which_samples_are_to_go_is_found_by_keys_alone() {
+        assert_eq!(
+            plan(NEXT_TO_DROP),
+            [
+                "SEARCH m USING PRIMARY KEY (machine_id>?)",
+                "SEARCH s USING PRIMARY KEY (machine_id=? AND received_at_us<?)",
+                "SEARCH d USING PRIMARY KEY (machine_id=?)",
+            ]
+        );
+    }
+}

@@ -160,6 +160,7 @@ impl SqliteStore {
                 max_samples: options.max_samples,
                 registry: Arc::default(),
                 memory: Slot::default(),
+                dropping: Slot::default(),
                 recent: Arc::default(),
                 alone: options.alone,
             }),

@@ -8,6 +8,10 @@ use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
 use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, next_page};
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Rows of one statement that take longer are told of.
+const LONG: Duration = Duration::from_secs(1);
 
 /// Where a database is.
 #[derive(Debug, Clone)]
@@ -282,7 +286,17 @@ async fn walk(
             }
             Writing::Missing => {
                 for rows in missing.chunks((MOST_PARAMETERS / table.columns.len()).max(1)) {
+                    let begun = Instant::now();
                     target.insert(table, rows).await?;
+                    let took = begun.elapsed();
+                    if took >= LONG {
+                        tracing::warn!(
+                            table = table.name,
+                            rows = rows.len(),
+                            ?took,
+                            "rows took long to be written"
+                        );
+                    }
                     written += rows.len() as u64;
                 }
             }

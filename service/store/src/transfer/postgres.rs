@@ -29,10 +29,15 @@ pub(super) struct PostgresSide {
     numbered: Vec<(String, String)>,
 }
 
+/// Statements go unlogged, however long they take: one that inserts has thousands of placeholders.
+fn options(url: &str) -> StoreResult<PgConnectOptions> {
+    let options: PgConnectOptions = url.parse()?;
+    Ok(options.application_name("feedwright transfer").disable_statement_logging())
+}
+
 impl PostgresSide {
     pub(super) async fn connect(url: &str) -> StoreResult<Self> {
-        let options: PgConnectOptions = url.parse()?;
-        let mut conn = options.application_name("feedwright transfer").connect().await?;
+        let mut conn = options(url)?.connect().await?;
         // Types of columns are compared by their names, which a role may have quoted. Its limits for questions are none for all that is there,
         // and of what is hidden from it nothing would be moved.
         sqlx::raw_sql(
@@ -409,5 +414,16 @@ impl Side for PostgresSide {
         if let Err(error) = self.conn.close().await {
             tracing::debug!(%error, "a connection did not close cleanly");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_statement_is_logged_with_all_its_placeholders() {
+        let options = format!("{:?}", options("postgres://nobody@localhost/plant").unwrap());
+        assert!(options.contains("slow_statements_level: Off"), "{options}");
     }
 }

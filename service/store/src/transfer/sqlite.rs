@@ -34,16 +34,20 @@ pub(super) struct SqliteSide {
     is_shorter: bool,
 }
 
+/// Statements go unlogged, however long they take: one that inserts has thousands of placeholders.
+fn options(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(by_name(path))
+        .busy_timeout(PATIENCE)
+        .row_buffer_size(ROWS_AHEAD)
+        .disable_statement_logging()
+}
+
 impl SqliteSide {
     /// Reads a file beside whoever writes it, with all that was acknowledged before.
     pub(super) async fn read(path: &Path) -> StoreResult<Self> {
         crate::sqlite::take_up(path).await?;
-        let options = SqliteConnectOptions::new()
-            .filename(by_name(path))
-            .read_only(true)
-            .busy_timeout(PATIENCE)
-            .row_buffer_size(ROWS_AHEAD);
-        let mut conn = options.connect().await?;
+        let mut conn = options(path).read_only(true).connect().await?;
         if sqlx::query_scalar(HAS_MIGRATIONS).fetch_one(&mut conn).await? {
             let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut conn).await?;
             StoreError::unless_known(&applied, &MIGRATIONS)?;
@@ -53,12 +57,7 @@ impl SqliteSide {
 
     /// Writes a file that nobody else writes, as durably as the store does.
     pub(super) async fn write(path: &Path) -> StoreResult<Self> {
-        let options = SqliteConnectOptions::new()
-            .filename(by_name(path))
-            .create_if_missing(false)
-            .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(PATIENCE)
-            .row_buffer_size(ROWS_AHEAD);
+        let options = options(path).create_if_missing(false).synchronous(SqliteSynchronous::Full);
         Ok(Self { conn: options.connect().await?, is_shorter: true })
     }
 
@@ -445,5 +444,16 @@ impl Side for SqliteSide {
         if let Err(error) = self.conn.close().await {
             tracing::debug!(%error, "a connection did not close cleanly");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_statement_is_logged_with_all_its_placeholders() {
+        let options = format!("{:?}", options(Path::new("cell.sqlite3")));
+        assert!(options.contains("slow_statements_level: Off"), "{options}");
     }
 }
