@@ -4,7 +4,7 @@ use super::transaction::GroupTransaction;
 use super::{Conn, Db, alarms, dialect, operations, tools};
 use crate::codec::state;
 use crate::error::StoreResult;
-use crate::history::{Walk, beginning, verdict_after};
+use crate::history::{CHECKPOINT_CYCLES, Walk, beginning, verdict_after};
 use crate::registry::Registry;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, ToolId};
@@ -501,6 +501,30 @@ impl ToolWear {
         !self.outdated && (matches!(of, Of::Machine(_)) || !self.is_unreadable())
     }
 
+    /// The last state on the way, over all machines, that has counted nothing from a place on: what comes there is folded on from it. Of
+    /// one machine the checkpoints are those of the whole tool.
+    pub(super) async fn state_before(
+        &self,
+        conn: &mut Conn,
+        from: &Place,
+    ) -> StoreResult<Option<(ToolFold, u64)>> {
+        let mut machines = self.machines.keys();
+        let of = match (machines.next(), machines.next()) {
+            (None, _) => return Ok(None),
+            (Some(only), None) => Of::Machine(only),
+            _ => Of::All,
+        };
+        if !self.may_resume(of) {
+            return Ok(None);
+        }
+        checkpoint_before(conn, &self.tool, of, from).await
+    }
+
+    /// How many cycles are counted, on all machines.
+    pub(super) fn folded(&self) -> u64 {
+        self.machines.values().map(|cached| cached.folded).sum()
+    }
+
     /// The verdict over all machines, where no cycle has to be read for it: of one machine it is that one's fold.
     pub(super) fn known_verdict(&self) -> Option<Verdict> {
         let mut caches = self.machines.values();
@@ -919,6 +943,24 @@ async fn count_from(
 /// The verdict on a tool, read only.
 pub(super) async fn verdict(conn: &mut Conn, tool: &ToolId) -> StoreResult<Verdict> {
     Ok(verdict_of_life(conn, tool).await?.0)
+}
+
+/// Cycles that are folded for an answer which others wait behind: those since the last state on the way, and a page of late ones.
+pub(super) const AT_ONCE: u64 = 4 * CHECKPOINT_CYCLES;
+
+/// The verdict on a tool, read only, where no more than some cycles have to be folded for it.
+pub(super) async fn verdict_at_once(conn: &mut Conn, tool: &ToolId) -> StoreResult<Option<Verdict>> {
+    if !is_registered(conn, tool).await? {
+        return Ok(Some(not_registered()));
+    }
+    let mut wear = ToolWear::load(conn, tool).await?;
+    if wear.known_verdict().is_none() {
+        let known = wear.state_before(conn, &END).await?.map_or(0, |(_, folded)| folded);
+        if wear.folded().saturating_sub(known) > AT_ONCE {
+            return Ok(None);
+        }
+    }
+    wear.verdict(conn).await.map(Some)
 }
 
 /// The verdict on a tool, read only, with the place from which on cycles are of its current life.
