@@ -742,6 +742,10 @@ impl Store for Engine {
 
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife> {
         let tool = tool.clone();
+        let asked = tool.clone();
+        if let Some(life) = snapshot!(self, Lane::Usual, |conn| life::at_once(conn, &asked, most).await)? {
+            return Ok(life);
+        }
         snapshot!(self, Lane::Long, |conn| life::of(conn, &tool, most).await)
     }
 
