@@ -11,6 +11,7 @@ mod killed;
 mod large_bodies;
 mod listening;
 mod lists;
+mod long_reads;
 mod matrix;
 mod openapi;
 mod outage;

@@ -32,7 +32,7 @@ const ENERGIES: [f64; 12] = [10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5, 
 const ANSWER_SECONDS: [f64; 12] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0];
 /// Why cycles are refused and not kept, as problem codes; they stand at 0 from the start, since the rate of a series
 /// that appears with its first event misses that event. A code that is not here is counted all the same.
-const REJECTIONS: [&str; 21] = [
+const REJECTIONS: [&str; 22] = [
     "malformed_json",
     "malformed_cycle",
     "malformed_encoding",
@@ -49,6 +49,7 @@ const REJECTIONS: [&str; 21] = [
     "quarantine_refused",
     "shutting_down",
     "database_unavailable",
+    "too_many_reads",
     "database_not_writable",
     "database_not_readable",
     "outcome_unknown",

@@ -21,6 +21,7 @@ pub(crate) struct Walk<'a> {
     folded: u64,
     events: &'a [PlacedEvent],
     next: usize,
+    begun: usize,
 }
 
 impl<'a> Walk<'a> {
@@ -32,7 +33,7 @@ impl<'a> Walk<'a> {
     /// From a state with `folded` cycles: events up to the place of its last cycle are in it.
     pub(crate) fn resume(fold: ToolFold, folded: u64, events: &'a [PlacedEvent]) -> Self {
         let next = fold.last().map(Place::of).map_or(0, |last| events.partition_point(|e| e.place <= last));
-        Self { fold, folded, events, next }
+        Self { fold, folded, events, next, begun: 0 }
     }
 
     /// Folds the next cycle in.
@@ -42,15 +43,21 @@ impl<'a> Walk<'a> {
         while let Some(event) = self.events.get(self.next).filter(|event| event.place <= place) {
             self.fold.event(event.kind, event.at);
             self.next += 1;
+            self.begun += usize::from(event.kind.begins_life());
         }
         self.fold.cycle(&facts, settings.as_ref());
         self.folded += 1;
         Ok(())
     }
 
-    /// How many lives have begun by an event.
-    pub(crate) fn lives(&self) -> usize {
-        self.events[..self.next].iter().filter(|event| event.kind.begins_life()).count()
+    /// How many lives have begun by an event on this walk.
+    pub(crate) const fn lives(&self) -> usize {
+        self.begun
+    }
+
+    /// Whether an event after the last cycle begins another life.
+    pub(crate) fn is_life_over(&self) -> bool {
+        self.events[self.next..].iter().any(|event| event.kind.begins_life())
     }
 
     /// Whether a checkpoint belongs here.

@@ -12,6 +12,7 @@ mod fault;
 mod feed_profile;
 mod gate;
 mod history;
+mod lanes;
 mod locks;
 mod notice;
 mod past;

@@ -22,6 +22,7 @@ pub use open::{CommonClock, PostgresOptions};
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
+use crate::lanes::{Ended, Lane, Lanes};
 use crate::locks::Locks;
 use crate::recent::Recent;
 use crate::record::DatabaseUsage;
@@ -104,6 +105,7 @@ struct Inner {
     lost_after: Duration,
     /// One at a time asks what the server is at.
     asking: Mutex<()>,
+    lanes: Lanes,
     /// Who makes changes: they leave reads some of the pool, however long their commits take.
     changing: Semaphore,
     /// The connection of the change before, where the pool has enough without it: a server's process that has just written cycles
@@ -255,7 +257,7 @@ impl PostgresStore {
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {
-        let mut lent = self.reader().await?;
+        let mut lent = self.reader(Lane::Short).await?;
         let asked = sqlx::query_scalar("SELECT pg_database_size(current_database())");
         let bytes: i64 = self.in_time(async { Ok(asked.fetch_one(&mut *lent).await?) }).await?;
         let pool = &self.inner.pool;
@@ -280,13 +282,15 @@ impl PostgresStore {
     }
 
     /// As any other.
-    async fn reader_of_others(&self) -> StoreResult<Lent> {
-        self.reader().await
+    async fn reader_of_others(&self, lane: Lane) -> StoreResult<Lent> {
+        self.reader(lane).await
     }
 
     /// A connection to read by, outside of a transaction; behind a pooler inside one, which ends when it is given back.
-    async fn reader(&self) -> StoreResult<Lent> {
+    async fn reader(&self, lane: Lane) -> StoreResult<Lent> {
+        let turn = self.inner.lanes.turn(lane).await?;
         let mut lent = self.inner.lent().await?;
+        lent.has_turn(turn);
         if self.inner.pooled {
             self.in_time(async { Ok(lent.begin_reading(BEGIN_SNAPSHOT_POOLED).await?) }).await?;
         }
@@ -397,21 +401,30 @@ impl PostgresStore {
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        self.snapshot(work).await
+        self.snapshot(Lane::Long, work).await
     }
 
-    /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
-    async fn snapshot<T, F>(&self, work: F) -> StoreResult<T>
+    /// Runs reads in one snapshot, in a task of its own that ends its transaction: also where nobody waits for the answer any more, or
+    /// the store is closed, which it finds out between two statements.
+    async fn snapshot<T, F>(&self, lane: Lane, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
+        let turn = self.inner.lanes.turn(lane).await?;
         let inner = Arc::clone(&self.inner);
+        let (waits, gone) = oneshot::channel::<()>();
         let task = tokio::spawn(async move {
             let mut lent = inner.lent().await?;
+            lent.has_turn(turn);
             let asked = async {
                 let mut transaction = lent.begin_with(inner.begin_snapshot()).await?;
-                let outcome = work(&mut transaction).await;
+                let outcome = tokio::select! {
+                    biased;
+                    outcome = work(&mut transaction) => outcome,
+                    _ = gone => Err(Ended.into()),
+                    () = inner.lanes.ended() => Err(Ended.into()),
+                };
                 transaction.rollback().await?;
                 outcome
             };
@@ -421,13 +434,16 @@ impl PostgresStore {
                 Err(StoreError::Unavailable(LOST.into()))
             })
         });
-        task.await.map_err(panicked)?
+        let outcome = task.await.map_err(panicked)?;
+        drop(waits);
+        outcome
     }
 
     /// What is no longer waited for keeps its connection, and nobody from going.
     async fn shut(&self) {
         let ended = async {
             self.inner.gate.shut().await;
+            self.inner.lanes.end();
             drop(self.inner.warm.lock().unwrap_or_else(PoisonError::into_inner).take());
             self.inner.pool.close().await;
         };

@@ -17,6 +17,8 @@ mod group_thread;
 mod group_writer;
 mod journal;
 mod kept;
+#[cfg(test)]
+mod lane_tests;
 mod open;
 #[cfg(test)]
 pub(crate) mod plans;
@@ -33,6 +35,7 @@ pub(crate) use open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS};
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};
+use crate::lanes::{Ended, Lane, Lanes};
 use crate::locks::Locks;
 use crate::recent::Recent;
 use crate::record::{DatabaseUsage, StoreFault};
@@ -49,6 +52,7 @@ use sqlx::Connection;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::oneshot;
 use writing::{Writer, Writing};
 
 type Db = sqlx::Sqlite;
@@ -80,6 +84,7 @@ pub struct SqliteStore {
 struct Inner {
     writing: Arc<Writing>,
     readers: Arc<Readers>,
+    lanes: Lanes,
     block_reader: BlockReader,
     gate: Gate,
     checkpoints: Checkpoints,
@@ -159,7 +164,7 @@ impl SqliteStore {
     }
 
     async fn measure(&self) -> StoreResult<DatabaseUsage> {
-        let mut reader = self.reader().await?;
+        let mut reader = self.reader(Lane::Short).await?;
         let pages: i64 = sqlx::query_scalar("PRAGMA page_count").fetch_one(&mut *reader).await?;
         let page_bytes: i64 = sqlx::query_scalar("PRAGMA page_size").fetch_one(&mut *reader).await?;
         reader.settle();
@@ -197,14 +202,16 @@ impl SqliteStore {
     }
 
     /// A connection that reads what groups do not write: tokens and sessions.
-    async fn reader_of_others(&self) -> StoreResult<Lent> {
-        Ok(self.inner.readers.lend().await?)
+    async fn reader_of_others(&self, lane: Lane) -> StoreResult<Lent> {
+        let turn = self.inner.lanes.turn(lane).await?;
+        self.inner.readers.lend(turn).await
     }
 
     /// A connection that reads all that was acknowledged before.
-    async fn reader(&self) -> StoreResult<Lent> {
+    async fn reader(&self, lane: Lane) -> StoreResult<Lent> {
+        let turn = self.inner.lanes.turn(lane).await?;
         self.inner.writing.catch_up().await?;
-        Ok(self.inner.readers.lend().await?)
+        self.inner.readers.lend(turn).await
     }
 
     /// Gives pages that deletions freed back to the file system, a few at a time and between commits; some stay for
@@ -247,16 +254,24 @@ impl SqliteStore {
         self.inner.writing.write_group(pass, work).await
     }
 
-    /// Runs reads in one snapshot, in a task that nobody can cancel half-way through its transaction.
-    async fn snapshot<T, F>(&self, work: F) -> StoreResult<T>
+    /// Runs reads in one snapshot, in a task of its own that ends its transaction: also where nobody waits for the answer any more, or
+    /// the store is closed, which it finds out between two statements or rows.
+    async fn snapshot<T, F>(&self, lane: Lane, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Conn) -> Work<'c, T> + Send + 'static,
     {
-        let mut conn = self.reader().await?;
+        let mut conn = self.reader(lane).await?;
+        let (waits, gone) = oneshot::channel::<()>();
+        let ended = self.inner.lanes.ended();
         let task = tokio::spawn(async move {
             let mut transaction = conn.begin().await?;
-            let outcome = work(&mut transaction).await;
+            let outcome = tokio::select! {
+                biased;
+                outcome = work(&mut transaction) => outcome,
+                _ = gone => Err(Ended.into()),
+                () = ended => Err(Ended.into()),
+            };
             let ended = transaction.rollback().await;
             match &ended {
                 Ok(()) => conn.settle(),
@@ -267,7 +282,9 @@ impl SqliteStore {
             ended?;
             Ok(value)
         });
-        task.await.map_err(panicked)?
+        let outcome = task.await.map_err(panicked)?;
+        drop(waits);
+        outcome
     }
 
     /// Runs reads on the connection that writes: one that only reads leaves a table's constraints out of its schema, and finds
@@ -284,6 +301,7 @@ impl SqliteStore {
         self.inner.gate.shut().await;
         self.inner.checkpoints.stop().await;
         self.inner.block_reader.close();
+        self.inner.lanes.end();
         self.inner.readers.close().await;
         self.inner.writing.close().await;
     }

@@ -321,7 +321,8 @@ pub trait Store: Send + Sync + 'static {
 
     /// The verdict on a tool over all its machines; unknown where it has no cycles or is not registered.
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict>;
-    /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the beginning.
+    /// The newest `most` cycles of a tool's current life with what became of each: the fold, walked from the last
+    /// state on the way before them, or from the beginning where there is none.
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife>;
     /// The next registered tool after `after` with a fold that an earlier version of the rules made, that is behind a change of an operation, or
     /// of which nobody has noted what operations it ran.

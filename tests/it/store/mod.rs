@@ -14,6 +14,7 @@ mod citus;
 mod cycles;
 mod feed_profiles;
 mod journal;
+mod life;
 mod log;
 mod models;
 pub(crate) mod operations;

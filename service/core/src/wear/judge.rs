@@ -28,6 +28,11 @@ impl ToolFold {
         &self.last_excluded
     }
 
+    /// How many cycles the life that runs has had.
+    pub const fn cycles(&self) -> u64 {
+        self.cycles
+    }
+
     /// The level that is judged now; `None` before there is one, and for a tool that was never known to be new.
     pub fn judged_level(&self) -> Option<Level> {
         self.judged(self.decision())

@@ -154,6 +154,15 @@ impl Problem {
         )
     }
 
+    /// 503: the database answers, and a read waited in vain for others to end.
+    fn too_many_reads() -> Self {
+        Self::unavailable(
+            "too_many_reads",
+            "other reads are under way, and this one did not have its turn in time",
+            2,
+        )
+    }
+
     /// What reading the samples of one cycle of many failed with: where they are damaged it says which cycle's they are.
     pub fn of_samples(error: StoreError, machine: &MachineId, cycle: &CycleId) -> Self {
         let are_damaged = matches!(error, StoreError::Damaged { .. });
@@ -168,9 +177,9 @@ impl Problem {
         Self { detail: detail.into(), ..problem }
     }
 
-    /// Whether it is told because the database is away.
+    /// Whether it is told because the database is away, or too busy.
     pub fn is_of_outage(&self) -> bool {
-        matches!(self.code, "database_unavailable" | "outcome_unknown")
+        matches!(self.code, "database_unavailable" | "too_many_reads" | "outcome_unknown")
     }
 
     /// Says when to try again, in whole seconds, at least one.
@@ -256,7 +265,9 @@ impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         let private = private(&error);
         let etag = |version: u64| HeaderValue::try_from(format!("\"{version}\""));
+        let of_other_reads = error.is_of_other_reads();
         let problem = match error {
+            StoreError::Unavailable(_) if of_other_reads => Self::too_many_reads(),
             StoreError::Unavailable(_) => Self::database_unavailable(),
             StoreError::OutcomeUnknown(_) => Self::unavailable(
                 "outcome_unknown",

@@ -2,6 +2,7 @@
 
 use super::{Engine, series};
 use crate::error::StoreResult;
+use crate::lanes::Lane;
 use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::recent::{Kept, Recent};
 use crate::record::CycleFilter;
@@ -28,7 +29,7 @@ impl Engine {
             {
                 return Ok(points);
             }
-            let mut lent = self.reader().await?;
+            let mut lent = self.reader(Lane::Usual).await?;
             let cycles = self.in_time(series::cycles_of_tool(&mut lent, tool)).await?;
             lent.settle();
             let new = cycles.map_or(i64::MAX, |cycles| cycles.saturating_sub(kept.cycles));
@@ -71,7 +72,7 @@ impl Engine {
     async fn counted_points(&self, tool: &ToolId, limit: u32) -> StoreResult<(Option<i64>, Vec<CyclePoint>)> {
         let of_tool = CycleFilter { tool: Some(tool.clone()), ..CycleFilter::default() };
         let tool = tool.clone();
-        let read = self.snapshot(move |conn| {
+        let read = self.snapshot(Lane::Usual, move |conn| {
             Box::pin(async move {
                 let cycles = series::cycles_of_tool(conn, &tool).await?;
                 Ok((cycles, series::last_points(conn, &of_tool, PointColumns::Energy, limit).await?))

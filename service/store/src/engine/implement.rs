@@ -12,6 +12,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::feed_profile::{
     Drafted, FeedProfile, FeedProfileFilter, NewProfileVersion, ProfileMove, StoredProfileVersion,
 };
+use crate::lanes::Lane;
 use crate::locks::Locks;
 use crate::notice::Notices;
 use crate::past;
@@ -107,10 +108,10 @@ impl<T> Registered for Option<T> {
 /// well is lent again without a question.
 macro_rules! read {
     ($engine:ident, |$conn:ident| $body:expr) => {
-        read!($engine.reader(), |$conn| $body)
+        read!($engine.reader(Lane::Usual), |$conn| $body)
     };
-    ($engine:ident.$reader:ident(), |$conn:ident| $body:expr) => {{
-        let mut lent = $engine.$reader().await?;
+    ($engine:ident.$reader:ident($lane:expr), |$conn:ident| $body:expr) => {{
+        let mut lent = $engine.$reader($lane).await?;
         let $conn = &mut *lent;
         let outcome = $engine.in_time(async { $body }).await;
         if outcome.is_ok() {
@@ -123,7 +124,10 @@ macro_rules! read {
 /// Reads that belong together, in one snapshot.
 macro_rules! snapshot {
     ($engine:ident, |$conn:ident| $body:expr) => {
-        $engine.snapshot(move |$conn| Box::pin(async move { $body })).await
+        snapshot!($engine, Lane::Usual, |$conn| $body)
+    };
+    ($engine:ident, $lane:expr, |$conn:ident| $body:expr) => {
+        $engine.snapshot($lane, move |$conn| Box::pin(async move { $body })).await
     };
 }
 
@@ -368,7 +372,7 @@ impl Store for Engine {
     }
 
     async fn machine(&self, id: &MachineId) -> StoreResult<Option<Versioned<Machine>>> {
-        read!(self, |conn| machines::get(conn, id).await)
+        read!(self.reader(Lane::Short), |conn| machines::get(conn, id).await)
     }
 
     async fn machines(&self, page: Page<MachineId>) -> StoreResult<Vec<Versioned<Machine>>> {
@@ -387,7 +391,7 @@ impl Store for Engine {
     }
 
     async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
-        read!(self, |conn| tools::get(conn, id).await)
+        read!(self.reader(Lane::Short), |conn| tools::get(conn, id).await)
     }
 
     async fn tools(&self, page: Page<ToolId>) -> StoreResult<Vec<Versioned<Tool>>> {
@@ -436,7 +440,7 @@ impl Store for Engine {
     }
 
     async fn operation(&self, id: &OperationId) -> StoreResult<Option<Versioned<Operation>>> {
-        read!(self, |conn| operations::get(conn, id).await)
+        read!(self.reader(Lane::Short), |conn| operations::get(conn, id).await)
     }
 
     async fn operations(&self, page: Page<OperationId>) -> StoreResult<Vec<Versioned<Operation>>> {
@@ -455,7 +459,7 @@ impl Store for Engine {
     }
 
     async fn model(&self, kind: ModelKind, id: &ModelId) -> StoreResult<Option<Versioned<Model>>> {
-        read!(self, |conn| models::get(conn, kind, id).await)
+        read!(self.reader(Lane::Short), |conn| models::get(conn, kind, id).await)
     }
 
     async fn models(&self, kind: ModelKind, page: Page<ModelId>) -> StoreResult<Vec<Versioned<Model>>> {
@@ -508,7 +512,7 @@ impl Store for Engine {
         id: &ProfileId,
         version: u32,
     ) -> StoreResult<Option<StoredProfileVersion>> {
-        read!(self, |conn| feed_profiles::version(conn, id, version).await)
+        read!(self.reader(Lane::Short), |conn| feed_profiles::version(conn, id, version).await)
     }
 
     async fn profile_versions(
@@ -520,7 +524,7 @@ impl Store for Engine {
     }
 
     async fn active_profiles(&self, operation: &OperationId, tool: &ToolId) -> StoreResult<ActiveProfiles> {
-        read!(self, |conn| feed_profiles::active(conn, operation, tool).await)
+        read!(self.reader(Lane::Short), |conn| feed_profiles::active(conn, operation, tool).await)
     }
 
     async fn cycles_of_profile(&self, ran: &ProfileVersion, most: u32) -> StoreResult<Vec<StoredCycle>> {
@@ -563,7 +567,7 @@ impl Store for Engine {
         tool: &ToolId,
     ) -> StoreResult<Option<Surroundings>> {
         let (machine, operation, tool) = (machine.clone(), operation.clone(), tool.clone());
-        snapshot!(self, |conn| machines::surroundings(conn, &machine, &operation, &tool).await)
+        snapshot!(self, Lane::Short, |conn| machines::surroundings(conn, &machine, &operation, &tool).await)
     }
 
     async fn hold_sums(&self, after: Option<&SummedTo>) -> StoreResult<SumPage> {
@@ -587,7 +591,13 @@ impl Store for Engine {
         }
         let names = (machine.clone(), operation.clone(), tool.clone());
         let registry = Arc::clone(self.registry());
-        snapshot!(self, |conn| registry::around(conn, &registry, (&names.0, &names.1, &names.2), at).await)
+        snapshot!(self, Lane::Short, |conn| registry::around(
+            conn,
+            &registry,
+            (&names.0, &names.1, &names.2),
+            at
+        )
+        .await)
     }
 
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
@@ -597,7 +607,7 @@ impl Store for Engine {
     async fn differences(&self, sent: Cycle) -> StoreResult<Vec<String>> {
         let content = {
             let (machine, id) = (sent.machine.clone(), sent.id.clone());
-            snapshot!(self, |conn| cycles::content(conn, &machine, &id).await)?
+            snapshot!(self, Lane::Short, |conn| cycles::content(conn, &machine, &id).await)?
         };
         let (Some(content), max_samples) = (content, self.max_samples()) else {
             return Ok(Vec::new());
@@ -634,7 +644,7 @@ impl Store for Engine {
     }
 
     async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>> {
-        read!(self, |conn| series::points(conn, filter, &page).await)
+        read!(self.reader(Lane::Long), |conn| series::points(conn, filter, &page).await)
     }
 
     async fn last_points(
@@ -660,7 +670,7 @@ impl Store for Engine {
         limit: u32,
     ) -> StoreResult<Vec<LevelPoint>> {
         let tool = tool.clone();
-        snapshot!(self, |conn| series::levels(conn, &tool, from, to, limit).await)
+        snapshot!(self, Lane::Long, |conn| series::levels(conn, &tool, from, to, limit).await)
     }
 
     async fn retention(&self, machine: &MachineId) -> StoreResult<Option<Versioned<SampleRetention>>> {
@@ -756,7 +766,7 @@ impl Store for Engine {
 
     async fn check_cycles(&self, after: Option<&CheckedTo>, limit: u32) -> StoreResult<CheckPage> {
         let (after, max_samples) = (after.cloned(), self.max_samples());
-        snapshot!(self, |conn| verify::page(conn, after.as_ref(), limit, max_samples).await)
+        snapshot!(self, Lane::Long, |conn| verify::page(conn, after.as_ref(), limit, max_samples).await)
     }
 
     async fn check_tables(&self) -> StoreResult<Vec<StoreFault>> {
@@ -765,12 +775,21 @@ impl Store for Engine {
 
     async fn verdict(&self, tool: &ToolId) -> StoreResult<Verdict> {
         let tool = tool.clone();
-        snapshot!(self, |conn| wear::verdict(conn, &tool).await)
+        let asked = tool.clone();
+        if let Some(verdict) = snapshot!(self, Lane::Short, |conn| wear::verdict_at_once(conn, &asked).await)?
+        {
+            return Ok(verdict);
+        }
+        snapshot!(self, Lane::Long, |conn| wear::verdict(conn, &tool).await)
     }
 
     async fn life(&self, tool: &ToolId, most: u32) -> StoreResult<ToolLife> {
         let tool = tool.clone();
-        snapshot!(self, |conn| life::of(conn, &tool, most).await)
+        let asked = tool.clone();
+        if let Some(life) = snapshot!(self, Lane::Usual, |conn| life::at_once(conn, &asked, most).await)? {
+            return Ok(life);
+        }
+        snapshot!(self, Lane::Long, |conn| life::of(conn, &tool, most).await)
     }
 
     async fn next_outdated_fold(&self, after: Option<&ToolId>) -> StoreResult<Option<ToolId>> {
@@ -812,14 +831,14 @@ impl Store for Engine {
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck> {
         let mut checked = WearCheck::default();
         let doubt = repair.doubt().cloned().map(Arc::new);
-        for next in snapshot!(self, |conn| check::tools(conn).await)? {
+        for next in snapshot!(self, Lane::Long, |conn| check::tools(conn).await)? {
             let Some(tool) = next.as_str().and_then(|tool| ToolId::try_from(tool).ok()) else {
                 checked.unreadable.push((next.to_string(), "its id is no identifier".to_owned()));
                 continue;
             };
             let found: StoreResult<_> = match doubt.clone() {
                 Some(doubt) => write!(self, |conn| check::tool(conn, &tool, Some(&doubt)).await),
-                None => snapshot!(self, |conn| check::tool(conn, &tool, None).await),
+                None => snapshot!(self, Lane::Long, |conn| check::tool(conn, &tool, None).await),
             };
             match found {
                 Ok((rows, different)) => {
@@ -937,7 +956,7 @@ impl Store for Engine {
     }
 
     async fn token_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<TokenRecord>> {
-        read!(self.reader_of_others(), |conn| tokens::by_hash(conn, hash).await)
+        read!(self.reader_of_others(Lane::Short), |conn| tokens::by_hash(conn, hash).await)
     }
 
     async fn tokens(&self, page: Page<String>) -> StoreResult<Vec<TokenRecord>> {
@@ -984,7 +1003,7 @@ impl Store for Engine {
     }
 
     async fn leased_streams(&self, machines: &[MachineId], now: Timestamp) -> StoreResult<Vec<MachineId>> {
-        read!(self, |conn| {
+        read!(self.reader(Lane::Short), |conn| {
             let now = self.common_time(conn, now).await?;
             streams::leased(conn, machines, now).await
         })
@@ -1001,7 +1020,7 @@ impl Store for Engine {
     }
 
     async fn overrides(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<CycleOverrides>> {
-        read!(self, |conn| streams::overrides(conn, machine, id).await)
+        read!(self.reader(Lane::Short), |conn| streams::overrides(conn, machine, id).await)
     }
 
     async fn raise_overload(
@@ -1021,7 +1040,7 @@ impl Store for Engine {
     }
 
     async fn session_by_hash(&self, hash: &[u8; 32]) -> StoreResult<Option<(SessionRecord, TokenRecord)>> {
-        read!(self.reader_of_others(), |conn| sessions::by_hash(conn, hash).await)
+        read!(self.reader_of_others(Lane::Short), |conn| sessions::by_hash(conn, hash).await)
     }
 
     async fn end_session(&self, hash: &[u8; 32], actor: &Actor, now: Timestamp) -> StoreResult<bool> {

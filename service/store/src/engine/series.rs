@@ -1,6 +1,6 @@
 //! What cycles amounted to, as points of series: few columns of many rows.
 
-use super::wear::{self, Of, ToolWear};
+use super::wear::{self, ToolWear};
 use super::{Conn, Db};
 use crate::error::StoreResult;
 use crate::history::Walk;
@@ -227,17 +227,10 @@ pub(super) async fn levels(
     limit: u32,
 ) -> StoreResult<Vec<LevelPoint>> {
     let known = ToolWear::load(conn, tool).await?;
-    let events = known.events.clone();
-    // Each cycle of a registered tool is counted in a fold, in the transaction that stores it.
-    let machines = known.machines();
-    // Of one machine the checkpoints are those of the whole tool.
-    let of = match machines.as_slice() {
-        [only] => Of::Machine(only),
-        _ => Of::All,
-    };
-    let mut walk = match wear::checkpoint_before(conn, tool, of, &Place::at(from)).await? {
-        Some((fold, folded)) if known.may_resume(of) => Walk::resume(fold, folded, &events),
-        _ => Walk::new(&events),
+    let events = &known.events;
+    let mut walk = match known.state_before(conn, &Place::at(from)).await? {
+        Some((fold, folded)) => Walk::resume(fold, folded, events),
+        None => Walk::new(events),
     };
     let mut levels = Vec::new();
     if !wear::is_registered(conn, tool).await? {

@@ -1,18 +1,24 @@
 //! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
 
+pub(in super::super) mod outdated;
+
+pub(super) use outdated::{
+    After, Looked, Looks, Unchanged, next_outdated, next_unchanged, note_unchanged, renew,
+};
+
 use super::transaction::GroupTransaction;
 use super::{Conn, Db, alarms, dialect, operations, tools};
 use crate::codec::ran::Ran;
 use crate::codec::state;
 use crate::error::StoreResult;
-use crate::history::{Walk, beginning, verdict_after};
-use crate::record::FoldKey;
+use crate::history::{CHECKPOINT_CYCLES, Walk, beginning, verdict_after};
 use crate::registry::Registry;
 use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::operation::{Ask, asked_at};
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
+use outdated::{RAN_OF_TOOL_ON_MACHINE, first_changed, judged_otherwise_since, note_ran, ran_of};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -554,6 +560,30 @@ impl ToolWear {
         !self.outdated && (matches!(of, Of::Machine(_)) || !self.is_unreadable())
     }
 
+    /// The last state on the way, over all machines, that has counted nothing from a place on: what comes there is folded on from it. Of
+    /// one machine the checkpoints are those of the whole tool.
+    pub(super) async fn state_before(
+        &self,
+        conn: &mut Conn,
+        from: &Place,
+    ) -> StoreResult<Option<(ToolFold, u64)>> {
+        let mut machines = self.machines.keys();
+        let of = match (machines.next(), machines.next()) {
+            (None, _) => return Ok(None),
+            (Some(only), None) => Of::Machine(only),
+            _ => Of::All,
+        };
+        if !self.may_resume(of) {
+            return Ok(None);
+        }
+        checkpoint_before(conn, &self.tool, of, from).await
+    }
+
+    /// How many cycles are counted, on all machines.
+    pub(super) fn folded(&self) -> u64 {
+        self.machines.values().map(|cached| cached.folded).sum()
+    }
+
     /// The verdict over all machines, where no cycle has to be read for it: of one machine it is that one's fold.
     pub(super) fn known_verdict(&self) -> Option<Verdict> {
         let mut caches = self.machines.values();
@@ -783,257 +813,6 @@ pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) ->
     wear.verdict(conn).await
 }
 
-/// What is noted of the operations that a fold's cycles ran, where it is of as many cycles as the fold: a server of before counts
-/// cycles and notes nothing.
-fn ran_of(noted: Option<&[u8]>, folded: u64) -> Option<Ran> {
-    Ran::from_bytes(noted?, folded)
-}
-
-/// Notes the operation of a cycle that is counted.
-fn note_ran(ran: &mut Option<Ran>, row: &FactsRow) {
-    if let Some(ran) = ran {
-        ran.note(&row.operation_id, row.started_at_us);
-    }
-}
-
-/// When the first cycle began that ran an operation which changed after a number, of those that are noted.
-fn first_changed(ran: &BTreeMap<String, i64>, changes: &BTreeMap<String, i64>, since: i64) -> Option<i64> {
-    let changed = |operation: &String| changes.get(operation).is_some_and(|change| *change > since);
-    ran.iter().filter(|(operation, _)| changed(operation)).map(|(_, first)| *first).min()
-}
-
-/// Which operations a tool's cycles on a machine ran, each with when the first of them began.
-pub(in super::super) const RAN_OF_TOOL_ON_MACHINE: &str = concat!(
-    "SELECT operation_id, MIN(started_at_us) FROM cycles WHERE tool_id = $1 AND ",
-    dialect::checked!("machine_id"),
-    " = $2 GROUP BY ",
-    dialect::checked!("operation_id"),
-);
-
-/// From when on a tool's cycles ran what changed after a number, by machine.
-pub(in super::super) const JUDGED_OTHERWISE: &str = concat!(
-    "SELECT machine_id, MIN(started_at_us) FROM cycles WHERE tool_id = $1 AND ",
-    dialect::checked!("operation_id"),
-    " IN (SELECT operation_id FROM operations WHERE judging_change > $2) GROUP BY ",
-    dialect::checked!("machine_id"),
-);
-
-/// From where on a tool's cycles are judged otherwise than before the changes of operations after one of a number, by machine: where
-/// it is not noted which operations they ran, all of them are gone through.
-async fn judged_otherwise_since(
-    conn: &mut Conn,
-    tool: &ToolId,
-    judging_change: i64,
-) -> StoreResult<BTreeMap<MachineId, Place>> {
-    let rows: Vec<(String, i64)> = sqlx::query_as::<Db, _>(JUDGED_OTHERWISE)
-        .bind(tool.as_str())
-        .bind(judging_change)
-        .fetch_all(&mut *conn)
-        .await?;
-    let places = rows
-        .iter()
-        .map(|(machine, first)| Ok((id("machine_id", machine)?, Place::at(Timestamp::from_micros(*first)))));
-    places.collect()
-}
-
-/// Folds that are looked at in one statement, and written in one transaction.
-const LOOKED_AT: i64 = 100;
-
-/// Behind every machine of a tool, as identifiers are of ASCII.
-const BEHIND_MACHINES: &str = "~";
-
-/// The next folds with what they have gone along with: rows of folds alone, never of cycles. Where tools begin stands twice, as PostgreSQL
-/// else goes through all of those before.
-pub(in super::super) const LOOK: &str =
-    "SELECT w.tool_id, w.machine_id, w.fold_version, w.folded, w.judging_change, w.ran,
-         CAST(CASE WHEN t.tool_id IS NULL THEN 0 ELSE 1 END AS BIGINT) AS registered
-     FROM tool_wear w LEFT JOIN tools t ON t.tool_id = w.tool_id AND t.tool_id >= $1
-     WHERE (w.tool_id, w.machine_id) > ($1, $2) ORDER BY w.tool_id, w.machine_id LIMIT $3";
-
-#[derive(sqlx::FromRow)]
-struct LookRow {
-    tool_id: String,
-    machine_id: String,
-    fold_version: i64,
-    folded: i64,
-    judging_change: i64,
-    ran: Option<Vec<u8>>,
-    registered: i64,
-}
-
-/// Where a fold stands.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Standing {
-    /// Nothing is to be done; or a newer server wrote it, which judges by it.
-    UpToDate,
-    /// It is behind changes of operations that its cycles never ran: whatever is counted in it later is judged by what is in force then.
-    Unchanged,
-    /// Earlier rules made it, or it is behind a change of an operation that its cycles ran.
-    Outdated,
-    /// It is not noted which operations its cycles ran.
-    Unnoted,
-}
-
-/// Some folds in the order of tools and machines, and where they stand.
-struct Look {
-    rows: Vec<(LookRow, Standing)>,
-    judging_change: i64,
-}
-
-impl Look {
-    async fn after(conn: &mut Conn, after: (&str, &str)) -> StoreResult<Self> {
-        let judging_change = operations::last_judging_change(conn).await?;
-        let rows: Vec<LookRow> = sqlx::query_as::<Db, _>(LOOK)
-            .bind(after.0)
-            .bind(after.1)
-            .bind(LOOKED_AT)
-            .fetch_all(&mut *conn)
-            .await?;
-        let since = rows.iter().map(|row| row.judging_change).min().unwrap_or(judging_change);
-        let changes = operations::changed_since(conn, since, judging_change).await?;
-        let rows = rows.into_iter().map(|row| {
-            let ran = ran_of(row.ran.as_deref(), number("folded", row.folded)?);
-            let standing = match (row.fold_version - i64::from(FOLD_VERSION), ran) {
-                (..0, _) => Standing::Outdated,
-                (1.., _) => Standing::UpToDate,
-                (0, None) => Standing::Unnoted,
-                (0, _) if row.judging_change >= judging_change => Standing::UpToDate,
-                (0, Some(Ran::These(ran))) if first_changed(&ran, &changes, row.judging_change).is_none() => {
-                    Standing::Unchanged
-                }
-                (0, Some(_)) => Standing::Outdated,
-            };
-            Ok((row, standing))
-        });
-        Ok(Self { rows: rows.collect::<StoreResult<_>>()?, judging_change })
-    }
-
-    fn last(&self) -> StoreResult<Option<FoldKey>> {
-        let Some((row, _)) = self.rows.last() else { return Ok(None) };
-        Ok(Some((id("tool_id", &row.tool_id)?, id("machine_id", &row.machine_id)?)))
-    }
-}
-
-/// Behind which folds a look begins.
-#[derive(Debug, Clone)]
-pub(super) enum After {
-    Nothing,
-    Tool(ToolId),
-    Fold(FoldKey),
-}
-
-impl After {
-    fn key(&self) -> (&str, &str) {
-        match self {
-            Self::Nothing => ("", ""),
-            Self::Tool(tool) => (tool.as_str(), BEHIND_MACHINES),
-            Self::Fold((tool, machine)) => (tool.as_str(), machine.as_str()),
-        }
-    }
-}
-
-/// Cycles of a fold that is made anew while somebody waits for an answer, at most: it is made in one transaction, which nobody breaks off.
-const AT_ONCE: i64 = 10_000;
-
-/// Who looks for outdated folds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Looks {
-    /// An answer that waits: longer folds, and those of which it is not noted what they ran, are left to who makes folds anew in the background.
-    AtOnce,
-    InBackground,
-}
-
-/// What a look for outdated folds came to.
-pub(super) enum Looked {
-    /// The next tool that has one.
-    Found(ToolId),
-    /// There is none up to this fold.
-    NoneUpTo(FoldKey),
-    /// There is none any more.
-    End,
-}
-
-/// Looks at the next folds for one of a registered tool that an earlier version of the rules made, that is behind a change of an operation
-/// which its cycles ran, or of which nobody has noted what they ran.
-pub(super) async fn next_outdated(conn: &mut Conn, after: &After, looks: Looks) -> StoreResult<Looked> {
-    let look = Look::after(conn, after.key()).await?;
-    let wanted = |(row, standing): &&(LookRow, Standing)| {
-        let is_due = match looks {
-            Looks::AtOnce => *standing == Standing::Outdated && row.folded <= AT_ONCE,
-            Looks::InBackground => matches!(standing, Standing::Outdated | Standing::Unnoted),
-        };
-        row.registered == 1 && is_due
-    };
-    if let Some((row, _)) = look.rows.iter().find(wanted) {
-        return Ok(Looked::Found(id("tool_id", &row.tool_id)?));
-    }
-    Ok(look.last()?.map_or(Looked::End, Looked::NoneUpTo))
-}
-
-/// Some folds that need not follow a change.
-pub(super) struct Unchanged {
-    /// The last fold that was looked at.
-    pub(super) last: FoldKey,
-    /// Machine and tool of those that need not.
-    pub(super) folds: Vec<(String, String)>,
-    /// The number of the change.
-    pub(super) judging_change: i64,
-}
-
-/// Looks at the next folds for those that are behind a change of an operation which their cycles never ran. `None` behind the last.
-pub(super) async fn next_unchanged(conn: &mut Conn, after: &After) -> StoreResult<Option<Unchanged>> {
-    let look = Look::after(conn, after.key()).await?;
-    let Some(last) = look.last()? else { return Ok(None) };
-    let unchanged = look.rows.into_iter().filter(|(_, standing)| *standing == Standing::Unchanged);
-    let folds = unchanged.map(|(row, _)| (row.machine_id, row.tool_id)).collect();
-    Ok(Some(Unchanged { last, folds, judging_change: look.judging_change }))
-}
-
-/// Writes to folds that they have gone along with a change; their versions stay, as nothing else is otherwise.
-pub(super) async fn note_unchanged(
-    conn: &mut Conn,
-    judging_change: i64,
-    rows: &[(String, String)],
-) -> StoreResult<()> {
-    for (machine, tool) in rows {
-        sqlx::query::<Db>(
-            "UPDATE tool_wear SET judging_change = $3 WHERE machine_id = $1 AND tool_id = $2 AND judging_change < $3",
-        )
-        .bind(machine)
-        .bind(tool)
-        .bind(judging_change)
-        .execute(&mut *conn)
-        .await?;
-    }
-    Ok(())
-}
-
-/// Makes a tool's folds of earlier versions anew, and those that are behind a change of an operation, and notes which operations their
-/// cycles ran where nobody did; the tool's name is locked by then. `None` where there are none.
-pub(super) async fn renew(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Option<Verdict>> {
-    let outdated: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
-        "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version < $2
-         ORDER BY machine_id",
-    )
-    .bind(tool.as_str())
-    .bind(i64::from(FOLD_VERSION))
-    .fetch_all(&mut *conn)
-    .await?;
-    let mut wear = ToolWear::load_locked(conn, tool).await?;
-    for (machine, version) in &outdated {
-        // Checkpoints are as good as they were before one that is only behind.
-        let from = if *version == BEHIND { END } else { BEGINNING };
-        wear.refold(conn, &id("machine_id", machine)?, &from).await?;
-    }
-    wear.find_ran(conn).await?;
-    let changed = wear.take_changed()?;
-    if changed.is_empty() {
-        return Ok(None);
-    }
-    dialect::save_wear(conn, &changed, now).await?;
-    wear.verdict(conn).await.map(Some)
-}
-
 /// Machines that stored a cycle of a tool.
 pub(super) async fn machines_of(conn: &mut Conn, tool: &ToolId) -> StoreResult<Vec<MachineId>> {
     let found: Vec<String> = sqlx::query_scalar::<Db, _>(
@@ -1093,6 +872,24 @@ async fn count_from(
 /// The verdict on a tool, read only.
 pub(super) async fn verdict(conn: &mut Conn, tool: &ToolId) -> StoreResult<Verdict> {
     Ok(verdict_of_life(conn, tool).await?.0)
+}
+
+/// Cycles that are folded for an answer which others wait behind: those since the last state on the way, and a page of late ones.
+pub(super) const AT_ONCE: u64 = 4 * CHECKPOINT_CYCLES;
+
+/// The verdict on a tool, read only, where no more than some cycles have to be folded for it.
+pub(super) async fn verdict_at_once(conn: &mut Conn, tool: &ToolId) -> StoreResult<Option<Verdict>> {
+    if !is_registered(conn, tool).await? {
+        return Ok(Some(not_registered()));
+    }
+    let mut wear = ToolWear::load(conn, tool).await?;
+    if wear.known_verdict().is_none() {
+        let known = wear.state_before(conn, &END).await?.map_or(0, |(_, folded)| folded);
+        if wear.folded().saturating_sub(known) > AT_ONCE {
+            return Ok(None);
+        }
+    }
+    wear.verdict(conn).await.map(Some)
 }
 
 /// The verdict on a tool, read only, with the place from which on cycles are of its current life.

@@ -1,6 +1,7 @@
 //! A connection of the pool that is lent.
 
 use super::{Conn, Db, open};
+use crate::lanes::Turn;
 use sqlx::pool::PoolConnection;
 use sqlx::{AssertSqlSafe, Executor, PgPool, Row};
 use std::ops::{Deref, DerefMut};
@@ -24,6 +25,8 @@ pub(super) struct Lent {
     patience: Duration,
     /// How many are lent.
     _lending: Lending,
+    /// Its turn, where it is lent to a read.
+    turn: Turn,
 }
 
 /// Counts what is lent, until it is dropped.
@@ -50,7 +53,19 @@ impl Lent {
         count: &Arc<AtomicUsize>,
     ) -> Result<Self, sqlx::Error> {
         let conn = Some(pool.acquire().await?);
-        Ok(Self { conn, process: None, begun: false, patience, _lending: Lending::begin(count) })
+        Ok(Self {
+            conn,
+            process: None,
+            begun: false,
+            patience,
+            _lending: Lending::begin(count),
+            turn: Turn::default(),
+        })
+    }
+
+    /// Says that it is lent to a read, whose turn ends when it is given back.
+    pub(super) fn has_turn(&mut self, turn: Turn) {
+        self.turn = turn;
     }
 
     /// Begins what is rolled back when it is given back.
@@ -108,13 +123,14 @@ impl Lent {
 impl Drop for Lent {
     fn drop(&mut self) {
         let Some(mut conn) = self.conn.take() else { return };
-        let (begun, patience) = (self.begun, self.patience);
+        let (begun, patience, turn) = (self.begun, self.patience, std::mem::take(&mut self.turn));
         // One that a store kept, which ends behind everything else.
         let Ok(runtime) = Handle::try_current() else {
             drop(conn.detach());
             return;
         };
         runtime.spawn(async move {
+            let _until_it_is_back = turn;
             if begun && !matches!(timeout(patience, conn.execute("ROLLBACK")).await, Ok(Ok(_))) {
                 drop(conn.detach());
                 return;

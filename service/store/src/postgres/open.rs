@@ -4,6 +4,7 @@ use super::address::unreadable_file;
 use super::{Conn, Inner, PostgresStore, dialect, plant};
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
+use crate::lanes::Lanes;
 use crate::locks::Locks;
 use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
@@ -68,6 +69,10 @@ impl Default for PostgresOptions {
 
 /// Connections that changes leave to reads, where there are so many.
 const KEPT_FOR_READS: u32 = 2;
+
+/// Connections that usual and long reads leave to changes, and to what is asked before them: tokens, and what is registered. Where there
+/// are few, half of them; and of all of them long reads have a quarter at the most.
+const KEPT_FROM_READS: u32 = 3;
 
 pub(super) const NOT_USABLE: &str = "the server is in recovery, read-only, or does not commit durably";
 
@@ -142,6 +147,11 @@ impl PostgresStore {
             gate: Gate::default(),
             lost_after: options.lost_after,
             asking: Mutex::default(),
+            lanes: Lanes::of(
+                options.connections.saturating_sub(KEPT_FROM_READS).max(options.connections / 2),
+                options.connections / 4,
+                options.patience,
+            ),
             changing: Semaphore::new(options.connections.saturating_sub(KEPT_FOR_READS).max(1) as usize),
             warm: std::sync::Mutex::default(),
             given_up: AtomicUsize::new(0),

@@ -10,6 +10,7 @@ use super::{Conn, Inner, SqliteStore};
 use crate::durable::sync_name;
 use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
+use crate::lanes::Lanes;
 use crate::slot::Slot;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::sqlite::{
@@ -60,7 +61,8 @@ const READER_CACHE: &str = "-256";
 /// How a SQLite store is run.
 #[derive(Debug, Clone)]
 pub struct SqliteOptions {
-    /// Connections that read.
+    /// Connections that read. One of them is for what posts and streams need before anything else, and half of them are for long
+    /// reads at the most.
     pub readers: u32,
     /// How long a connection waits for a lock, and a reader for a connection.
     pub patience: Duration,
@@ -154,6 +156,7 @@ impl SqliteStore {
             inner: Arc::new(Inner {
                 writing,
                 readers: Readers::of(readers),
+                lanes: Lanes::of(options.readers.saturating_sub(1), options.readers / 2, options.patience),
                 block_reader,
                 gate: Gate::default(),
                 checkpoints,

@@ -1,9 +1,8 @@
 //! What SQLite does for statements that are asked again and again: what it looks into, by which index, and whether it sorts. It keeps no
 //! figures of its tables, and takes one of two indexes that seem alike.
 
-use super::engine::wear::{
-    FACTS_OF_TOOL_ON_MACHINE, FIRST_OF_TOOL_ON_MACHINE, JUDGED_OTHERWISE, LOOK, RAN_OF_TOOL_ON_MACHINE,
-};
+use super::engine::wear::outdated::{JUDGED_OTHERWISE, LOOK, RAN_OF_TOOL_ON_MACHINE};
+use super::engine::wear::{FACTS_OF_TOOL_ON_MACHINE, FIRST_OF_TOOL_ON_MACHINE};
 use super::open::MIGRATIONS;
 
 /// What a statement looks into and whether it sorts, one behind the other, in a database as the migrations make it.

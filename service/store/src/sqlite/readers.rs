@@ -5,11 +5,14 @@
 //! kept here, and the pool has back only what a cancelled or failed read leaves, and what somebody waits for.
 
 use super::{Conn, Db};
+use crate::error::{StoreError, StoreResult};
+use crate::lanes::{OthersRead, Turn};
 use sqlx::SqlitePool;
 use sqlx::pool::PoolConnection;
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::runtime::Handle;
 
 /// The connections of one store.
 #[derive(Debug)]
@@ -23,8 +26,31 @@ pub(super) struct Readers {
 
 /// A connection that is lent. Dropped, it is asked whether it can be used again; [`Lent::settle`] vouches for it.
 pub(super) struct Lent {
-    conn: PoolConnection<Db>,
+    /// There until it is given back.
+    conn: Option<PoolConnection<Db>>,
     readers: Arc<Readers>,
+    /// Its turn to read, which ends when nothing is at work on it any more.
+    turn: Turn,
+}
+
+/// Said where a connection is used that was given back, which [`Lent`] does only at its end.
+const GONE: &str = "a connection is there until it is given back";
+
+impl Drop for Lent {
+    fn drop(&mut self) {
+        let Some(mut conn) = self.conn.take() else { return };
+        let turn = std::mem::take(&mut self.turn);
+        let Ok(runtime) = Handle::try_current() else {
+            drop(conn.detach());
+            return;
+        };
+        // A statement that was cancelled goes on until its next row.
+        let back = conn.return_to_pool();
+        runtime.spawn(async move {
+            back.await;
+            drop(turn);
+        });
+    }
 }
 
 /// Somebody waits, until this is dropped.
@@ -42,12 +68,16 @@ impl Readers {
     }
 
     /// Lends a connection, or waits for one as long as the pool's patience lasts.
-    pub(super) async fn lend(self: &Arc<Self>) -> sqlx::Result<Lent> {
+    pub(super) async fn lend(self: &Arc<Self>, turn: Turn) -> StoreResult<Lent> {
         let conn = match self.take() {
             Some(conn) => conn,
-            None => self.wait().await?,
+            None => self.wait().await.map_err(|error| match error {
+                // A file is there, and its connections are lent.
+                sqlx::Error::PoolTimedOut => OthersRead.into(),
+                error => StoreError::from(error),
+            })?,
         };
-        Ok(Lent { conn, readers: Arc::clone(self) })
+        Ok(Lent { conn: Some(conn), readers: Arc::clone(self), turn })
     }
 
     async fn wait(&self) -> sqlx::Result<PoolConnection<Db>> {
@@ -95,14 +125,14 @@ impl Drop for Readers {
 
 impl Lent {
     /// Ends a connection whose transaction could not be ended: it would show the same old moment for ever.
-    pub(super) fn discard(self) {
-        drop(self.conn.detach());
+    pub(super) fn discard(mut self) {
+        drop(self.conn.take().map(PoolConnection::detach));
     }
 
     /// Gives it back after a read that ended well.
-    pub(super) fn settle(self) {
-        let Self { conn, readers } = self;
-        readers.ready().push(conn);
+    pub(super) fn settle(mut self) {
+        let readers = Arc::clone(&self.readers);
+        readers.ready().extend(self.conn.take());
         // Looked at after it was put there: who waits has looked there after it was counted.
         if readers.waiting.load(Ordering::SeqCst) > 0 {
             let back = readers.ready().pop();
@@ -117,13 +147,13 @@ impl Lent {
 impl Deref for Lent {
     type Target = Conn;
     fn deref(&self) -> &Conn {
-        &self.conn
+        self.conn.as_ref().expect(GONE)
     }
 }
 
 impl DerefMut for Lent {
     fn deref_mut(&mut self) -> &mut Conn {
-        &mut self.conn
+        self.conn.as_mut().expect(GONE)
     }
 }
 
@@ -146,13 +176,13 @@ mod tests {
     #[tokio::test]
     async fn a_settled_connection_is_lent_again_and_counts_as_idle() {
         let readers = readers(2).await;
-        let mut lent = readers.lend().await.unwrap();
+        let mut lent = readers.lend(Turn::default()).await.unwrap();
         answers(&mut lent).await;
         assert_eq!(readers.counts(), (1, 0, 2));
         lent.settle();
         assert_eq!(readers.counts(), (1, 1, 2));
         assert_eq!(readers.ready().len(), 1);
-        let mut again = readers.lend().await.unwrap();
+        let mut again = readers.lend(Turn::default()).await.unwrap();
         answers(&mut again).await;
         assert_eq!(readers.counts(), (1, 0, 2), "no other was opened");
     }
@@ -161,10 +191,10 @@ mod tests {
     async fn who_waits_has_what_is_settled_or_dropped() {
         let readers = readers(1).await;
         for settled in [true, false] {
-            let lent = readers.lend().await.unwrap();
+            let lent = readers.lend(Turn::default()).await.unwrap();
             let waiting = tokio::spawn({
                 let readers = Arc::clone(&readers);
-                async move { readers.lend().await.map(Lent::settle) }
+                async move { readers.lend(Turn::default()).await.map(Lent::settle) }
             });
             while readers.waiting.load(Ordering::SeqCst) == 0 {
                 tokio::task::yield_now().await;
@@ -184,11 +214,11 @@ mod tests {
     #[tokio::test]
     async fn one_that_is_discarded_makes_room_for_another() {
         let readers = readers(1).await;
-        let mut lent = readers.lend().await.unwrap();
+        let mut lent = readers.lend(Turn::default()).await.unwrap();
         sqlx::query("BEGIN").execute(&mut *lent).await.unwrap();
         lent.discard();
         assert_eq!(readers.counts(), (0, 0, 1));
-        let mut other = readers.lend().await.unwrap();
+        let mut other = readers.lend(Turn::default()).await.unwrap();
         sqlx::query("BEGIN").execute(&mut *other).await.expect("it is in no transaction");
     }
 
@@ -197,7 +227,7 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         let readers = runtime.block_on(async {
             let readers = readers(1).await;
-            readers.lend().await.unwrap().settle();
+            readers.lend(Turn::default()).await.unwrap().settle();
             readers
         });
         assert_eq!(readers.ready().len(), 1);
@@ -212,7 +242,7 @@ mod tests {
             let readers = Arc::clone(&readers);
             tokio::spawn(async move {
                 for turn in 0..50 {
-                    let mut lent = readers.lend().await.unwrap();
+                    let mut lent = readers.lend(Turn::default()).await.unwrap();
                     // Some are cancelled at work, some go without a word, most end well.
                     match (task + turn) % 7 {
                         0 => drop(lent),
@@ -242,7 +272,8 @@ mod tests {
     #[tokio::test]
     async fn closing_waits_for_who_reads_and_lends_nothing_more() {
         let readers = readers(2).await;
-        let (lent, other) = (readers.lend().await.unwrap(), readers.lend().await.unwrap());
+        let (lent, other) =
+            (readers.lend(Turn::default()).await.unwrap(), readers.lend(Turn::default()).await.unwrap());
         other.settle();
         let closing = tokio::spawn({
             let readers = Arc::clone(&readers);
@@ -252,7 +283,7 @@ mod tests {
             tokio::task::yield_now().await;
         }
         assert!(!closing.is_finished());
-        assert!(readers.lend().await.is_err());
+        assert!(readers.lend(Turn::default()).await.is_err());
         lent.settle();
         closing.await.unwrap();
         assert_eq!(readers.counts().0, 0);
