@@ -4,6 +4,7 @@
 //! It is of values by their columns' names, so that both engines have the same one and copies take it along; a column that is added later
 //! has to be null where it says nothing, as a null is in no sum. A row is what it was where its sum is; without one nothing is known.
 
+use crate::record::Through;
 use crate::stored_text::StoredText;
 use crate::transfer::Value;
 
@@ -126,10 +127,10 @@ impl<T: Part> Part for Option<T> {
 }
 
 /// Where the sums of rows were looked at last: after that key of that table.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SummedTo {
     pub(crate) table: usize,
-    pub(crate) key: (StoredText, StoredText, i64),
+    pub(crate) after: Through<(StoredText, StoredText, i64)>,
 }
 
 /// What was found of the sums of a page of rows.

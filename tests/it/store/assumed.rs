@@ -65,6 +65,12 @@ async fn change(store: &dyn Store, step: u32) {
             let mut slower = operation("O1");
             slower.programmed_feed_mm_min = Some(90.0);
             store.put_operation(slower, Precondition::Version(1), &who, at(0)).await.unwrap();
+            // Those that a busy machine did not come to at once: alarms follow when folds do.
+            let mut after = None;
+            while let Some(tool) = store.next_outdated_fold(after.as_ref()).await.unwrap() {
+                assert!(store.renew_fold(&tool, at(0)).await.unwrap());
+                after = Some(tool);
+            }
         }
         65 => {
             let changed = event(ToolEventKind::Changed, at(2_000));

@@ -33,11 +33,19 @@ async fn committed(file: &Path) -> u32 {
 
 /// The tool's folds, as they are committed.
 async fn folds(file: &Path) -> Vec<(String, i64, i64, Vec<u8>, i64, i64)> {
+    let columns = "SELECT machine_id, folded, fold_version, state, version, updated_at_us FROM tool_wear";
+    sqlx::query_as(columns).fetch_all(&mut reading(file).await).await.unwrap()
+}
+
+/// Which operations the cycles of its one fold ran, as it is noted.
+async fn ran(file: &Path) -> Option<Vec<u8>> {
+    sqlx::query_scalar("SELECT ran FROM tool_wear").fetch_one(&mut reading(file).await).await.unwrap()
+}
+
+async fn reading(file: &Path) -> sqlx::SqliteConnection {
     use sqlx::ConnectOptions;
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).read_only(true);
-    let mut conn = options.connect().await.unwrap();
-    let columns = "SELECT machine_id, folded, fold_version, state, version, updated_at_us FROM tool_wear";
-    sqlx::query_as(columns).fetch_all(&mut conn).await.unwrap()
+    options.connect().await.unwrap()
 }
 
 /// What the store tells of its cycles and of the tool, but for ids of chance.
@@ -171,6 +179,8 @@ async fn a_fold_is_written_with_the_commit() {
     let ((_, folded, rules, _, version, _), tool) = (&behind[0], "T1".try_into().unwrap());
     assert_eq!((*folded, *rules), (20, 0), "of no rules, so that nobody believes it");
     assert!(*version > before[0].4, "nor takes it for the one of before");
+    let noted = ran(&file).await;
+    assert!(noted.is_some(), "which operations its cycles ran is known");
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     assert_eq!(told(&store).await, plain(20).await);
     assert_eq!(store.next_outdated_fold(None).await.unwrap().as_ref(), Some(&tool));
@@ -179,6 +189,7 @@ async fn a_fold_is_written_with_the_commit() {
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     store.close().await;
     assert_ne!(folds(&file).await[0].2, 0);
+    assert_eq!(ran(&file).await, noted);
 }
 
 /// A transaction that cannot be committed is committed later, and nothing is acknowledged until then. SQLite may have

@@ -467,8 +467,13 @@ impl Store for Engine {
     }
 
     async fn knowledge(&self, operation: &Operation, tool: &ToolId) -> StoreResult<Knowledge> {
+        if !models::are_needed(operation) {
+            return Ok(Knowledge::None);
+        }
+        // Of an edge all that it has cut is read; of a plunge one entry, which a stream that begins waits for.
+        let lane = if operation.turning.is_some() { Lane::Usual } else { Lane::Short };
         let (operation, tool) = (operation.clone(), tool.clone());
-        snapshot!(self, |conn| models::knowledge(conn, Some(&operation), &tool).await)
+        snapshot!(self, lane, |conn| models::knowledge(conn, Some(&operation), &tool).await)
     }
 
     async fn draft_profile(
@@ -571,7 +576,8 @@ impl Store for Engine {
     }
 
     async fn hold_sums(&self, after: Option<&SummedTo>) -> StoreResult<SumPage> {
-        read!(self, |conn| Ok(sums::page(conn, after).await?.0))
+        let after = after.cloned();
+        snapshot!(self, |conn| Ok(sums::page(conn, after.as_ref()).await?.0))
     }
 
     async fn sum_rows(&self, after: Option<&SummedTo>) -> StoreResult<u64> {
@@ -601,7 +607,7 @@ impl Store for Engine {
     }
 
     async fn cycle(&self, machine: &MachineId, id: &CycleId) -> StoreResult<Option<StoredCycle>> {
-        read!(self, |conn| cycles::get(conn, machine, id).await)
+        read!(self.reader(Lane::Short), |conn| cycles::get(conn, machine, id).await)
     }
 
     async fn differences(&self, sent: Cycle) -> StoreResult<Vec<String>> {
@@ -862,7 +868,10 @@ impl Store for Engine {
     }
 
     async fn alarms(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {
-        read!(self, |conn| alarms::list(conn, filter, &page, RowNumber::MAX).await)
+        // Of those of a machine that are open, which have an index, a stream that begins waits for the answer.
+        let is_short = filter.open == Some(true) && filter.machine.is_some();
+        let lane = if is_short { Lane::Short } else { Lane::Usual };
+        read!(self.reader(lane), |conn| alarms::list(conn, filter, &page, RowNumber::MAX).await)
     }
 
     async fn alarm_history(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {

@@ -1,7 +1,7 @@
 //! Operations.
 
 use super::{Conn, Db, audit, dialect, registry};
-use crate::error::StoreResult;
+use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
 use crate::precondition;
 use crate::record::{Actor, Page, Precondition, PutOutcome, Versioned};
@@ -40,12 +40,46 @@ pub(super) async fn dated(
     conn: &mut Conn,
     id: &OperationId,
 ) -> StoreResult<Option<Versioned<DatedOperation>>> {
-    let Some(found) = get(conn, id).await? else {
-        return Ok(None);
+    let found = get(conn, id).await?;
+    with_asks(conn, found).await
+}
+
+/// What folds go by of an operation whose row does not decode, but for that: a cycle is counted by what its fold is made of when it is
+/// folded again. `None` where that does not decode.
+pub(super) async fn as_folds_read_it(
+    conn: &mut Conn,
+    id: &OperationId,
+) -> StoreResult<Option<DatedOperation>> {
+    let row = sqlx::query_as::<Db, OperationRow>(
+        "SELECT operation_id, '' AS name, process, CAST(NULL AS TEXT) AS program, CAST(NULL AS TEXT) AS feature,
+                CAST(NULL AS TEXT) AS work_material, thickness_mm, depth_mm, spindle_speed_rpm, programmed_feed_mm_min,
+                spindle_load_set_percent, feed_drive_load_set_percent, baseline_cycles, window_cycles,
+                reference_every_cycles, reference_feed_mm_min, CAST(NULL AS TEXT) AS setup, version, updated_at_us,
+                row_sum, summed_version
+         FROM operations WHERE operation_id = $1",
+    )
+    .bind(id.as_str())
+    .fetch_optional(&mut *conn)
+    .await;
+    let row = row.map_err(StoreError::from);
+    let found = match row.and_then(|row| row.map(|row| row.versioned(dialect::WRITERS)).transpose()) {
+        Ok(found) => with_asks(conn, found).await,
+        Err(error) => Err(error),
     };
+    match found {
+        Err(StoreError::Damaged { .. }) => Ok(None),
+        found => Ok(found?.map(|found| found.value)),
+    }
+}
+
+async fn with_asks(
+    conn: &mut Conn,
+    found: Option<Versioned<Operation>>,
+) -> StoreResult<Option<Versioned<DatedOperation>>> {
+    let Some(found) = found else { return Ok(None) };
     let (operation, from) = (&found.value, found.updated_at);
     let now = Ask { from, depth_mm: operation.depth_mm, spindle_speed_rpm: operation.spindle_speed_rpm };
-    let asks = up_to(asks(conn, id.as_str()).await?, now);
+    let asks = up_to(asks(conn, operation.id.as_str()).await?, now);
     Ok(Some(Versioned {
         version: found.version,
         updated_at: found.updated_at,

@@ -163,9 +163,12 @@ async fn operation(
     if let Some(known) = registry.operation(generation, id) {
         return Ok(known);
     }
-    let found = to_decide_by(operations::dated(conn, id).await)?.map(|found| Arc::new(found.value));
+    let mut found = to_decide_by(operations::dated(conn, id).await)?.map(|found| Arc::new(found.value));
     if found.is_damaged() {
         tell(&[Damaged::Operation], id.as_str());
+    }
+    if found == Found::Damaged(None) {
+        found = Found::Damaged(operations::as_folds_read_it(conn, id).await?.map(Arc::new));
     }
     registry.learn_operation(generation, id, found.clone());
     Ok(found)

@@ -41,7 +41,7 @@ const TABLES: [Sums; SUMMED.len()] = [
                 feed_max_mm_min, override_min_percent, override_max_percent, version, updated_at_us, row_sum,
                 summed_version, machine_id AS key_1, '' AS key_2, CAST(0 AS BIGINT) AS key_3
              FROM machines WHERE machine_id > CAST($1 AS TEXT) AND CAST($2 AS TEXT) = '' AND $3 = CAST(0 AS BIGINT)
-             ORDER BY machine_id LIMIT $4",
+             ORDER BY machine_id LIMIT $4 OFFSET $5",
         update: "UPDATE machines SET row_sum = $4, summed_version = $5
              WHERE machine_id = CAST($1 AS TEXT) AND CAST($2 AS TEXT) = '' AND $3 = CAST(0 AS BIGINT) AND version = $5
                AND (summed_version IS NULL OR summed_version < version)",
@@ -53,7 +53,7 @@ const TABLES: [Sums; SUMMED.len()] = [
                 torque_min_percent, torque_max_percent, torque_r_squared, torque_residual_spread, row_sum, summed_version,
                 machine_id AS key_1, '' AS key_2, version AS key_3
              FROM calibrations WHERE (machine_id, version) > (CAST($1 AS TEXT), $3) AND CAST($2 AS TEXT) = ''
-             ORDER BY machine_id, version LIMIT $4",
+             ORDER BY machine_id, version LIMIT $4 OFFSET $5",
         update: "UPDATE calibrations SET row_sum = $4, summed_version = $5
              WHERE machine_id = CAST($1 AS TEXT) AND CAST($2 AS TEXT) = '' AND version = $3 AND version = $5
                AND (summed_version IS NULL OR summed_version < version)",
@@ -63,7 +63,7 @@ const TABLES: [Sums; SUMMED.len()] = [
         select: "SELECT tool_id, name, serial, tool_type, diameter_mm, version, updated_at_us, row_sum, summed_version,
                 tool_id AS key_1, '' AS key_2, CAST(0 AS BIGINT) AS key_3
              FROM tools WHERE tool_id > CAST($1 AS TEXT) AND CAST($2 AS TEXT) = '' AND $3 = CAST(0 AS BIGINT)
-             ORDER BY tool_id LIMIT $4",
+             ORDER BY tool_id LIMIT $4 OFFSET $5",
         update: "UPDATE tools SET row_sum = $4, summed_version = $5
              WHERE tool_id = CAST($1 AS TEXT) AND CAST($2 AS TEXT) = '' AND $3 = CAST(0 AS BIGINT) AND version = $5
                AND (summed_version IS NULL OR summed_version < version)",
@@ -75,7 +75,7 @@ const TABLES: [Sums; SUMMED.len()] = [
                 baseline_cycles, window_cycles, reference_every_cycles, reference_feed_mm_min, setup, version,
                 updated_at_us, row_sum, summed_version, operation_id AS key_1, '' AS key_2, CAST(0 AS BIGINT) AS key_3
              FROM operations WHERE operation_id > CAST($1 AS TEXT) AND CAST($2 AS TEXT) = '' AND $3 = CAST(0 AS BIGINT)
-             ORDER BY operation_id LIMIT $4",
+             ORDER BY operation_id LIMIT $4 OFFSET $5",
         update: "UPDATE operations SET row_sum = $4, summed_version = $5
              WHERE operation_id = CAST($1 AS TEXT) AND CAST($2 AS TEXT) = '' AND $3 = CAST(0 AS BIGINT) AND version = $5
                AND (summed_version IS NULL OR summed_version < version)",
@@ -85,7 +85,7 @@ const TABLES: [Sums; SUMMED.len()] = [
         select: "SELECT kind, model_id, body, version, updated_at_us, row_sum, summed_version, kind AS key_1,
                 model_id AS key_2, CAST(0 AS BIGINT) AS key_3
              FROM models WHERE (kind, model_id) > (CAST($1 AS TEXT), CAST($2 AS TEXT)) AND $3 = CAST(0 AS BIGINT)
-             ORDER BY kind, model_id LIMIT $4",
+             ORDER BY kind, model_id LIMIT $4 OFFSET $5",
         update: "UPDATE models SET row_sum = $4, summed_version = $5
              WHERE kind = CAST($1 AS TEXT) AND model_id = CAST($2 AS TEXT) AND $3 = CAST(0 AS BIGINT) AND version = $5
                AND (summed_version IS NULL OR summed_version < version)",
@@ -110,36 +110,40 @@ type Unsummed = ((StoredText, StoredText, i64), i64, i64);
 
 /// Looks at the next page of rows, and changes nothing.
 pub(super) async fn page(conn: &mut Conn, after: Option<&SummedTo>) -> StoreResult<(SumPage, Vec<Unsummed>)> {
-    let start = SummedTo { table: 0, key: (StoredText::default(), StoredText::default(), 0) };
-    let from = after.unwrap_or(&start);
+    dialect::read_as_stored(conn).await?;
+    let from = after.cloned().unwrap_or_default();
     let (mut page, mut unsummed) = (SumPage::default(), Vec::new());
     let Some((table, summed)) = TABLES.get(from.table).zip(SUMMED.get(from.table)) else {
         return Ok((page, unsummed));
     };
     let rows = sqlx::query::<Db>(table.select)
-        .bind(from.key.0.clone())
-        .bind(from.key.1.clone())
-        .bind(from.key.2)
+        .bind(from.after.key.0.clone())
+        .bind(from.after.key.1.clone())
+        .bind(from.after.key.2)
         .bind(ROWS)
+        .bind(from.after.past())
         .fetch_all(&mut *conn)
         .await?;
-    let mut last = from.key.clone();
+    let mut after = from.after.clone();
     for row in &rows {
-        last = (row.try_get("key_1")?, row.try_get("key_2")?, row.try_get("key_3")?);
+        let key: (StoredText, StoredText, i64) =
+            (row.try_get("key_1")?, row.try_get("key_2")?, row.try_get("key_3")?);
+        let is_sound = key.0.is_sound() && key.1.is_sound();
+        after.pass(key.clone(), is_sound);
         match (table.held)(row).map_err(StoreError::from) {
             Ok((Standing::Sound, ..)) => {}
-            Ok((Standing::Unsummed, sum, version)) => unsummed.push((last.clone(), sum, version)),
+            Ok((Standing::Unsummed, sum, version)) => unsummed.push((key, sum, version)),
             Ok((Standing::Damaged, ..)) | Err(StoreError::Damaged { .. }) => {
-                page.damaged.push(format!("{} {}", summed.table, shown(&last)));
+                page.damaged.push(format!("{} {}", summed.table, shown(&key)));
             }
             Err(error) => return Err(error),
         }
     }
     // An index that says otherwise than its table would have no end.
-    page.next = if !rows.is_empty() && last > from.key {
-        Some(SummedTo { table: from.table, key: last })
+    page.next = if !rows.is_empty() && after > from.after {
+        Some(SummedTo { table: from.table, after })
     } else if from.table + 1 < TABLES.len() {
-        Some(SummedTo { table: from.table + 1, ..start })
+        Some(SummedTo { table: from.table + 1, ..SummedTo::default() })
     } else {
         None
     };

@@ -549,6 +549,11 @@ impl ToolWear {
         Ok(())
     }
 
+    /// Whether the state of a machine cannot be read.
+    fn is_unreadable_on(&self, machine: &MachineId) -> bool {
+        self.machines.get(machine).is_some_and(|cached| cached.fold.is_none())
+    }
+
     /// Whether a state of some machine cannot be read.
     pub(super) fn is_unreadable(&self) -> bool {
         self.machines.values().any(|cached| cached.fold.is_none())
@@ -601,9 +606,7 @@ impl ToolWear {
         }
         let mut walk = Walk::new(&self.events);
         if !self.machines.is_empty() {
-            if self.may_resume(Of::All)
-                && let Some((fold, folded)) = checkpoint_before(conn, &self.tool, Of::All, &END).await?
-            {
+            if let Some((fold, folded)) = self.state_before(conn, &END).await? {
                 walk = Walk::resume(fold, folded, &self.events);
             }
             loop {

@@ -217,7 +217,8 @@ impl FactsRow {
         else {
             return Ok(None);
         };
-        let process = word("process", process, Process::parse)?;
+        // Of a process that a disk has made no word is known what to go by as little as of an operation that is not registered.
+        let Some(process) = Process::parse(process) else { return Ok(None) };
         let wear = WearSettings {
             baseline_cycles: number("baseline_cycles", baseline)?,
             window_cycles: number("window_cycles", window)?,

@@ -471,15 +471,17 @@ fn note_wear(run: &mut Run<'_>, rows: &[Arc<SavedWear>], now: Timestamp) -> rusq
     let Some(journal) = &mut run.journal else { return Ok(()) };
     for row in rows {
         journal.stands_for(
-            "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us)
-             VALUES (?, ?, ?, 0, x'', 1, ?)
+            "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us, ran)
+             VALUES (?, ?, ?, 0, x'', 1, ?, ?)
              ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded, fold_version = 0,
-                 version = tool_wear.version + 1, updated_at_us = excluded.updated_at_us",
+                 version = tool_wear.version + 1, updated_at_us = excluded.updated_at_us, ran = excluded.ran",
         )?;
         journal.value(row.machine_id.as_str())?;
         journal.value(row.tool_id.as_str())?;
         journal.value(&row.folded)?;
         journal.value(&now.micros())?;
+        // It is of these cycles; otherwise all of a tool's would be gone through again.
+        journal.value(&row.ran)?;
     }
     Ok(())
 }

@@ -253,8 +253,8 @@ pub(in super::super) async fn renew(
     tool: &ToolId,
     now: Timestamp,
 ) -> StoreResult<Option<Verdict>> {
-    let outdated: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
-        "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version < $2
+    let ours: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
+        "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version <= $2
          ORDER BY machine_id",
     )
     .bind(tool.as_str())
@@ -262,10 +262,15 @@ pub(in super::super) async fn renew(
     .fetch_all(&mut *conn)
     .await?;
     let mut wear = ToolWear::load_locked(conn, tool).await?;
-    for (machine, version) in &outdated {
+    for (machine, version) in &ours {
+        let machine = id("machine_id", machine)?;
+        // Of this version's a damaged one would be found in every round, and read by all of its cycles meanwhile.
+        if *version == i64::from(FOLD_VERSION) && !wear.is_unreadable_on(&machine) {
+            continue;
+        }
         // Checkpoints are as good as they were before one that is only behind.
         let from = if *version == BEHIND { END } else { BEGINNING };
-        wear.refold(conn, &id("machine_id", machine)?, &from).await?;
+        wear.refold(conn, &machine, &from).await?;
     }
     wear.find_ran(conn).await?;
     let changed = wear.take_changed()?;
