@@ -40,6 +40,7 @@ pub mod what_if;
 pub mod word;
 
 use feedwright_core::invalid::Violation;
+use feedwright_core::units::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -72,6 +73,13 @@ pub struct Registered<T> {
     /// What was registered.
     #[serde(flatten)]
     pub body: T,
+}
+
+impl<T> Registered<T> {
+    /// As it is answered: its id, its version with when that came into force, and whether it is damaged.
+    fn of(id: &str, (version, updated_at, damaged): (u64, Timestamp, bool), body: T) -> Self {
+        Self { id: id.to_owned(), version, updated_at: time::show(updated_at), damaged, body }
+    }
 }
 
 /// Joins what a body found wrong with what the core finds wrong with its value.

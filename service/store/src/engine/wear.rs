@@ -604,11 +604,21 @@ impl ToolWear {
         if let Some(verdict) = self.known_verdict() {
             return Ok(verdict);
         }
-        let mut walk = Walk::new(&self.events);
+        let state = self.state_before(conn, &END).await?;
+        self.verdict_from(conn, state).await
+    }
+
+    /// The same, folded from a state on the way with as many cycles, or from the first cycle on.
+    async fn verdict_from(
+        &mut self,
+        conn: &mut Conn,
+        state: Option<(ToolFold, u64)>,
+    ) -> StoreResult<Verdict> {
+        let mut walk = match state {
+            Some((fold, folded)) => Walk::resume(fold, folded, &self.events),
+            None => Walk::new(&self.events),
+        };
         if !self.machines.is_empty() {
-            if let Some((fold, folded)) = self.state_before(conn, &END).await? {
-                walk = Walk::resume(fold, folded, &self.events);
-            }
             loop {
                 let page = facts_after(conn, &self.tool, None, walk.fold().last()).await?;
                 if page.is_empty() {
@@ -886,13 +896,15 @@ pub(super) async fn verdict_at_once(conn: &mut Conn, tool: &ToolId) -> StoreResu
         return Ok(Some(not_registered()));
     }
     let mut wear = ToolWear::load(conn, tool).await?;
-    if wear.known_verdict().is_none() {
-        let known = wear.state_before(conn, &END).await?.map_or(0, |(_, folded)| folded);
-        if wear.folded().saturating_sub(known) > AT_ONCE {
-            return Ok(None);
-        }
+    if let Some(verdict) = wear.known_verdict() {
+        return Ok(Some(verdict));
     }
-    wear.verdict(conn).await.map(Some)
+    let state = wear.state_before(conn, &END).await?;
+    let known = state.as_ref().map_or(0, |(_, folded)| *folded);
+    if wear.folded().saturating_sub(known) > AT_ONCE {
+        return Ok(None);
+    }
+    wear.verdict_from(conn, state).await.map(Some)
 }
 
 /// The verdict on a tool, read only, with the place from which on cycles are of its current life.

@@ -1,7 +1,7 @@
 //! Entries of the model library in JSON.
 
+use super::Registered;
 use super::mirror::{To, mirror, violation};
-use super::{Registered, time};
 use feedwright_core::ids::ModelId;
 use feedwright_core::invalid::Violation;
 use feedwright_core::plunge::{DrillingLaw, Material, MaterialInput};
@@ -161,9 +161,8 @@ impl PlungeMaterialBody {
 }
 
 fn registered<T>(stored: &Versioned<Model>, body: T) -> Registered<T> {
-    let id = stored.value.id.as_str().to_owned();
-    let updated_at = time::show(stored.updated_at);
-    Registered { id, version: stored.version, updated_at, damaged: stored.is_damaged, body }
+    let stood = (stored.version, stored.updated_at, stored.is_damaged);
+    Registered::of(stored.value.id.as_str(), stood, body)
 }
 
 /// An entry as it is answered; none where it is of the other kind.

@@ -1,7 +1,6 @@
 //! Machines in JSON.
 
 use super::text::{MAX_NAME, required};
-use super::time;
 use super::word::LoadReferenceWord;
 use super::{Registered, checked};
 use feedwright_core::ids::MachineId;
@@ -136,13 +135,6 @@ impl From<Versioned<Machine>> for Registered<MachineBody> {
                 override_max_percent: limits.override_max_percent(),
             },
         };
-        let updated_at = time::show(stored.updated_at);
-        Self {
-            id: id.as_str().to_owned(),
-            version: stored.version,
-            updated_at,
-            damaged: stored.is_damaged,
-            body,
-        }
+        Self::of(id.as_str(), (stored.version, stored.updated_at, stored.is_damaged), body)
     }
 }

@@ -2,7 +2,6 @@
 
 use super::plunge::PlungeSetupBody;
 use super::text::{MAX_NAME, optional, required};
-use super::time;
 use super::turning::TurningSetupBody;
 use super::word::ProcessWord;
 use super::{Registered, checked};
@@ -155,8 +154,6 @@ impl From<Versioned<Operation>> for Registered<OperationBody> {
             turning: operation.turning.map(Into::into),
             plunge: operation.plunge.map(Into::into),
         };
-        let id = operation.id.as_str().to_owned();
-        let (version, updated_at) = (stored.version, time::show(stored.updated_at));
-        Self { id, version, updated_at, damaged: stored.is_damaged, body }
+        Self::of(operation.id.as_str(), (stored.version, stored.updated_at, stored.is_damaged), body)
     }
 }

@@ -50,14 +50,7 @@ impl From<Versioned<Tool>> for Registered<ToolBody> {
     fn from(stored: Versioned<Tool>) -> Self {
         let Tool { id, name, serial, tool_type, diameter_mm } = stored.value;
         let body = ToolBody { name, serial, tool_type, diameter_mm };
-        let updated_at = time::show(stored.updated_at);
-        Self {
-            id: id.as_str().to_owned(),
-            version: stored.version,
-            updated_at,
-            damaged: stored.is_damaged,
-            body,
-        }
+        Self::of(id.as_str(), (stored.version, stored.updated_at, stored.is_damaged), body)
     }
 }
 
