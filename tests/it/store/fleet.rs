@@ -13,8 +13,36 @@ stories!(
 );
 
 mod tables {
-    super::stories!(with tables: the_alarms_of_a_machine_are_shown_however_many_others_are_open);
-    use super::the_alarms_of_a_machine_are_shown_however_many_others_are_open;
+    super::stories!(with tables:
+        the_alarms_of_a_machine_are_shown_however_many_others_are_open,
+        a_verdict_for_which_much_has_to_be_folded_is_the_same,
+    );
+    use super::{
+        a_verdict_for_which_much_has_to_be_folded_is_the_same,
+        the_alarms_of_a_machine_are_shown_however_many_others_are_open,
+    };
+}
+
+/// Of a tool that moves, without a state on the way: it is read where long reads are.
+async fn a_verdict_for_which_much_has_to_be_folded_is_the_same(given: &Given) {
+    let store = &*given.store();
+    shop(store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(1)).await.unwrap();
+    let run = |n: u32| Run { machine: ["M1", "M2"][n as usize % 2], sampled: false, ..Run::nth(n) };
+    let runs: Vec<Run> = (1..=1200).map(run).collect();
+    for group in runs.chunks(200) {
+        commit(store, group).await.into_iter().for_each(|stored| drop(stored.unwrap()));
+    }
+    let m2 = "M2".try_into().unwrap();
+    let told = async || {
+        let rows = store.fleet(Page { after: None, limit: 10 }, 5).await.unwrap();
+        (rows, store.fleet_machine(&m2, 5).await.unwrap())
+    };
+    let before = told().await;
+    assert_eq!(before.0.len(), 2);
+    assert_eq!(before.0[0].verdict.as_ref().unwrap().cycles, 1200);
+    assert!(given.raw("DELETE FROM tool_checkpoints").await.unwrap() > 0);
+    assert_eq!(format!("{:?}", told().await), format!("{before:?}"));
 }
 
 /// Those of a machine that were raised last, behind more than a list of all would hold.

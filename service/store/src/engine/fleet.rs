@@ -25,21 +25,34 @@ const LAST_CYCLES: &str = concat!(
 );
 
 /// Machines by id, each with its newest `recent` cycles (newest first), the verdict on the tool of the newest one and
-/// its open alarms.
-pub(super) async fn list(conn: &mut Conn, page: &Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>> {
+/// its open alarms. `None` where more cycles than `bound` had to be folded for a verdict.
+pub(super) async fn list(
+    conn: &mut Conn,
+    page: &Page<MachineId>,
+    recent: u32,
+    bound: u64,
+) -> StoreResult<Option<Vec<FleetRow>>> {
     let machines = machines::list(conn, page).await?;
-    rows(conn, machines, recent).await
+    rows(conn, machines, recent, bound).await
 }
 
-/// One machine likewise; `None` where it is not registered.
-pub(super) async fn one(conn: &mut Conn, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>> {
-    let Some(known) = machines::get(conn, machine).await? else {
-        return Ok(None);
-    };
-    Ok(rows(conn, vec![known], recent).await?.pop())
+/// One machine likewise; no row where it is not registered.
+pub(super) async fn one(
+    conn: &mut Conn,
+    machine: &MachineId,
+    recent: u32,
+    bound: u64,
+) -> StoreResult<Option<Vec<FleetRow>>> {
+    let machines = machines::get(conn, machine).await?.into_iter().collect();
+    rows(conn, machines, recent, bound).await
 }
 
-async fn rows(conn: &mut Conn, machines: Vec<Versioned<Machine>>, recent: u32) -> StoreResult<Vec<FleetRow>> {
+async fn rows(
+    conn: &mut Conn,
+    machines: Vec<Versioned<Machine>>,
+    recent: u32,
+    bound: u64,
+) -> StoreResult<Option<Vec<FleetRow>>> {
     let mut few_alarms = if machines.len() > 1 { few_open_alarms(conn).await? } else { None };
     let mut known_tools: BTreeMap<ToolId, (Option<String>, (Verdict, Place))> = BTreeMap::new();
     let mut known_operations: BTreeMap<OperationId, Option<String>> = BTreeMap::new();
@@ -59,7 +72,8 @@ async fn rows(conn: &mut Conn, machines: Vec<Versioned<Machine>>, recent: u32) -
         let operation = &facts.operation;
         if !known_tools.contains_key(tool) {
             let name = tools::get(conn, tool).await?.map(|tool| tool.value.name);
-            known_tools.insert(tool.clone(), (name, wear::verdict_of_life(conn, tool).await?));
+            let Some(of_life) = wear::verdict_of_life(conn, tool, bound).await? else { return Ok(None) };
+            known_tools.insert(tool.clone(), (name, of_life));
         }
         if !known_operations.contains_key(operation) {
             let name = operations::get(conn, operation).await?.map(|operation| operation.value.name);
@@ -72,7 +86,7 @@ async fn rows(conn: &mut Conn, machines: Vec<Versioned<Machine>>, recent: u32) -
         let verdict = of_life.map(|(verdict, _)| verdict);
         rows.push(FleetRow { machine, recent, names, verdict, energy_ratios, alarms });
     }
-    Ok(rows)
+    Ok(Some(rows))
 }
 
 /// Energies of a tool's cycles over its baselines, oldest first. Of its current life only: the one before had baselines of its own.

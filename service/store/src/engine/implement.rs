@@ -321,12 +321,24 @@ impl Store for Engine {
     }
 
     async fn fleet(&self, page: Page<MachineId>, recent: u32) -> StoreResult<Vec<FleetRow>> {
-        snapshot!(self, |conn| fleet::list(conn, &page, recent).await)
+        let asked = page.clone();
+        // As with the verdict on one tool: histories are not walked where lists wait.
+        let rows = snapshot!(self, |conn| fleet::list(conn, &asked, recent, wear::AT_ONCE).await)?;
+        let rows = match rows {
+            None => snapshot!(self, Lane::Long, |conn| fleet::list(conn, &page, recent, u64::MAX).await)?,
+            rows => rows,
+        };
+        Ok(rows.unwrap_or_default())
     }
 
     async fn fleet_machine(&self, machine: &MachineId, recent: u32) -> StoreResult<Option<FleetRow>> {
-        let machine = machine.clone();
-        snapshot!(self, |conn| fleet::one(conn, &machine, recent).await)
+        let (machine, asked) = (machine.clone(), machine.clone());
+        let rows = snapshot!(self, |conn| fleet::one(conn, &asked, recent, wear::AT_ONCE).await)?;
+        let rows = match rows {
+            None => snapshot!(self, Lane::Long, |conn| fleet::one(conn, &machine, recent, u64::MAX).await)?,
+            rows => rows,
+        };
+        Ok(rows.and_then(|mut rows| rows.pop()))
     }
 
     async fn watch(

@@ -884,7 +884,8 @@ async fn count_from(
 
 /// The verdict on a tool, read only.
 pub(super) async fn verdict(conn: &mut Conn, tool: &ToolId) -> StoreResult<Verdict> {
-    Ok(verdict_of_life(conn, tool).await?.0)
+    let found = verdict_of_life(conn, tool, u64::MAX).await?;
+    Ok(found.map_or_else(not_registered, |(verdict, _)| verdict))
 }
 
 /// Cycles that are folded for an answer which others wait behind: those since the last state on the way, and a page of late ones.
@@ -892,28 +893,31 @@ pub(super) const AT_ONCE: u64 = 4 * CHECKPOINT_CYCLES;
 
 /// The verdict on a tool, read only, where no more than some cycles have to be folded for it.
 pub(super) async fn verdict_at_once(conn: &mut Conn, tool: &ToolId) -> StoreResult<Option<Verdict>> {
-    if !is_registered(conn, tool).await? {
-        return Ok(Some(not_registered()));
-    }
-    let mut wear = ToolWear::load(conn, tool).await?;
-    if let Some(verdict) = wear.known_verdict() {
-        return Ok(Some(verdict));
-    }
-    let state = wear.state_before(conn, &END).await?;
-    let known = state.as_ref().map_or(0, |(_, folded)| *folded);
-    if wear.folded().saturating_sub(known) > AT_ONCE {
-        return Ok(None);
-    }
-    wear.verdict_from(conn, state).await.map(Some)
+    Ok(verdict_of_life(conn, tool, AT_ONCE).await?.map(|(verdict, _)| verdict))
 }
 
-/// The verdict on a tool, read only, with the place from which on cycles are of its current life.
-pub(super) async fn verdict_of_life(conn: &mut Conn, tool: &ToolId) -> StoreResult<(Verdict, Place)> {
+/// The verdict on a tool, read only, with the place from which on cycles are of its current life. `None` where more cycles than `bound`
+/// had to be folded for it.
+pub(super) async fn verdict_of_life(
+    conn: &mut Conn,
+    tool: &ToolId,
+    bound: u64,
+) -> StoreResult<Option<(Verdict, Place)>> {
     if !is_registered(conn, tool).await? {
-        return Ok((not_registered(), BEGINNING));
+        return Ok(Some((not_registered(), BEGINNING)));
     }
     let mut wear = ToolWear::load(conn, tool).await?;
-    let verdict = wear.verdict(conn).await?;
+    let verdict = match wear.known_verdict() {
+        Some(verdict) => verdict,
+        None => {
+            let state = wear.state_before(conn, &END).await?;
+            let known = state.as_ref().map_or(0, |(_, folded)| *folded);
+            if wear.folded().saturating_sub(known) > bound {
+                return Ok(None);
+            }
+            wear.verdict_from(conn, state).await?
+        }
+    };
     let last = wear.events.iter().rfind(|event| event.kind.begins_life());
-    Ok((verdict, last.map_or(BEGINNING, |event| event.place.clone())))
+    Ok(Some((verdict, last.map_or(BEGINNING, |event| event.place.clone()))))
 }
