@@ -410,7 +410,12 @@ impl Side for PostgresSide {
         Ok(())
     }
 
-    async fn close(self: Box<Self>) {
+    async fn close(mut self: Box<Self>) {
+        // A session that is told to end does so a moment later: a server that starts at once would find its lock.
+        let unlocked = sqlx::query("SELECT pg_advisory_unlock_all()").execute(&mut self.conn).await;
+        if let Err(error) = unlocked {
+            tracing::debug!(%error, "locks go with their session");
+        }
         if let Err(error) = self.conn.close().await {
             tracing::debug!(%error, "a connection did not close cleanly");
         }
