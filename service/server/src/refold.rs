@@ -1,15 +1,18 @@
-//! The folds that earlier rules of wear made, and those that are behind a change of an operation, are made anew in the background; again and
-//! again, as a server of before may run beside this one for a while and write more of them, and one that changed an operation may have stopped.
+//! The folds that earlier rules of wear made, those that are behind a change of an operation, and those that were postponed, as far too many
+//! cycles had to be folded again for anybody to wait, are made anew in the background; again and again, as a server of before may run beside this one for a while and write more of them, and one that changed an operation may have stopped.
 //!
-//! A tool that runs is folded again by its next cycle; one that lies idle would be folded over its whole history each time
-//! somebody asks for it. Each is made anew by itself, through the same writer and under the same lock as its cycles, and
-//! the pause after it leaves live posts most of the time. Where several servers start on one database, the second finds
+//! A tool that runs is folded again by its next cycle, if that is soon done; one that lies idle would be folded over its whole history each time
+//! somebody asks for it. Each is made anew by itself, some thousand cycles at a time, through the same writer and under the same lock as its
+//! cycles, and the pause after it leaves live posts most of the time. One with a long history lets all the others go first. Where several servers start on one database, the second finds
 //! nothing left to do of a tool.
 
 use crate::state::AppState;
 use feedwright_core::ids::ToolId;
-use feedwright_store::{FoldKey, StoreError, StoreResult};
+use feedwright_store::{FoldKey, Renewed, StoreError, StoreResult};
+use std::collections::VecDeque;
+use std::pin::pin;
 use std::time::{Duration, Instant};
+use tokio::sync::Notify;
 
 /// Pauses are so many times as long as what was done before them.
 const PAUSES: u32 = 4;
@@ -28,24 +31,30 @@ pub(crate) fn start(state: &AppState) {
 }
 
 async fn rounds(state: AppState) {
+    let postponed = state.store.folds_postponed();
     loop {
-        round(&state).await;
+        while round(&state, &postponed).await {}
         tokio::select! {
             () = tokio::time::sleep(ROUNDS) => {}
             () = state.folds_are_behind.notified() => {}
+            () = postponed.notified() => {}
             () = state.lifecycle.stopping() => return,
         }
     }
 }
 
-/// Goes once through the tools, unless the shutdown begins.
-async fn round(state: &AppState) {
-    let (mut after, mut made) = (None, 0_u64);
+/// Goes once through the tools, and then from one to the next of those that are not done, unless the shutdown begins. Whether there are
+/// others by now, which wait for none of these: one that is to be folded from the beginning again and again would keep them waiting for ever.
+async fn round(state: &AppState, postponed: &Notify) -> bool {
+    let (mut after, mut parts, mut made) = (None, VecDeque::new(), 0_u64);
     while !state.lifecycle.is_stopping() {
         let begun = Instant::now();
         let pause = match one(state, after.as_ref()).await {
-            Ok(Some((tool, anew))) => {
-                made += u64::from(anew);
+            Ok(Some((tool, renewed))) => {
+                made += u64::from(renewed == Renewed::Whole);
+                if renewed == Renewed::Part {
+                    parts.push_back(tool.clone());
+                }
                 after = Some(tool);
                 (begun.elapsed() * PAUSES).max(LEAST_PAUSE)
             }
@@ -57,10 +66,34 @@ async fn round(state: &AppState) {
         };
         rest(state, pause).await;
     }
+    while let Some(tool) = parts.pop_front()
+        && !state.lifecycle.is_stopping()
+    {
+        let begun = Instant::now();
+        let pause = match renew(state, &tool).await {
+            Ok(renewed) => {
+                made += u64::from(renewed == Renewed::Whole);
+                if renewed == Renewed::Part {
+                    parts.push_back(tool);
+                }
+                (begun.elapsed() * PAUSES).max(LEAST_PAUSE)
+            }
+            Err(error) => {
+                tracing::warn!(%error, %tool, "the tool's fold is not made anew for now");
+                parts.push_back(tool);
+                AWAY
+            }
+        };
+        rest(state, pause).await;
+        if pin!(postponed.notified()).enable() {
+            return true;
+        }
+    }
     if made > 0 {
         tracing::info!(tools = made, "outdated folds were made anew");
     }
     note_unchanged(state).await;
+    false
 }
 
 /// Only the waiting is cut short, never a statement.
@@ -87,22 +120,31 @@ async fn note_unchanged(state: &AppState) {
     }
 }
 
-/// Makes the next tool's folds anew; says which it was, and whether there was anything to do. `None` behind the last.
+/// Makes the next tool's folds anew; says which it was, and what became of them. `None` behind the last.
 ///
 /// # Errors
 /// Where the database does not answer: the same tool is next again. What is wrong with one tool alone is logged.
-async fn one(state: &AppState, after: Option<&ToolId>) -> StoreResult<Option<(ToolId, bool)>> {
+async fn one(state: &AppState, after: Option<&ToolId>) -> StoreResult<Option<(ToolId, Renewed)>> {
     let Some(tool) = state.store.next_outdated_fold(after).await? else {
         return Ok(None);
     };
+    let renewed = renew(state, &tool).await?;
+    Ok(Some((tool, renewed)))
+}
+
+/// Makes a tool's folds anew, as far as is done at a time.
+///
+/// # Errors
+/// Where the database does not answer. What is wrong with the tool alone is logged.
+async fn renew(state: &AppState, tool: &ToolId) -> StoreResult<Renewed> {
     let (asked, now) = (tool.clone(), state.clock.now());
     match state.commit(|store| async move { store.renew_fold(&asked, now).await }).await {
-        Ok(anew) => Ok(Some((tool, anew))),
         Err(error @ (StoreError::Unavailable(_) | StoreError::OutcomeUnknown(_))) => Err(error),
         Err(error) if error.of_the_disk().is_some() => Err(error),
         Err(error) => {
             tracing::error!(%error, %tool, "the tool's fold is outdated and cannot be made anew");
-            Ok(Some((tool, false)))
+            Ok(Renewed::Nothing)
         }
+        renewed => renewed,
     }
 }

@@ -39,7 +39,7 @@ use std::pin::pin;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::{Mutex, Semaphore, oneshot};
+use tokio::sync::{Mutex, Notify, Semaphore, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -122,6 +122,8 @@ struct Inner {
     memory: Slot<engine::Memory>,
     /// Of which machine samples were dropped last, where a run is at it.
     dropping: Slot<String>,
+    /// Told when a fold is left to the background.
+    postponed: Arc<Notify>,
 }
 
 /// What a server says that is there.
@@ -175,6 +177,10 @@ impl PostgresStore {
 
     fn dropping(&self) -> &Slot<String> {
         &self.inner.dropping
+    }
+
+    fn postponed(&self) -> &Arc<Notify> {
+        &self.inner.postponed
     }
 
     /// Nothing is kept of tools that were asked for: with Citus, what is counted on one worker and what is stored on

@@ -325,6 +325,16 @@ pub enum Committed {
     UnknownMachine,
 }
 
+impl Committed {
+    /// Whether the cycles of its tool are left to be folded again in the background.
+    pub(crate) fn is_being_counted(&self) -> bool {
+        match self {
+            Self::Stored(answer) | Self::Known(answer) => answer.verdict.is_being_counted(),
+            Self::Conflict { .. } | Self::UnknownMachine => false,
+        }
+    }
+}
+
 /// What a machine is told once its cycle is stored.
 #[derive(Debug, Clone)]
 pub struct CycleAnswer {
@@ -713,6 +723,17 @@ pub struct ActiveProfiles {
     pub profiles: Vec<ActiveProfile>,
     /// Whether one is not what was activated.
     pub are_damaged: bool,
+}
+
+/// What became of a tool's folds that were not up to date.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Renewed {
+    /// There were none.
+    Nothing,
+    /// Some cycles were folded, and there are more.
+    Part,
+    /// They are up to date.
+    Whole,
 }
 
 /// What wear is not folded over again, as it would be wrong as if it were right.

@@ -29,7 +29,7 @@ pub(crate) use registry::{
 #[cfg(test)]
 pub(crate) use saved::MOST_BLOCK_BYTES;
 pub(crate) use saved::{
-    ADVICE_HASH_BYTES, Advice, AlarmChange, BlockRow, IssuedRow, Rest, SavedWear, advice_hash,
+    ADVICE_HASH_BYTES, Advice, AlarmChange, BlockRow, IssuedRow, Rest, SavedState, SavedWear, advice_hash,
 };
 pub(crate) use service::{AdviceBody, AlarmRow, AuditRow, QuarantineRow, RecommendationRow, TokenRow};
 

@@ -52,7 +52,7 @@ use sqlx::Connection;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::oneshot;
+use tokio::sync::{Notify, oneshot};
 use writing::{Writer, Writing};
 
 type Db = sqlx::Sqlite;
@@ -93,6 +93,8 @@ struct Inner {
     memory: Slot<engine::Memory>,
     /// Of which machine samples were dropped last, where a run is at it.
     dropping: Slot<String>,
+    /// Told when a fold is left to the background.
+    postponed: Arc<Notify>,
     recent: Arc<Recent>,
     alone: bool,
 }
@@ -113,6 +115,10 @@ impl SqliteStore {
 
     fn dropping(&self) -> &Slot<String> {
         &self.inner.dropping
+    }
+
+    fn postponed(&self) -> &Arc<Notify> {
+        &self.inner.postponed
     }
 
     /// What is kept of tools that were asked for: one snapshot tells what is counted and what is stored.

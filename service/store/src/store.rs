@@ -10,8 +10,8 @@ use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::record::{
     ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
     CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, FoldKey, IssuedRecommendation, LevelPoint,
-    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair,
-    Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
+    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Renewed,
+    Repair, Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
     StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife,
     Versioned, WatchSettings, WearCheck,
 };
@@ -28,6 +28,7 @@ use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::Notify;
 
 /// The store. Every method that changes something returns when it is durable and seen by who reads next, and writes its audit line
 /// in the same transaction. Futures of mutating methods must not be dropped half-way: callers spawn them.
@@ -330,8 +331,12 @@ pub trait Store: Send + Sync + 'static {
     /// Looks at some folds after that one, and writes to those that need not follow changes of operations which their cycles never ran that they
     /// are up to date; which was the last that was looked at. `None` behind the last.
     async fn note_unchanged_folds(&self, after: Option<&FoldKey>) -> StoreResult<Option<FoldKey>>;
-    /// Makes such folds of a tool anew, durably, and has its alarms follow; `false` where there are none any more.
-    async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool>;
+    /// Makes such folds of a tool anew, and those that were postponed, durably and some thousand cycles at a time; its alarms follow when
+    /// they are whole.
+    async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<Renewed>;
+    /// Told each time that a change left the cycles of a tool to be folded again: [`Store::next_outdated_fold`] names it until
+    /// [`Store::renew_fold`] has folded them.
+    fn folds_postponed(&self) -> Arc<Notify>;
     /// Refolds the tools from their cycles, compares with the cache, and repairs it where `repair` says so. A tool whose
     /// cycles cannot be read is named.
     async fn check_wear(&self, repair: Repair<'_>) -> StoreResult<WearCheck>;

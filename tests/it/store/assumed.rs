@@ -8,8 +8,8 @@ use super::recent::Chance;
 use feedwright_core::machine::{FeedLimits, Machine};
 use feedwright_core::tool::ToolEventKind;
 use feedwright_store::{
-    AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, Repair, SqliteOptions, SqliteStore,
-    Store, StoreError, StoreResult,
+    AlarmFilter, Committed, CycleAnswer, CycleFilter, Page, Precondition, Renewed, Repair, SqliteOptions,
+    SqliteStore, Store, StoreError, StoreResult,
 };
 
 async fn opened(given: &Given) -> SqliteStore {
@@ -68,7 +68,7 @@ async fn change(store: &dyn Store, step: u32) {
             // Those that a busy machine did not come to at once: alarms follow when folds do.
             let mut after = None;
             while let Some(tool) = store.next_outdated_fold(after.as_ref()).await.unwrap() {
-                assert!(store.renew_fold(&tool, at(0)).await.unwrap());
+                assert_eq!(store.renew_fold(&tool, at(0)).await.unwrap(), Renewed::Whole);
                 after = Some(tool);
             }
         }

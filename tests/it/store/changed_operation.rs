@@ -6,7 +6,7 @@ use super::given::{
 use feedwright_core::ids::ToolId;
 use feedwright_core::operation::{Operation, WearSettings};
 use feedwright_core::wear::Verdict;
-use feedwright_store::{Alarm, AlarmFilter, Doubt, LevelPoint, Page, Precondition, Repair, Store};
+use feedwright_store::{Alarm, AlarmFilter, Doubt, LevelPoint, Page, Precondition, Renewed, Repair, Store};
 use std::collections::BTreeSet;
 
 stories!(with tables:
@@ -88,8 +88,8 @@ async fn alarms(store: &dyn Store) -> BTreeSet<(&'static str, Option<ToolId>)> {
 async fn follow(store: &dyn Store) -> Vec<ToolId> {
     let mut followed = Vec::new();
     while let Some(tool) = store.next_outdated_fold(followed.last()).await.unwrap() {
-        assert!(store.renew_fold(&tool, at(300_000)).await.unwrap());
-        assert!(!store.renew_fold(&tool, at(300_000)).await.unwrap(), "once");
+        assert_eq!(store.renew_fold(&tool, at(300_000)).await.unwrap(), Renewed::Whole);
+        assert_eq!(store.renew_fold(&tool, at(300_000)).await.unwrap(), Renewed::Nothing, "once");
         followed.push(tool);
     }
     followed

@@ -4,8 +4,8 @@ use super::given::{Given, Run, at, commit, engineer, event, shop, stored};
 use feedwright_core::tool::{Tool, ToolEventKind};
 use feedwright_store::transfer::{back_up_sqlite, restore_to_sqlite};
 use feedwright_store::{
-    Committed, CycleFilter, Page, Precondition, ProfileMove, Repair, SqliteOptions, SqliteStore, Store,
-    StoreError,
+    Committed, CycleFilter, Page, Precondition, ProfileMove, Renewed, Repair, SqliteOptions, SqliteStore,
+    Store, StoreError,
 };
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -184,7 +184,7 @@ async fn a_fold_is_written_with_the_commit() {
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     assert_eq!(told(&store).await, plain(20).await);
     assert_eq!(store.next_outdated_fold(None).await.unwrap().as_ref(), Some(&tool));
-    assert!(store.renew_fold(&tool, at(200_000)).await.unwrap());
+    assert_eq!(store.renew_fold(&tool, at(200_000)).await.unwrap(), Renewed::Whole);
     assert_eq!(store.next_outdated_fold(None).await.unwrap(), None);
     assert_eq!(store.check_wear(Repair::No).await.unwrap().different, []);
     store.close().await;

@@ -12,7 +12,7 @@ use feedwright_core::wear::{Exclusion, FOLD_VERSION, ToolState};
 use feedwright_store::transfer::{TableSum, back_up_postgres, back_up_sqlite, restore_to_sqlite};
 use feedwright_store::{
     AlarmFilter, Committed, CycleFilter, Doubt, NewCycle, Page, PostgresOptions, PostgresStore, Precondition,
-    Repair, SqliteOptions, SqliteStore, Store, SumPage,
+    Renewed, Repair, SqliteOptions, SqliteStore, Store, SumPage,
 };
 use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor, PgConnection, SqliteConnection};
@@ -467,12 +467,18 @@ async fn folds_of_other_rules_are_folded_again(given: &Given) {
     of_before().await;
     let tool_after = async |after| store.next_outdated_fold(after).await.unwrap();
     assert_eq!((tool_after(None).await.as_ref(), tool_after(Some(&id)).await), (Some(&id), None));
-    assert!(store.renew_fold(&id, at(200_000)).await.unwrap());
+    assert_eq!(store.renew_fold(&id, at(200_000)).await.unwrap(), Renewed::Whole);
     assert_eq!(given.wear_states().await, good);
-    assert_eq!((tool_after(None).await, store.renew_fold(&id, at(200_000)).await.unwrap()), (None, false));
+    assert_eq!(
+        (tool_after(None).await, store.renew_fold(&id, at(200_000)).await.unwrap()),
+        (None, Renewed::Nothing)
+    );
     let newer = format!("UPDATE tool_wear SET fold_version = {}", u32::from(FOLD_VERSION) + 1);
     assert_eq!(given.raw(AssertSqlSafe(newer)).await.unwrap(), 2);
-    assert_eq!((tool_after(None).await, store.renew_fold(&id, at(200_000)).await.unwrap()), (None, false));
+    assert_eq!(
+        (tool_after(None).await, store.renew_fold(&id, at(200_000)).await.unwrap()),
+        (None, Renewed::Nothing)
+    );
 
     // A replica of the version before writes them by its own rules while both run: the next cycle here folds them by these.
     of_before().await;

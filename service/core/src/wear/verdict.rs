@@ -349,6 +349,9 @@ pub struct SecondIndicators {
     pub masked_by_control: bool,
 }
 
+/// The reason of a verdict on a tool whose cycles are being folded again.
+const BEING_COUNTED: &str = "being_counted";
+
 /// The verdict on a tool, with its evidence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verdict {
@@ -410,6 +413,17 @@ impl Verdict {
             last_counted_at: None,
             last: None,
         }
+    }
+
+    /// The verdict on a tool whose cycles are being folded again, which takes a while: so long nobody knows how worn it is.
+    pub fn being_counted() -> Self {
+        let why = "its cycles are counted again, as something far before the newest of them is otherwise now: ask again soon";
+        Self::unknown(BEING_COUNTED, why)
+    }
+
+    /// Whether it is the verdict on a tool whose cycles are being folded again: it says nothing of the tool.
+    pub fn is_being_counted(&self) -> bool {
+        self.reasons.iter().any(|(code, _)| *code == BEING_COUNTED)
     }
 
     /// Age of what the verdict rests on, ms, never below 0: of the last cycle that counted, and only where none did of the

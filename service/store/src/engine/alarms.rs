@@ -112,6 +112,10 @@ pub(super) async fn follow_verdict(
     verdict: &Verdict,
     now: Timestamp,
 ) -> StoreResult<()> {
+    // What it comes to is not known yet: who folds its cycles again comes here with it.
+    if verdict.is_being_counted() {
+        return Ok(());
+    }
     let mut open = open_of(conn, tool).await?;
     apply(conn, &changes(tool, verdict, &mut open), now).await
 }

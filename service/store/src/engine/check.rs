@@ -174,6 +174,8 @@ pub(super) async fn tool(
         let mut walk = Walk::new(events);
         // One that is of all of them is told of the first.
         let mut same = std::mem::replace(&mut overall_same, true);
+        // It is to be folded again: what it has of states on the way has to hold, and need not be all of them.
+        let is_postponed = !repair && known.is_postponed_on(machine);
         let mut ran = Ran::nothing();
         loop {
             let page = wear::facts_after(conn, tool, Some(machine), walk.fold().last()).await?;
@@ -185,7 +187,7 @@ pub(super) async fn tool(
                 ran.note(&row.operation_id, row.started_at_us);
                 if walk.at_checkpoint() {
                     let found = checkpoints.remove(&(machine.clone(), count("folded", walk.folded())?));
-                    same &= checkpoint_holds(found.as_ref(), walk.fold())?;
+                    same &= found.is_none() && is_postponed || checkpoint_holds(found.as_ref(), walk.fold())?;
                 }
             }
         }
@@ -194,7 +196,7 @@ pub(super) async fn tool(
         same &=
             state.is_some_and(|(of, _)| *of == folded) && holds(state.map(|(_, state)| state), walk.fold());
         // Who goes by it would not follow a change of an operation that it lacks.
-        same &= known.ran(machine).is_none_or(|noted| *noted == ran);
+        same &= is_postponed || known.ran(machine).is_none_or(|noted| *noted == ran);
         // Checkpoints beyond the history are left over from nothing.
         same &= !checkpoints.keys().any(|(of, _)| of == machine);
         if !same {
@@ -275,7 +277,7 @@ async fn mend(conn: &mut Conn, tool: &ToolId, machines: &[MachineId]) -> StoreRe
         }
     }
     if registered {
-        let verdict = wear::count_all(conn, tool, now).await?;
+        let verdict = wear::count_all(conn, tool, now, wear::Budget::whole()).await?;
         alarms::follow_verdict(conn, tool, &verdict, now).await?;
     }
     registry::changed(conn).await

@@ -3,7 +3,7 @@
 use super::memory::Memory;
 use super::registry::GroupRegistry;
 use super::transaction::GroupTransaction;
-use super::wear::{self, Heads, ToolWear, Versions};
+use super::wear::{self, Budget, Heads, ToolWear, Versions};
 use super::{Conn, Writer, alarms, cycles, dialect, feed_profiles, models};
 use crate::codec;
 use crate::error::{StoreError, StoreResult};
@@ -282,16 +282,18 @@ async fn count_all(
     }
     let mut verdicts = BTreeMap::new();
     let (mut changed, mut alarms) = (Vec::new(), Vec::new());
+    // Of all of its tools together: whoever posts waits for all of them.
+    let mut budget = Budget::at_once();
     for (tool, machines) in fresh {
         let anything_new = !machines.is_empty();
         let mut wear = match memory.take(tool, versions.get(tool)) {
             Some(wear) => wear,
-            None => ToolWear::load_locked(transaction.conn().await?, tool).await?,
+            None => ToolWear::load_locked(transaction.conn().await?, tool, &mut budget).await?,
         };
-        let verdict = count_tool(transaction, &mut wear, machines).await?;
+        let verdict = count_tool(transaction, &mut wear, machines, &mut budget).await?;
         let folds = wear.take_changed()?;
         // Folds of earlier rules are made anew by a repeat too, and nobody comes to them later.
-        if anything_new || !folds.is_empty() {
+        if (anything_new || !folds.is_empty()) && !verdict.is_being_counted() {
             let open = match &mut wear.alarms {
                 Some(open) => open,
                 unknown => unknown.insert(alarms::open_of(transaction.conn().await?, tool).await?),
@@ -318,6 +320,7 @@ async fn count_tool(
     transaction: &mut GroupTransaction<'_>,
     wear: &mut ToolWear,
     machines: BTreeMap<&MachineId, Vec<FactsRow>>,
+    budget: &mut Budget,
 ) -> StoreResult<Verdict> {
     // An event that names a cycle of this group has just moved from its own time to that cycle's place: every
     // machine's fold changes from the earlier of the two on.
@@ -346,7 +349,7 @@ async fn count_tool(
                     keyed.sort_by(|(a, _), (b, _)| a.cmp(b));
                     rows = keyed.into_iter().map(|(_, row)| row).collect();
                 }
-                wear.count_new(transaction, machine, &rows).await?;
+                wear.count_new(transaction, machine, &rows, budget).await?;
             }
             Some(moved) => {
                 let mut from = moved.clone();
@@ -355,21 +358,22 @@ async fn count_tool(
                 }
                 // The cached fold may end before `from`, and these rows lie beyond its end.
                 wear.forget(machine);
-                wear.refold(transaction.conn().await?, machine, &from).await?;
+                let new = (&from, rows.len() as u64);
+                wear.refold(transaction.conn().await?, machine, new, budget).await?;
             }
         }
     }
     if let Some(moved) = &moved {
         for machine in wear.machines() {
-            wear.refold(transaction.conn().await?, &machine, moved).await?;
+            wear.refold(transaction.conn().await?, &machine, (moved, 0), budget).await?;
         }
     }
     if wear.is_unreadable() {
-        wear.refold_unreadable(transaction.conn().await?).await?;
+        wear.refold_unreadable(transaction.conn().await?, budget).await?;
     }
     match wear.known_verdict() {
         Some(verdict) => Ok(verdict),
-        None => wear.verdict(transaction.conn().await?).await,
+        None => wear.verdict(transaction.conn().await?, budget).await,
     }
 }
 

@@ -1,7 +1,8 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
 use super::operations::OperationPut;
-use super::wear::{After, Looks};
+use super::tools::Judged;
+use super::wear::{After, Budget, Looks};
 use super::{
     CLOCK_AHEAD_US, Db, Engine, ONE_CLOCK_US, alarms, audit, check, commit, cycles, dialect, feed_profiles,
     fleet, life, machines, models, operations, quarantine, recommendations, registry, retention, series,
@@ -21,8 +22,8 @@ use crate::recent::Group;
 use crate::record::{
     ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
     CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, FoldKey, IssuedRecommendation, LevelPoint,
-    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Repair,
-    Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
+    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Renewed,
+    Repair, Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
     StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife,
     Versioned, WatchSettings, WearCheck,
 };
@@ -40,6 +41,7 @@ use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tokio::sync::Notify;
 
 /// How often it is tried to take a decision back by which more and more goes meanwhile; the next run tries again.
 const TAKE_BACK_ATTEMPTS: u32 = 3;
@@ -95,6 +97,12 @@ impl Registered for OperationPut {
 impl Registered for PutOutcome {
     fn is_change(&self) -> bool {
         !matches!(self, Self::Unchanged(_))
+    }
+}
+
+impl<T: Registered> Registered for Judged<T> {
+    fn is_change(&self) -> bool {
+        self.outcome.is_change()
     }
 }
 
@@ -205,11 +213,36 @@ impl Engine {
                     return tracing::warn!(%error, "folds do not follow a changed operation at once");
                 }
             };
-            if let Err(error) = self.renew_fold(&tool, now).await {
+            if let Err(error) = self.renew(&tool, now, Budget::at_once()).await {
                 tracing::warn!(%error, %tool, "the tool's fold does not follow a changed operation at once");
             }
             after = After::Tool(tool);
         }
+    }
+
+    /// Makes a tool's folds anew that are not up to date, as far as the budget reaches; its alarms follow when they are whole.
+    async fn renew(&self, tool: &ToolId, now: Timestamp, mut budget: Budget) -> StoreResult<Renewed> {
+        let tool = tool.clone();
+        write!(self, |conn| {
+            dialect::lock(conn, &Locks::tool(&tool)).await?;
+            let (renewed, verdict) = wear::renew(conn, &tool, now, &mut budget).await?;
+            if renewed == Renewed::Whole {
+                alarms::follow_verdict(conn, &tool, &verdict, now).await?;
+            }
+            Ok(renewed)
+        })
+    }
+
+    /// What a change that tools are judged anew by came to; wakes who folds in the background what it left.
+    fn judged<T>(&self, change: StoreResult<Judged<T>>) -> StoreResult<T> {
+        let may_be_postponed = match &change {
+            Ok(judged) => judged.is_postponed,
+            Err(error) => matches!(error, StoreError::OutcomeUnknown(_)),
+        };
+        if may_be_postponed {
+            self.postponed().notify_one();
+        }
+        change.map(|judged| judged.outcome)
     }
 
     async fn look_for_outdated(&self, after: &After, looks: Looks) -> StoreResult<wear::Looked> {
@@ -248,6 +281,9 @@ impl Engine {
             match outcome {
                 Ok((answers, memory)) => {
                     self.memory().put(memory);
+                    if answers.iter().any(Committed::is_being_counted) {
+                        self.postponed().notify_one();
+                    }
                     self.heed_group(Ok(()));
                     return Ok(answers);
                 }
@@ -399,7 +435,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<PutOutcome> {
         let actor = actor.clone();
-        register!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await)
+        self.judged(register!(self, |conn| tools::put(conn, &tool, expects, &actor, now).await))
     }
 
     async fn tool(&self, id: &ToolId) -> StoreResult<Option<Versioned<Tool>>> {
@@ -418,7 +454,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<StoredToolEvent>> {
         let (tool, actor) = (tool.clone(), actor.clone());
-        register!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await)
+        self.judged(register!(self, |conn| tools::add_event(conn, &tool, event, &actor, now).await))
     }
 
     async fn revoke_tool_event(
@@ -429,7 +465,7 @@ impl Store for Engine {
         now: Timestamp,
     ) -> StoreResult<Option<StoredToolEvent>> {
         let (tool, actor) = (tool.clone(), actor.clone());
-        register!(self, |conn| tools::revoke_event(conn, &tool, event, &actor, now).await)
+        self.judged(register!(self, |conn| tools::revoke_event(conn, &tool, event, &actor, now).await))
     }
 
     async fn tool_events(&self, tool: &ToolId, page: Page<RowNumber>) -> StoreResult<Vec<StoredToolEvent>> {
@@ -821,16 +857,12 @@ impl Store for Engine {
         }
     }
 
-    async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<bool> {
-        let tool = tool.clone();
-        write!(self, |conn| {
-            dialect::lock(conn, &Locks::tool(&tool)).await?;
-            let Some(verdict) = wear::renew(conn, &tool, now).await? else {
-                return Ok(false);
-            };
-            alarms::follow_verdict(conn, &tool, &verdict, now).await?;
-            Ok(true)
-        })
+    async fn renew_fold(&self, tool: &ToolId, now: Timestamp) -> StoreResult<Renewed> {
+        self.renew(tool, now, Budget::slice()).await
+    }
+
+    fn folds_postponed(&self) -> Arc<Notify> {
+        Arc::clone(self.postponed())
     }
 
     async fn note_unchanged_folds(&self, after: Option<&FoldKey>) -> StoreResult<Option<FoldKey>> {

@@ -9,6 +9,7 @@ use crate::rows::{EventRow, PlacedEvent, ToolRow, tool_json};
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::tool::{Tool, ToolEvent};
 use feedwright_core::units::Timestamp;
+use feedwright_core::wear::Verdict;
 use serde_json::json;
 use std::collections::BTreeMap;
 
@@ -39,19 +40,38 @@ pub(super) async fn list(conn: &mut Conn, page: &Page<ToolId>) -> StoreResult<Ve
     rows.iter().map(|row| row.versioned(dialect::WRITERS)).collect()
 }
 
+/// A change by which the tool's cycles are judged anew.
+pub(super) struct Judged<T> {
+    pub(super) outcome: T,
+    /// Whether they are so many that this is left to the background.
+    pub(super) is_postponed: bool,
+}
+
+impl<T> Judged<T> {
+    /// One that is done, or that changed nothing.
+    const fn at_once(outcome: T) -> Self {
+        Self { outcome, is_postponed: false }
+    }
+
+    /// One after which the verdict is this.
+    fn by(verdict: &Verdict, outcome: T) -> Self {
+        Self { outcome, is_postponed: verdict.is_being_counted() }
+    }
+}
+
 pub(super) async fn put(
     conn: &mut Conn,
     tool: &Tool,
     expects: Precondition,
     actor: &Actor,
     now: Timestamp,
-) -> StoreResult<PutOutcome> {
+) -> StoreResult<Judged<PutOutcome>> {
     dialect::lock(conn, &Locks::tool(&tool.id)).await?;
     let found = get(conn, &tool.id).await;
     let existing = registry::existing(conn, found, ("tools", tool.id.as_str())).await?;
     let outcome = precondition::decide(existing.as_ref().map(|existing| existing.held(tool)), expects)?;
     if let PutOutcome::Unchanged(_) = outcome {
-        return Ok(outcome);
+        return Ok(Judged::at_once(outcome));
     }
     let row = ToolRow::of(tool, outcome.version(), now)?;
     sqlx::query::<Db>(
@@ -79,10 +99,11 @@ pub(super) async fn put(
     audit::add(conn, actor, now, "tool.put", format!("tool/{}", tool.id), &detail).await?;
     if outcome == PutOutcome::Created {
         // Cycles that came before count from now on.
-        let verdict = wear::count_all(conn, &tool.id, now).await?;
+        let verdict = wear::count_all(conn, &tool.id, now, wear::Budget::at_once()).await?;
         alarms::follow_verdict(conn, &tool.id, &verdict, now).await?;
+        return Ok(Judged::by(&verdict, outcome));
     }
-    Ok(outcome)
+    Ok(Judged::at_once(outcome))
 }
 
 macro_rules! select_events {
@@ -149,10 +170,10 @@ pub(super) async fn add_event(
     event: ToolEvent,
     actor: &Actor,
     now: Timestamp,
-) -> StoreResult<Option<StoredToolEvent>> {
+) -> StoreResult<Judged<Option<StoredToolEvent>>> {
     dialect::lock(conn, &Locks::tool(tool)).await?;
     if get(conn, tool).await?.is_none() {
-        return Ok(None);
+        return Ok(Judged::at_once(None));
     }
     let first = event.first_cycle.as_ref();
     let id: i64 = sqlx::query_scalar::<Db, _>(
@@ -180,7 +201,8 @@ pub(super) async fn add_event(
     audit::add(conn, actor, now, "tool.event", format!("tool/{tool}"), &detail).await?;
     let verdict = wear::count_event(conn, tool, id, now).await?;
     alarms::follow_verdict(conn, tool, &verdict, now).await?;
-    Ok(Some(StoredToolEvent { id, event, actor: actor.token.clone(), recorded_at: now, revoked: None }))
+    let stored = StoredToolEvent { id, event, actor: actor.token.clone(), recorded_at: now, revoked: None };
+    Ok(Judged::by(&verdict, Some(stored)))
 }
 
 /// Revokes an event of a tool, and judges the tool as if it had not been told; `None` where the tool has no such event. One
@@ -191,7 +213,7 @@ pub(super) async fn revoke_event(
     event: RowNumber,
     actor: &Actor,
     now: Timestamp,
-) -> StoreResult<Option<StoredToolEvent>> {
+) -> StoreResult<Judged<Option<StoredToolEvent>>> {
     dialect::lock(conn, &Locks::tool(tool)).await?;
     let row: Option<EventRow> =
         sqlx::query_as::<Db, _>(select_events!("WHERE tool_id = $1 AND event_id = $2"))
@@ -199,9 +221,11 @@ pub(super) async fn revoke_event(
             .bind(event)
             .fetch_optional(&mut *conn)
             .await?;
-    let Some(told) = row.map(|row| row.stored()).transpose()? else { return Ok(None) };
+    let Some(told) = row.map(|row| row.stored()).transpose()? else {
+        return Ok(Judged::at_once(None));
+    };
     if told.revoked.is_some() {
-        return Ok(Some(told));
+        return Ok(Judged::at_once(Some(told)));
     }
     let (before, _) = placed_events(conn, tool).await?;
     sqlx::query::<Db>("UPDATE tool_events SET revoked_at_us = $2, revoked_by = $3 WHERE event_id = $1")
@@ -214,5 +238,6 @@ pub(super) async fn revoke_event(
     audit::add(conn, actor, now, "tool.event_revoke", format!("tool/{tool}"), &detail).await?;
     let verdict = wear::count_without_event(conn, tool, (event, &before), now).await?;
     alarms::follow_verdict(conn, tool, &verdict, now).await?;
-    Ok(Some(StoredToolEvent { revoked: Some((actor.token.clone(), now)), ..told }))
+    let revoked = StoredToolEvent { revoked: Some((actor.token.clone(), now)), ..told };
+    Ok(Judged::by(&verdict, Some(revoked)))
 }

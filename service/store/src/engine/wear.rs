@@ -1,7 +1,15 @@
 //! The cached fold of each machine's cycles of a tool: stepped, refolded from a checkpoint, composed.
+//!
+//! What comes late is folded on from the last state before it. Where that is far back, others would wait: the fold is postponed then, its
+//! states on the way are those that still hold, and the background goes on from them, some cycles at a time (`outdated.rs`). Until it is
+//! whole nothing is told of the tool but that.
 
+mod budget;
+mod checkpoints;
 pub(in super::super) mod outdated;
 
+pub(in super::super) use budget::Budget;
+pub(super) use checkpoints::Of;
 pub(super) use outdated::{
     After, Looked, Looks, Unchanged, next_outdated, next_unchanged, note_unchanged, renew,
 };
@@ -13,7 +21,10 @@ use crate::codec::state;
 use crate::error::StoreResult;
 use crate::history::{CHECKPOINT_CYCLES, Walk, beginning, verdict_after};
 use crate::registry::Registry;
-use crate::rows::{FactsRow, Place, PlacedEvent, SavedWear, count, id, number};
+use crate::rows::{FactsRow, Place, PlacedEvent, SavedState, SavedWear, count, id, number};
+use checkpoints::{
+    are_kept_over_all, checkpoint_before, forget_after, forget_checkpoints, save_checkpoint, take_over,
+};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::operation::{Ask, asked_at};
 use feedwright_core::units::Timestamp;
@@ -32,8 +43,8 @@ pub(super) const BEGINNING: Place = Place::at(Timestamp::from_micros(i64::MIN));
 /// After every cycle.
 const END: Place = Place::at(Timestamp::from_micros(i64::MAX));
 
-/// Version of a fold that is behind its cycles, as no rules ever wrote it: a journal of groups was taken up.
-pub(super) const BEHIND: i64 = 0;
+/// Version of a fold that is behind its cycles.
+pub(super) const BEHIND: i64 = SavedState::BEHIND;
 
 /// The verdict on a tool that is not registered.
 pub(super) fn not_registered() -> Verdict {
@@ -42,8 +53,11 @@ pub(super) fn not_registered() -> Verdict {
 
 #[derive(Debug)]
 struct Cached {
-    /// `None` where the stored state is of another version or damaged.
+    /// `None` where the stored state is of another version or damaged, or the fold is postponed.
     fold: Option<ToolFold>,
+    /// Whether the background folds its cycles again: states on the way hold, for the machine and over all.
+    postponed: bool,
+    /// Cycles that it has counted, or is to count where it is postponed.
     folded: u64,
     /// The operations that its cycles ran; `None` where that is not known, as who wrote the row noted none.
     ran: Option<Ran>,
@@ -243,11 +257,15 @@ pub(super) async fn ask_operations(
 
 impl ToolWear {
     /// Loads a tool's events and caches, whose name is locked; those that are behind a change of an operation are folded again.
-    pub(super) async fn load_locked(conn: &mut Conn, tool: &ToolId) -> StoreResult<Self> {
+    pub(super) async fn load_locked(
+        conn: &mut Conn,
+        tool: &ToolId,
+        budget: &mut Budget,
+    ) -> StoreResult<Self> {
         let (mut wear, behind) = Self::load_by(conn, tool, dialect::WEAR_OF_TOOL_LOCKED).await?;
         wear.locked = true;
         for (machine, from) in &behind {
-            wear.refold(conn, machine, from).await?;
+            wear.refold(conn, machine, (from, 0), budget).await?;
         }
         Ok(wear)
     }
@@ -284,6 +302,7 @@ impl ToolWear {
         for row in rows {
             let machine: MachineId = id("machine_id", &row.machine_id)?;
             let fold = readable(row.fold_version, &row.state);
+            let postponed = SavedState::is_postponed(row.fold_version, &row.state);
             let folded = number("folded", row.folded)?;
             let ran = ran_of(row.ran.as_deref(), folded);
             let changed = row.judging_change < judging_change;
@@ -296,7 +315,8 @@ impl ToolWear {
                 (_, true) => untold.push(machine.clone()),
                 (_, false) => {}
             }
-            machines.insert(machine, Cached { fold, folded, ran, version: row.version, changed });
+            let cached = Cached { fold, postponed, folded, ran, version: row.version, changed };
+            machines.insert(machine, cached);
         }
         if !untold.is_empty() {
             let mut told = judged_otherwise_since(conn, tool, since).await?;
@@ -346,12 +366,16 @@ impl ToolWear {
     pub(super) fn take_changed(&mut self) -> StoreResult<Vec<Arc<SavedWear>>> {
         let mut rows = Vec::new();
         for (machine, cached) in &mut self.machines {
-            if let Some(fold) = cached.fold.as_ref().filter(|_| cached.changed) {
+            let state = match &cached.fold {
+                Some(fold) => Some(SavedState::Fold(fold.to_bytes())),
+                None => cached.postponed.then_some(SavedState::Postponed),
+            };
+            if let Some(state) = state.filter(|_| cached.changed) {
                 rows.push(Arc::new(SavedWear {
                     machine_id: machine.clone(),
                     tool_id: self.tool.clone(),
                     folded: count("folded", cached.folded)?,
-                    state: fold.to_bytes(),
+                    state,
                     ran: cached.ran.as_ref().map(|ran| ran.to_bytes(cached.folded)),
                     version: cached.version,
                     judging_change: self.judging_change,
@@ -371,8 +395,29 @@ impl ToolWear {
     /// Keeps the fold that one machine's walk came to; it is written with [`ToolWear::take_changed`].
     fn keep(&mut self, machine: &MachineId, fold: ToolFold, folded: u64, ran: Option<Ran>) {
         let version = self.machines.get(machine).map_or(0, |cached| cached.version);
-        let cached = Cached { fold: Some(fold), folded, ran, version, changed: true };
+        let cached = Cached { fold: Some(fold), postponed: false, folded, ran, version, changed: true };
         self.machines.insert(machine.clone(), cached);
+    }
+
+    /// Leaves the fold of one machine's cycles, which are so many, to the background.
+    fn postpone(&mut self, machine: &MachineId, folded: u64, ran: Option<Ran>) {
+        self.whole = None;
+        let before = self.machines.get(machine);
+        let as_before = before.is_some_and(|it| it.postponed && it.folded == folded && it.ran == ran);
+        let changed = before.is_none_or(|it| it.changed) || !as_before;
+        let version = before.map_or(0, |it| it.version);
+        let cached = Cached { fold: None, postponed: true, folded, ran, version, changed };
+        self.machines.insert(machine.clone(), cached);
+    }
+
+    /// Whether the background folds the cycles of one machine again.
+    pub(super) fn is_postponed_on(&self, machine: &MachineId) -> bool {
+        self.machines.get(machine).is_some_and(|cached| cached.postponed)
+    }
+
+    /// Whether the background folds its cycles again: until then nobody knows how worn it is.
+    pub(super) fn is_postponed(&self) -> bool {
+        self.machines.values().any(|cached| cached.postponed)
     }
 
     /// The operations that one machine's cycles ran, where that is known.
@@ -409,11 +454,13 @@ impl ToolWear {
         transaction: &mut GroupTransaction<'_>,
         machine: &MachineId,
         new: &[FactsRow],
+        budget: &mut Budget,
     ) -> StoreResult<()> {
         let Some(first) = new.first() else {
             return Ok(());
         };
         let first = first.order()?;
+        let newest = |fold: &ToolFold| fold.last().is_none_or(|last| *last < first);
         if !self.machines.contains_key(machine) {
             // The fold of one machine was that of the whole tool.
             self.whole = None;
@@ -422,20 +469,29 @@ impl ToolWear {
             && has_more(transaction.conn().await?, &self.tool, machine, new.len()).await?
         {
             // Its cache is lost, and its cycles are not.
-            let lost = Cached { fold: None, folded: 0, ran: None, version: 0, changed: true };
-            self.machines.insert(machine.clone(), lost);
-            return self.refold(transaction.conn().await?, machine, &BEGINNING).await;
+            return self.refold(transaction.conn().await?, machine, (&BEGINNING, 0), budget).await;
+        }
+        if !self.machines.contains_key(machine)
+            && self.machines.len() == 1
+            && let Some((only, cached)) = self.machines.first_key_value()
+        {
+            // Until now its fold was that of the whole tool, as were its states on the way.
+            if cached.fold.is_some() || cached.postponed {
+                take_over(transaction.conn().await?, (only, &self.tool), &Place::of(&first)).await?;
+            }
+            self.whole = cached.fold.clone().filter(newest).map(|fold| (fold, cached.folded));
         }
         let cached = self.machines.entry(machine.clone()).or_insert_with(|| Cached {
             fold: Some(beginning(&self.events)),
+            postponed: false,
             folded: 0,
             ran: Some(Ran::nothing()),
             version: 0,
             changed: true,
         });
-        let newest = |fold: &ToolFold| fold.last().is_none_or(|last| *last < first);
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
-            return self.refold(transaction.conn().await?, machine, &Place::of(&first)).await;
+            let from = (&Place::of(&first), new.len() as u64);
+            return self.refold(transaction.conn().await?, machine, from, budget).await;
         };
         let (folded, mut ran) = (cached.folded, cached.ran.take());
         // The machine's newest need not be the tool's.
@@ -485,16 +541,20 @@ impl ToolWear {
         }
     }
 
-    /// Folds one machine's cycles again from `from` on: from the last checkpoint before it.
+    /// Folds one machine's cycles again from a place on, from the last state before it; `new` of them were stored since it was folded last.
+    /// Postpones it where the budget does not reach.
     pub(super) async fn refold(
         &mut self,
         conn: &mut Conn,
         machine: &MachineId,
-        from: &Place,
+        (from, new): (&Place, u64),
+        budget: &mut Budget,
     ) -> StoreResult<()> {
         self.whole = None;
-        let known = self.machines.get(machine).and_then(|cached| cached.fold.as_ref());
-        if known.is_some() {
+        let cached = self.machines.get(machine);
+        let known = cached.and_then(|cached| cached.fold.as_ref());
+        let holds = cached.is_some_and(|cached| cached.fold.is_some() || cached.postponed);
+        if holds {
             // What comes before is what it was, for the tool as for the machine.
             forget_checkpoints(conn, &self.tool, from).await?;
         }
@@ -502,28 +562,34 @@ impl ToolWear {
             return Ok(());
         }
         let resumed = checkpoint_before(conn, &self.tool, Of::Machine(machine), from).await?;
-        if known.is_none() {
+        if !holds {
             // Of what another version has counted meanwhile, or what is lost, nobody knows from where on.
             let good = resumed.as_ref().and_then(|(fold, _)| fold.last()).map_or(BEGINNING, Place::of);
             forget_checkpoints(conn, &self.tool, &good).await?;
         }
         let (fold, folded) = resumed.unwrap_or_else(|| (beginning(&self.events), 0));
+        forget_after(conn, (machine, &self.tool), folded).await?;
+        let cycles = match cached {
+            Some(cached) => cached.folded + new,
+            None => cycles_of(conn, &self.tool, machine).await?,
+        };
         // What was noted holds for all cycles that were counted, and those that were not are gone through from here on.
-        let noted = self.machines.get(machine).and_then(|cached| cached.ran.clone());
+        let noted = cached.and_then(|cached| cached.ran.clone());
         let mut ran = if folded == 0 { Some(Ran::nothing()) } else { noted };
-        sqlx::query::<Db>(
-            "DELETE FROM tool_wear_checkpoints WHERE machine_id = $1 AND tool_id = $2 AND folded > $3",
-        )
-        .bind(machine.as_str())
-        .bind(self.tool.as_str())
-        .bind(count("folded", folded)?)
-        .execute(&mut *conn)
-        .await?;
+        if !budget.begins(cycles.saturating_sub(folded)) {
+            self.postpone(machine, cycles, ran);
+            return Ok(());
+        }
         let mut walk = Walk::resume(fold, folded, &self.events);
         loop {
             let page = facts_after(conn, &self.tool, Some(machine), walk.fold().last()).await?;
             if page.is_empty() {
                 break;
+            }
+            if budget.is_spent() {
+                // What was folded is in the states on the way.
+                self.postpone(machine, cycles, ran);
+                return Ok(());
             }
             for row in &page {
                 walk.step(row)?;
@@ -532,6 +598,7 @@ impl ToolWear {
                     save_checkpoint(conn, &self.tool, Of::Machine(machine), &walk).await?;
                 }
             }
+            budget.spend(page.len() as u64);
         }
         let (folded, fold) = (walk.folded(), walk.into_fold());
         self.keep(machine, fold, folded, ran);
@@ -539,12 +606,19 @@ impl ToolWear {
     }
 
     /// Folds anew what another version of the fold wrote, or what is damaged, of machines that ran none of the new cycles: the
-    /// tool would otherwise be folded over all of its cycles with every group, until each of them runs it again.
-    pub(super) async fn refold_unreadable(&mut self, conn: &mut Conn) -> StoreResult<()> {
+    /// tool would otherwise be folded over all of its cycles with every group, until each of them runs it again. And what is postponed,
+    /// where little of it is left.
+    pub(super) async fn refold_unreadable(
+        &mut self,
+        conn: &mut Conn,
+        budget: &mut Budget,
+    ) -> StoreResult<()> {
         for machine in self.machines() {
-            if self.machines.get(&machine).is_some_and(|cached| cached.fold.is_none()) {
-                self.refold(conn, &machine, &BEGINNING).await?;
-            }
+            let Some(cached) = self.machines.get(&machine).filter(|cached| cached.fold.is_none()) else {
+                continue;
+            };
+            let from = if cached.postponed { END } else { BEGINNING };
+            self.refold(conn, &machine, (&from, 0), budget).await?;
         }
         Ok(())
     }
@@ -554,7 +628,7 @@ impl ToolWear {
         self.machines.get(machine).is_some_and(|cached| cached.fold.is_none())
     }
 
-    /// Whether a state of some machine cannot be read.
+    /// Whether a state of some machine cannot be read, or is postponed.
     pub(super) fn is_unreadable(&self) -> bool {
         self.machines.values().any(|cached| cached.fold.is_none())
     }
@@ -562,7 +636,8 @@ impl ToolWear {
     /// Whether states on the way may be gone on from. Who wrote a state of a machine that cannot be read here may not have known of
     /// those over all machines, and then has not taken them back.
     pub(super) fn may_resume(&self, of: Of<'_>) -> bool {
-        !self.outdated && (matches!(of, Of::Machine(_)) || !self.is_unreadable())
+        let is_known = |cached: &Cached| cached.fold.is_some() || cached.postponed;
+        !self.outdated && (matches!(of, Of::Machine(_)) || self.machines.values().all(is_known))
     }
 
     /// The last state on the way, over all machines, that has counted nothing from a place on: what comes there is folded on from it. Of
@@ -599,21 +674,46 @@ impl ToolWear {
     }
 
     /// The verdict over all machines. The cycles of a tool that moved between machines are folded in their order, from the last state
-    /// on the way, which is exact by construction.
-    pub(super) async fn verdict(&mut self, conn: &mut Conn) -> StoreResult<Verdict> {
+    /// on the way, which is exact by construction. Postpones it where the budget does not reach.
+    pub(super) async fn verdict(&mut self, conn: &mut Conn, budget: &mut Budget) -> StoreResult<Verdict> {
+        if self.is_postponed() {
+            return Ok(Verdict::being_counted());
+        }
         if let Some(verdict) = self.known_verdict() {
             return Ok(verdict);
         }
         let state = self.state_before(conn, &END).await?;
-        self.verdict_from(conn, state).await
+        let known = state.as_ref().map_or(0, |(_, folded)| *folded);
+        // Where no states over all machines are kept there is nothing that could be gone on from.
+        let mut whole = Budget::whole();
+        let budget = if are_kept_over_all(conn).await? { budget } else { &mut whole };
+        if !budget.begins(self.folded().saturating_sub(known)) {
+            return Ok(self.postpone_whole());
+        }
+        let verdict = self.verdict_from(conn, state, budget).await?;
+        Ok(verdict.unwrap_or_else(|| self.postpone_whole()))
     }
 
-    /// The same, folded from a state on the way with as many cycles, or from the first cycle on.
+    /// Leaves the fold over all machines to the background, which finds it by the fold of one of them: of the one that ran last, which is
+    /// soon folded again from its last state on the way.
+    fn postpone_whole(&mut self) -> Verdict {
+        let last = |cached: &Cached| cached.fold.as_ref().and_then(ToolFold::last).cloned();
+        let latest = self.machines.iter().max_by_key(|(_, cached)| last(cached));
+        if let Some((machine, cached)) = latest {
+            let (machine, folded, ran) = (machine.clone(), cached.folded, cached.ran.clone());
+            self.postpone(&machine, folded, ran);
+        }
+        Verdict::being_counted()
+    }
+
+    /// The same, folded from a state on the way with as many cycles, or from the first cycle on. `None` where the budget did not reach: what
+    /// was folded is in the states on the way.
     async fn verdict_from(
         &mut self,
         conn: &mut Conn,
         state: Option<(ToolFold, u64)>,
-    ) -> StoreResult<Verdict> {
+        budget: &mut Budget,
+    ) -> StoreResult<Option<Verdict>> {
         let mut walk = match state {
             Some((fold, folded)) => Walk::resume(fold, folded, &self.events),
             None => Walk::new(&self.events),
@@ -624,27 +724,22 @@ impl ToolWear {
                 if page.is_empty() {
                     break;
                 }
+                if budget.is_spent() {
+                    return Ok(None);
+                }
                 for row in &page {
                     walk.step(row)?;
                     if self.locked && self.machines.len() > 1 && walk.at_checkpoint() {
                         save_checkpoint(conn, &self.tool, Of::All, &walk).await?;
                     }
                 }
+                budget.spend(page.len() as u64);
             }
         }
         let folded = walk.folded();
         let (fold, _) = self.whole.insert((walk.into_fold(), folded));
-        Ok(verdict_after(fold, &self.events))
+        Ok(Some(verdict_after(fold, &self.events)))
     }
-}
-
-/// Whose cycles a checkpoint has counted.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Of<'a> {
-    /// Those of a tool on one machine.
-    Machine(&'a MachineId),
-    /// All of a tool that more than one machine has run.
-    All,
 }
 
 /// Up to so many cycles of a tool on one machine are counted.
@@ -654,6 +749,20 @@ pub(in super::super) const FIRST_OF_TOOL_ON_MACHINE: &str = concat!(
     dialect::checked!("machine_id"),
     " = $2 LIMIT $3) AS first"
 );
+
+/// How many cycles of a tool a machine has stored.
+async fn cycles_of(conn: &mut Conn, tool: &ToolId, machine: &MachineId) -> StoreResult<u64> {
+    let found: i64 = sqlx::query_scalar::<Db, _>(concat!(
+        "SELECT COUNT(*) FROM cycles WHERE tool_id = $1 AND ",
+        dialect::checked!("machine_id"),
+        " = $2"
+    ))
+    .bind(tool.as_str())
+    .bind(machine.as_str())
+    .fetch_one(&mut *conn)
+    .await?;
+    number("cycles", found)
+}
 
 /// Whether a tool has more cycles of a machine than these, which are stored by now.
 async fn has_more(conn: &mut Conn, tool: &ToolId, machine: &MachineId, these: usize) -> StoreResult<bool> {
@@ -666,147 +775,6 @@ async fn has_more(conn: &mut Conn, tool: &ToolId, machine: &MachineId, these: us
     Ok(found > count("these", these as u64)?)
 }
 
-async fn save_checkpoint(conn: &mut Conn, tool: &ToolId, of: Of<'_>, walk: &Walk<'_>) -> StoreResult<()> {
-    let Some(last) = walk.fold().last() else {
-        return Ok(());
-    };
-    // Of one machine the last cycle is its own.
-    let (sql, machine) = match of {
-        Of::Machine(machine) => (
-            "INSERT INTO tool_wear_checkpoints (machine_id, tool_id, folded, fold_version, last_started_at_us,
-                 last_seq, last_cycle_id, state)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
-             ON CONFLICT (machine_id, tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
-                 last_started_at_us = excluded.last_started_at_us, last_seq = excluded.last_seq,
-                 last_cycle_id = excluded.last_cycle_id, state = excluded.state",
-            machine,
-        ),
-        Of::All => (
-            concat!(
-                "INSERT INTO tool_checkpoints (last_machine_id, tool_id, folded, fold_version, last_started_at_us,
-                 last_seq, last_cycle_id, state)
-             SELECT $1, $2, $3, $4, $5, $6, $7, $8 WHERE ",
-                dialect::at_one_moment!(),
-                " ON CONFLICT (tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
-                 last_started_at_us = excluded.last_started_at_us, last_machine_id = excluded.last_machine_id,
-                 last_seq = excluded.last_seq, last_cycle_id = excluded.last_cycle_id, state = excluded.state"
-            ),
-            &last.machine,
-        ),
-    };
-    sqlx::query::<Db>(sql)
-        .bind(machine.as_str())
-        .bind(tool.as_str())
-        .bind(count("folded", walk.folded())?)
-        .bind(i64::from(FOLD_VERSION))
-        .bind(last.started_at.micros())
-        .bind(last.seq.map(|seq| count("last_seq", seq)).transpose()?)
-        .bind(last.cycle.as_str())
-        .bind(state_of(walk.fold()))
-        .execute(&mut *conn)
-        .await?;
-    Ok(())
-}
-
-/// A place as the key of the last cycle stands beside a state.
-fn key_of(place: &Place) -> StoreResult<(i64, &str, i64, &str)> {
-    let at = place.at.micros();
-    Ok(match &place.cycle {
-        None => (at, "", i64::MIN, ""),
-        Some((machine, seq, cycle)) => {
-            (at, machine.as_str(), seq.map_or(Ok(-1), |seq| count("seq", seq))?, cycle.as_str())
-        }
-    })
-}
-
-/// Takes back the states over all machines of a tool that have counted what comes at a place or after it. The tool's name is locked
-/// by then.
-async fn forget_checkpoints(conn: &mut Conn, tool: &ToolId, from: &Place) -> StoreResult<()> {
-    let (at, machine, seq, cycle) = key_of(from)?;
-    sqlx::query::<Db>(
-        "DELETE FROM tool_checkpoints WHERE tool_id = $1
-         AND (last_started_at_us, last_machine_id, COALESCE(last_seq, -1), last_cycle_id) >= ($2, $3, $4, $5)",
-    )
-    .bind(tool.as_str())
-    .bind(at)
-    .bind(machine)
-    .bind(seq)
-    .bind(cycle)
-    .execute(&mut *conn)
-    .await?;
-    Ok(())
-}
-
-#[derive(sqlx::FromRow)]
-struct CheckpointRow {
-    folded: i64,
-    fold_version: i64,
-    last_machine_id: String,
-    last_started_at_us: i64,
-    last_seq: Option<i64>,
-    last_cycle_id: String,
-    state: Vec<u8>,
-}
-
-impl CheckpointRow {
-    /// The fold, where it ends with the cycle that the row says, which late cycles are held against: a key that says otherwise
-    /// would leave some out.
-    fn fold(&self) -> StoreResult<Option<(ToolFold, u64)>> {
-        let Some(fold) = readable(self.fold_version, &self.state) else { return Ok(None) };
-        let told = (
-            self.last_started_at_us,
-            &*self.last_machine_id,
-            self.last_seq.unwrap_or(-1),
-            &*self.last_cycle_id,
-        );
-        let last = fold.last().map(Place::of);
-        let ends_so = last.as_ref().map(key_of).transpose()?.is_some_and(|key| key == told);
-        Ok(ends_so.then_some((fold, number("folded", self.folded)?)))
-    }
-}
-
-/// The last checkpoint whose cycles all come before `from`.
-pub(super) async fn checkpoint_before(
-    conn: &mut Conn,
-    tool: &ToolId,
-    of: Of<'_>,
-    from: &Place,
-) -> StoreResult<Option<(ToolFold, u64)>> {
-    let (at, machine, seq, cycle) = key_of(from)?;
-    let sql = match of {
-        Of::Machine(_) => {
-            "SELECT folded, fold_version, machine_id AS last_machine_id, last_started_at_us, last_seq, last_cycle_id, state
-             FROM tool_wear_checkpoints
-             WHERE tool_id = $1
-               AND (last_started_at_us, machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($2, $3, $4, $5)
-               AND machine_id = $6
-             ORDER BY folded DESC LIMIT 1"
-        }
-        Of::All => concat!(
-            "SELECT folded, fold_version, last_machine_id, last_started_at_us, last_seq, last_cycle_id, state
-             FROM tool_checkpoints
-             WHERE ",
-            dialect::at_one_moment!(),
-            " AND tool_id = $1
-               AND (last_started_at_us, last_machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($2, $3, $4, $5)
-             ORDER BY folded DESC LIMIT 1"
-        ),
-    };
-    let mut query = sqlx::query_as::<Db, CheckpointRow>(sql)
-        .bind(tool.as_str())
-        .bind(at)
-        .bind(machine)
-        .bind(seq)
-        .bind(cycle);
-    if let Of::Machine(machine) = of {
-        query = query.bind(machine.as_str());
-    }
-    match query.fetch_optional(&mut *conn).await? {
-        Some(row) => row.fold(),
-        None => Ok(None),
-    }
-}
-
 /// Whether a tool is registered.
 pub(super) async fn is_registered(conn: &mut Conn, tool: &ToolId) -> StoreResult<bool> {
     let found: Option<i64> = sqlx::query_scalar::<Db, _>("SELECT version FROM tools WHERE tool_id = $1")
@@ -817,13 +785,19 @@ pub(super) async fn is_registered(conn: &mut Conn, tool: &ToolId) -> StoreResult
 }
 
 /// Folds everything that is stored of a tool that was just registered.
-pub(super) async fn count_all(conn: &mut Conn, tool: &ToolId, now: Timestamp) -> StoreResult<Verdict> {
-    let mut wear = ToolWear::load_locked(conn, tool).await?;
+pub(super) async fn count_all(
+    conn: &mut Conn,
+    tool: &ToolId,
+    now: Timestamp,
+    mut budget: Budget,
+) -> StoreResult<Verdict> {
+    let mut wear = ToolWear::load_locked(conn, tool, &mut budget).await?;
     for machine in machines_of(conn, tool).await? {
-        wear.refold(conn, &machine, &BEGINNING).await?;
+        wear.refold(conn, &machine, (&BEGINNING, 0), &mut budget).await?;
     }
+    let verdict = wear.verdict(conn, &mut budget).await?;
     wear.save(conn, now).await?;
-    wear.verdict(conn).await
+    Ok(verdict)
 }
 
 /// Machines that stored a cycle of a tool.
@@ -844,9 +818,10 @@ pub(super) async fn count_event(
     event: i64,
     now: Timestamp,
 ) -> StoreResult<Verdict> {
-    let wear = ToolWear::load_locked(conn, tool).await?;
+    let mut budget = Budget::at_once();
+    let wear = ToolWear::load_locked(conn, tool, &mut budget).await?;
     let from = place_of(event, &wear.events);
-    count_from(conn, wear, from, now).await
+    count_from(conn, wear, (from, now), budget).await
 }
 
 /// Refolds a tool from where an event that was just revoked took effect; `before` are the events with it.
@@ -856,8 +831,9 @@ pub(super) async fn count_without_event(
     (event, before): (i64, &[PlacedEvent]),
     now: Timestamp,
 ) -> StoreResult<Verdict> {
-    let wear = ToolWear::load_locked(conn, tool).await?;
-    count_from(conn, wear, place_of(event, before), now).await
+    let mut budget = Budget::at_once();
+    let wear = ToolWear::load_locked(conn, tool, &mut budget).await?;
+    count_from(conn, wear, (place_of(event, before), now), budget).await
 }
 
 /// From where on the fold is another one with an event than without it; `events` are those with it.
@@ -872,14 +848,15 @@ fn place_of(event: i64, events: &[PlacedEvent]) -> Place {
 async fn count_from(
     conn: &mut Conn,
     mut wear: ToolWear,
-    from: Place,
-    now: Timestamp,
+    (from, now): (Place, Timestamp),
+    mut budget: Budget,
 ) -> StoreResult<Verdict> {
     for machine in wear.machines() {
-        wear.refold(conn, &machine, &from).await?;
+        wear.refold(conn, &machine, (&from, 0), &mut budget).await?;
     }
+    let verdict = wear.verdict(conn, &mut budget).await?;
     wear.save(conn, now).await?;
-    wear.verdict(conn).await
+    Ok(verdict)
 }
 
 /// The verdict on a tool, read only.
@@ -908,6 +885,8 @@ pub(super) async fn verdict_of_life(
     }
     let mut wear = ToolWear::load(conn, tool).await?;
     let verdict = match wear.known_verdict() {
+        // Who runs it is told the same. What it comes to is soon known, and nobody need read all of it for that.
+        None if wear.is_postponed() => Verdict::being_counted(),
         Some(verdict) => verdict,
         None => {
             let state = wear.state_before(conn, &END).await?;
@@ -915,7 +894,8 @@ pub(super) async fn verdict_of_life(
             if wear.folded().saturating_sub(known) > bound {
                 return Ok(None);
             }
-            wear.verdict_from(conn, state).await?
+            let mut budget = Budget::whole();
+            wear.verdict_from(conn, state, &mut budget).await?.unwrap_or_else(Verdict::being_counted)
         }
     };
     let last = wear.events.iter().rfind(|event| event.kind.begins_life());

@@ -162,6 +162,7 @@ impl PostgresStore {
             registry: Arc::default(),
             memory: Slot::default(),
             dropping: Slot::default(),
+            postponed: Arc::default(),
         };
         let mut lent = inner.lent().await?;
         let mut transaction = lent.begin_with(inner.begin()).await?;

@@ -1,11 +1,11 @@
 //! Rows that a group writes many of at once.
 
 use super::{AdviceBody, CycleRow, count, float};
-use crate::codec::pack;
+use crate::codec::{pack, state};
 use crate::error::{StoreError, StoreResult};
 use crate::record::{AlarmKind, IssuedRecommendation};
 use feedwright_core::ids::{MachineId, ToolId};
-use feedwright_core::wear::{Level, LevelBasis, MOST_LEVEL, Remaining};
+use feedwright_core::wear::{FOLD_VERSION, Level, LevelBasis, MOST_LEVEL, Remaining};
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -15,6 +15,44 @@ pub(crate) const ADVICE_HASH_BYTES: usize = 16;
 /// Most advices are shorter.
 const USUAL_ADVICE_BYTES: usize = 1024;
 
+/// What stands for a fold in its row.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum SavedState {
+    /// The fold, as it gives itself.
+    Fold(Vec<u8>),
+    /// Its cycles are folded again in the background: there is none until then.
+    Postponed,
+}
+
+/// Stands in place of the state of a fold that is postponed. No state is stored like this.
+const POSTPONED: &[u8] = b"postponed";
+
+impl SavedState {
+    /// Version of the rules of a fold that is behind its cycles, as no rules ever were: a journal of groups was taken up, or it is postponed.
+    pub(crate) const BEHIND: i64 = 0;
+
+    /// Whether a row's version and state are those of a fold that is postponed.
+    pub(crate) fn is_postponed(version: i64, stored: &[u8]) -> bool {
+        version == Self::BEHIND && stored == POSTPONED
+    }
+
+    /// The version of the rules that made it.
+    pub(crate) fn version(&self) -> i64 {
+        match self {
+            Self::Fold(_) => i64::from(FOLD_VERSION),
+            Self::Postponed => Self::BEHIND,
+        }
+    }
+
+    /// It as it is stored.
+    pub(crate) fn stored(&self) -> Vec<u8> {
+        match self {
+            Self::Fold(state) => state::pack(state),
+            Self::Postponed => POSTPONED.to_vec(),
+        }
+    }
+}
+
 /// A row of `tool_wear`.
 #[derive(Debug)]
 pub(crate) struct SavedWear {
@@ -22,7 +60,7 @@ pub(crate) struct SavedWear {
     pub(crate) tool_id: ToolId,
     pub(crate) folded: i64,
     /// The fold's state; it is packed when it is written.
-    pub(crate) state: Vec<u8>,
+    pub(crate) state: SavedState,
     /// Version of the row that it follows; 0 where there is none.
     pub(crate) version: i64,
     /// Number of the last change of an operation that it has gone along with.

@@ -4,12 +4,10 @@
 //! hundred bytes, packed out of some thousand; all but the last of a transaction are read by nobody.
 
 use super::group_writer::Assumption;
-use crate::codec::state;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::SavedWear;
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
-use feedwright_core::wear::FOLD_VERSION;
 use rusqlite::Connection;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -98,7 +96,8 @@ impl Folds {
 
 /// Writes a fold over the version that is known to be in force.
 fn write(conn: &Connection, row: &SavedWear, at: Timestamp, stored: i64) -> StoreResult<()> {
-    let (state, at, version) = (state::pack(&row.state), at.micros(), row.version + 1);
+    let (state, at, version) = (row.state.stored(), at.micros(), row.version + 1);
+    let fold_version = row.state.version();
     let (machine, tool) = (row.machine_id.as_str(), row.tool_id.as_str());
     let written = if stored > 0 {
         conn.prepare_cached(
@@ -108,7 +107,7 @@ fn write(conn: &Connection, row: &SavedWear, at: Timestamp, stored: i64) -> Stor
         )?
         .execute((
             row.folded,
-            FOLD_VERSION,
+            fold_version,
             state,
             at,
             version,
@@ -126,7 +125,7 @@ fn write(conn: &Connection, row: &SavedWear, at: Timestamp, stored: i64) -> Stor
         )?
         .execute((
             row.folded,
-            FOLD_VERSION,
+            fold_version,
             state,
             at,
             version,

@@ -164,6 +164,7 @@ impl SqliteStore {
                 registry: Arc::default(),
                 memory: Slot::default(),
                 dropping: Slot::default(),
+                postponed: Arc::default(),
                 recent: Arc::default(),
                 alone: options.alone,
             }),

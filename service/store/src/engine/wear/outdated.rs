@@ -1,9 +1,9 @@
 //! Which folds are behind a change of an operation, or of the rules, and which operations their cycles ran.
 
-use super::{BEGINNING, BEHIND, Conn, Db, END, ToolWear, dialect, operations};
+use super::{BEGINNING, BEHIND, Budget, Conn, Db, END, ToolWear, dialect, operations};
 use crate::codec::ran::Ran;
 use crate::error::StoreResult;
-use crate::record::FoldKey;
+use crate::record::{FoldKey, Renewed};
 use crate::rows::{FactsRow, Place, id, number};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
@@ -246,13 +246,14 @@ pub(in super::super) async fn note_unchanged(
     Ok(())
 }
 
-/// Makes a tool's folds of earlier versions anew, and those that are behind a change of an operation, and notes which operations their
-/// cycles ran where nobody did; the tool's name is locked by then. `None` where there are none.
+/// Makes a tool's folds of earlier versions anew, those that are behind a change of an operation, and those that are postponed, as far as the
+/// budget reaches, and notes which operations their cycles ran where nobody did; the tool's name is locked by then. With the verdict after it.
 pub(in super::super) async fn renew(
     conn: &mut Conn,
     tool: &ToolId,
     now: Timestamp,
-) -> StoreResult<Option<Verdict>> {
+    budget: &mut Budget,
+) -> StoreResult<(Renewed, Verdict)> {
     let ours: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
         "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version <= $2
          ORDER BY machine_id",
@@ -261,7 +262,7 @@ pub(in super::super) async fn renew(
     .bind(i64::from(FOLD_VERSION))
     .fetch_all(&mut *conn)
     .await?;
-    let mut wear = ToolWear::load_locked(conn, tool).await?;
+    let mut wear = ToolWear::load_locked(conn, tool, budget).await?;
     for (machine, version) in &ours {
         let machine = id("machine_id", machine)?;
         // Of this version's a damaged one would be found in every round, and read by all of its cycles meanwhile.
@@ -270,13 +271,17 @@ pub(in super::super) async fn renew(
         }
         // Checkpoints are as good as they were before one that is only behind.
         let from = if *version == BEHIND { END } else { BEGINNING };
-        wear.refold(conn, &machine, &from).await?;
+        wear.refold(conn, &machine, (&from, 0), budget).await?;
     }
     wear.find_ran(conn).await?;
+    // A verdict may have folds postponed once more.
+    let verdict = wear.verdict(conn, budget).await?;
     let changed = wear.take_changed()?;
-    if changed.is_empty() {
-        return Ok(None);
-    }
     dialect::save_wear(conn, &changed, now).await?;
-    wear.verdict(conn).await.map(Some)
+    let renewed = match () {
+        () if wear.is_postponed() => Renewed::Part,
+        () if changed.is_empty() => Renewed::Nothing,
+        () => Renewed::Whole,
+    };
+    Ok((renewed, verdict))
 }

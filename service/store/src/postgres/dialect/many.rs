@@ -1,12 +1,10 @@
 //! Many rows in one statement: an array per column, so that one prepared statement takes any number of rows.
 
-use crate::codec::state;
 use crate::error::{StoreError, StoreResult};
 use crate::postgres::Conn;
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
-use feedwright_core::wear::FOLD_VERSION;
 use sqlx::AssertSqlSafe;
 use sqlx::postgres::{PgArguments, PgRow};
 use sqlx::query::Query;
@@ -58,8 +56,9 @@ const BLOCKS: &str = "INSERT INTO cycle_samples (machine_id, received_at_us, cyc
 /// shows a commit later than it was told, a newer fold must not be lost all the same.
 const WEAR: &str =
     "INSERT INTO tool_wear (machine_id, tool_id, folded, fold_version, state, version, updated_at_us, judging_change, ran)
-     SELECT machine_id, tool_id, folded, $6, state, version + 1, $7, judging_change, ran
-     FROM UNNEST($1, $2, $3, $4, $5, $8, $9) AS saved (machine_id, tool_id, folded, state, version, judging_change, ran)
+     SELECT machine_id, tool_id, folded, fold_version, state, version + 1, $7, judging_change, ran
+     FROM UNNEST($1, $2, $3, $4, $5, $6, $8, $9)
+         AS saved (machine_id, tool_id, folded, state, version, fold_version, judging_change, ran)
      ON CONFLICT (machine_id, tool_id) DO UPDATE SET folded = excluded.folded,
          fold_version = excluded.fold_version, state = excluded.state, version = excluded.version,
          updated_at_us = excluded.updated_at_us, judging_change = excluded.judging_change,
@@ -112,9 +111,9 @@ fn bind_wear<'q>(query: Bound<'q>, rows: &'q [Arc<SavedWear>], now: Timestamp) -
         .bind(rows.iter().map(|row| row.machine_id.as_str()).collect::<Vec<_>>())
         .bind(rows.iter().map(|row| row.tool_id.as_str()).collect::<Vec<_>>())
         .bind(rows.iter().map(|row| row.folded).collect::<Vec<_>>())
-        .bind(rows.iter().map(|row| state::pack(&row.state)).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.state.stored()).collect::<Vec<_>>())
         .bind(rows.iter().map(|row| row.version).collect::<Vec<_>>())
-        .bind(i64::from(FOLD_VERSION))
+        .bind(rows.iter().map(|row| row.state.version()).collect::<Vec<_>>())
         .bind(now.micros())
         .bind(rows.iter().map(|row| row.judging_change).collect::<Vec<_>>())
         .bind(rows.iter().map(|row| row.ran.as_deref()).collect::<Vec<_>>())

@@ -11,7 +11,6 @@
 use super::assumed::{BEGIN, versions_text};
 use super::list;
 use super::samples::{PACK, packs};
-use crate::codec::state;
 use crate::error::{StoreError, StoreResult};
 use crate::rows::{BlockRow, CycleRow, IssuedRow, Rest, SavedWear, cycle_columns};
 use crate::sqlite::Conn;
@@ -20,7 +19,6 @@ use crate::sqlite::kept::{Cell, Form};
 use crate::sqlite::recommendation_id;
 use crate::work::Written;
 use feedwright_core::units::Timestamp;
-use feedwright_core::wear::FOLD_VERSION;
 use sqlx::FromRow;
 use std::sync::{Arc, LazyLock};
 
@@ -207,8 +205,8 @@ fn bind_wear(mut query: Query, rows: &[Arc<SavedWear>], now: Timestamp) -> Query
             .bind(row.machine_id.as_str().to_owned())
             .bind(row.tool_id.as_str().to_owned())
             .bind(row.folded)
-            .bind(i64::from(FOLD_VERSION))
-            .bind(state::pack(&row.state))
+            .bind(row.state.version())
+            .bind(row.state.stored())
             .bind(now.micros())
             .bind(row.judging_change)
             .bind(row.ran.clone());
