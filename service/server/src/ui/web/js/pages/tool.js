@@ -156,6 +156,7 @@ function eventNames(u, c, marks) {
 
 /** Why nothing is told of the wear, in one sentence. */
 function unknown(wear) {
+  if (wear.reasons.some((one) => one.code === "being_counted")) return told("reason", "being_counted", "");
   if (wear.cycles === 0) return t(wear.last_cycle_at ? "tool.saysNewLife" : "tool.saysNoCycle");
   if (isHidden(wear)) return t("tool.saysHidden");
   const reason = wear.reasons.find((one) => one.code === "no_new_tool_baseline") ?? wear.reasons.at(-1);
