@@ -5,7 +5,7 @@
 const AT_ONCE: u64 = 10_000;
 
 /// Cycles that are folded again at a time in the background, where posts have the writer in between.
-const SLICE: u64 = 4096;
+const SLICE: u64 = 2000;
 
 /// Cycles that may yet be folded again in a transaction.
 #[derive(Debug)]
