@@ -4,6 +4,7 @@ mod answers;
 mod bad_input;
 mod binary;
 mod lives;
+mod long_fold;
 mod restart;
 mod weekend;
 
