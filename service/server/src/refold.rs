@@ -24,6 +24,9 @@ const AWAY: Duration = Duration::from_secs(10);
 /// Between two rounds through the tools, of which all but the first find nothing where no server of before is left.
 const ROUNDS: Duration = Duration::from_secs(600);
 
+/// Between the beginnings of two rounds at the least.
+const LOOKS: Duration = Duration::from_secs(2);
+
 /// Goes through the tools, again and again, until the shutdown begins.
 pub(crate) fn start(state: &AppState) {
     let state = state.clone();
@@ -33,7 +36,13 @@ pub(crate) fn start(state: &AppState) {
 async fn rounds(state: AppState) {
     let postponed = state.store.folds_postponed();
     loop {
-        while round(&state, &postponed).await {}
+        let begun = Instant::now();
+        let goes_on = round(&state, &postponed).await;
+        // Each looks at all folds, however few are behind.
+        rest(&state, LOOKS.saturating_sub(begun.elapsed())).await;
+        if goes_on {
+            continue;
+        }
         tokio::select! {
             () = tokio::time::sleep(ROUNDS) => {}
             () = state.folds_are_behind.notified() => {}
@@ -47,6 +56,7 @@ async fn rounds(state: AppState) {
 /// others by now, which wait for none of these: one that is to be folded from the beginning again and again would keep them waiting for ever.
 async fn round(state: &AppState, postponed: &Notify) -> bool {
     let (mut after, mut parts, mut made) = (None, VecDeque::new(), 0_u64);
+    let (looked, mut others) = (Instant::now(), false);
     while !state.lifecycle.is_stopping() {
         let begun = Instant::now();
         let pause = match one(state, after.as_ref()).await {
@@ -85,15 +95,16 @@ async fn round(state: &AppState, postponed: &Notify) -> bool {
             }
         };
         rest(state, pause).await;
-        if pin!(postponed.notified()).enable() {
-            return true;
+        others |= pin!(postponed.notified()).enable();
+        if others && looked.elapsed() > LOOKS {
+            break;
         }
     }
     if made > 0 {
         tracing::info!(tools = made, "outdated folds were made anew");
     }
     note_unchanged(state).await;
-    false
+    others
 }
 
 /// Only the waiting is cut short, never a statement.

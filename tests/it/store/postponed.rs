@@ -20,8 +20,18 @@ stories!(
 );
 
 mod tables {
-    super::stories!(with tables: the_first_cycle_on_a_second_machine_is_no_reason_to_fold_a_long_history_again);
-    use super::the_first_cycle_on_a_second_machine_is_no_reason_to_fold_a_long_history_again;
+    super::stories!(with tables:
+        the_first_cycle_on_a_second_machine_is_no_reason_to_fold_a_long_history_again,
+        where_the_cache_of_one_machine_is_lost_another_ones_is_not_that_of_the_tool,
+        what_was_run_is_known_while_it_is_left_to_the_background,
+        states_before_what_changed_are_gone_on_from,
+    );
+    use super::{
+        states_before_what_changed_are_gone_on_from,
+        the_first_cycle_on_a_second_machine_is_no_reason_to_fold_a_long_history_again,
+        what_was_run_is_known_while_it_is_left_to_the_background,
+        where_the_cache_of_one_machine_is_lost_another_ones_is_not_that_of_the_tool,
+    };
 }
 
 /// More than are folded while others wait.
@@ -222,5 +232,75 @@ async fn the_first_cycle_on_a_second_machine_is_no_reason_to_fold_a_long_history
     let newest = stored(&*store, &on("M3", i64::from(MANY + 1) * 60)).await;
     assert_eq!((newest.verdict.state, newest.verdict.cycles), (ToolState::Learning, u64::from(MANY) + 2));
     assert_eq!(verdict(&*store).await, *newest.verdict);
+    assert_clean(&*store).await;
+}
+
+async fn where_the_cache_of_one_machine_is_lost_another_ones_is_not_that_of_the_tool(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    for id in ["M2", "M3"] {
+        store.put_machine(machine(id), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    }
+    let on = |machine: &'static str, n: u32| Run {
+        machine,
+        seconds: i64::from(n) * 60 + 1,
+        id: format!("{machine}-{n}"),
+        ..nth(n)
+    };
+    for n in 1..=300 {
+        run(&*store, &[nth(n), on("M2", n)]).await;
+    }
+    assert_eq!(given.raw("DELETE FROM tool_wear WHERE machine_id = 'M2'").await.unwrap(), 1);
+    let third = stored(&*store, &on("M3", 301)).await;
+    assert_eq!(third.verdict.cycles, 601, "of all three");
+}
+
+/// Changes how an operation's cycles are judged.
+async fn judged_otherwise(store: &dyn Store, id: &str) {
+    let wear = WearSettings { baseline_cycles: 7, ..WearSettings::default() };
+    let changed = Operation { wear, ..operation(id) };
+    store.put_operation(changed, Precondition::Version(1), &engineer(), at(0)).await.unwrap();
+}
+
+async fn what_was_run_is_known_while_it_is_left_to_the_background(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    store.put_operation(operation("O2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    // On the second machine a few cycles of another operation, all of them before the first state of that machine, but not of both.
+    for n in 1..=200 {
+        let other = Run {
+            machine: "M2",
+            operation: "O2",
+            seconds: i64::from(n) * 60 + 1,
+            id: format!("other-{n}"),
+            ..nth(n)
+        };
+        run(&*store, &[nth(n), other]).await;
+    }
+    let later = |n: u32| Run { machine: "M2", ..nth(n) };
+    run(&*store, &(301..=300 + MANY).map(later).collect::<Vec<_>>()).await;
+    let before = "SELECT CAST(COUNT(*) AS BIGINT) FROM tool_checkpoints WHERE folded = 256";
+    let confirmed = event(ToolEventKind::ConditionsConfirmed, at(250 * 60));
+    store.add_tool_event(&t1(), confirmed, &engineer(), at(0)).await.unwrap();
+    assert!(verdict(&*store).await.is_being_counted());
+    assert_eq!(given.numbers(before).await, [1], "what is before the event holds");
+    judged_otherwise(&*store, "O2").await;
+    renewed(&*store).await;
+    assert_clean(&*store).await;
+}
+
+async fn states_before_what_changed_are_gone_on_from(given: &Given) {
+    let store = given.store();
+    shop(&*store).await;
+    store.put_operation(operation("O2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    let of = |n: u32| Run { operation: if n > 600 { "O2" } else { "O1" }, ..nth(n) };
+    run(&*store, &(1..=MANY + 600).map(of).collect::<Vec<_>>()).await;
+    judged_otherwise(&*store, "O2").await;
+    assert_eq!(store.renew_fold(&t1(), at(0)).await.unwrap(), Renewed::Part);
+    let states = given.numbers("SELECT folded FROM tool_wear_checkpoints ORDER BY folded").await;
+    let whole: Vec<i64> = (1..=10).map(|state| state * 256).collect();
+    assert_eq!(states, whole, "two that hold, and eight more");
+    renewed(&*store).await;
     assert_clean(&*store).await;
 }

@@ -41,6 +41,15 @@ impl Ran {
         }
     }
 
+    /// With what others noted.
+    pub(crate) fn and(mut self, other: &Self) -> Self {
+        match other {
+            Self::These(these) => these.iter().for_each(|(operation, first)| self.note(operation, *first)),
+            Self::TooMany => self = Self::TooMany,
+        }
+        self
+    }
+
     /// As it is stored, with how many cycles were counted.
     pub(crate) fn to_bytes(&self, folded: u64) -> Vec<u8> {
         let mut out = Vec::new();
@@ -101,6 +110,19 @@ mod tests {
             let whole = [2, 2 + 11].contains(&cut);
             assert_eq!(Ran::from_bytes(&stored[..cut], 500).is_some(), whole, "{cut}");
         }
+    }
+
+    #[test]
+    fn what_others_noted_is_noted_too() {
+        let noted = |of: &[(&str, i64)]| {
+            let mut ran = Ran::nothing();
+            of.iter().for_each(|(operation, at)| ran.note(operation, *at));
+            ran
+        };
+        let both = noted(&[("O1", 3), ("O2", 5)]).and(&noted(&[("O2", 4), ("O3", 9)]));
+        assert_eq!(both, noted(&[("O1", 3), ("O2", 4), ("O3", 9)]));
+        assert_eq!(noted(&[("O1", 3)]).and(&Ran::TooMany), Ran::TooMany);
+        assert_eq!(Ran::TooMany.and(&noted(&[("O1", 3)])), Ran::TooMany);
     }
 
     #[test]

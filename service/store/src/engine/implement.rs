@@ -225,7 +225,9 @@ impl Engine {
         let tool = tool.clone();
         write!(self, |conn| {
             dialect::lock(conn, &Locks::tool(&tool)).await?;
-            let (renewed, verdict) = wear::renew(conn, &tool, now, &mut budget).await?;
+            let Some((renewed, verdict)) = wear::renew(conn, &tool, now, &mut budget).await? else {
+                return Ok(Renewed::Nothing);
+            };
             if renewed == Renewed::Whole {
                 alarms::follow_verdict(conn, &tool, &verdict, now).await?;
             }

@@ -34,8 +34,9 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Cycles read at once when refolding; bounds memory, not the work.
-const FACTS_PAGE: i64 = 1000;
+/// Cycles read at once when refolding; bounds memory, not the work. So many that a page which begins behind a state on the way ends with one.
+const FACTS_PAGE: usize = 1024;
+const _: () = assert!((FACTS_PAGE as u64).is_multiple_of(CHECKPOINT_CYCLES));
 
 /// Before every cycle.
 pub(super) const BEGINNING: Place = Place::at(Timestamp::from_micros(i64::MIN));
@@ -57,6 +58,10 @@ struct Cached {
     fold: Option<ToolFold>,
     /// Whether the background folds its cycles again: states on the way hold, for the machine and over all.
     postponed: bool,
+    /// Whether its row said that it is behind its cycles: its states on the way are as good as they were.
+    behind: bool,
+    /// Whether it was folded again in this transaction, and may have counted some of what the group has stored.
+    refolded: bool,
     /// Cycles that it has counted, or is to count where it is postponed.
     folded: u64,
     /// The operations that its cycles ran; `None` where that is not known, as who wrote the row noted none.
@@ -65,6 +70,14 @@ struct Cached {
     version: i64,
     /// Whether the row has to be written.
     changed: bool,
+}
+
+impl Cached {
+    /// A fold that is to be written over that version of its row.
+    const fn of(fold: ToolFold, folded: u64, ran: Option<Ran>, version: i64) -> Self {
+        let (postponed, behind, refolded) = (false, false, false);
+        Self { fold: Some(fold), postponed, behind, refolded, folded, ran, version, changed: true }
+    }
 }
 
 /// One tool's events and the cached folds of its machines.
@@ -227,7 +240,7 @@ pub(super) async fn facts_after(
         .bind(after_machine)
         .bind(seq)
         .bind(cycle)
-        .bind(FACTS_PAGE);
+        .bind(count("page", FACTS_PAGE as u64)?);
     let query = match machine {
         Some(machine) => query.bind(machine.as_str()),
         None => query,
@@ -315,7 +328,9 @@ impl ToolWear {
                 (_, true) => untold.push(machine.clone()),
                 (_, false) => {}
             }
-            let cached = Cached { fold, postponed, folded, ran, version: row.version, changed };
+            let behind = row.fold_version == BEHIND;
+            let version = row.version;
+            let cached = Cached { fold, postponed, behind, refolded: false, folded, ran, version, changed };
             machines.insert(machine, cached);
         }
         if !untold.is_empty() {
@@ -383,6 +398,7 @@ impl ToolWear {
                 cached.changed = false;
                 cached.version += 1;
             }
+            cached.refolded = false;
         }
         Ok(rows)
     }
@@ -395,8 +411,7 @@ impl ToolWear {
     /// Keeps the fold that one machine's walk came to; it is written with [`ToolWear::take_changed`].
     fn keep(&mut self, machine: &MachineId, fold: ToolFold, folded: u64, ran: Option<Ran>) {
         let version = self.machines.get(machine).map_or(0, |cached| cached.version);
-        let cached = Cached { fold: Some(fold), postponed: false, folded, ran, version, changed: true };
-        self.machines.insert(machine.clone(), cached);
+        self.machines.insert(machine.clone(), Cached::of(fold, folded, ran, version));
     }
 
     /// Leaves the fold of one machine's cycles, which are so many, to the background.
@@ -406,7 +421,8 @@ impl ToolWear {
         let as_before = before.is_some_and(|it| it.postponed && it.folded == folded && it.ran == ran);
         let changed = before.is_none_or(|it| it.changed) || !as_before;
         let version = before.map_or(0, |it| it.version);
-        let cached = Cached { fold: None, postponed: true, folded, ran, version, changed };
+        let (postponed, behind, refolded) = (true, true, false);
+        let cached = Cached { fold: None, postponed, behind, refolded, folded, ran, version, changed };
         self.machines.insert(machine.clone(), cached);
     }
 
@@ -448,7 +464,7 @@ impl ToolWear {
     }
 
     /// Counts cycles of one machine that were just stored, in the order of the fold: steps on where they are the
-    /// newest, refolds otherwise.
+    /// newest, otherwise refolds or, where the budget does not reach, postpones.
     pub(super) async fn count_new(
         &mut self,
         transaction: &mut GroupTransaction<'_>,
@@ -475,20 +491,18 @@ impl ToolWear {
             && self.machines.len() == 1
             && let Some((only, cached)) = self.machines.first_key_value()
         {
-            // Until now its fold was that of the whole tool, as were its states on the way.
-            if cached.fold.is_some() || cached.postponed {
-                take_over(transaction.conn().await?, (only, &self.tool), &Place::of(&first)).await?;
+            // Until now its fold was that of the whole tool, as were its states on the way; unless another one's cache is lost.
+            let is_whole = cached.fold.is_some() || cached.postponed;
+            if is_whole
+                && take_over(transaction.conn().await?, (only, &self.tool), &Place::of(&first)).await?
+            {
+                self.whole = cached.fold.clone().filter(newest).map(|fold| (fold, cached.folded));
             }
-            self.whole = cached.fold.clone().filter(newest).map(|fold| (fold, cached.folded));
         }
-        let cached = self.machines.entry(machine.clone()).or_insert_with(|| Cached {
-            fold: Some(beginning(&self.events)),
-            postponed: false,
-            folded: 0,
-            ran: Some(Ran::nothing()),
-            version: 0,
-            changed: true,
-        });
+        let cached = self
+            .machines
+            .entry(machine.clone())
+            .or_insert_with(|| Cached::of(beginning(&self.events), 0, Some(Ran::nothing()), 0));
         let Some(fold) = cached.fold.take_if(|fold| newest(fold)) else {
             let from = (&Place::of(&first), new.len() as u64);
             return self.refold(transaction.conn().await?, machine, from, budget).await;
@@ -570,27 +584,21 @@ impl ToolWear {
         let (fold, folded) = resumed.unwrap_or_else(|| (beginning(&self.events), 0));
         forget_after(conn, (machine, &self.tool), folded).await?;
         let cycles = match cached {
-            Some(cached) => cached.folded + new,
-            None => cycles_of(conn, &self.tool, machine).await?,
+            Some(cached) if !cached.refolded => cached.folded + new,
+            _ => cycles_of(conn, &self.tool, machine).await?,
         };
-        // What was noted holds for all cycles that were counted, and those that were not are gone through from here on.
+        // What was noted holds for all cycles that were counted, and those that were not are gone through from here on. As long as a fold is
+        // postponed it says what ran in states over all machines, too, which hold.
         let noted = cached.and_then(|cached| cached.ran.clone());
+        let left = if holds || folded > 0 { noted.clone() } else { Some(Ran::nothing()) };
         let mut ran = if folded == 0 { Some(Ran::nothing()) } else { noted };
         if !budget.begins(cycles.saturating_sub(folded)) {
-            self.postpone(machine, cycles, ran);
+            self.postpone(machine, cycles, left);
             return Ok(());
         }
         let mut walk = Walk::resume(fold, folded, &self.events);
         loop {
             let page = facts_after(conn, &self.tool, Some(machine), walk.fold().last()).await?;
-            if page.is_empty() {
-                break;
-            }
-            if budget.is_spent() {
-                // What was folded is in the states on the way.
-                self.postpone(machine, cycles, ran);
-                return Ok(());
-            }
             for row in &page {
                 walk.step(row)?;
                 note_ran(&mut ran, row);
@@ -599,9 +607,21 @@ impl ToolWear {
                 }
             }
             budget.spend(page.len() as u64);
+            if page.len() < FACTS_PAGE {
+                break;
+            }
+            if budget.is_spent() {
+                // What was folded is in the states on the way.
+                let ran = left.zip(ran).map(|(left, ran)| left.and(&ran));
+                self.postpone(machine, cycles, ran);
+                return Ok(());
+            }
         }
         let (folded, fold) = (walk.folded(), walk.into_fold());
         self.keep(machine, fold, folded, ran);
+        if let Some(cached) = self.machines.get_mut(machine) {
+            cached.refolded = true;
+        }
         Ok(())
     }
 
@@ -617,14 +637,14 @@ impl ToolWear {
             let Some(cached) = self.machines.get(&machine).filter(|cached| cached.fold.is_none()) else {
                 continue;
             };
-            let from = if cached.postponed { END } else { BEGINNING };
+            let from = if cached.behind { END } else { BEGINNING };
             self.refold(conn, &machine, (&from, 0), budget).await?;
         }
         Ok(())
     }
 
-    /// Whether the state of a machine cannot be read.
-    fn is_unreadable_on(&self, machine: &MachineId) -> bool {
+    /// Whether a machine's fold is not known, as its state cannot be read or it is postponed.
+    fn lacks_fold_of(&self, machine: &MachineId) -> bool {
         self.machines.get(machine).is_some_and(|cached| cached.fold.is_none())
     }
 
@@ -684,9 +704,10 @@ impl ToolWear {
         }
         let state = self.state_before(conn, &END).await?;
         let known = state.as_ref().map_or(0, |(_, folded)| *folded);
-        // Where no states over all machines are kept there is nothing that could be gone on from.
+        // Where no states over all machines are kept, or a newer server has folded one of them, there is nothing that could be gone on from.
         let mut whole = Budget::whole();
-        let budget = if are_kept_over_all(conn).await? { budget } else { &mut whole };
+        let may_go_on = self.may_resume(Of::All) && are_kept_over_all(conn).await?;
+        let budget = if may_go_on { budget } else { &mut whole };
         if !budget.begins(self.folded().saturating_sub(known)) {
             return Ok(self.postpone_whole());
         }
@@ -721,12 +742,6 @@ impl ToolWear {
         if !self.machines.is_empty() {
             loop {
                 let page = facts_after(conn, &self.tool, None, walk.fold().last()).await?;
-                if page.is_empty() {
-                    break;
-                }
-                if budget.is_spent() {
-                    return Ok(None);
-                }
                 for row in &page {
                     walk.step(row)?;
                     if self.locked && self.machines.len() > 1 && walk.at_checkpoint() {
@@ -734,6 +749,12 @@ impl ToolWear {
                     }
                 }
                 budget.spend(page.len() as u64);
+                if page.len() < FACTS_PAGE {
+                    break;
+                }
+                if budget.is_spent() {
+                    return Ok(None);
+                }
             }
         }
         let folded = walk.folded();

@@ -59,7 +59,7 @@ pub(crate) struct SavedWear {
     pub(crate) machine_id: MachineId,
     pub(crate) tool_id: ToolId,
     pub(crate) folded: i64,
-    /// The fold's state; it is packed when it is written.
+    /// The fold's state, packed when it is written, or what stands for one that is postponed.
     pub(crate) state: SavedState,
     /// Version of the row that it follows; 0 where there is none.
     pub(crate) version: i64,

@@ -2,10 +2,13 @@
 //! their group.
 
 /// Cycles that a group, or an answer to a change, folds again at most: a twentieth to a fifth of a second.
-const AT_ONCE: u64 = 10_000;
+const GROUP: u64 = 10_000;
+
+/// Cycles of a tool that are folded again whatever was before it in the group: a state on the way comes after every 256.
+const FEW: u64 = 512;
 
 /// Cycles that are folded again at a time in the background, where posts have the writer in between.
-const SLICE: u64 = 2000;
+const SLICE: u64 = 2048;
 
 /// Cycles that may yet be folded again in a transaction.
 #[derive(Debug)]
@@ -16,7 +19,7 @@ pub(in super::super::super) struct Budget {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Reach {
-    /// A fold is made whole, or left to the background from its beginning.
+    /// A fold is made whole, or left to the background from the last state on the way that holds.
     AtOnce,
     /// What is begun is gone on with later.
     Slice,
@@ -27,7 +30,7 @@ enum Reach {
 impl Budget {
     /// Of a group, or of an answer to a change.
     pub(in super::super::super) const fn at_once() -> Self {
-        Self { left: AT_ONCE, reach: Reach::AtOnce }
+        Self { left: GROUP, reach: Reach::AtOnce }
     }
 
     /// Of a part of the work in the background.
@@ -43,7 +46,7 @@ impl Budget {
     /// Whether so many cycles are begun with.
     pub(super) const fn begins(&self, cycles: u64) -> bool {
         match self.reach {
-            Reach::AtOnce => cycles <= self.left,
+            Reach::AtOnce => cycles < self.left || cycles <= FEW,
             Reach::Slice => self.left > 0,
             Reach::Whole => true,
         }
@@ -67,9 +70,11 @@ mod tests {
     #[test]
     fn a_group_leaves_what_it_cannot_make_whole_and_a_slice_goes_on_until_it_is_spent() {
         let mut group = Budget::at_once();
-        assert!(group.begins(AT_ONCE) && !group.begins(AT_ONCE + 1));
-        group.spend(AT_ONCE - 1);
-        assert!(group.begins(1) && !group.begins(2) && !group.is_spent());
+        assert!(group.begins(GROUP - 1) && !group.begins(GROUP));
+        group.spend(GROUP - 1000);
+        assert!(group.begins(999) && !group.begins(1000) && !group.is_spent());
+        group.spend(1000);
+        assert!(group.begins(FEW) && !group.begins(FEW + 1), "a little is folded in any case");
         let mut slice = Budget::slice();
         assert!(slice.begins(u64::MAX));
         slice.spend(SLICE - 1);

@@ -185,12 +185,20 @@ pub(super) async fn forget_after(
 }
 
 /// Takes the states of the one machine that ran a tool until now for those over all machines, up to where another one's first cycle
-/// comes: before it they are the same.
+/// comes: before it they are the same. Not where there are some: more machines ran it, and the cache of one is lost.
 pub(super) async fn take_over(
     conn: &mut Conn,
     (machine, tool): (&MachineId, &ToolId),
     before: &Place,
-) -> StoreResult<()> {
+) -> StoreResult<bool> {
+    let known: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT folded FROM tool_checkpoints WHERE tool_id = $1 LIMIT 1")
+            .bind(tool.as_str())
+            .fetch_optional(&mut *conn)
+            .await?;
+    if known.is_some() {
+        return Ok(false);
+    }
     let (at, of, seq, cycle) = key_of(before)?;
     sqlx::query::<Db>(concat!(
         "INSERT INTO tool_checkpoints (last_machine_id, tool_id, folded, fold_version, last_started_at_us,
@@ -202,10 +210,7 @@ pub(super) async fn take_over(
         " AND tool_id = $1
            AND (last_started_at_us, machine_id, COALESCE(last_seq, -1), last_cycle_id) < ($2, $3, $4, $5)
            AND machine_id = $6
-         ORDER BY folded DESC LIMIT $7
-         ON CONFLICT (tool_id, folded) DO UPDATE SET fold_version = excluded.fold_version,
-             last_started_at_us = excluded.last_started_at_us, last_machine_id = excluded.last_machine_id,
-             last_seq = excluded.last_seq, last_cycle_id = excluded.last_cycle_id, state = excluded.state"
+         ORDER BY folded DESC LIMIT $7"
     ))
     .bind(tool.as_str())
     .bind(at)
@@ -216,7 +221,7 @@ pub(super) async fn take_over(
     .bind(MOST_TAKEN_OVER)
     .execute(&mut *conn)
     .await?;
-    Ok(())
+    Ok(true)
 }
 
 /// Whether states over all machines are kept here at all.

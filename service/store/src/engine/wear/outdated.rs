@@ -247,13 +247,14 @@ pub(in super::super) async fn note_unchanged(
 }
 
 /// Makes a tool's folds of earlier versions anew, those that are behind a change of an operation, and those that are postponed, as far as the
-/// budget reaches, and notes which operations their cycles ran where nobody did; the tool's name is locked by then. With the verdict after it.
+/// budget reaches, and notes which operations their cycles ran where nobody did; the tool's name is locked by then. With the verdict after it; `None` where no fold
+/// of the tool is this version's to make.
 pub(in super::super) async fn renew(
     conn: &mut Conn,
     tool: &ToolId,
     now: Timestamp,
     budget: &mut Budget,
-) -> StoreResult<(Renewed, Verdict)> {
+) -> StoreResult<Option<(Renewed, Verdict)>> {
     let ours: Vec<(String, i64)> = sqlx::query_as::<Db, _>(
         "SELECT machine_id, fold_version FROM tool_wear WHERE tool_id = $1 AND fold_version <= $2
          ORDER BY machine_id",
@@ -262,15 +263,19 @@ pub(in super::super) async fn renew(
     .bind(i64::from(FOLD_VERSION))
     .fetch_all(&mut *conn)
     .await?;
+    if ours.is_empty() {
+        return Ok(None);
+    }
     let mut wear = ToolWear::load_locked(conn, tool, budget).await?;
     for (machine, version) in &ours {
         let machine = id("machine_id", machine)?;
         // Of this version's a damaged one would be found in every round, and read by all of its cycles meanwhile.
-        if *version == i64::from(FOLD_VERSION) && !wear.is_unreadable_on(&machine) {
+        if *version == i64::from(FOLD_VERSION) && !wear.lacks_fold_of(&machine) {
             continue;
         }
-        // Checkpoints are as good as they were before one that is only behind.
-        let from = if *version == BEHIND { END } else { BEGINNING };
+        // Checkpoints are as good as they were before one that is only behind, or was postponed when it was loaded.
+        let is_behind = *version == BEHIND || wear.is_postponed_on(&machine);
+        let from = if is_behind { END } else { BEGINNING };
         wear.refold(conn, &machine, (&from, 0), budget).await?;
     }
     wear.find_ran(conn).await?;
@@ -283,5 +288,5 @@ pub(in super::super) async fn renew(
         () if changed.is_empty() => Renewed::Nothing,
         () => Renewed::Whole,
     };
-    Ok((renewed, verdict))
+    Ok(Some((renewed, verdict)))
 }
