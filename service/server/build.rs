@@ -14,7 +14,14 @@ fn main() {
     }
     // A megabyte of relocations, which stays resident after the start, packed into some kilobytes. Debian has read these
     // since version 12 (glibc 2.36).
-    println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
+    // llvm-bolt does not know them, and needs the linker's own beside (deploy/release/bolted).
+    println!("cargo::rerun-if-env-changed={KEEP_RELOCATIONS}");
+    if variable(KEEP_RELOCATIONS).is_empty() {
+        println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
+    } else {
+        println!("cargo::rustc-link-arg-bins=-Wl,-z,nopack-relative-relocs");
+        println!("cargo::rustc-link-arg-bins=-Wl,--emit-relocs");
+    }
     // The linker holds each function's name against each line of the script: minutes where nothing is optimised, and so nothing is
     // left out or put together.
     if variable("OPT_LEVEL") == "0" {
@@ -27,6 +34,9 @@ fn main() {
     // Not by `-Wl`, which would divide a folder's name at its commas.
     println!("cargo::rustc-link-arg-bins=-T{}", script.display());
 }
+
+/// Whether the program is linked so that its code can be moved afterwards.
+const KEEP_RELOCATIONS: &str = "FEEDWRIGHT_KEEP_RELOCATIONS";
 
 /// Linkers other than LLVM's, which Rust brings, and GNU's. They do not read the script, and mold 1.10 packs relocations
 /// without saying so to glibc, which then starts nothing.
