@@ -76,6 +76,16 @@ const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
                               SET LOCAL statement_timeout = '30s'; \
                               SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
                               SET LOCAL citus.max_adaptive_executor_pool_size = 1";
+/// How the read of a page of a list begins: of as many rows as there may be it takes some, in the order of an index, of which ties alone
+/// have to be sorted. The planner does not know how many they are of a statement that it has planned once for all values, nor of a
+/// table or a machine that is new to its statistics: where it takes them to be few, it reads them all to the end of history and
+/// sorts them. Without that choice it goes by the index, whatever it takes them to be. What is left to sort, as what Citus has
+/// from its workers, seems to cost more than anything then, and would be compiled.
+const BEGIN_IN_ORDER: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; \
+                              SET LOCAL statement_timeout = '30s'; \
+                              SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
+                              SET LOCAL citus.max_adaptive_executor_pool_size = 1; \
+                              SET LOCAL enable_sort = off; SET LOCAL jit = off";
 /// The same behind a pooler. sqlx 0.9.0 names its statements even where it remembers none of them, and the connection
 /// that the pooler chose may have others of the same names: they go first.
 const BEGIN_POOLED: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; DEALLOCATE ALL; \
@@ -87,6 +97,11 @@ const BEGIN_SNAPSHOT_POOLED: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ 
                                      SET LOCAL statement_timeout = '30s'; \
                                      SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
                                      SET LOCAL citus.max_adaptive_executor_pool_size = 1";
+const BEGIN_IN_ORDER_POOLED: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY; DEALLOCATE ALL; \
+                                     SET LOCAL statement_timeout = '30s'; \
+                                     SET LOCAL idle_in_transaction_session_timeout = '30s'; SET LOCAL row_security = off; \
+                                     SET LOCAL citus.max_adaptive_executor_pool_size = 1; \
+                                     SET LOCAL enable_sort = off; SET LOCAL jit = off";
 
 /// The store in a PostgreSQL database. Clones share it; other servers may too.
 #[derive(Debug, Clone)]
@@ -300,6 +315,17 @@ impl PostgresStore {
         if self.inner.pooled {
             self.in_time(async { Ok(lent.begin_reading(BEGIN_SNAPSHOT_POOLED).await?) }).await?;
         }
+        Ok(lent)
+    }
+
+    /// A connection to read pages of lists by, which come in the order of an index: inside a transaction, as long as which the planner is
+    /// kept from another order.
+    async fn reader_in_order(&self, lane: Lane) -> StoreResult<Lent> {
+        let turn = self.inner.lanes.turn(lane).await?;
+        let mut lent = self.inner.lent().await?;
+        lent.has_turn(turn);
+        let begin = if self.inner.pooled { BEGIN_IN_ORDER_POOLED } else { BEGIN_IN_ORDER };
+        self.in_time(async { Ok(lent.begin_reading(begin).await?) }).await?;
         Ok(lent)
     }
 

@@ -206,8 +206,27 @@ impl Given {
         .unwrap()
     }
 
-    /// Rows and entries of indexes that servers on PostgreSQL have read of a table, by name: whoever ends tells what it did. Closes the store.
+    /// Rows and entries of indexes that servers on PostgreSQL have read of a table, by name. Closes the store.
     pub(crate) async fn read_of(&self, table: &str) -> i64 {
+        let read = sqlx::query_scalar(
+            "SELECT CAST(seq_tup_read + (SELECT COALESCE(SUM(idx_tup_read), 0) FROM pg_stat_user_indexes i
+                                         WHERE i.relid = t.relid) AS BIGINT)
+             FROM pg_stat_user_tables t WHERE relname = $1",
+        );
+        read.bind(table).fetch_one(&mut self.told_by_all().await).await.unwrap()
+    }
+
+    /// Blocks of a table and of its indexes that servers on PostgreSQL have looked into, by name: those too of which entries were only
+    /// passed over. Closes the store.
+    pub(crate) async fn blocks_of(&self, table: &str) -> i64 {
+        let blocks = sqlx::query_scalar(
+            "SELECT heap_blks_read + heap_blks_hit + idx_blks_read + idx_blks_hit FROM pg_statio_user_tables WHERE relname = $1",
+        );
+        blocks.bind(table).fetch_one(&mut self.told_by_all().await).await.unwrap()
+    }
+
+    /// A connection to PostgreSQL when all others have ended: whoever ends tells what it did.
+    async fn told_by_all(&self) -> PgConnection {
         self.store.close().await;
         let mut conn = PgConnection::connect(&self.address()).await.unwrap();
         let others = "SELECT count(*) FROM pg_stat_activity
@@ -215,12 +234,7 @@ impl Given {
         while sqlx::query_scalar::<_, i64>(others).fetch_one(&mut conn).await.unwrap() > 0 {
             tokio::task::yield_now().await;
         }
-        let read = sqlx::query_scalar(
-            "SELECT CAST(seq_tup_read + (SELECT COALESCE(SUM(idx_tup_read), 0) FROM pg_stat_user_indexes i
-                                         WHERE i.relid = t.relid) AS BIGINT)
-             FROM pg_stat_user_tables t WHERE relname = $1",
-        );
-        read.bind(table).fetch_one(&mut conn).await.unwrap()
+        conn
     }
 
     async fn sqlite_tables(&self) -> SqliteConnection {

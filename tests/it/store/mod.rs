@@ -18,6 +18,7 @@ mod life;
 mod log;
 mod models;
 pub(crate) mod operations;
+mod plans;
 mod postponed;
 mod recent;
 mod registry;

@@ -7,6 +7,7 @@ use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
 use crate::rows::{CycleRow, CycleWithSamples, ReportedCutRow, cycle_columns};
 use feedwright_core::cycle::{Cycle, differences};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
+use feedwright_core::units::Timestamp;
 
 macro_rules! select_columns {
     ($($column:ident: $type:ty = $placeholder:literal $(in $least:literal..=$most:literal)?,)*) => {
@@ -17,7 +18,7 @@ macro_rules! select_columns {
 // `$samples_of`, where it is known, names the machine of the samples once more by its parameter: a database of several
 // nodes asks one of them then, as it does not look through the condition inside.
 macro_rules! select {
-    (samples $samples_of:literal, $($tail:literal),+) => {
+    (samples $samples_of:literal, $($tail:expr),+) => {
         concat!(
             cycle_columns!(select_columns),
             "EXISTS (SELECT 1 FROM cycle_samples s WHERE s.machine_id = c.machine_id
@@ -26,7 +27,7 @@ macro_rules! select {
              FROM cycles c ", $($tail),+
         )
     };
-    ($($tail:literal),+) => { select!(samples "", $($tail),+) };
+    ($($tail:expr),+) => { select!(samples "", $($tail),+) };
 }
 
 pub(super) async fn get(
@@ -92,40 +93,53 @@ pub(super) async fn content(
     Ok(Some(Content { row: cycle, cut, block }))
 }
 
-// The first condition drives an index; the others are checked on the way. `started_at_us` stands twice so that an
-// engine that cannot use a row comparison for a range still begins at the right place.
+// The first condition drives an index, in whose order the rows come; the others are checked on the way. `started_at_us` stands
+// twice, as an engine that cannot use a row comparison for a range begins where the single bound says, and another where the row
+// does: both have to say the same, see `behind`.
 macro_rules! page {
-    ($driver:literal) => { page!(samples "", $driver) };
-    (samples $samples_of:literal, $driver:literal) => {
+    (samples $samples_of:literal, $(of $column:literal = $value:literal,)? $driver:literal) => {
         select!(
             samples $samples_of,
             "WHERE ",
+            $(dialect::of_one!($column, $value), " AND ",)?
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
               AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($6, $7, COALESCE(
                   (SELECT k.seq FROM cycles k WHERE k.machine_id = $7 AND k.cycle_id = $8), -1), $8)
-              ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $9"
+              ORDER BY ", $($column, ", ",)?
+            "c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $9"
         )
     };
+    ($($rest:tt)+) => { page!(samples "", $($rest)+) };
 }
 
-const OF_TOOL: &str = page!(
-    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+pub(in super::super) const OF_TOOL: &str = page!(
+    of "c.tool_id" = "$1",
+    "(CAST($2 AS TEXT) IS NULL OR c.machine_id = $2) AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );
-const OF_MACHINE: &str = page!(
+pub(in super::super) const OF_MACHINE: &str = page!(
     samples " AND s.machine_id = $2",
-    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
+    of "c.machine_id" = "$2",
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+);
+pub(in super::super) const OF_OPERATION: &str = page!(
+    of "c.operation_id" = "$3",
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)"
+);
+pub(in super::super) const OF_ALL: &str = page!(
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
      AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );
-const OF_OPERATION: &str = page!(
-    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-     AND c.operation_id = $3"
-);
-const OF_ALL: &str = page!(
-    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
-);
+
+/// The time and key behind which a page begins: those of its cursor, or of no cycle at `from`, before which nothing comes. With a row at the
+/// beginning of time, which says as much, PostgreSQL would go through its index from there up to `from`.
+pub(super) fn behind<'p>(filter: &CycleFilter, page: &'p Page<CycleKey>) -> (i64, &'p str, &'p str) {
+    let from = filter.from.map_or(i64::MIN, Timestamp::micros);
+    match &page.after {
+        Some((at, machine, cycle)) if at.micros() >= from => (at.micros(), machine.as_str(), cycle.as_str()),
+        _ => (from, "", ""),
+    }
+}
 
 pub(super) async fn list(
     conn: &mut Conn,
@@ -138,16 +152,12 @@ pub(super) async fn list(
         CycleFilter { operation: Some(_), .. } => OF_OPERATION,
         _ => OF_ALL,
     };
-    let (after_at, after_machine, after_cycle) = match &page.after {
-        Some((at, machine, cycle)) => (at.micros(), machine.as_str(), cycle.as_str()),
-        None => (i64::MIN, "", ""),
-    };
-    let from = filter.from.map_or(i64::MIN, |from| from.micros()).max(after_at);
+    let (after_at, after_machine, after_cycle) = behind(filter, page);
     let rows: Vec<CycleWithSamples> = sqlx::query_as::<Db, _>(sql)
         .bind(filter.tool.as_ref().map(ToolId::as_str))
         .bind(filter.machine.as_ref().map(MachineId::as_str))
         .bind(filter.operation.as_ref().map(OperationId::as_str))
-        .bind(from)
+        .bind(after_at)
         .bind(filter.to.map_or(i64::MAX, |to| to.micros()))
         .bind(after_at)
         .bind(after_machine)
@@ -166,37 +176,41 @@ pub(super) const LAST_OF_PROFILE: &str = select!(
 
 /// The last cycles of operation `$1` with tools of type `$2`, newest first.
 pub(super) const LAST_WITH_TOOL_TYPE: &str = select!(
-    "JOIN tools t ON t.tool_id = c.tool_id WHERE c.operation_id = $1 AND t.tool_type = $2
-     ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $3"
+    "JOIN tools t ON t.tool_id = c.tool_id WHERE ",
+    dialect::of_one!("c.operation_id", "$1"),
+    " AND t.tool_type = $2
+     ORDER BY c.operation_id DESC, c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $3"
 );
 
 macro_rules! newest {
-    ($driver:literal) => { newest!(samples "", $driver) };
-    (samples $samples_of:literal, $driver:literal) => {
+    (samples $samples_of:literal, $(of $column:literal = $value:literal,)? $driver:literal) => {
         select!(
             samples $samples_of,
             "WHERE ",
+            $(dialect::of_one!($column, $value), " AND ",)?
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
-              ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
+              ORDER BY ", $($column, " DESC, ",)?
+            "c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
         )
     };
+    ($($rest:tt)+) => { newest!(samples "", $($rest)+) };
 }
 
-const LAST_OF_TOOL: &str = newest!(
-    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+pub(in super::super) const LAST_OF_TOOL: &str = newest!(
+    of "c.tool_id" = "$1",
+    "(CAST($2 AS TEXT) IS NULL OR c.machine_id = $2) AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );
-const LAST_OF_MACHINE: &str = newest!(
+pub(in super::super) const LAST_OF_MACHINE: &str = newest!(
     samples " AND s.machine_id = $2",
-    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
-     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+    of "c.machine_id" = "$2",
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );
-const LAST_OF_OPERATION: &str = newest!(
-    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-     AND c.operation_id = $3"
+pub(in super::super) const LAST_OF_OPERATION: &str = newest!(
+    of "c.operation_id" = "$3",
+    "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)"
 );
-const LAST_OF_ALL: &str = newest!(
+pub(in super::super) const LAST_OF_ALL: &str = newest!(
     "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
      AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
 );

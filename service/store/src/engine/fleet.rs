@@ -1,6 +1,6 @@
 //! The fleet at a glance: a row a machine, with what its last cycles and its tool say.
 
-use super::{Conn, Db, alarms, machines, operations, tools, wear};
+use super::{Conn, Db, alarms, dialect, machines, operations, tools, wear};
 use crate::error::StoreResult;
 use crate::record::{Alarm, AlarmFilter, FleetCycle, FleetRow, Page, RowNumber, Versioned};
 use crate::rows::{FleetCycleRow, Place};
@@ -21,7 +21,9 @@ const LAST_CYCLES: &str = concat!(
     wear::facts_columns!(),
     ", c.tool_id, c.outcome
      FROM cycles c LEFT JOIN operations o ON o.operation_id = c.operation_id
-     WHERE c.machine_id = $1 ORDER BY c.started_at_us DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $2"
+     WHERE ",
+    dialect::of_one!("c.machine_id", "$1"),
+    " ORDER BY c.machine_id DESC, c.started_at_us DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $2"
 );
 
 /// Machines by id, each with its newest `recent` cycles (newest first), the verdict on the tool of the newest one and

@@ -692,15 +692,15 @@ impl Store for Engine {
     }
 
     async fn cycles(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<StoredCycle>> {
-        read!(self, |conn| cycles::list(conn, filter, &page).await)
+        read!(self.reader_in_order(Lane::Usual), |conn| cycles::list(conn, filter, &page).await)
     }
 
     async fn last_cycles(&self, filter: &CycleFilter, limit: u32) -> StoreResult<Vec<StoredCycle>> {
-        read!(self, |conn| cycles::last(conn, filter, limit).await)
+        read!(self.reader_in_order(Lane::Usual), |conn| cycles::last(conn, filter, limit).await)
     }
 
     async fn points(&self, filter: &CycleFilter, page: Page<CycleKey>) -> StoreResult<Vec<CyclePoint>> {
-        read!(self.reader(Lane::Long), |conn| series::points(conn, filter, &page).await)
+        read!(self.reader_in_order(Lane::Long), |conn| series::points(conn, filter, &page).await)
     }
 
     async fn last_points(
@@ -714,7 +714,12 @@ impl Store for Engine {
                 Some(recent),
                 CycleFilter { tool: Some(tool), machine: None, operation: None, from: None, to: None },
             ) if told == PointColumns::Energy => self.last_energies(recent, tool, limit).await,
-            _ => Ok(read!(self, |conn| series::last_points(conn, filter, told, limit).await)?.into()),
+            _ => {
+                let read = read!(self.reader_in_order(Lane::Usual), |conn| {
+                    series::last_points(conn, filter, told, limit).await
+                });
+                Ok(read?.into())
+            }
         }
     }
 

@@ -8,7 +8,7 @@ mod alarms;
 mod audit;
 mod check;
 mod commit;
-mod cycles;
+pub(super) mod cycles;
 mod energies;
 mod feed_profiles;
 mod fleet;

@@ -1,7 +1,7 @@
 //! What cycles amounted to, as points of series: few columns of many rows.
 
 use super::wear::{self, ToolWear};
-use super::{Conn, Db};
+use super::{Conn, Db, cycles, dialect};
 use crate::error::StoreResult;
 use crate::history::Walk;
 use crate::point::{CyclePoint, PointColumns, PointEnergy, PointPeaks};
@@ -22,11 +22,11 @@ macro_rules! energies {
                 c.calibrated_joules, c.measured_power_joules, c.measured_power_idle_watts, c.rated_power_joules,
                 c.reported_energy_joules"
     };
-    ($($tail:literal),+) => { concat!(energies!(@columns), " FROM cycles c WHERE ", $($tail),+) };
+    ($($tail:expr),+) => { concat!(energies!(@columns), " FROM cycles c WHERE ", $($tail),+) };
 }
 
 macro_rules! points {
-    ($($tail:literal),+) => {
+    ($($tail:expr),+) => {
         concat!(
             energies!(@columns), ", c.duration_ms, c.max_depth_mm, c.max_spindle_load_percent,
                  c.max_feed_drive_load_percent, c.max_spindle_power_watts, c.max_thrust_newtons,
@@ -35,15 +35,17 @@ macro_rules! points {
     };
 }
 
-// As in the list of cycles: the first condition drives an index, the others are checked on the way.
+// As in the list of cycles: the first condition drives an index, in whose order the rows come.
 macro_rules! forwards {
-    ($driver:literal) => {
+    ($(of $column:literal = $value:literal,)? $driver:literal) => {
         points!(
+            $(dialect::of_one!($column, $value), " AND ",)?
             $driver,
             " AND c.started_at_us >= $4 AND c.started_at_us < $5
               AND (c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id) > ($6, $7, COALESCE(
                   (SELECT k.seq FROM cycles k WHERE k.machine_id = $7 AND k.cycle_id = $8), -1), $8)
-              ORDER BY c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $9"
+              ORDER BY ", $($column, ", ",)?
+            "c.started_at_us, c.machine_id, COALESCE(c.seq, -1), c.cycle_id LIMIT $9"
         )
     };
 }
@@ -51,16 +53,16 @@ macro_rules! forwards {
 macro_rules! of_subject {
     ($page:ident, $filter:expr) => {{
         const OF_TOOL: &str = $page!(
-            "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+            of "c.tool_id" = "$1",
+            "(CAST($2 AS TEXT) IS NULL OR c.machine_id = $2) AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
         );
         const OF_MACHINE: &str = $page!(
-            "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND c.machine_id = $2
-             AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
+            of "c.machine_id" = "$2",
+            "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)"
         );
         const OF_OPERATION: &str = $page!(
-            "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-             AND c.operation_id = $3"
+            of "c.operation_id" = "$3",
+            "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)"
         );
         const OF_ALL: &str = $page!(
             "(CAST($1 AS TEXT) IS NULL OR c.tool_id = $1) AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
@@ -146,15 +148,12 @@ pub(super) async fn points(
     filter: &CycleFilter,
     page: &Page<CycleKey>,
 ) -> StoreResult<Vec<CyclePoint>> {
-    let (after_at, after_machine, after_cycle) = match &page.after {
-        Some((at, machine, cycle)) => (at.micros(), machine.as_str(), cycle.as_str()),
-        None => (i64::MIN, "", ""),
-    };
+    let (after_at, after_machine, after_cycle) = cycles::behind(filter, page);
     let rows: Vec<DbRow> = sqlx::query::<Db>(of_subject!(forwards, filter))
         .bind(filter.tool.as_ref().map(ToolId::as_str))
         .bind(filter.machine.as_ref().map(MachineId::as_str))
         .bind(filter.operation.as_ref().map(OperationId::as_str))
-        .bind(filter.from.map_or(i64::MIN, |from| from.micros()).max(after_at))
+        .bind(after_at)
         .bind(filter.to.map_or(i64::MAX, |to| to.micros()))
         .bind(after_at)
         .bind(after_machine)
@@ -167,20 +166,25 @@ pub(super) async fn points(
 
 // Every engine begins at the newest entry of the index and stops after the last one wanted.
 macro_rules! backwards {
-    ($driver:literal) => {
+    (@tail $($column:literal)?) => {
+        concat!(
+            " AND c.started_at_us >= $4 AND c.started_at_us < $5 ORDER BY ", $($column, " DESC, ",)?
+            "c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
+        )
+    };
+    ($(of $column:literal = $value:literal,)? $driver:literal) => {
         points!(
+            $(dialect::of_one!($column, $value), " AND ",)?
             $driver,
-            " AND c.started_at_us >= $4 AND c.started_at_us < $5
-              ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
+            backwards!(@tail $($column)?)
         )
     };
 }
 
 const LAST_ENERGIES_OF_TOOL: &str = energies!(
-    "c.tool_id = $1 AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2)
-     AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)
-     AND c.started_at_us >= $4 AND c.started_at_us < $5
-     ORDER BY c.started_at_us DESC, c.machine_id DESC, COALESCE(c.seq, -1) DESC, c.cycle_id DESC LIMIT $6"
+    dialect::of_one!("c.tool_id", "$1"),
+    " AND (CAST($2 AS TEXT) IS NULL OR c.machine_id = $2) AND (CAST($3 AS TEXT) IS NULL OR c.operation_id = $3)",
+    backwards!(@tail "c.tool_id")
 );
 
 /// The newest points, oldest of them first; of a tool's energies nothing else is read.

@@ -74,6 +74,16 @@ macro_rules! block_bytes {
 }
 pub(super) use block_bytes;
 
+/// The rows of one value of a column with which an index begins, which come in the order of that index where they are ordered by the
+/// column first. The value stands there twice: of a column that equals one the planner knows that it orders nothing, and that the
+/// index of all by their time has them in the same order. It would go through all that others did since a machine stands still.
+macro_rules! of_one {
+    ($column:literal, $value:literal) => {
+        concat!($column, " IN (", $value, ", ", $value, ")")
+    };
+}
+pub(super) use of_one;
+
 /// What stands for the id of a recommendation.
 pub(super) type RecommendationKey = String;
 /// The same as it is read where it may be damaged.

@@ -119,6 +119,14 @@ pub(super) async fn last_alarm(_conn: &mut Conn) -> StoreResult<RowNumber> {
 /// A tool's caches, inside a transaction that nobody else writes beside.
 pub(super) const WEAR_OF_TOOL_LOCKED: &str = "SELECT machine_id, folded, fold_version, state, version, judging_change, ran FROM tool_wear WHERE tool_id = $1 ORDER BY machine_id";
 
+/// The rows of one value of a column with which an index begins, which come in the order of that index.
+macro_rules! of_one {
+    ($column:literal, $value:literal) => {
+        concat!($column, " = ", $value)
+    };
+}
+pub(super) use of_one;
+
 /// A column that rows are held against, and that no index is chosen for: without figures of its tables the planner takes a machine's
 /// whole history for as short as a tool's.
 macro_rules! checked {
