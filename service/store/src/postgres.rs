@@ -36,7 +36,7 @@ use lent::Lent;
 use sqlx::postgres::PgConnectOptions;
 use sqlx::{ConnectOptions, Connection, PgPool};
 use std::pin::pin;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{Mutex, Notify, Semaphore, oneshot};
@@ -139,6 +139,7 @@ struct Inner {
     dropping: Slot<String>,
     /// Told when a fold is left to the background.
     postponed: Arc<Notify>,
+    changes_of_alarms: AtomicU64,
 }
 
 /// What a server says that is there.
@@ -196,6 +197,10 @@ impl PostgresStore {
 
     fn postponed(&self) -> &Arc<Notify> {
         &self.inner.postponed
+    }
+
+    fn changes_of_alarms(&self) -> &AtomicU64 {
+        &self.inner.changes_of_alarms
     }
 
     /// Nothing is kept of tools that were asked for: with Citus, what is counted on one worker and what is stored on

@@ -632,6 +632,35 @@ pub struct DatabaseUsage {
     pub connections_max: u32,
 }
 
+/// What all open alarms come to, in a few numbers: where two of these are alike, the same alarms are open, and as many of them
+/// acknowledged. Two sums, so that of alarms that go and others that come late neither hides the other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct OpenSums {
+    /// How many are open.
+    pub open: i64,
+    /// The sum of their numbers.
+    pub numbers: i64,
+    /// The sum of the squares of their numbers' remainders by [`OpenSums::MODULUS`].
+    pub squares: i64,
+    /// How many of them are acknowledged.
+    pub acknowledged: i64,
+}
+
+impl OpenSums {
+    /// A prime, whose squares leave room for millions of them in a sum.
+    pub const MODULUS: i64 = 1_000_003;
+
+    /// Of open alarms, each with whether it is acknowledged.
+    pub fn of(open: impl Iterator<Item = (RowNumber, bool)>) -> Self {
+        open.fold(Self::default(), |sums, (number, acknowledged)| Self {
+            open: sums.open + 1,
+            numbers: sums.numbers.wrapping_add(number),
+            squares: sums.squares.wrapping_add((number % Self::MODULUS).pow(2)),
+            acknowledged: sums.acknowledged + i64::from(acknowledged),
+        })
+    }
+}
+
 /// Which alarms a list asks for.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct AlarmFilter {

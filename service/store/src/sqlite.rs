@@ -51,6 +51,7 @@ use readers::{Lent, Readers};
 use sqlx::Connection;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
 use writing::{Writer, Writing};
@@ -95,6 +96,7 @@ struct Inner {
     dropping: Slot<String>,
     /// Told when a fold is left to the background.
     postponed: Arc<Notify>,
+    changes_of_alarms: AtomicU64,
     recent: Arc<Recent>,
     alone: bool,
 }
@@ -119,6 +121,10 @@ impl SqliteStore {
 
     fn postponed(&self) -> &Arc<Notify> {
         &self.inner.postponed
+    }
+
+    fn changes_of_alarms(&self) -> &AtomicU64 {
+        &self.inner.changes_of_alarms
     }
 
     /// What is kept of tools that were asked for: one snapshot tells what is counted and what is stored.

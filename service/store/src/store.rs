@@ -10,10 +10,10 @@ use crate::point::{CyclePoint, LastPoints, PointColumns};
 use crate::record::{
     ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
     CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, FoldKey, IssuedRecommendation, LevelPoint,
-    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Renewed,
-    Repair, Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
-    StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife,
-    Versioned, WatchSettings, WearCheck,
+    Model, ModelKind, NewCycle, OpenSums, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry,
+    Renewed, Repair, Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord,
+    StoreFault, StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
+    ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::row_sum::{SumPage, SummedTo};
 use async_trait::async_trait;
@@ -351,6 +351,19 @@ pub trait Store: Send + Sync + 'static {
     /// The same as far as none can be committed any more before them: whoever goes on behind a page is shown each, also one that was
     /// committed after others of higher numbers.
     async fn alarm_history(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>>;
+    /// The overloads of a machine that are open and that nobody has acknowledged, in the order of their numbers: all of them, and no
+    /// others are looked at, however many alarms are open.
+    async fn open_overloads(&self, machine: &MachineId) -> StoreResult<Vec<RowNumber>>;
+    /// The newest alarm's number, 0 where there is none, and what those that are open come to: whether anything has changed is told by
+    /// one row.
+    async fn open_alarm_sums(&self) -> StoreResult<(RowNumber, OpenSums)>;
+    /// The numbers of open alarms, in their order, each with whether it was acknowledged.
+    async fn open_alarm_numbers(&self, page: Page<RowNumber>) -> StoreResult<Vec<(RowNumber, bool)>>;
+    /// Alarms by their numbers, as they are now, in the order of these; what there is none of is left out.
+    async fn alarms_numbered(&self, numbers: &[RowNumber]) -> StoreResult<Vec<Alarm>>;
+    /// How many groups of cycles have raised or cleared alarms through this store, or may have: another number than before, after a
+    /// commit, says that there is something to look for.
+    fn alarm_changes(&self) -> u64;
     /// Acknowledges an alarm; `None` where there is none of that number.
     async fn acknowledge_alarm(
         &self,

@@ -4,8 +4,9 @@ use super::Served;
 use super::reader::Reader;
 use crate::store::given::Given;
 use crate::stream::client::Machine;
-use serde_json::json;
+use serde_json::{Value, json};
 use sqlx::{Connection, PgConnection};
+use std::time::{Duration, Instant};
 
 #[tokio::test]
 async fn a_cycle_and_its_alarm_are_shown_and_a_reader_comes_back_without_missing_one() {
@@ -163,6 +164,83 @@ async fn an_alarm_that_is_committed_behind_a_newer_one_is_told_too() {
     slow.close().await.unwrap();
     quick.close().await.unwrap();
     served.server.shutdown().await.unwrap();
+    given.done().await;
+}
+
+/// Alarms of tools that nobody has: more than a page, and more than were ever followed.
+const MANY_OPEN: &str = "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us)
+     SELECT 'worn', 'M9', 'W' || n, 'worn', n FROM generate_series(1, 10500) AS n";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_told_as_cleared_is_cleared_however_many_alarms_are_open() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    given.raw(MANY_OPEN).await.unwrap();
+    let url = given.address();
+    let served = Served::start(&[("database.url", url.as_str())]).await;
+    served.with_a_shop().await;
+    let mut reader = Reader::open(&served, "", None).await;
+    assert_eq!(reader.next().await.unwrap().name, "state");
+    let mut told = async || {
+        let Value::Object(mut data) = reader.next_of("alarm").await.data else { panic!("an object") };
+        let alarm = data.remove("alarm").unwrap();
+        (data["change"].as_str().unwrap().to_owned(), alarm)
+    };
+    served.post_cycle("c1", 500.0).await;
+    let (change, overload) = told().await;
+    assert_eq!((change.as_str(), &overload["kind"]), ("raised", &json!("overload")));
+    // One is cleared of the first page, of the last one, and one comes and goes between two looks.
+    for id in [17, 10_400] {
+        let cleared =
+            sqlx::AssertSqlSafe(format!("UPDATE alarms SET cleared_at_us = 7 WHERE alarm_id = {id}"));
+        given.raw(cleared).await.unwrap();
+        let (change, alarm) = told().await;
+        assert_eq!((change.as_str(), &alarm["id"]), ("cleared", &json!(id)));
+        assert!(alarm["cleared_at"].is_string(), "{alarm}");
+    }
+    let gone = "INSERT INTO alarms (kind, machine_id, message, raised_at_us, cleared_at_us) VALUES ('machine_silent', 'M9', 'gone', 1, 2)";
+    given.raw(gone).await.unwrap();
+    for expected in ["raised", "cleared"] {
+        let (change, alarm) = told().await;
+        assert_eq!((change.as_str(), &alarm["message"]), (expected, &json!("gone")));
+    }
+    let (status, _) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
+    assert_eq!(status, 200);
+    for expected in ["acknowledged", "cleared"] {
+        let (change, alarm) = told().await;
+        assert_eq!((change.as_str(), &alarm["id"]), (expected, &overload["id"]));
+        assert!(alarm["cleared_at"].is_string(), "{alarm}");
+    }
+    served.server.shutdown().await.unwrap();
+    given.done().await;
+}
+
+/// Cycles that change no alarm are posted for four seconds, in which twenty looks had their time.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn alarms_are_not_read_as_long_as_none_changes() {
+    let Some(given) = Given::postgres().await else {
+        return;
+    };
+    given.raw(MANY_OPEN).await.unwrap();
+    // No more than were ever followed.
+    given.raw("UPDATE alarms SET cleared_at_us = 1 WHERE alarm_id > 9000").await.unwrap();
+    let url = given.address();
+    let served = Served::start(&[("database.url", url.as_str())]).await;
+    served.with_a_shop().await;
+    let mut reader = Reader::open(&served, "", None).await;
+    served.post_cycle("c0", 500.0).await;
+    assert_eq!(reader.next_of("alarm").await.data["change"], "raised");
+    let begun = Instant::now();
+    let mut posted = 0;
+    while begun.elapsed() < Duration::from_secs(4) {
+        posted += 1;
+        served.post_cycle(&format!("c{posted}"), 20.0).await;
+    }
+    served.stop().await;
+    let read = given.read_of("alarms").await;
+    // All of them some times: when it starts, when one is raised, by a round of the watch.
+    assert!(posted > 10 && read < 130_000, "{posted} cycles, {read} rows");
     given.done().await;
 }
 

@@ -5,7 +5,7 @@ use feedwright_core::cycle::Flag;
 use feedwright_core::ids::MachineId;
 use feedwright_core::tool::ToolEventKind;
 use feedwright_core::wear::ToolState;
-use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, Precondition, Store};
+use feedwright_store::{Alarm, AlarmFilter, AlarmKind, OpenSums, Page, Precondition, RowNumber, Store};
 use std::sync::Arc;
 
 stories!(
@@ -13,7 +13,16 @@ stories!(
     a_worn_tool_alarms_on_each_machine_that_runs_it,
     an_overload_waits_for_a_person,
     open_and_cleared_ones_are_listed_apart_in_the_order_of_their_numbers,
+    what_open_ones_come_to_changes_with_each_of_them,
+    a_group_says_whether_it_may_have_changed_alarms,
 );
+
+mod beside_many {
+    use super::an_open_overload_is_found_however_many_others_are_open;
+    use crate::store::given::stories;
+
+    stories!(with tables: an_open_overload_is_found_however_many_others_are_open);
+}
 
 async fn alarms(store: &dyn Store, open: bool) -> Vec<Alarm> {
     let filter = AlarmFilter { open: Some(open), ..AlarmFilter::default() };
@@ -95,6 +104,96 @@ async fn an_overload_waits_for_a_person(store: Arc<dyn Store>) {
     assert_eq!(store.alarms(&elsewhere, Page { after: None, limit: 100 }).await.unwrap(), []);
 }
 
+/// Alarms of tools that were thrown away long ago stand before it, and as many behind it.
+async fn an_open_overload_is_found_however_many_others_are_open(given: &Given) {
+    const WORN: &str = "WITH RECURSIVE series (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM series WHERE n < 2100)
+        INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us) SELECT 'worn', 'M1', 'W' || n, 'worn', n FROM series";
+    let store = &*given.store();
+    shop(store).await;
+    store.put_machine(machine("M2"), Precondition::Absent, &engineer(), at(0)).await.unwrap();
+    let (first, second): (MachineId, MachineId) = ("M1".try_into().unwrap(), "M2".try_into().unwrap());
+    assert_eq!(given.raw(WORN).await.unwrap(), 2100);
+    stored(store, &Run { machine: "M2", load: 450.0, ..Run::nth(1) }).await;
+    assert_eq!(store.open_overloads(&first).await.unwrap(), [0; 0]);
+    for (n, tool) in [(2, "T1"), (3, "T2")] {
+        stored(store, &Run { tool: tool.to_owned(), load: 450.0, ..Run::nth(n) }).await;
+    }
+    given.raw("UPDATE alarms SET tool_id = 'V' || tool_id WHERE kind = 'worn'").await.unwrap();
+    let open = store.open_overloads(&first).await.unwrap();
+    let listed = store.alarms_numbered(&open).await.unwrap();
+    let tools: Vec<&str> = listed.iter().map(|alarm| alarm.tool.as_ref().unwrap().as_str()).collect();
+    assert_eq!(tools, ["T1", "T2"]);
+    assert!(
+        listed.iter().all(|alarm| alarm.kind == AlarmKind::Overload && alarm.machine == Some(first.clone()))
+    );
+    // The fleet tells so many of the oldest, and overloads beside them.
+    let row = store.fleet_machine(&first, 5).await.unwrap().unwrap();
+    assert_eq!(row.alarms.len(), 2002);
+    assert_eq!(row.alarms[2000..], listed);
+    store.acknowledge_alarm(open[0], &engineer(), at(500)).await.unwrap();
+    assert_eq!(store.open_overloads(&first).await.unwrap(), open[1..]);
+    assert_eq!(store.open_overloads(&second).await.unwrap().len(), 1);
+}
+
+/// What is said of them without listing them is held against the list.
+async fn what_open_ones_come_to_changes_with_each_of_them(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    assert_eq!(store.open_alarm_sums().await.unwrap(), (0, OpenSums::default()));
+    let mut before = Vec::new();
+    let mut check = async |store: &dyn Store| {
+        let open = alarms(store, true).await;
+        let of_open = |alarm: &Alarm| (alarm.id, alarm.acknowledged.is_some());
+        let numbers: Vec<(RowNumber, bool)> = open.iter().map(of_open).collect();
+        let (newest, sums) = store.open_alarm_sums().await.unwrap();
+        assert_eq!(sums, OpenSums::of(numbers.iter().copied()));
+        let all = store.alarms(&AlarmFilter::default(), Page { after: None, limit: 100 }).await.unwrap();
+        assert_eq!(newest, all.last().unwrap().id);
+        assert!(!before.contains(&sums), "{sums:?}");
+        before.push(sums);
+        let mut paged = Vec::new();
+        while let [number] =
+            store.open_alarm_numbers(Page { after: paged.last().map(|(id, _)| *id), limit: 1 }).await.unwrap()
+                [..]
+        {
+            paged.push(number);
+        }
+        assert_eq!(paged, numbers);
+        let ids: Vec<RowNumber> = open.iter().map(|alarm| alarm.id).collect();
+        assert_eq!(store.alarms_numbered(&ids).await.unwrap(), open);
+        ids
+    };
+    let mut open = Vec::new();
+    for n in 1..=60 {
+        let load = 30.0 + 30.0 * 0.003 * f64::from(n);
+        stored(&*store, &Run { load, ..Run::nth(n) }).await;
+    }
+    for n in 61..=64 {
+        stored(&*store, &Run { tool: format!("T{n}"), load: 450.0, ..Run::nth(n) }).await;
+        open = check(&*store).await;
+    }
+    assert_eq!(open.len(), 5, "{open:?}");
+    // The one of the worn tool stays open, overloads do not.
+    for id in open {
+        store.acknowledge_alarm(id, &engineer(), at(5000)).await.unwrap();
+        check(&*store).await;
+    }
+    let none = [i64::MAX, -1];
+    assert_eq!(store.alarms_numbered(&none).await.unwrap(), []);
+    assert_eq!(store.alarms_numbered(&[]).await.unwrap(), []);
+}
+
+/// Whoever looks for alarms after each cycle does so in vain but for a few.
+async fn a_group_says_whether_it_may_have_changed_alarms(store: Arc<dyn Store>) {
+    shop(&*store).await;
+    let at_first = store.alarm_changes();
+    for n in 1..=40 {
+        stored(&*store, &Run::nth(n)).await;
+    }
+    assert_eq!(store.alarm_changes(), at_first);
+    stored(&*store, &Run { load: 450.0, ..Run::nth(41) }).await;
+    assert_ne!(store.alarm_changes(), at_first);
+}
+
 /// Who asks for a machine's or a tool's alarms, as the fleet does for one machine, goes through no others, open or cleared.
 #[tokio::test]
 async fn alarms_of_a_machine_or_a_tool_are_read_alone() {
@@ -124,6 +223,7 @@ async fn alarms_of_a_machine_or_a_tool_are_read_alone() {
     // A page of those that are open.
     let open = AlarmFilter { open: Some(true), ..AlarmFilter::default() };
     assert_eq!(store.alarms(&open, Page { after: Some(3000), limit: 9 }).await.unwrap()[0].id, 3002);
+    assert_eq!(store.open_overloads(&machine).await.unwrap().len(), 1);
     let row = store.fleet_machine(&machine, 5).await.unwrap().unwrap();
     assert_eq!(row.alarms.len(), 1);
     let read = given.read_of("alarms").await;

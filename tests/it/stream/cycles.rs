@@ -287,6 +287,44 @@ async fn an_overload_raises_an_alarm_and_holds_until_it_is_acknowledged() {
     served.server.shutdown().await.unwrap();
 }
 
+/// Tools that were thrown away as they were worn are worn for ever.
+#[tokio::test]
+async fn an_overload_holds_however_many_older_alarms_of_its_machine_are_open() {
+    const WORN: &str = "WITH RECURSIVE series (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM series WHERE n < 1200)
+        INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us) SELECT 'worn', 'M1', 'W' || n, 'worn', n FROM series";
+    const OTHER: &str = "INSERT INTO alarms (kind, machine_id, tool_id, message, raised_at_us) VALUES ('overload', 'M1', 'T7', 'another', 1)";
+    let dir = tempfile::TempDir::new().unwrap();
+    let settings = [&[NO_HEATING], &OVERLOADS[..]].concat();
+    let served = Served::start_in(dir.path(), None, &settings).await;
+    served.with_a_shop().await;
+    let token = served.machine_token("M1").await;
+    let mut machine = Machine::connect(&served, &token).await;
+    machine.start("c1", json!({})).await;
+    let file = dir.path().join("data/feedwright.sqlite3");
+    let mut tables = sqlx::sqlite::SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    for alarms in [OTHER, WORN] {
+        sqlx::query(alarms).execute(&mut tables).await.unwrap();
+    }
+    tables.close().await.unwrap();
+
+    assert_eq!(machine.ask(load(0, 10, 90.0)).await["overload"], true);
+    // The other tool's overload is acknowledged, and this one is not: the cycle that runs stays held, as does the next.
+    let (status, other) = served.send("POST", "/v1/alarms/1/acknowledge", None).await;
+    assert_eq!((status, &other["tool"]), (200, &json!("T7")), "{other}");
+    let held = machine.ask(load(10, 30, 5.0)).await;
+    assert!(codes(&held["reasons"]).contains(&"overload_held"), "{held}");
+    assert_eq!(machine.end(40).await["status"], 201);
+    let started = machine.start("c2", json!({})).await;
+    assert!(codes(&started["reasons"]).contains(&"overload_unacknowledged"), "{started}");
+    let neutral = machine.ask(load(0, 10, 5.0)).await;
+    assert_eq!(neutral["override_percent"], 100.0, "{neutral}");
+    let (status, answer) = served.send("POST", "/v1/machines/M1/acknowledge", None).await;
+    assert_eq!((status, answer["acknowledged"].as_array().unwrap().len()), (200, 1), "{answer}");
+    let freed = machine.ask(load(10, 5, 5.0)).await;
+    assert!(freed["override_percent"].as_f64().unwrap() > 100.0, "{freed}");
+    served.server.shutdown().await.unwrap();
+}
+
 /// The alarms take nothing as long as that trigger is there, whoever writes them.
 const NO_ALARMS: &str =
     "CREATE TRIGGER no_alarms BEFORE INSERT ON alarms BEGIN SELECT RAISE(ABORT, 'not now'); END";

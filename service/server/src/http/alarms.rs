@@ -10,10 +10,7 @@ use crate::stream::overload;
 use axum::Json;
 use axum::extract::State;
 use feedwright_core::ids::MachineId;
-use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
-
-/// Open alarms read at a time when a machine's overloads are acknowledged.
-const OPEN_ALARMS_PAGE: u32 = 1000;
+use feedwright_store::{Alarm, AlarmFilter, AlarmKind, RowNumber};
 
 /// Lists alarms in the order they were raised.
 ///
@@ -63,23 +60,10 @@ pub(super) async fn acknowledge_machine(
         return Err(Problem::not_found("machine", machine.as_str()));
     }
     let mut acknowledged = Vec::new();
-    for alarm in open_overloads(&state, machine).await? {
+    for alarm in state.store.open_overloads(&machine).await? {
         acknowledged.push(acknowledge_one(&state, &caller, alarm).await?.into());
     }
     Ok(Json(Acknowledged { acknowledged }))
-}
-
-async fn open_overloads(state: &AppState, machine: MachineId) -> Result<Vec<RowNumber>, Problem> {
-    let filter = AlarmFilter { open: Some(true), machine: Some(machine), tool: None };
-    let mut found = Vec::new();
-    let mut after = None;
-    loop {
-        let page = state.store.alarms(&filter, Page { after, limit: OPEN_ALARMS_PAGE }).await?;
-        let Some(last) = page.last() else { return Ok(found) };
-        after = Some(last.id);
-        let waiting = |alarm: &&Alarm| alarm.kind == AlarmKind::Overload && alarm.acknowledged.is_none();
-        found.extend(page.iter().filter(waiting).map(|alarm| alarm.id));
-    }
 }
 
 async fn acknowledge_one(state: &AppState, caller: &Caller, id: RowNumber) -> Result<Alarm, Problem> {

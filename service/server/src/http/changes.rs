@@ -31,6 +31,8 @@ struct Due {
 impl Drop for Due {
     fn drop(&mut self) {
         if self.is_due {
+            // They follow what is registered, what is told of tools and what is settled. Said first: other servers hear of it with the event.
+            self.state.live.alarms_may_have_changed();
             self.state.live.publish(Event::changed(self.what));
         }
     }

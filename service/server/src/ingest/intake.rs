@@ -22,6 +22,7 @@ use feedwright_store::{
 };
 use futures_util::future::join_all;
 use http::StatusCode;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, RwLock};
 use std::time::Duration;
 use tokio::sync::{Mutex, MutexGuard, Semaphore};
@@ -114,6 +115,9 @@ struct Told {
     metrics: Arc<Metrics>,
     live: Arc<Live>,
     heard: Heard,
+    store: Arc<dyn Store>,
+    /// The store's count of changes of alarms of which the view was told.
+    alarm_changes: AtomicU64,
 }
 
 impl Told {
@@ -145,8 +149,12 @@ impl Told {
             return;
         }
         self.metrics.cycle(machine, CycleOutcome::Accepted);
+        // Most cycles change none. Said before the cycle is told, with which the other servers hear of it.
+        let changes = self.store.alarm_changes();
+        if self.alarm_changes.swap(changes, Ordering::AcqRel) != changes {
+            self.live.alarms_may_have_changed();
+        }
         self.live.publish(Event::cycle(accepted));
-        self.live.alarms_may_have_changed();
         if let Some(energy) = answer.summary.best_energy() {
             let process = cycle.process.or(answer.recommendation.recommendation.process);
             self.metrics.cycle_energy(process, energy.total_joules);
@@ -204,6 +212,8 @@ impl CycleIntake {
                 metrics: metrics.clone(),
                 live: Live::new(&config.live),
                 heard: Heard::default(),
+                store: store.clone(),
+                alarm_changes: AtomicU64::new(0),
             }),
             max_samples: config.limits.samples_per_cycle,
             bounds: config.quarantine.bounds(),

@@ -1,12 +1,14 @@
 //! Alarms as they come and go: the open ones, compared with those that were open before.
 //!
 //! Alarms are raised and cleared in the store's transactions, by any server and by the command line. So they are not
-//! told by who raised them but found by looking, at once when something may have changed and now and then anyway.
+//! told by who raised them but found by looking, at once when something may have changed and now and then anyway. A look
+//! is one row, which tells what all open alarms come to: where it is as it was, nothing else is read. What is told of an
+//! alarm is what its own row says.
 
 use super::event::Event;
 use crate::state::AppState;
 use crate::stream::overload;
-use feedwright_store::{Alarm, AlarmFilter, AlarmKind, Page, StoreResult};
+use feedwright_store::{Alarm, AlarmFilter, AlarmKind, OpenSums, Page, RowNumber, StoreResult};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,18 +19,20 @@ use tokio::time::{Instant, sleep_until, timeout};
 const LEAST_INTERVAL: Duration = Duration::from_millis(200);
 /// Looks at least so often: other servers and commands raise alarms too.
 const MOST_INTERVAL: Duration = Duration::from_secs(5);
-/// Open alarms read at a time.
-const PAGE: u32 = 1000;
-/// Open alarms that are followed; a shop with more knows that there are many.
-const MOST: usize = 10_000;
+/// Alarms read at a time.
+const PAGE: u16 = 1000;
+/// Numbers of open alarms read at a time.
+const NUMBERS_PAGE: u32 = 10_000;
 
-type Open = BTreeMap<i64, Alarm>;
+/// Open alarms by their numbers, each with whether it is acknowledged. All of them, as one that is not followed could not be told when
+/// it is cleared: the database has one of a kind for a subject, and one is a few bytes here.
+type Open = BTreeMap<RowNumber, bool>;
 
-/// What was shown so far.
+/// What was shown so far. It follows what is told, alarm by alarm: after a failure the next look goes on from there.
 pub(super) struct Shown {
     open: Open,
     /// The newest alarm there was: one that is raised and cleared between two looks is found by its number.
-    newest: i64,
+    newest: RowNumber,
 }
 
 /// Watches until the server stops.
@@ -55,96 +59,93 @@ pub(super) async fn watch(state: AppState, shown: Arc<Mutex<Option<Shown>>>) {
 }
 
 async fn look(state: &AppState, shown: &mut Option<Shown>) -> StoreResult<()> {
-    let mut open = open(state).await?;
-    let after = match shown {
-        Some(shown) => shown.newest,
-        None => open.keys().next_back().copied().unwrap_or(0),
+    let (newest, sums) = state.store.open_alarm_sums().await?;
+    let Some(shown) = shown else {
+        *shown = Some(Shown { open: open(state, newest).await?, newest });
+        return Ok(());
     };
-    let fresh = since(state, after).await?;
-    let newest = fresh.last().map_or(after, |alarm| alarm.id);
-    if let Some(before) = shown {
-        // Numbers are given before a commit: one that took longer brings an alarm that is older than the newest. Of more than are
-        // looked at it is not known which were there.
-        let is_late = |alarm: &&Alarm| alarm.id <= after && !before.open.contains_key(&alarm.id);
-        let late = open.values().filter(is_late).take_while(|_| before.open.len() < MOST);
-        let raised: Vec<Alarm> = late.chain(&fresh).cloned().collect();
-        tell(state, &before.open, &open, &raised).await;
+    if newest > shown.newest {
+        shown.tell_new_ones(state).await?;
     }
-    open.extend(fresh.into_iter().filter(|alarm| alarm.cleared_at.is_none()).map(|alarm| (alarm.id, alarm)));
-    *shown = Some(Shown { open, newest });
+    // Whatever else there is has a number that is not new: one is open no more, or acknowledged, or was committed late.
+    if OpenSums::of(shown.open.iter().map(|(id, acknowledged)| (*id, *acknowledged))) != sums {
+        shown.tell_changed_ones(state).await?;
+    }
     Ok(())
 }
 
-/// The alarms after a number, open or not.
-async fn since(state: &AppState, after: i64) -> StoreResult<Vec<Alarm>> {
-    let mut found = Vec::new();
-    let mut after = Some(after);
-    loop {
-        let page = state.store.alarms(&AlarmFilter::default(), Page { after, limit: PAGE }).await?;
-        let Some(last) = page.last() else { return Ok(found) };
-        after = Some(last.id);
-        found.extend(page);
-        // At the start a shop's whole past comes by; only its end matters.
-        if found.len() > MOST {
-            found.drain(..found.len() - 1);
-        }
-    }
-}
-
-async fn open(state: &AppState) -> StoreResult<Open> {
-    let filter = AlarmFilter { open: Some(true), ..AlarmFilter::default() };
+/// The open alarms up to a number.
+async fn open(state: &AppState, newest: RowNumber) -> StoreResult<Open> {
     let mut found = Open::new();
     let mut after = None;
-    while found.len() < MOST {
-        let page = state.store.alarms(&filter, Page { after, limit: PAGE }).await?;
-        let Some(last) = page.last() else { break };
-        after = Some(last.id);
-        found.extend(page.into_iter().map(|alarm| (alarm.id, alarm)));
+    loop {
+        let page = state.store.open_alarm_numbers(Page { after, limit: NUMBERS_PAGE }).await?;
+        let Some((last, _)) = page.last() else { return Ok(found) };
+        after = Some(*last);
+        found.extend(page.into_iter().take_while(|(id, _)| *id <= newest));
+        if after >= Some(newest) {
+            return Ok(found);
+        }
     }
-    Ok(found)
 }
 
-async fn tell(state: &AppState, before: &Open, now: &Open, fresh: &[Alarm]) {
-    // Each server looks by itself: nothing here is told to the others.
-    for alarm in fresh {
-        state.live.show(Event::alarm("raised", alarm.clone()));
-        if alarm.acknowledged.is_some() {
+impl Shown {
+    /// Tells those that came after the newest one, open or not.
+    async fn tell_new_ones(&mut self, state: &AppState) -> StoreResult<()> {
+        loop {
+            let page = Page { after: Some(self.newest), limit: PAGE.into() };
+            let alarms = state.store.alarms(&AlarmFilter::default(), page).await?;
+            if alarms.is_empty() {
+                return Ok(());
+            }
+            for alarm in alarms {
+                self.tell(state, &alarm).await;
+                self.newest = alarm.id;
+            }
+        }
+    }
+
+    /// Tells those that are open no more, or acknowledged, or open and not known: numbers are given before a commit, and one that took
+    /// longer brings an alarm that is older than the newest.
+    async fn tell_changed_ones(&mut self, state: &AppState) -> StoreResult<()> {
+        let now = open(state, self.newest).await?;
+        let known = |id| self.open.get(id) == now.get(id);
+        let changed: Vec<RowNumber> = self.open.keys().filter(|id| !known(id)).copied().collect();
+        let late = now.keys().filter(|id| !self.open.contains_key(id)).copied();
+        let changed: Vec<RowNumber> = late.chain(changed).collect();
+        for numbers in changed.chunks(PAGE.into()) {
+            let alarms = state.store.alarms_numbered(numbers).await?;
+            for alarm in &alarms {
+                self.tell(state, alarm).await;
+            }
+            // Of what is not in the database any more, as after another one was put in its place, there is nothing to tell.
+            for id in numbers {
+                if alarms.binary_search_by_key(id, |alarm| alarm.id).is_err() {
+                    self.open.remove(id);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Tells what has become of an alarm since it was shown, by its row. Each server looks by itself: nothing here is told to the others.
+    async fn tell(&mut self, state: &AppState, alarm: &Alarm) {
+        let was_acknowledged = self.open.get(&alarm.id).copied();
+        if was_acknowledged.is_none() {
+            state.live.show(Event::alarm("raised", alarm.clone()));
+        }
+        if alarm.acknowledged.is_some() && was_acknowledged != Some(true) {
             state.live.show(Event::alarm("acknowledged", alarm.clone()));
         }
-        if alarm.cleared_at.is_some() {
-            cleared(state, alarm).await;
+        if alarm.cleared_at.is_none() {
+            self.open.insert(alarm.id, alarm.acknowledged.is_some());
+            return;
         }
-    }
-    for (id, known) in before {
-        match now.get(id) {
-            None => {
-                // As it is listed now, with when it was cleared and by whom it was acknowledged.
-                let listed = listed(state, *id).await.unwrap_or_default();
-                let alarm = listed.unwrap_or_else(|| known.clone());
-                if known.acknowledged.is_none() && alarm.acknowledged.is_some() {
-                    state.live.show(Event::alarm("acknowledged", alarm.clone()));
-                }
-                cleared(state, &alarm).await;
-            }
-            Some(alarm) if known.acknowledged.is_none() && alarm.acknowledged.is_some() => {
-                state.live.show(Event::alarm("acknowledged", alarm.clone()));
-            }
-            Some(_) => {}
+        // An overload is cleared by whoever acknowledges it, perhaps at another server.
+        if let (AlarmKind::Overload, Some(machine)) = (alarm.kind, &alarm.machine) {
+            overload::settle(state, machine).await;
         }
+        state.live.show(Event::alarm_cleared(alarm));
+        self.open.remove(&alarm.id);
     }
-}
-
-/// The alarm of that number.
-async fn listed(state: &AppState, id: i64) -> StoreResult<Option<Alarm>> {
-    let page = Page { after: Some(id - 1), limit: 1 };
-    let found = state.store.alarms(&AlarmFilter::default(), page).await?;
-    Ok(found.into_iter().find(|alarm| alarm.id == id))
-}
-
-async fn cleared(state: &AppState, alarm: &Alarm) {
-    // An overload is cleared by whoever acknowledges it, perhaps at another server.
-    if let (AlarmKind::Overload, Some(machine)) = (alarm.kind, &alarm.machine) {
-        overload::settle(state, machine).await;
-    }
-    state.live.show(Event::alarm_cleared(alarm));
 }

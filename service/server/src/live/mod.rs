@@ -21,7 +21,7 @@ use crate::lifecycle::begin_anew;
 use crate::state::AppState;
 use history::{History, Shown};
 use machines::Machines;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::futures::Notified;
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, broadcast, mpsc, watch};
@@ -46,11 +46,13 @@ pub struct Live {
     /// Held by what tells them.
     outgoing: tokio::sync::Mutex<mpsc::Receiver<Event>>,
     /// Whether there are other servers that might want to know.
-    told: std::sync::atomic::AtomicBool,
+    told: AtomicBool,
     untold: AtomicU64,
     /// Nothing more will happen here: what waits is told, and no more.
     over: CancellationToken,
     alarms_due: Notify,
+    /// Alarms may have changed here since the other servers were told so.
+    alarms_untold: AtomicBool,
     readers: Arc<Semaphore>,
     /// Told when a session may be over.
     sessions: Notify,
@@ -73,6 +75,7 @@ impl Live {
             untold: AtomicU64::new(0),
             over: CancellationToken::new(),
             alarms_due: Notify::new(),
+            alarms_untold: AtomicBool::new(false),
             readers: Arc::new(Semaphore::new(config.readers)),
             sessions: Notify::new(),
         })
@@ -135,8 +138,10 @@ impl Live {
         self.samples.receiver_count() > 0 || self.told.load(Ordering::Relaxed)
     }
 
-    /// Has the open alarms compared with those that were shown, soon.
+    /// Has the open alarms compared with those that were shown, soon; the other servers do the same when they are told of the next
+    /// event. Said after the commit.
     pub fn alarms_may_have_changed(&self) {
+        self.alarms_untold.store(true, Ordering::Release);
         self.alarms_due.notify_one();
     }
 

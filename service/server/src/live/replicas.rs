@@ -24,6 +24,8 @@ const RETRY: Duration = Duration::from_secs(2);
 struct Told {
     from: String,
     lost: u64,
+    /// Whether alarms may have changed at the server; one of an earlier version does not say.
+    alarms: Option<bool>,
     events: Vec<ToldEvent>,
 }
 
@@ -85,7 +87,7 @@ pub(super) async fn tell_others(state: AppState) {
 /// Notifications of bounded size, each with the number of its events.
 fn packed(live: &Live, events: Vec<Event>) -> Vec<(String, u64)> {
     let mut texts = Vec::new();
-    let mut told = Told { from: live.boot.clone(), lost: 0, events: Vec::new() };
+    let mut told = Told { from: live.boot.clone(), lost: 0, alarms: None, events: Vec::new() };
     let mut bytes = 0;
     for event in events {
         let Event { kind, machine, data } = event;
@@ -110,6 +112,7 @@ fn packed(live: &Live, events: Vec<Event>) -> Vec<(String, u64)> {
 
 fn finish(live: &Live, told: &mut Told, texts: &mut Vec<(String, u64)>) {
     told.lost += live.untold.swap(0, Ordering::Relaxed);
+    told.alarms = Some(live.alarms_untold.swap(false, Ordering::Acquire));
     if let Ok(text) = serde_json::to_string(told) {
         texts.push((text, told.events.len() as u64 + told.lost));
     }
@@ -150,7 +153,10 @@ fn hear(live: &Live, text: &str) {
     if told.from == live.boot {
         return;
     }
-    live.alarms_may_have_changed();
+    // What was lost may have said so. The others are told by whoever has changed them.
+    if told.alarms != Some(false) || told.lost > 0 {
+        live.alarms_due.notify_one();
+    }
     if told.lost > 0 {
         live.show(Event::gap("replica_lost_some", Some(told.lost)));
     }
@@ -160,5 +166,38 @@ fn hear(live: &Live, text: &str) {
             // A newer server may tell of more than this one knows.
             None => tracing::debug!(kind, "an event of a kind that is not known"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::LiveConfig;
+    use futures_util::FutureExt;
+
+    /// Posts that change no alarms are told all the time.
+    #[test]
+    fn alarms_are_looked_at_where_another_server_says_so_or_may_not_have() {
+        let config =
+            LiveConfig { readers: 1, history_events: 10, heartbeat_ms: 1000, sample_interval_ms: 100 };
+        let live = Live::new(&config);
+        let is_due = |text: &str| {
+            hear(&live, text);
+            live.alarms_due.notified().now_or_never().is_some()
+        };
+        for (text, due) in [
+            (r#"{"from": "another", "lost": 0, "alarms": false, "events": []}"#, false),
+            (r#"{"from": "another", "lost": 0, "alarms": true, "events": []}"#, true),
+            (r#"{"from": "another", "lost": 1, "alarms": false, "events": []}"#, true),
+            (r#"{"from": "a former version", "lost": 0, "events": []}"#, true),
+        ] {
+            assert_eq!(is_due(text), due, "{text}");
+        }
+        // It tells of its own changes once, and nothing of those it heard of.
+        let told =
+            |live: &Live| packed(live, vec![Event::changed("tools")])[0].0.contains(r#""alarms":true"#);
+        assert!(!told(&live));
+        live.alarms_may_have_changed();
+        assert!(told(&live) && !told(&live));
     }
 }

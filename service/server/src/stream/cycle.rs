@@ -26,7 +26,7 @@ use feedwright_core::operation::Operation;
 use feedwright_core::plunge;
 use feedwright_core::recommend::Knowledge;
 use feedwright_core::units::{Process, Strategy, Timestamp};
-use feedwright_store::{AlarmFilter, AlarmKind, Page, StoreResult};
+use feedwright_store::StoreResult;
 use serde_json::{Value, json};
 use std::sync::Arc;
 
@@ -420,10 +420,7 @@ fn neutral(mut reasons: LoopReasons) -> (control::Control, LoopReasons, LoopReas
 
 /// Whether an overload of a machine is open that nobody has acknowledged.
 pub async fn overload_open(state: &AppState, machine: &MachineId) -> StoreResult<bool> {
-    let filter = AlarmFilter { open: Some(true), machine: Some(machine.clone()), tool: None };
-    // At most one alarm of a kind is open for one subject: a machine has few.
-    let open = state.store.alarms(&filter, Page { after: None, limit: 1000 }).await?;
-    Ok(open.iter().any(|alarm| alarm.kind == AlarmKind::Overload && alarm.acknowledged.is_none()))
+    Ok(!state.store.open_overloads(machine).await?.is_empty())
 }
 
 /// The plunge of an operation, where everything that a plunge feed needs is known.

@@ -8,7 +8,7 @@
 
 use super::{Conn, Db, audit, dialect};
 use crate::error::StoreResult;
-use crate::record::{Actor, Alarm, AlarmFilter, AlarmKind, Page, RowNumber};
+use crate::record::{Actor, Alarm, AlarmFilter, AlarmKind, OpenSums, Page, RowNumber};
 use crate::rows::{AlarmChange, AlarmRow, id, word};
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::units::Timestamp;
@@ -63,6 +63,26 @@ const OF_ANY: Pages = [
 const OF_MACHINE: Pages = pages!("machine_id = $4 AND ");
 const OF_TOOL: Pages = pages!("tool_id = $4 AND ");
 const OF_BOTH: Pages = pages!("machine_id = $4 AND tool_id = $5 AND ");
+
+/// By the index that allows one open alarm of a kind for one subject: neither what else is open of the machine nor what ever was is
+/// gone through. A planner that has figures may take the machine's open ones where these are fewer. Without an order, for whose sake an
+/// engine might take another index.
+const OPEN_OVERLOADS: &str = concat!(
+    "SELECT alarm_id FROM alarms
+     WHERE kind = 'overload' AND COALESCE(machine_id, '') = $1 AND ",
+    dialect::checked!("machine_id"),
+    " = $1 AND cleared_at_us IS NULL AND acknowledged_by IS NULL"
+);
+
+/// All open ones as sums, which their one index tells, and the newest of all. The remainder keeps the sum of millions in its range.
+const OPEN_SUMS: &str = "SELECT (SELECT COALESCE(MAX(alarm_id), 0) FROM alarms), COUNT(*), CAST(COALESCE(SUM(alarm_id), 0) AS BIGINT),
+            CAST(COALESCE(SUM((alarm_id % 1000003) * (alarm_id % 1000003)), 0) AS BIGINT), COUNT(acknowledged_by)
+     FROM alarms WHERE cleared_at_us IS NULL AND alarm_id + 0 > $1";
+
+const OPEN_NUMBERS: &str = "SELECT alarm_id, acknowledged_by IS NOT NULL FROM alarms
+     WHERE cleared_at_us IS NULL AND alarm_id + 0 > $1 ORDER BY alarm_id + 0 LIMIT $2";
+
+const NUMBERED: &str = select!(concat!("WHERE alarm_id ", dialect::of_numbers!("$1"), " ORDER BY alarm_id"));
 
 const OPEN_OF_TOOL: &str = "SELECT kind, machine_id FROM alarms
      WHERE tool_id = $1 AND cleared_at_us IS NULL AND kind IN ('worn', 'broken_suspected', 'conditions_changed')";
@@ -263,6 +283,41 @@ pub(super) async fn list(
     rows.iter().map(AlarmRow::alarm).collect()
 }
 
+/// The overloads of a machine that are open and that nobody has acknowledged, in the order of their numbers.
+pub(super) async fn open_overloads(conn: &mut Conn, machine: &MachineId) -> StoreResult<Vec<RowNumber>> {
+    let mut found: Vec<RowNumber> =
+        sqlx::query_scalar::<Db, _>(OPEN_OVERLOADS).bind(machine.as_str()).fetch_all(&mut *conn).await?;
+    found.sort_unstable();
+    Ok(found)
+}
+
+/// The newest alarm's number, 0 where there is none, and the sums of those that are open.
+pub(super) async fn open_sums(conn: &mut Conn) -> StoreResult<(RowNumber, OpenSums)> {
+    let (newest, open, numbers, squares, acknowledged) =
+        sqlx::query_as::<Db, (i64, i64, i64, i64, i64)>(OPEN_SUMS)
+            .bind(i64::MIN)
+            .fetch_one(&mut *conn)
+            .await?;
+    Ok((newest, OpenSums { open, numbers, squares, acknowledged }))
+}
+
+/// The numbers of those that are open, in their order, each with whether it was acknowledged.
+pub(super) async fn open_numbers(
+    conn: &mut Conn,
+    page: &Page<RowNumber>,
+) -> StoreResult<Vec<(RowNumber, bool)>> {
+    let query = sqlx::query_as::<Db, (RowNumber, bool)>(OPEN_NUMBERS);
+    let query = query.bind(page.after.unwrap_or(i64::MIN)).bind(i64::from(page.limit));
+    Ok(query.fetch_all(&mut *conn).await?)
+}
+
+/// Those of a list of numbers that there are, in the order of their numbers.
+pub(super) async fn numbered(conn: &mut Conn, numbers: &[RowNumber]) -> StoreResult<Vec<Alarm>> {
+    let query = sqlx::query_as::<Db, AlarmRow>(NUMBERED).bind(dialect::numbers(numbers));
+    let rows = query.fetch_all(&mut *conn).await?;
+    rows.iter().map(AlarmRow::alarm).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -310,6 +365,21 @@ mod tests {
         for sql in [OPEN_OF_TOOL, AlarmChange::CLEAR_VERDICTS] {
             assert_eq!(plan(sql), [open_of], "{sql}");
         }
+    }
+
+    /// Whatever else is open, or was.
+    #[test]
+    fn open_overloads_and_all_open_ones_are_found_among_open_ones_alone() {
+        // As the engine asks that keeps no figures.
+        let overloads = OPEN_OVERLOADS.replace("AND machine_id", "AND +machine_id");
+        assert_eq!(plan(&overloads), ["SEARCH alarms USING INDEX alarms_open (kind=?)"]);
+        let by_number = "SEARCH alarms USING INDEX alarms_open_by_number (<expr>>?)";
+        assert_eq!(plan(OPEN_NUMBERS), [by_number]);
+        assert!(OPEN_SUMS.contains(&format!("(alarm_id % {0}) * (alarm_id % {0})", OpenSums::MODULUS)));
+        let sums = plan(OPEN_SUMS);
+        assert_eq!(sums[0], by_number, "{sums:?}");
+        // Its end is looked up, and not looked for.
+        assert_eq!(sums[1], "SEARCH alarms", "{sums:?}");
     }
 
     fn verdict(state: ToolState) -> Verdict {

@@ -33,6 +33,14 @@ enum Placed {
     Done(Committed),
 }
 
+/// What a group came to.
+pub(super) struct Counted {
+    /// In the order of the group.
+    pub(super) answers: Vec<Committed>,
+    /// Whether it raises or clears alarms, or would where they are not open already.
+    pub(super) changes_alarms: bool,
+}
+
 /// What a group locks before it is asked for anything.
 pub(super) fn locks(group: &[NewCycle]) -> Locks {
     let cycles = || group.iter().map(|new| &new.cycle);
@@ -51,7 +59,7 @@ pub(super) async fn group(
     now: Timestamp,
     settings: RecommendSettings,
     (registry, memory): (&Registry, &mut Memory),
-) -> StoreResult<(Vec<Committed>, Written)> {
+) -> StoreResult<(Counted, Written)> {
     let tools: BTreeSet<_> = group.iter().map(|new| &new.cycle.tool).collect();
     if dialect::MAY_ASSUME
         && let Some((heads, around)) = memory.assume(registry, group)
@@ -79,7 +87,7 @@ async fn count(
     group: &[NewCycle],
     (now, settings): (Timestamp, RecommendSettings),
     (heads, registry, memory): (&Heads, &GroupRegistry, &mut Memory),
-) -> StoreResult<(Vec<Committed>, Written)> {
+) -> StoreResult<(Counted, Written)> {
     memory.begin(heads);
     let (placed, blocks) = place_all(transaction, group, registry).await?;
     let (verdicts, wear, alarms) =
@@ -103,9 +111,10 @@ async fn count(
         issued.push(IssuedRow::of(&answer.recommendation, advice)?);
         answers.push(if stored { Committed::Stored(answer) } else { Committed::Known(answer) });
     }
+    let changes_alarms = !alarms.is_empty();
     let rest = Rest::of(blocks, (wear, alarms), issued, |row| memory.is_new_advice(row.advice.hash));
     let written = transaction.write(&rest, now).await?;
-    Ok((answers, written))
+    Ok((Counted { answers, changes_alarms }, written))
 }
 
 /// What is known for an operation with a tool: for its process, and its active feed profiles.

@@ -12,7 +12,8 @@ use std::collections::BTreeMap;
 
 /// Open alarms that are read for all machines at once; where there are more, each machine's are asked for.
 const FEW_ALARMS: u32 = 500;
-/// Open alarms of a machine that are told of; one with more has other troubles than a longer list.
+/// Open alarms of a machine that are told of, beside overloads that nobody has acknowledged; one with more has other troubles than a
+/// longer list.
 const MOST_ALARMS: u32 = 2000;
 
 // Newest first along an index: as many rows are read as are wanted, whatever the history holds.
@@ -64,7 +65,7 @@ async fn rows(
         let recent = last_cycles(conn, &machine.value.id, recent, &mut asks).await?;
         let alarms = match &mut few_alarms {
             Some(few) => few.remove(machine.value.id.as_str()).unwrap_or_default(),
-            None => open_alarms(conn, Some(&machine.value.id), MOST_ALARMS).await?,
+            None => open_alarms_of(conn, &machine.value.id).await?,
         };
         let Some(FleetCycle { tool, facts, .. }) = recent.first() else {
             let (names, energy_ratios) = ((None, None), Vec::new());
@@ -116,6 +117,21 @@ async fn few_open_alarms(conn: &mut Conn) -> StoreResult<Option<BTreeMap<String,
 async fn open_alarms(conn: &mut Conn, of: Option<&MachineId>, most: u32) -> StoreResult<Vec<Alarm>> {
     let filter = AlarmFilter { open: Some(true), machine: of.cloned(), tool: None };
     alarms::list(conn, &filter, &Page { after: None, limit: most }, RowNumber::MAX).await
+}
+
+/// A machine's open alarms, oldest first. An overload holds the machine until a person acknowledges it: it is among them however many
+/// are older.
+async fn open_alarms_of(conn: &mut Conn, machine: &MachineId) -> StoreResult<Vec<Alarm>> {
+    let mut open = open_alarms(conn, Some(machine), MOST_ALARMS).await?;
+    if let Some(last) = open.last().map(|alarm| alarm.id)
+        && open.len() >= MOST_ALARMS as usize
+    {
+        let mut behind = alarms::open_overloads(conn, machine).await?;
+        behind.retain(|overload| *overload > last);
+        behind.truncate(MOST_ALARMS as usize);
+        open.extend(alarms::numbered(conn, &behind).await?);
+    }
+    Ok(open)
 }
 
 async fn last_cycles(

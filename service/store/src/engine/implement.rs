@@ -1,5 +1,6 @@
 //! The trait, on top of the statements beside it: which of them run in one transaction.
 
+use super::commit::Counted;
 use super::operations::OperationPut;
 use super::tools::Judged;
 use super::wear::{After, Budget, Looks};
@@ -22,10 +23,10 @@ use crate::recent::Group;
 use crate::record::{
     ActiveProfiles, Actor, Alarm, AlarmFilter, AuditEntry, CheckPage, CheckedTo, Committed, CycleFilter,
     CycleKey, CycleOverrides, DatabaseUsage, Dropped, FleetRow, FoldKey, IssuedRecommendation, LevelPoint,
-    Model, ModelKind, NewCycle, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry, Renewed,
-    Repair, Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord, StoreFault,
-    StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord, ToolLife,
-    Versioned, WatchSettings, WearCheck,
+    Model, ModelKind, NewCycle, OpenSums, Page, Precondition, PutOutcome, QuarantineBounds, QuarantineEntry,
+    Renewed, Repair, Round, RowNumber, SampleDrop, SampleRetention, SamplesGone, Sent, SessionRecord,
+    StoreFault, StoredCalibration, StoredCycle, StoredToolEvent, StreamLease, Surroundings, TokenRecord,
+    ToolLife, Versioned, WatchSettings, WearCheck,
 };
 use crate::row_sum::{SumPage, SummedTo};
 use crate::store::Store;
@@ -40,6 +41,7 @@ use feedwright_core::units::Timestamp;
 use feedwright_core::wear::Verdict;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 
@@ -274,15 +276,19 @@ impl Engine {
                     Box::pin(async move {
                         let _until_committed = touched;
                         let known = (&*registry, &mut memory);
-                        let (answers, written) = commit::group(writer, &cycles, now, settings, known).await?;
-                        Ok(((answers, memory), written))
+                        let (counted, written) = commit::group(writer, &cycles, now, settings, known).await?;
+                        Ok(((counted, memory), written))
                     })
                 },
             );
             let outcome = group.await;
             match outcome {
-                Ok((answers, memory)) => {
+                Ok((Counted { answers, changes_alarms }, memory)) => {
                     self.memory().put(memory);
+                    // One before this may have been committed, with the alarms that this one found there.
+                    if changes_alarms || unknown {
+                        self.changes_of_alarms().fetch_add(1, Ordering::Release);
+                    }
                     if answers.iter().any(Committed::is_being_counted) {
                         self.postponed().notify_one();
                     }
@@ -919,16 +925,34 @@ impl Store for Engine {
     }
 
     async fn alarms(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {
-        // Of those of a machine that are open, which have an index, a stream that begins waits for the answer.
-        let is_short = filter.open == Some(true) && filter.machine.is_some();
-        let lane = if is_short { Lane::Short } else { Lane::Usual };
-        read!(self.reader(lane), |conn| alarms::list(conn, filter, &page, RowNumber::MAX).await)
+        read!(self, |conn| alarms::list(conn, filter, &page, RowNumber::MAX).await)
     }
 
     async fn alarm_history(&self, filter: &AlarmFilter, page: Page<RowNumber>) -> StoreResult<Vec<Alarm>> {
         // As with the audit.
         let last = read!(self, |conn| dialect::last_alarm(conn).await)?;
         read!(self, |conn| alarms::list(conn, filter, &page, last).await)
+    }
+
+    async fn open_overloads(&self, machine: &MachineId) -> StoreResult<Vec<RowNumber>> {
+        // A stream that begins waits for the answer.
+        read!(self.reader(Lane::Short), |conn| alarms::open_overloads(conn, machine).await)
+    }
+
+    async fn open_alarm_sums(&self) -> StoreResult<(RowNumber, OpenSums)> {
+        read!(self, |conn| alarms::open_sums(conn).await)
+    }
+
+    async fn open_alarm_numbers(&self, page: Page<RowNumber>) -> StoreResult<Vec<(RowNumber, bool)>> {
+        read!(self, |conn| alarms::open_numbers(conn, &page).await)
+    }
+
+    async fn alarms_numbered(&self, numbers: &[RowNumber]) -> StoreResult<Vec<Alarm>> {
+        read!(self, |conn| alarms::numbered(conn, numbers).await)
+    }
+
+    fn alarm_changes(&self) -> u64 {
+        self.changes_of_alarms().load(Ordering::Acquire)
     }
 
     async fn acknowledge_alarm(

@@ -387,6 +387,19 @@ pub(super) const HEADS: &str = concat!(
 pub(super) const NAMED_DROPS: &str = "SELECT cycle_id, dropped_at_us, reason FROM cycle_sample_drops
      WHERE machine_id = $1 AND cycle_id = ANY($2)";
 
+/// Whether a number is one of a list, which is one parameter.
+macro_rules! of_numbers {
+    ($parameter:literal) => {
+        concat!("= ANY(", $parameter, ")")
+    };
+}
+pub(super) use of_numbers;
+
+/// A list of numbers as one parameter.
+pub(super) const fn numbers(numbers: &[RowNumber]) -> &[RowNumber] {
+    numbers
+}
+
 /// A list of ids as one parameter.
 pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<String> {
     ids.map(str::to_owned).collect()

@@ -12,7 +12,7 @@ use sqlx::postgres::{PgConnectOptions, PgConnection, PgPoolOptions, PgRow};
 use sqlx::{ConnectOptions, Connection, Row};
 use std::io::ErrorKind;
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicU64, AtomicUsize};
 use std::time::Duration;
 use tokio::sync::{Mutex, Semaphore};
 use tokio::time::timeout;
@@ -163,6 +163,7 @@ impl PostgresStore {
             memory: Slot::default(),
             dropping: Slot::default(),
             postponed: Arc::default(),
+            changes_of_alarms: AtomicU64::new(0),
         };
         let mut lent = inner.lent().await?;
         let mut transaction = lent.begin_with(inner.begin()).await?;

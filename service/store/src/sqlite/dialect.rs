@@ -166,6 +166,20 @@ pub(super) const HEADS: &str = "BEGIN IMMEDIATE;
 pub(super) const NAMED_DROPS: &str = "SELECT cycle_id, dropped_at_us, reason FROM cycle_sample_drops
      WHERE machine_id = $1 AND cycle_id IN (SELECT value FROM json_each($2))";
 
+/// Whether a number is one of a list, which is one parameter.
+macro_rules! of_numbers {
+    ($parameter:literal) => {
+        concat!("IN (SELECT value FROM json_each(", $parameter, "))")
+    };
+}
+pub(super) use of_numbers;
+
+/// A list of numbers as one parameter.
+pub(super) fn numbers(numbers: &[RowNumber]) -> String {
+    // As it is written for people it is JSON.
+    format!("{numbers:?}")
+}
+
 /// A list of ids as one parameter. Ids hold nothing that JSON would have to escape.
 pub(super) fn list<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     let mut out = String::from("[");

@@ -19,6 +19,7 @@ use sqlx::sqlite::{
 use sqlx::{ConnectOptions, Connection};
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 /// Whether a file has a list of its migrations, and the list.
@@ -165,6 +166,7 @@ impl SqliteStore {
                 memory: Slot::default(),
                 dropping: Slot::default(),
                 postponed: Arc::default(),
+                changes_of_alarms: AtomicU64::new(0),
                 recent: Arc::default(),
                 alone: options.alone,
             }),
