@@ -313,6 +313,7 @@ async fn an_overload_holds_however_many_older_alarms_of_its_machine_are_open() {
     assert_eq!((status, &other["tool"]), (200, &json!("T7")), "{other}");
     let held = machine.ask(load(10, 30, 5.0)).await;
     assert!(codes(&held["reasons"]).contains(&"overload_held"), "{held}");
+    assert_eq!(held["overload"], true, "{held}");
     assert_eq!(machine.end(40).await["status"], 201);
     let started = machine.start("c2", json!({})).await;
     assert!(codes(&started["reasons"]).contains(&"overload_unacknowledged"), "{started}");
