@@ -68,6 +68,13 @@ impl StoreError {
         }
     }
 
+    /// Of a database into which a copy or a restore broke off.
+    pub(crate) fn of_unfinished_transfer() -> Self {
+        let why = "a copy or a restore into this database broke off, and a part of it is missing: run it once more, which goes on where it \
+                   was, or begin with an empty database";
+        Self::NotWritable(why.into())
+    }
+
     /// Of a database that a later program has written.
     fn of_later_version(migration: i64) -> Self {
         let what = "it was written by a later version of this program, or by another one";

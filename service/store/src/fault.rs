@@ -69,9 +69,7 @@ pub(crate) const REFUSED_READS: [u32; 3] = [266, 522, 8458];
 impl Fault {
     fn of(error: &dyn DatabaseError) -> Self {
         match error.kind() {
-            ErrorKind::UniqueViolation if error.constraint().is_some_and(|name| NUMBERED.contains(&name)) => {
-                return Self::Other;
-            }
+            ErrorKind::UniqueViolation if is_numbered(&constraint(error)) => return Self::Other,
             ErrorKind::UniqueViolation
             | ErrorKind::ForeignKeyViolation
             | ErrorKind::NotNullViolation
@@ -90,6 +88,7 @@ impl Fault {
         match error.message() {
             message if is_between_nodes(&code, message) => Self::Unavailable,
             message if is_refused_read(&code, message) => Self::NotReadable,
+            message if is_refused_by_a_node(&code, message) => Self::Refused,
             _ => Self::of_sqlstate(&code),
         }
     }
@@ -161,6 +160,20 @@ fn is_between_nodes(code: &str, message: &str) -> bool {
     }
 }
 
+/// Whether a node of Citus refuses a row that is copied to it, which is told as an internal error with the node's own message
+/// (`ReportCopyError` of its `multi_copy.c`).
+fn is_refused_by_a_node(code: &str, message: &str) -> bool {
+    const VIOLATED: [&str; 3] =
+        ["violates check constraint", "violates unique constraint", "violates not-null constraint"];
+    code == "XX000" && VIOLATED.iter().any(|text| message.contains(text))
+}
+
+/// Whether a key is one that PostgreSQL gives by itself; on a node of Citus a shard's number stands behind its name.
+fn is_numbered(constraint: &str) -> bool {
+    let of = |name| constraint.strip_prefix(name);
+    NUMBERED.into_iter().filter_map(of).any(|rest| rest.is_empty() || rest.starts_with('_'))
+}
+
 /// Whether PostgreSQL tells an I/O error of what it reads.
 fn is_refused_read(code: &str, message: &str) -> bool {
     code == "58030" && message.starts_with("could not read ")
@@ -170,9 +183,11 @@ fn constraint(error: &dyn DatabaseError) -> String {
     error.constraint().unwrap_or_else(|| named_last(error.message())).to_owned()
 }
 
-/// SQLite names a constraint in its message only: "CHECK constraint failed: `cycles_coverage_range`".
+/// SQLite names a constraint in its message only: "CHECK constraint failed: `cycles_coverage_range`". So does a node of Citus:
+/// "… violates check constraint "`cycles_coverage_range`"".
 fn named_last(message: &str) -> &str {
-    message.rsplit(": ").next().unwrap_or(message)
+    let quoted = message.strip_suffix('"').and_then(|text| text.rsplit('"').next());
+    quoted.unwrap_or_else(|| message.rsplit(": ").next().unwrap_or(message))
 }
 
 impl StoreError {
@@ -226,6 +241,31 @@ mod tests {
             ("XX001", "failed to COPY to shard 102008 on worker-1:5432"),
         ] {
             assert!(!is_between_nodes(code, message), "{code} {message}");
+        }
+    }
+
+    /// As PostgreSQL words them, and Citus hands them on.
+    #[test]
+    fn a_row_that_a_node_refuses_is_refused_by_its_constraint() {
+        let check = r#"new row for relation "recommendations_102040" violates check constraint "recommendations_override_range""#;
+        let unique = r#"duplicate key value violates unique constraint "recommendations_pkey_102040""#;
+        let null = r#"null value in column "machine_id" of relation "recommendations_102040" violates not-null constraint"#;
+        for message in [check, unique, null] {
+            assert!(is_refused_by_a_node("XX000", message), "{message}");
+            assert!(!is_refused_by_a_node("58030", message), "{message}");
+        }
+        assert!(!is_refused_by_a_node("XX000", "cache lookup failed for type 16384"));
+        assert_eq!(named_last(check), "recommendations_override_range");
+        assert_eq!(named_last(null), null);
+    }
+
+    #[test]
+    fn a_number_that_the_database_gave_twice_is_nobodys_row() {
+        for name in ["audit_pkey", "tool_events_pkey_102011"] {
+            assert!(is_numbered(name), "{name}");
+        }
+        for name in ["cycles_pkey", "audit_pkeys", "tools_pkey_102011"] {
+            assert!(!is_numbered(name), "{name}");
         }
     }
 

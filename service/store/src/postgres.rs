@@ -17,8 +17,8 @@ mod open;
 pub use address::unknown_parameter;
 pub(crate) use dialect::{is_ours, keep_partitions};
 pub(crate) use notice::{LIVE, plant};
-pub(crate) use open::MIGRATIONS;
 pub use open::{CommonClock, PostgresOptions};
+pub(crate) use open::{IS_UNFINISHED, MIGRATIONS};
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};

@@ -31,7 +31,7 @@ pub(crate) use files::{beside, by_name, log_left};
 pub(crate) use journal::is_left;
 pub(crate) use kept::{Cell, Form, is_kept_for_another};
 pub use open::SqliteOptions;
-pub(crate) use open::{APPLIED, HAS_MIGRATIONS, MIGRATIONS};
+pub(crate) use open::{APPLIED, HAS_MIGRATIONS, IS_UNFINISHED, MIGRATIONS};
 
 use crate::error::{StoreError, StoreResult};
 use crate::gate::{Gate, panicked};

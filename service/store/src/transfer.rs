@@ -35,8 +35,9 @@ pub(crate) mod damaged_rows {
 }
 
 /// Tables that belong to the program and not to the data.
-const LEFT_OUT: [&str; 10] = [
+const LEFT_OUT: [&str; 11] = [
     "_sqlx_migrations",
+    "unfinished_transfer",
     "write_probe",
     "last_backup",
     "retention_clock",
@@ -47,6 +48,15 @@ const LEFT_OUT: [&str; 10] = [
     "sample_packs",
     "sample_pack_drops",
 ];
+/// The table whose being there says that a transfer into the database has not come to its end. It is made by who begins one, and no
+/// migration's: none of a complete database has it.
+macro_rules! unfinished {
+    () => {
+        "unfinished_transfer"
+    };
+}
+pub(crate) use unfinished;
+
 /// The table that the engines have differently: with SQLite several blocks stand in one row of another.
 const SAMPLES: &str = "cycle_samples";
 /// A page of rows is about this large, bytes.
@@ -408,6 +418,13 @@ pub(crate) trait Side: Send {
 
     /// Which of these keys are there, in any order: no more of them than rows of a page, and one.
     async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>>;
+
+    /// Marks it as a database of which a part is missing, before the first row is written or removed: whoever is not a copy refuses it until
+    /// [`Side::unmark`], however the copy ends.
+    async fn mark(&mut self) -> StoreResult<()>;
+
+    /// Takes the mark away, when all has arrived.
+    async fn unmark(&mut self) -> StoreResult<()>;
 
     /// Gets ready to take samples of these receipts, µs.
     async fn prepare(&mut self, received_us: &[i64]) -> StoreResult<()>;

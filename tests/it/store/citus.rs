@@ -179,6 +179,90 @@ fn later_migrations_change_what_is_distributed() {
     assert!(seen > 0, "migrations with constraints are found");
 }
 
+/// A database that is empty but for Citus' list of what it distributes, with something in it, and that notes the text in which each change of a
+/// table comes; its name.
+async fn noting_distributed_database(server: &str) -> String {
+    let name = format!("distributed_{}", std::process::id());
+    let mut admin = PgConnection::connect(server).await.unwrap();
+    let mut create = sqlx::QueryBuilder::<sqlx::Postgres>::new("CREATE DATABASE ");
+    create.push(&name).build().persistent(false).execute(&mut admin).await.unwrap();
+    let (base, _) = server.rsplit_once('/').unwrap();
+    let mut conn = PgConnection::connect(&format!("{base}/{name}")).await.unwrap();
+    conn.execute(sqlx::raw_sql(
+        "CREATE TABLE pg_dist_partition ();
+         INSERT INTO pg_dist_partition DEFAULT VALUES;
+         CREATE SCHEMA noted;
+         CREATE TABLE noted.texts (text TEXT);
+         CREATE FUNCTION noted.note() RETURNS EVENT_TRIGGER LANGUAGE plpgsql AS
+             $$ BEGIN INSERT INTO noted.texts VALUES (current_query()); END $$;
+         CREATE EVENT TRIGGER noted ON ddl_command_start WHEN TAG IN ('ALTER TABLE', 'CREATE INDEX')
+             EXECUTE FUNCTION noted.note()",
+    ))
+    .await
+    .unwrap();
+    conn.close().await.unwrap();
+    admin.close().await.unwrap();
+    name
+}
+
+/// Checks and indexes, as the database words them.
+async fn checks_and_indexes(given: &Given) -> BTreeSet<String> {
+    let mut conn = PgConnection::connect(&given.address()).await.unwrap();
+    let found: Vec<String> = sqlx::query_scalar(
+        "SELECT conrelid::regclass::TEXT || ' ' || conname || ' ' || pg_get_constraintdef(oid) FROM pg_constraint
+         WHERE connamespace = 'public'::regnamespace
+         UNION ALL SELECT indexdef FROM pg_indexes WHERE schemaname = 'public'",
+    )
+    .fetch_all(&mut conn)
+    .await
+    .unwrap();
+    conn.close().await.unwrap();
+    found.into_iter().collect()
+}
+
+/// Citus sends a change of a distributed table on with the whole text that it came in, and takes one statement of it.
+#[tokio::test]
+async fn a_distributed_database_is_migrated_statement_by_statement_to_the_same_schema() {
+    let Some(server) = Given::server() else {
+        return;
+    };
+    let empty = noting_distributed_database(&server).await;
+    let distributed = Given::postgres_made(&format!("TEMPLATE {empty}")).await.unwrap();
+    let usual = Given::postgres().await.unwrap();
+    let (one, other) = (checks_and_indexes(&distributed).await, checks_and_indexes(&usual).await);
+    assert!(one.len() > 50, "the question finds what is there: {one:?}");
+    assert_eq!(one, other);
+
+    let mut conn = PgConnection::connect(&distributed.address()).await.unwrap();
+    let texts: Vec<String> =
+        sqlx::query_scalar("SELECT DISTINCT text FROM noted.texts").fetch_all(&mut conn).await.unwrap();
+    let applied: Vec<Vec<u8>> = sqlx::query_scalar("SELECT checksum FROM _sqlx_migrations ORDER BY version")
+        .fetch_all(&mut conn)
+        .await
+        .unwrap();
+    conn.close().await.unwrap();
+    for change in ["operations_judging_change_range", "ADD COLUMN row_sum", "cycles_coverage"] {
+        let with = |text: &&String| text.contains(change) && !text.contains("CREATE TABLE cycles (");
+        let text = texts.iter().find(with).unwrap_or_else(|| panic!("nothing changed {change}"));
+        assert!(text.starts_with("DO "), "{text}");
+    }
+    let mut conn = PgConnection::connect(&usual.address()).await.unwrap();
+    let as_usual: Vec<Vec<u8>> = sqlx::query_scalar("SELECT checksum FROM _sqlx_migrations ORDER BY version")
+        .fetch_all(&mut conn)
+        .await
+        .unwrap();
+    conn.close().await.unwrap();
+    assert_eq!(applied, as_usual, "a migration is known by its file");
+
+    // Who opens it again finds nothing to do.
+    shop(&distributed.server_of_its_own().await).await;
+    distributed.done().await;
+    usual.done().await;
+    let mut admin = PgConnection::connect(&server).await.unwrap();
+    let mut drop = sqlx::QueryBuilder::<sqlx::Postgres>::new("DROP DATABASE ");
+    drop.push(&empty).build().persistent(false).execute(&mut admin).await.unwrap();
+}
+
 /// The statements in a source: its string literals that name a join, in one line each.
 fn joins(source: &str) -> Vec<String> {
     let flat = source.split_whitespace().collect::<Vec<_>>().join(" ");

@@ -15,7 +15,7 @@ use feedwright_store::transfer::{
 use feedwright_store::{
     Actor, Committed, CycleFilter, CycleOverrides, NewProfileVersion, Page, PostgresOptions, PostgresStore,
     Precondition, QuarantineBounds, QuarantineEntry, Repair, Role, SampleRetention, Sent, SessionRecord,
-    SqliteOptions, SqliteStore, Store, StoreError, TokenRecord,
+    SqliteOptions, SqliteStore, Store, StoreError, StoreResult, TokenRecord,
 };
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, PgConnection};
@@ -23,6 +23,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use tokio::sync::Notify;
 
 /// Something in every table that a shop fills: cycles with and without samples, quarantine, alarms, tokens, events.
 async fn fill(store: &dyn Store) {
@@ -161,6 +162,84 @@ async fn a_cell_is_copied_to_the_plant_and_back_to_the_bit() {
 }
 
 /// Partitions of samples: their names, oldest first, without that of what no other covers.
+/// A copy that ends when it has told of its first table, as one that is killed does.
+async fn broken_off(from: &Address, to: &Address) {
+    let first = Notify::new();
+    let mut told = |_: &str, _: TableSum, _: u64| first.notify_one();
+    tokio::select! {
+        biased;
+        () = first.notified() => {}
+        done = copy(from, to, &mut told) => panic!("it came to its end: {done:?}"),
+    }
+}
+
+/// Why a database is not opened.
+fn refusal<T>(opened: StoreResult<T>) -> String {
+    let error = opened.err().expect("it is refused");
+    std::error::Error::source(&error).map_or_else(|| error.to_string(), ToString::to_string)
+}
+
+#[tokio::test]
+async fn where_a_copy_broke_off_nobody_counts_on_what_is_there_until_one_has_ended() {
+    let Some(plant) = Given::postgres().await else {
+        return;
+    };
+    let cell = Given::sqlite().await;
+    fill(&*cell.store()).await;
+    let (from, to) = (Address::Sqlite(cell.file()), Address::Postgres(plant.address()));
+    broken_off(&from, &to).await;
+    // The session of the copy ends when the server has seen that its client is gone.
+    let opened = async || PostgresStore::open(&plant.address(), PostgresOptions::default()).await;
+    let ended = async {
+        loop {
+            let why = refusal(opened().await);
+            if !why.contains("start when it has ended") {
+                break why;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    let why = tokio::time::timeout(Duration::from_secs(30), ended).await.expect("its session ends");
+    assert!(why.contains("broke off"), "{why}");
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    // Nor is it handed on.
+    let other = Address::Sqlite(path("other.sqlite3"));
+    let refused = copied(&to, &other).await.unwrap_err();
+    assert!(matches!(&refused, TransferError::Store(StoreError::NotWritable(_))), "{refused:?}");
+    back_up_postgres(&plant.address(), &path("plant.backup"), at(0)).await.unwrap_err();
+    assert!(!path("plant.backup").exists());
+    copied(&from, &to).await.unwrap();
+    let store = opened().await.unwrap();
+    assert_eq!(shown(&store).await, shown(&*cell.store()).await);
+    sound(&store).await;
+    store.close().await;
+
+    let back = Address::Sqlite(path("back.sqlite3"));
+    broken_off(&to, &back).await;
+    let open = async || SqliteStore::open(path("back.sqlite3"), SqliteOptions::default()).await;
+    let why = refusal(open().await);
+    assert!(why.contains("broke off"), "{why}");
+    back_up_sqlite(&path("back.sqlite3"), &path("back.backup"), at(0)).await.unwrap_err();
+    assert!(!path("back.backup").exists());
+    copied(&to, &back).await.unwrap();
+    let returned = open().await.unwrap();
+    assert_eq!(shown(&returned).await, shown(&*cell.store()).await);
+    returned.close().await;
+    back_up_sqlite(&path("back.sqlite3"), &path("back.backup"), at(0)).await.unwrap();
+
+    // What is refused untouched is no copy that broke off.
+    let store = opened().await.unwrap();
+    let changed = event(ToolEventKind::Changed, at(90 * 60));
+    store.add_tool_event(&"T1".try_into().unwrap(), changed, &engineer(), at(9100)).await.unwrap().unwrap();
+    store.close().await;
+    let refused = copied(&from, &to).await.unwrap_err();
+    assert!(matches!(&refused, TransferError::OtherData { .. }), "{refused}");
+    opened().await.unwrap().close().await;
+    cell.done().await;
+    plant.done().await;
+}
+
 async fn partitions(plant: &Given) -> Vec<String> {
     let mut server = PgConnection::connect(&plant.address()).await.unwrap();
     let names = sqlx::query_scalar("SELECT name FROM cycle_samples_partitions()");

@@ -7,9 +7,11 @@ use crate::gate::Gate;
 use crate::lanes::Lanes;
 use crate::locks::Locks;
 use crate::slot::Slot;
+use crate::transfer::unfinished;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
+use sqlx::migrate::{Migration, Migrator};
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgPoolOptions, PgRow};
-use sqlx::{ConnectOptions, Connection, Row};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row, SqlSafeStr};
 use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize};
@@ -17,7 +19,10 @@ use std::time::Duration;
 use tokio::sync::{Mutex, Semaphore};
 use tokio::time::timeout;
 
-pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/postgres");
+/// Whether a transfer into the database has not come to its end.
+pub(crate) const IS_UNFINISHED: &str = concat!("SELECT to_regclass('", unfinished!(), "') IS NOT NULL");
+
+pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/postgres");
 
 /// Whose clock tells what all servers on a database have to agree on: when a lease ends, how long a machine is silent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -74,6 +79,37 @@ const KEPT_FOR_READS: u32 = 2;
 /// are few, half of them; and of all of them long reads have a quarter at the most.
 const KEPT_FROM_READS: u32 = 3;
 
+/// The last migration that a distributed database cannot have before it: who is of before it is copied (`deploy/citus/README.md`).
+const DISTRIBUTED_SINCE: i64 = 20;
+
+/// Whether Citus has distributed a table by now.
+async fn is_distributed(conn: &mut PgConnection) -> StoreResult<bool> {
+    let has_list: bool = sqlx::query_scalar("SELECT to_regclass('pg_dist_partition') IS NOT NULL")
+        .fetch_one(&mut *conn)
+        .await?;
+    if !has_list {
+        return Ok(false);
+    }
+    Ok(sqlx::query_scalar("SELECT EXISTS (SELECT FROM pg_dist_partition)").fetch_one(&mut *conn).await?)
+}
+
+/// The same migrations as Citus takes them of distributed tables. It sends a change of a table on to its workers with the whole text that
+/// it came in, and refuses one of several statements ("cannot execute multiple utility events"); within a block each statement is
+/// a text of its own. What is known of a migration is known by its file, as ever.
+fn statement_by_statement(migrations: &Migrator) -> Migrator {
+    let as_block = |migration: &Migration| {
+        let mut migration = migration.clone();
+        // One that changes nothing asks for something, which a block has no place for.
+        let changes = ["ALTER ", "CREATE ", "DROP "].iter().any(|word| migration.sql.as_str().contains(word));
+        if migration.version > DISTRIBUTED_SINCE && changes {
+            let block = format!("DO $migration$ BEGIN\n{}\nEND $migration$", migration.sql.as_str());
+            migration.sql = AssertSqlSafe(block).into_sql_str();
+        }
+        migration
+    };
+    Migrator::with_migrations(migrations.iter().map(as_block).collect())
+}
+
 pub(super) const NOT_USABLE: &str = "the server is in recovery, read-only, or does not commit durably";
 
 impl PostgresStore {
@@ -95,7 +131,12 @@ impl PostgresStore {
         // Limits that a role has for questions are none for writing tables anew, and for waiting until another server has done so.
         sqlx::raw_sql("SET statement_timeout = 0; SET lock_timeout = 0").execute(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
-        MIGRATIONS.run(&mut migrating).await.map_err(StoreError::of_migration)?;
+        let migrated = if is_distributed(&mut migrating).await? {
+            statement_by_statement(&MIGRATIONS).run(&mut migrating).await
+        } else {
+            MIGRATIONS.run(&mut migrating).await
+        };
+        migrated.map_err(StoreError::of_migration)?;
         if !options.for_a_copy {
             assert_whole(&mut migrating).await?;
         }
@@ -189,12 +230,15 @@ async fn assert_whole(conn: &mut PgConnection) -> StoreResult<()> {
         .bind(subject.exclusive.first())
         .fetch_one(&mut *conn)
         .await?;
-    if is_whole {
-        return Ok(());
+    if !is_whole {
+        return Err(StoreError::NotWritable(
+            "a copy or a restore writes into the database: start when it has ended".into(),
+        ));
     }
-    Err(StoreError::NotWritable(
-        "a copy or a restore writes into the database: start when it has ended".into(),
-    ))
+    if sqlx::query_scalar(IS_UNFINISHED).fetch_one(&mut *conn).await? {
+        return Err(StoreError::of_unfinished_transfer());
+    }
+    Ok(())
 }
 
 /// What changes rest on. Decisions are read from the primary alone, so a demoted server answers nothing.

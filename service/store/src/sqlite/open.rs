@@ -12,6 +12,7 @@ use crate::error::{StoreError, StoreResult};
 use crate::gate::Gate;
 use crate::lanes::Lanes;
 use crate::slot::Slot;
+use crate::transfer::unfinished;
 use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::sqlite::{
     SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
@@ -26,6 +27,10 @@ use std::time::Duration;
 pub(crate) const HAS_MIGRATIONS: &str =
     "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')";
 pub(crate) const APPLIED: &str = "SELECT version FROM _sqlx_migrations ORDER BY version";
+/// Whether a transfer into the file has not come to its end.
+pub(crate) const IS_UNFINISHED: &str =
+    concat!("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '", unfinished!(), "')");
+
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations/sqlite");
 
 /// A checkpoint that restarts the log holds up the writer while it waits for readers: no longer than this.
@@ -78,6 +83,8 @@ pub struct SqliteOptions {
     /// first of them. As many as have room in the journal come in this time where machines post as fast as they can, and
     /// whoever else writes the file waits no longer.
     pub commit_after: Duration,
+    /// Whether it is opened for a copy into it. Anybody else refuses a file into which one broke off.
+    pub for_a_copy: bool,
 }
 
 impl Default for SqliteOptions {
@@ -89,6 +96,7 @@ impl Default for SqliteOptions {
             checkpoint_every: Duration::from_millis(250),
             alone: false,
             commit_after: Duration::from_millis(50),
+            for_a_copy: false,
         }
     }
 }
@@ -117,6 +125,9 @@ impl SqliteStore {
         // Of a file that is there already it changes nothing, and readers may not ask for it.
         let mut writer = connect.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?;
         assert_durable(&mut writer).await?;
+        if !options.for_a_copy && sqlx::query_scalar(IS_UNFINISHED).fetch_one(&mut writer).await? {
+            return Err(StoreError::of_unfinished_transfer());
+        }
         MIGRATIONS.run(&mut writer).await.map_err(StoreError::of_migration)?;
         // What a server that was killed between writing a commit and syncing it has left is seen from now on, and may be answered as
         // known: a checkpoint syncs the log first.

@@ -58,7 +58,8 @@ impl Address {
         use crate::store::Store;
         Ok(match self {
             Self::Sqlite(path) => {
-                let store = crate::SqliteStore::open(path, crate::SqliteOptions::default()).await?;
+                let options = crate::SqliteOptions { for_a_copy: true, ..crate::SqliteOptions::default() };
+                let store = crate::SqliteStore::open(path, options).await?;
                 store.close().await;
                 Box::new(SqliteSide::write(path).await?)
             }
@@ -115,6 +116,9 @@ pub(super) async fn transfer(
     same_schema(&tables, &target.tables().await?)?;
     let drops = Drops::of(source, &tables).await?;
     let fresh = is_fresh(target, &tables).await?;
+    if fresh {
+        target.mark().await?;
+    }
     let mut behind = Vec::new();
     // What people would look for first is told first.
     let mut compared: Vec<&Table> = tables.iter().collect();
@@ -126,6 +130,8 @@ pub(super) async fn transfer(
             behind.push(table);
         }
     }
+    // What the target holds is the source's: from here on it is changed.
+    target.mark().await?;
     // All of a table that goes before anything that comes: no two rows may stand for the same open alarm, say.
     for table in behind {
         walk(source, target, (table, &drops), Writing::Removed).await?;
@@ -142,6 +148,7 @@ pub(super) async fn transfer(
         sums.push((table.name.clone(), sum));
     }
     target.finish(&tables).await?;
+    target.unmark().await?;
     Ok(sums)
 }
 

@@ -2,10 +2,11 @@
 
 use super::{
     DamagedRows, Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Unread, Value, quoted,
+    unfinished,
 };
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
-use crate::postgres::{LIVE, MIGRATIONS, is_ours, keep_partitions, plant};
+use crate::postgres::{IS_UNFINISHED, LIVE, MIGRATIONS, is_ours, keep_partitions, plant};
 use crate::record::StoreFault;
 use crate::row_sum::Writers;
 use async_trait::async_trait;
@@ -56,6 +57,9 @@ impl PostgresSide {
             let applied = "SELECT version FROM _sqlx_migrations ORDER BY version";
             let applied: Vec<i64> = sqlx::query_scalar(applied).fetch_all(&mut side.conn).await?;
             StoreError::unless_known(&applied, &MIGRATIONS)?;
+        }
+        if sqlx::query_scalar(IS_UNFINISHED).fetch_one(&mut side.conn).await? {
+            return Err(StoreError::of_unfinished_transfer());
         }
         Ok(side)
     }
@@ -323,6 +327,17 @@ impl Side for PostgresSide {
         let rows = query.push(")").build().persistent(false).fetch_all(&mut self.conn).await?;
         let read = |row: &PgRow| columns().enumerate().map(|(at, (_, kind))| value(row, at, *kind)).collect();
         Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
+    }
+
+    async fn mark(&mut self) -> StoreResult<()> {
+        let mark = concat!("CREATE TABLE IF NOT EXISTS ", unfinished!(), " ()");
+        sqlx::query(mark).execute(&mut self.conn).await?;
+        Ok(())
+    }
+
+    async fn unmark(&mut self) -> StoreResult<()> {
+        sqlx::query(concat!("DROP TABLE ", unfinished!())).execute(&mut self.conn).await?;
+        Ok(())
     }
 
     async fn prepare(&mut self, received_us: &[i64]) -> StoreResult<()> {

@@ -2,7 +2,7 @@
 
 use super::{
     DamagedRows, Filling, Kind, LEFT_OUT, RECEIPTS, Row, SAMPLES, Side, Table, TransferError, Unread, Value,
-    quoted,
+    quoted, unfinished,
 };
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
@@ -10,8 +10,8 @@ use crate::record::StoreFault;
 use crate::row_sum::Writers;
 use crate::rows::BlockRow;
 use crate::sqlite::{
-    APPLIED, Cell, Form, HAS_MIGRATIONS, MIGRATIONS, by_name, insert_blocks, is_kept_for_another,
-    recommendation_id,
+    APPLIED, Cell, Form, HAS_MIGRATIONS, IS_UNFINISHED, MIGRATIONS, by_name, insert_blocks,
+    is_kept_for_another, recommendation_id,
 };
 use async_trait::async_trait;
 use futures_util::TryStreamExt;
@@ -51,6 +51,9 @@ impl SqliteSide {
         if sqlx::query_scalar(HAS_MIGRATIONS).fetch_one(&mut conn).await? {
             let applied: Vec<i64> = sqlx::query_scalar(APPLIED).fetch_all(&mut conn).await?;
             StoreError::unless_known(&applied, &MIGRATIONS)?;
+        }
+        if sqlx::query_scalar(IS_UNFINISHED).fetch_one(&mut conn).await? {
+            return Err(StoreError::of_unfinished_transfer());
         }
         Ok(Self { conn, is_shorter: true })
     }
@@ -364,6 +367,17 @@ impl Side for SqliteSide {
                 .collect()
         };
         Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
+    }
+
+    async fn mark(&mut self) -> StoreResult<()> {
+        let mark = concat!("CREATE TABLE IF NOT EXISTS ", unfinished!(), " (begun INTEGER)");
+        sqlx::query(mark).execute(&mut self.conn).await?;
+        Ok(())
+    }
+
+    async fn unmark(&mut self) -> StoreResult<()> {
+        sqlx::query(concat!("DROP TABLE ", unfinished!())).execute(&mut self.conn).await?;
+        Ok(())
     }
 
     async fn prepare(&mut self, _received_us: &[i64]) -> StoreResult<()> {
