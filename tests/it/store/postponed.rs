@@ -14,6 +14,7 @@ use tokio::time::timeout;
 
 stories!(
     before_a_long_history_a_cycle_is_counted_in_the_background,
+    where_a_clock_was_never_set_that_is_told_while_it_is_counted,
     whatever_comes_meanwhile_it_ends_in_the_same_state,
     alarms_stay_until_it_is_known_what_to_raise,
     a_long_history_is_counted_in_the_background_once_its_tool_is_registered,
@@ -123,6 +124,23 @@ async fn before_a_long_history_a_cycle_is_counted_in_the_background(store: Arc<d
     let next = stored(&*store, &nth(MANY + 2)).await;
     assert_eq!((next.verdict.state, next.verdict.cycles), (ToolState::Good, u64::from(MANY) + 3));
     assert_clean(&*store).await;
+}
+
+async fn where_a_clock_was_never_set_that_is_told_while_it_is_counted(store: Arc<dyn Store>) {
+    long_history(&*store).await;
+    let codes = |verdict: &Verdict| verdict.reasons.iter().map(|(code, _)| *code).collect::<Vec<_>>();
+    // An hour after 1970 began.
+    let seconds = 3_600 - at(0).micros() / 1_000_000;
+    let late = Run { seconds, seq: None, id: "1970".to_owned(), ..nth(0) };
+    let verdict_then = stored(&*store, &late).await.verdict;
+    assert_eq!(codes(&verdict_then), ["being_counted", "clock_suspect"]);
+    assert_eq!(verdict(&*store).await, *verdict_then, "who reads is told what the machine was told");
+    renewed(&*store).await;
+    let after = verdict(&*store).await;
+    assert_eq!((after.state, codes(&after)), (ToolState::Good, vec!["good"]), "one such cycle tells nothing");
+
+    let before = stored(&*store, &Run { seconds: 1, seq: None, id: "late".to_owned(), ..nth(0) }).await;
+    assert_eq!(codes(&before.verdict), ["being_counted", "clock_suspect"], "it is still there");
 }
 
 async fn whatever_comes_meanwhile_it_ends_in_the_same_state(store: Arc<dyn Store>) {

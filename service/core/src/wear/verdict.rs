@@ -421,6 +421,14 @@ impl Verdict {
         Self::unknown(BEING_COUNTED, why)
     }
 
+    /// The same, where cycles whose clock was never set are among them: each that comes is counted before all others.
+    #[must_use]
+    pub fn beside_suspects(mut self) -> Self {
+        let why = "cycles whose clock was never set are counted before all others, and each of them begins it anew: set the machine's clock";
+        self.reasons.push((Exclusion::ClockSuspect.as_str(), why.into()));
+        self
+    }
+
     /// Whether it is the verdict on a tool whose cycles are being folded again: it says nothing of the tool.
     pub fn is_being_counted(&self) -> bool {
         self.reasons.iter().any(|(code, _)| *code == BEING_COUNTED)

@@ -27,6 +27,7 @@ use checkpoints::{
 };
 use feedwright_core::ids::{MachineId, ToolId};
 use feedwright_core::operation::{Ask, asked_at};
+use feedwright_core::summary::EARLIEST_CLOCK;
 use feedwright_core::units::Timestamp;
 use feedwright_core::wear::{FOLD_VERSION, OrderKey, ToolFold, Verdict};
 use outdated::{RAN_OF_TOOL_ON_MACHINE, first_changed, judged_otherwise_since, note_ran, ran_of};
@@ -697,7 +698,7 @@ impl ToolWear {
     /// on the way, which is exact by construction. Postpones it where the budget does not reach.
     pub(super) async fn verdict(&mut self, conn: &mut Conn, budget: &mut Budget) -> StoreResult<Verdict> {
         if self.is_postponed() {
-            return Ok(Verdict::being_counted());
+            return being_counted(conn, &self.tool).await;
         }
         if let Some(verdict) = self.known_verdict() {
             return Ok(verdict);
@@ -708,23 +709,24 @@ impl ToolWear {
         let mut whole = Budget::whole();
         let may_go_on = self.may_resume(Of::All) && are_kept_over_all(conn).await?;
         let budget = if may_go_on { budget } else { &mut whole };
-        if !budget.begins(self.folded().saturating_sub(known)) {
-            return Ok(self.postpone_whole());
+        if budget.begins(self.folded().saturating_sub(known))
+            && let Some(verdict) = self.verdict_from(conn, state, budget).await?
+        {
+            return Ok(verdict);
         }
-        let verdict = self.verdict_from(conn, state, budget).await?;
-        Ok(verdict.unwrap_or_else(|| self.postpone_whole()))
+        self.postpone_whole();
+        being_counted(conn, &self.tool).await
     }
 
     /// Leaves the fold over all machines to the background, which finds it by the fold of one of them: of the one that ran last, which is
     /// soon folded again from its last state on the way.
-    fn postpone_whole(&mut self) -> Verdict {
+    fn postpone_whole(&mut self) {
         let last = |cached: &Cached| cached.fold.as_ref().and_then(ToolFold::last).cloned();
         let latest = self.machines.iter().max_by_key(|(_, cached)| last(cached));
         if let Some((machine, cached)) = latest {
             let (machine, folded, ran) = (machine.clone(), cached.folded, cached.ran.clone());
             self.postpone(&machine, folded, ran);
         }
-        Verdict::being_counted()
     }
 
     /// The same, folded from a state on the way with as many cycles, or from the first cycle on. `None` where the budget did not reach: what
@@ -880,6 +882,19 @@ async fn count_from(
     Ok(verdict)
 }
 
+/// The verdict on a tool whose cycles are being folded again, which says where cycles without a clock may be why: each of them
+/// stands before all others, so that it begins anew.
+async fn being_counted(conn: &mut Conn, tool: &ToolId) -> StoreResult<Verdict> {
+    let verdict = Verdict::being_counted();
+    let first: Option<i64> =
+        sqlx::query_scalar::<Db, _>("SELECT MIN(started_at_us) FROM cycles WHERE tool_id = $1")
+            .bind(tool.as_str())
+            .fetch_one(&mut *conn)
+            .await?;
+    let has_suspects = first.is_some_and(|first| first < EARLIEST_CLOCK.micros());
+    Ok(if has_suspects { verdict.beside_suspects() } else { verdict })
+}
+
 /// The verdict on a tool, read only.
 pub(super) async fn verdict(conn: &mut Conn, tool: &ToolId) -> StoreResult<Verdict> {
     let found = verdict_of_life(conn, tool, u64::MAX).await?;
@@ -907,7 +922,7 @@ pub(super) async fn verdict_of_life(
     let mut wear = ToolWear::load(conn, tool).await?;
     let verdict = match wear.known_verdict() {
         // Who runs it is told the same. What it comes to is soon known, and nobody need read all of it for that.
-        None if wear.is_postponed() => Verdict::being_counted(),
+        None if wear.is_postponed() => being_counted(conn, tool).await?,
         Some(verdict) => verdict,
         None => {
             let state = wear.state_before(conn, &END).await?;
@@ -916,7 +931,10 @@ pub(super) async fn verdict_of_life(
                 return Ok(None);
             }
             let mut budget = Budget::whole();
-            wear.verdict_from(conn, state, &mut budget).await?.unwrap_or_else(Verdict::being_counted)
+            match wear.verdict_from(conn, state, &mut budget).await? {
+                Some(verdict) => verdict,
+                None => being_counted(conn, tool).await?,
+            }
         }
     };
     let last = wear.events.iter().rfind(|event| event.kind.begins_life());
