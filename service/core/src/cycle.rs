@@ -12,7 +12,7 @@ pub use channel::Channel;
 pub use difference::differences;
 pub use downsample::Downsampling;
 pub use flags::{Flag, Flags};
-pub use samples::{DEFAULT_MAX_SAMPLES, Samples, TimeBase};
+pub use samples::{DEFAULT_MAX_SAMPLES, MOST_SAMPLES, Samples, TimeBase};
 
 use crate::ids::{CycleId, MachineId, OperationId, ProfileId, RecommendationId, ToolId};
 use crate::invalid::{Range, Violation};

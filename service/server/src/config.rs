@@ -11,6 +11,7 @@ pub use layers::{ConfigError, Origin, Sources};
 
 use feedwright_core::closed_loop::LoopSettings;
 use feedwright_core::closed_loop::control::LawSettings;
+use feedwright_core::cycle::MOST_SAMPLES;
 use feedwright_core::friction::law::OverloadHold;
 use feedwright_core::ids::MachineId;
 use feedwright_core::recommend::RecommendSettings;
@@ -646,7 +647,7 @@ impl Config {
             ("limits.decoded_bytes", self.limits.decoded_bytes, 1 << 31),
             ("limits.large_bodies_bytes", self.limits.large_bodies_bytes, 1 << 34),
             ("limits.registration_bytes", self.limits.registration_bytes, 1 << 24),
-            ("limits.samples_per_cycle", self.limits.samples_per_cycle, 10_000_000),
+            ("limits.samples_per_cycle", self.limits.samples_per_cycle, MOST_SAMPLES),
             ("limits.batch_lines", self.limits.batch_lines, 1_000_000),
             ("limits.queue_length", self.limits.queue_length, 1_000_000),
             ("limits.group_size", self.limits.group_size, 10_000),

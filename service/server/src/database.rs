@@ -48,7 +48,6 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
         Engine::Sqlite(path) => {
             let lock = DataDirLock::acquire(&config.data_dir)?;
             let options = SqliteOptions {
-                max_samples: config.limits.samples_per_cycle,
                 // The file lies in the directory that is locked.
                 alone: true,
                 ..SqliteOptions::default()
@@ -61,7 +60,6 @@ pub async fn open(config: &Config) -> Result<Database, OpenError> {
             let direct = config.database.direct_url.expose_secret();
             let options = PostgresOptions {
                 connections: config.database.connections,
-                max_samples: config.limits.samples_per_cycle,
                 pooled: config.database.pooled,
                 direct: (!direct.is_empty()).then(|| direct.to_owned()),
                 ..PostgresOptions::default()

@@ -130,7 +130,6 @@ struct Inner {
     given_up: AtomicUsize,
     /// When the last group came that the server's disk had no room for, if none was written since.
     full_since: std::sync::Mutex<Option<Instant>>,
-    max_samples: usize,
     pooled: bool,
     clock: CommonClock,
     registry: Arc<Registry>,
@@ -301,10 +300,6 @@ impl PostgresStore {
     fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {
         let beat = self.inner.lost_after / LOOKS;
         Some(Arc::new(notice::Direct { connect: self.inner.direct.clone(), beat }))
-    }
-
-    fn max_samples(&self) -> usize {
-        self.inner.max_samples
     }
 
     /// As any other.

@@ -89,7 +89,6 @@ struct Inner {
     block_reader: BlockReader,
     gate: Gate,
     checkpoints: Checkpoints,
-    max_samples: usize,
     registry: Arc<Registry>,
     memory: Slot<engine::Memory>,
     /// Of which machine samples were dropped last, where a run is at it.
@@ -199,10 +198,6 @@ impl SqliteStore {
 
     fn ears(&self) -> Option<Arc<dyn crate::notice::Notices>> {
         None
-    }
-
-    fn max_samples(&self) -> usize {
-        self.inner.max_samples
     }
 
     /// The block of a cycle's samples, where this thread may read it.

@@ -34,10 +34,19 @@ pub(crate) mod damaged_rows {
     pub(crate) use super::sqlite::damaged_rows as of_sqlite;
 }
 
+/// The table whose being there says that a transfer into the database has not come to its end. It is made by who begins one, and no
+/// migration's: no complete database has it.
+macro_rules! unfinished {
+    () => {
+        "unfinished_transfer"
+    };
+}
+pub(crate) use unfinished;
+
 /// Tables that belong to the program and not to the data.
 const LEFT_OUT: [&str; 11] = [
     "_sqlx_migrations",
-    "unfinished_transfer",
+    unfinished!(),
     "write_probe",
     "last_backup",
     "retention_clock",
@@ -48,15 +57,6 @@ const LEFT_OUT: [&str; 11] = [
     "sample_packs",
     "sample_pack_drops",
 ];
-/// The table whose being there says that a transfer into the database has not come to its end. It is made by who begins one, and no
-/// migration's: none of a complete database has it.
-macro_rules! unfinished {
-    () => {
-        "unfinished_transfer"
-    };
-}
-pub(crate) use unfinished;
-
 /// The table that the engines have differently: with SQLite several blocks stand in one row of another.
 const SAMPLES: &str = "cycle_samples";
 /// A page of rows is about this large, bytes.
@@ -419,11 +419,14 @@ pub(crate) trait Side: Send {
     /// Which of these keys are there, in any order: no more of them than rows of a page, and one.
     async fn present(&mut self, table: &Table, keys: &[Row]) -> StoreResult<Vec<Row>>;
 
-    /// Marks it as a database of which a part is missing, before the first row is written or removed: whoever is not a copy refuses it until
-    /// [`Side::unmark`], however the copy ends.
+    /// Whether a transfer into it has not come to its end.
+    async fn is_unfinished(&mut self) -> StoreResult<bool>;
+
+    /// Marks it as a database of which a part is missing, before a row is written or removed: whoever is not a copy refuses it until
+    /// [`Side::unmark`], however the copy ends. Where it is marked already nothing happens.
     async fn mark(&mut self) -> StoreResult<()>;
 
-    /// Takes the mark away, when all has arrived.
+    /// Takes the mark away, when all has arrived, where there is one.
     async fn unmark(&mut self) -> StoreResult<()>;
 
     /// Gets ready to take samples of these receipts, µs.
@@ -447,6 +450,11 @@ pub(crate) trait Side: Send {
 
     /// Closes the connection.
     async fn close(self: Box<Self>);
+}
+
+/// Half a database is nobody's source.
+async fn assert_finished(side: &mut dyn Side) -> StoreResult<()> {
+    if side.is_unfinished().await? { Err(StoreError::of_unfinished_transfer()) } else { Ok(()) }
 }
 
 /// What [`Side::receipts`] asks of both engines. The two days around the beginning of 1970 count as one, of which the ends are told.

@@ -294,6 +294,22 @@ async fn small_cell() -> TempDir {
     cell
 }
 
+/// A limit is for what comes.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_stored_is_no_less_sound_by_a_lower_limit() {
+    let cell = small_cell().await;
+    let lower = ["limits.samples_per_cycle=1", "stream.samples_per_cycle=1"];
+    let check = ["check", "--set", lower[0], "--set", lower[1]];
+    let said = succeed(feedwright(&cell, &check).output().unwrap());
+    assert!(said.contains("3 cycles checked"), "{said}");
+    let store = SqliteStore::open(file(&cell), SqliteOptions::default()).await.unwrap();
+    let run = Run::nth(1);
+    let samples =
+        store.cycle_samples(&run.machine.try_into().unwrap(), &run.id.as_str().try_into().unwrap()).await;
+    assert!(samples.unwrap().unwrap().len() > 1, "the limit is lower");
+    store.close().await;
+}
+
 /// SQLite takes a name that begins so for an address, and nothing of it would be under that name.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn names_that_sqlite_takes_for_addresses_are_files() {

@@ -71,6 +71,7 @@ async fn what_is_stored_beside_cycles_is_held_too(given: &Given) {
     assert_eq!(store.check_tables().await.unwrap(), []);
     let cut = if given.is_postgres() { "'\\x01'" } else { "x'01'" };
     for (damage, kind, misleads) in [
+        ("DELETE FROM tools WHERE tool_id = 'T1'".to_owned(), "row", true),
         (format!("UPDATE cycle_overrides SET block = {cut}"), "overrides", false),
         (
             "UPDATE feed_profile_versions SET content = replace(content, '300', '301')".to_owned(),

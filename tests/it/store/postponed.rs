@@ -133,14 +133,14 @@ async fn where_a_clock_was_never_set_that_is_told_while_it_is_counted(store: Arc
     let seconds = 3_600 - at(0).micros() / 1_000_000;
     let late = Run { seconds, seq: None, id: "1970".to_owned(), ..nth(0) };
     let verdict_then = stored(&*store, &late).await.verdict;
-    assert_eq!(codes(&verdict_then), ["being_counted", "clock_suspect"]);
+    assert_eq!(codes(&verdict_then), ["being_counted", "clock_never_set"]);
     assert_eq!(verdict(&*store).await, *verdict_then, "who reads is told what the machine was told");
     renewed(&*store).await;
     let after = verdict(&*store).await;
     assert_eq!((after.state, codes(&after)), (ToolState::Good, vec!["good"]), "one such cycle tells nothing");
 
     let before = stored(&*store, &Run { seconds: 1, seq: None, id: "late".to_owned(), ..nth(0) }).await;
-    assert_eq!(codes(&before.verdict), ["being_counted", "clock_suspect"], "it is still there");
+    assert_eq!(codes(&before.verdict), ["being_counted", "clock_never_set"], "it is still there");
 }
 
 async fn whatever_comes_meanwhile_it_ends_in_the_same_state(store: Arc<dyn Store>) {

@@ -383,6 +383,9 @@ async fn a_plant_makes_its_own_partitions_where_another_one_is_in_its_search_pat
     given.raw("CREATE SCHEMA slow").await.unwrap();
     given.raw("ALTER TABLE trial.cycle_samples_202602 SET SCHEMA slow").await.unwrap();
     assert_eq!(trial.make_partitions(at(0), 3).await.unwrap(), 0);
+    // Nor is a copy that broke off there one into these tables.
+    given.raw("CREATE TABLE unfinished_transfer ()").await.unwrap();
+    open("trial,public").await.close().await;
     for plant in [public, trial] {
         plant.close().await;
     }

@@ -161,7 +161,6 @@ async fn a_cell_is_copied_to_the_plant_and_back_to_the_bit() {
     plant.done().await;
 }
 
-/// Partitions of samples: their names, oldest first, without that of what no other covers.
 /// A copy that ends when it has told of its first table, as one that is killed does.
 async fn broken_off(from: &Address, to: &Address) {
     let first = Notify::new();
@@ -208,6 +207,7 @@ async fn where_a_copy_broke_off_nobody_counts_on_what_is_there_until_one_has_end
     let refused = copied(&to, &other).await.unwrap_err();
     assert!(matches!(&refused, TransferError::Store(StoreError::NotWritable(_))), "{refused:?}");
     back_up_postgres(&plant.address(), &path("plant.backup"), at(0)).await.unwrap_err();
+    note_postgres(&plant.address(), at(0)).await.unwrap_err();
     assert!(!path("plant.backup").exists());
     copied(&from, &to).await.unwrap();
     let store = opened().await.unwrap();
@@ -221,6 +221,7 @@ async fn where_a_copy_broke_off_nobody_counts_on_what_is_there_until_one_has_end
     let why = refusal(open().await);
     assert!(why.contains("broke off"), "{why}");
     back_up_sqlite(&path("back.sqlite3"), &path("back.backup"), at(0)).await.unwrap_err();
+    note_sqlite(&path("back.sqlite3"), at(0)).await.unwrap_err();
     assert!(!path("back.backup").exists());
     copied(&to, &back).await.unwrap();
     let returned = open().await.unwrap();
@@ -240,6 +241,7 @@ async fn where_a_copy_broke_off_nobody_counts_on_what_is_there_until_one_has_end
     plant.done().await;
 }
 
+/// Partitions of samples: their names, oldest first, without that of what no other covers.
 async fn partitions(plant: &Given) -> Vec<String> {
     let mut server = PgConnection::connect(&plant.address()).await.unwrap();
     let names = sqlx::query_scalar("SELECT name FROM cycle_samples_partitions()");

@@ -8,6 +8,9 @@ use crate::machine::IPO_RANGE;
 /// Samples that one cycle may hold unless configured: 33 minutes at 100 Hz.
 pub const DEFAULT_MAX_SAMPLES: usize = 200_000;
 
+/// Samples that one cycle may hold however a server is configured, and so what one holds that is stored.
+pub const MOST_SAMPLES: usize = 10_000_000;
+
 /// When the samples were taken, counted from the start of the cycle.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TimeBase {

@@ -425,7 +425,7 @@ impl Verdict {
     #[must_use]
     pub fn beside_suspects(mut self) -> Self {
         let why = "cycles whose clock was never set are counted before all others, and each of them begins it anew: set the machine's clock";
-        self.reasons.push((Exclusion::ClockSuspect.as_str(), why.into()));
+        self.reasons.push(("clock_never_set", why.into()));
         self
     }
 

@@ -5,7 +5,7 @@ use crate::codec;
 use crate::error::StoreResult;
 use crate::record::{CycleFilter, CycleKey, Page, StoredCycle};
 use crate::rows::{CycleRow, CycleWithSamples, ReportedCutRow, cycle_columns};
-use feedwright_core::cycle::{Cycle, differences};
+use feedwright_core::cycle::{Cycle, MOST_SAMPLES, differences};
 use feedwright_core::ids::{CycleId, MachineId, OperationId, ToolId};
 use feedwright_core::units::Timestamp;
 
@@ -67,10 +67,10 @@ pub(super) struct Content {
 
 impl Content {
     /// Paths of the fields in which `sent`, which is another content, differs.
-    pub(super) fn differences(self, sent: &Cycle, max_samples: usize) -> StoreResult<Vec<String>> {
+    pub(super) fn differences(self, sent: &Cycle) -> StoreResult<Vec<String>> {
         let Self { row, cut, block } = self;
         let are_gone = block.is_none() && row.sample_count > 0;
-        let samples = block.map(|block| codec::decode_samples(&block, max_samples)).transpose()?;
+        let samples = block.map(|block| codec::decode_samples(&block, MOST_SAMPLES)).transpose()?;
         let known = (!are_gone).then_some(samples.as_ref());
         let mut paths = differences(&row.draft(None, cut)?, known, sent);
         // The contents are not the same, so it is what cannot be looked at any more.

@@ -31,7 +31,7 @@ use crate::record::{
 use crate::row_sum::{SumPage, SummedTo};
 use crate::store::Store;
 use async_trait::async_trait;
-use feedwright_core::cycle::{Cycle, ProfileVersion};
+use feedwright_core::cycle::{Cycle, MOST_SAMPLES, ProfileVersion};
 use feedwright_core::ids::{CycleId, MachineId, ModelId, OperationId, ProfileId, RecommendationId, ToolId};
 use feedwright_core::machine::{Calibration, Machine};
 use feedwright_core::operation::Operation;
@@ -671,11 +671,11 @@ impl Store for Engine {
             let (machine, id) = (sent.machine.clone(), sent.id.clone());
             snapshot!(self, Lane::Short, |conn| cycles::content(conn, &machine, &id).await)?
         };
-        let (Some(content), max_samples) = (content, self.max_samples()) else {
+        let Some(content) = content else {
             return Ok(Vec::new());
         };
         // Large ones take long, and conflicts are rare.
-        tokio::task::spawn_blocking(move || content.differences(&sent, max_samples))
+        tokio::task::spawn_blocking(move || content.differences(&sent))
             .await
             .map_err(|error| StoreError::Unavailable(error.into()))?
     }
@@ -685,15 +685,14 @@ impl Store for Engine {
             Some(block) => block?,
             None => read!(self, |conn| dialect::block(conn, machine, id).await)?,
         };
-        let max_samples = self.max_samples();
         match block {
             Some(block) if block.len() > READ_AT_ONCE => {
-                tokio::task::spawn_blocking(move || codec::decode_columns(&block, max_samples))
+                tokio::task::spawn_blocking(move || codec::decode_columns(&block, MOST_SAMPLES))
                     .await
                     .map_err(|error| StoreError::Unavailable(error.into()))?
                     .map(Some)
             }
-            block => block.map(|block| codec::decode_columns(&block, max_samples)).transpose(),
+            block => block.map(|block| codec::decode_columns(&block, MOST_SAMPLES)).transpose(),
         }
     }
 
@@ -832,8 +831,8 @@ impl Store for Engine {
     }
 
     async fn check_cycles(&self, after: Option<&CheckedTo>, limit: u32) -> StoreResult<CheckPage> {
-        let (after, max_samples) = (after.cloned(), self.max_samples());
-        snapshot!(self, Lane::Long, |conn| verify::page(conn, after.as_ref(), limit, max_samples).await)
+        let after = after.cloned();
+        snapshot!(self, Lane::Long, |conn| verify::page(conn, after.as_ref(), limit).await)
     }
 
     async fn check_tables(&self) -> StoreResult<Vec<StoreFault>> {

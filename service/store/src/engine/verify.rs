@@ -13,7 +13,7 @@ use crate::record::{CheckPage, CheckedTo, EncodedCycle, NewCycle, SampleDrop, St
 use crate::rows::{CycleRow, cycle_columns, id};
 use crate::stored_text::StoredText;
 use context::Contexts;
-use feedwright_core::cycle::{Cycle, Flag};
+use feedwright_core::cycle::{Cycle, Flag, MOST_SAMPLES};
 use feedwright_core::ids::{CycleId, MachineId, ToolId};
 use feedwright_core::summary::{Context, SUMMARY_VERSION, is_summarised_alike, summarise};
 use feedwright_core::units::Timestamp;
@@ -31,12 +31,7 @@ macro_rules! select_sql {
 }
 
 /// The cycles after that key, each with its samples: what is wrong with them.
-pub(super) async fn page(
-    conn: &mut Conn,
-    after: Option<&CheckedTo>,
-    limit: u32,
-    max_samples: usize,
-) -> StoreResult<CheckPage> {
+pub(super) async fn page(conn: &mut Conn, after: Option<&CheckedTo>, limit: u32) -> StoreResult<CheckPage> {
     dialect::read_as_stored(conn).await?;
     dialect::keep_partitions(conn).await?;
     let after = after.cloned().unwrap_or_default();
@@ -128,7 +123,7 @@ pub(super) async fn page(
             }
             continue;
         }
-        let samples = match block.map(|(block, _)| codec::decode_samples(&block, max_samples)).transpose() {
+        let samples = match block.map(|(block, _)| codec::decode_samples(&block, MOST_SAMPLES)).transpose() {
             Ok(samples) => samples,
             Err(error) => {
                 fault("samples", error.to_string());

@@ -8,7 +8,6 @@ use crate::lanes::Lanes;
 use crate::locks::Locks;
 use crate::slot::Slot;
 use crate::transfer::unfinished;
-use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::migrate::{Migration, Migrator};
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgPoolOptions, PgRow};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row, SqlSafeStr};
@@ -19,8 +18,21 @@ use std::time::Duration;
 use tokio::sync::{Mutex, Semaphore};
 use tokio::time::timeout;
 
+/// Asks whether a table is in the schema of these tables: another plant may have one of that name in another schema.
+macro_rules! is_here {
+    ($($table:tt)*) => {
+        concat!(
+            "SELECT EXISTS (SELECT FROM pg_class
+             WHERE relname = '",
+            $($table)*,
+            "' AND relnamespace = quote_ident(current_schema())::REGNAMESPACE)"
+        )
+    };
+}
+
 /// Whether a transfer into the database has not come to its end.
-pub(crate) const IS_UNFINISHED: &str = concat!("SELECT to_regclass('", unfinished!(), "') IS NOT NULL");
+pub(crate) const IS_UNFINISHED: &str = is_here!(unfinished!());
+const HAS_TABLES: &str = is_here!("registry_generation");
 
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/postgres");
 
@@ -44,8 +56,6 @@ pub struct PostgresOptions {
     /// How long a group of cycles waits for its transaction, which goes on then. A connection whose server says nothing for so
     /// long leads nowhere, as where a host vanished without closing it. Longer than the server lets a statement take.
     pub lost_after: Duration,
-    /// Samples that one cycle may hold when it is read.
-    pub max_samples: usize,
     /// Whether the address is a pooler's: then nothing is set for a whole session.
     pub pooled: bool,
     /// Address of the server itself, for migrations, where the other one is a pooler's.
@@ -63,7 +73,6 @@ impl Default for PostgresOptions {
             connections: 8,
             patience: Duration::from_secs(5),
             lost_after: Duration::from_secs(60),
-            max_samples: DEFAULT_MAX_SAMPLES,
             pooled: false,
             direct: None,
             clock: CommonClock::Database,
@@ -131,6 +140,10 @@ impl PostgresStore {
         // Limits that a role has for questions are none for writing tables anew, and for waiting until another server has done so.
         sqlx::raw_sql("SET statement_timeout = 0; SET lock_timeout = 0").execute(&mut migrating).await?;
         // Takes an advisory lock of its session: servers that start together migrate once.
+        // Tables that a copy writes are that copy's: brought up to this version they would be none of its.
+        if !options.for_a_copy && sqlx::query_scalar(HAS_TABLES).fetch_one(&mut migrating).await? {
+            assert_whole(&mut migrating).await?;
+        }
         let migrated = if is_distributed(&mut migrating).await? {
             statement_by_statement(&MIGRATIONS).run(&mut migrating).await
         } else {
@@ -197,7 +210,6 @@ impl PostgresStore {
             warm: std::sync::Mutex::default(),
             given_up: AtomicUsize::new(0),
             full_since: std::sync::Mutex::default(),
-            max_samples: options.max_samples,
             pooled,
             clock: options.clock,
             registry: Arc::default(),

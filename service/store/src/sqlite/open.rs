@@ -13,7 +13,6 @@ use crate::gate::Gate;
 use crate::lanes::Lanes;
 use crate::slot::Slot;
 use crate::transfer::unfinished;
-use feedwright_core::cycle::DEFAULT_MAX_SAMPLES;
 use sqlx::sqlite::{
     SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
 };
@@ -72,8 +71,6 @@ pub struct SqliteOptions {
     pub readers: u32,
     /// How long a connection waits for a lock, and a reader for a connection.
     pub patience: Duration,
-    /// Samples that one cycle may hold when it is read.
-    pub max_samples: usize,
     /// Time between two checkpoints.
     pub checkpoint_every: Duration,
     /// Whether somebody answers for it that no other store of this file commits cycles as long as this one is open, as
@@ -92,7 +89,6 @@ impl Default for SqliteOptions {
         Self {
             readers: 4,
             patience: Duration::from_secs(5),
-            max_samples: DEFAULT_MAX_SAMPLES,
             checkpoint_every: Duration::from_millis(250),
             alone: false,
             commit_after: Duration::from_millis(50),
@@ -172,7 +168,6 @@ impl SqliteStore {
                 block_reader,
                 gate: Gate::default(),
                 checkpoints,
-                max_samples: options.max_samples,
                 registry: Arc::default(),
                 memory: Slot::default(),
                 dropping: Slot::default(),

@@ -9,7 +9,7 @@ use super::digest::of_table;
 use super::failure::{file, io, of_backup, of_source, of_target};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
-use super::{Side, TableSum, TransferError};
+use super::{Side, TableSum, TransferError, assert_finished};
 use crate::durable::sync_name;
 use crate::gate::panicked;
 use crate::sqlite::{beside, by_name, log_left};
@@ -308,7 +308,10 @@ const NOTE: &str = "INSERT INTO last_backup (only_row, made_at_us) VALUES (1, $1
 /// Notes in a SQLite database, beside the server that may be writing it, that its state at `made_at` is backed up.
 pub async fn note_sqlite(database: &Path, made_at: Timestamp) -> Result<(), TransferError> {
     let mut side = SqliteSide::write(database).await?;
-    let noted = sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await;
+    let noted = match assert_finished(&mut side).await {
+        Ok(()) => sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await.map_err(Into::into),
+        Err(unfinished) => Err(unfinished),
+    };
     Box::new(side).close().await;
     noted?;
     Ok(())
@@ -317,7 +320,10 @@ pub async fn note_sqlite(database: &Path, made_at: Timestamp) -> Result<(), Tran
 /// Notes in a PostgreSQL database that its state at `made_at` is backed up.
 pub async fn note_postgres(database: &str, made_at: Timestamp) -> Result<(), TransferError> {
     let mut side = PostgresSide::connect(database).await?;
-    let noted = sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await;
+    let noted = match assert_finished(&mut side).await {
+        Ok(()) => sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await.map_err(Into::into),
+        Err(unfinished) => Err(unfinished),
+    };
     Box::new(side).close().await;
     noted?;
     Ok(())
@@ -330,6 +336,8 @@ async fn seal(
     known: Option<Vec<(String, TableSum)>>,
 ) -> Result<Vec<(String, TableSum)>, TransferError> {
     let mut side = SqliteSide::write(path).await?;
+    // A copy may have begun since the database was opened.
+    assert_finished(&mut side).await?;
     // A single file: whoever copies a backup copies one thing.
     sqlx::query("PRAGMA journal_mode = DELETE").fetch_all(side.conn()).await?;
     forget_journal(&mut side).await?;

@@ -6,7 +6,7 @@ use super::failure::{file, of_source};
 use super::moves::{Drops, Goes, Moves, SURPLUS};
 use super::postgres::PostgresSide;
 use super::sqlite::SqliteSide;
-use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, next_page};
+use super::{MOST_PARAMETERS, Row, Side, Table, TableSum, TransferError, assert_finished, next_page};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -112,6 +112,8 @@ pub(super) async fn transfer(
     told: &mut (dyn FnMut(&str, TableSum, u64) + Send),
 ) -> Result<Vec<(String, TableSum)>, TransferError> {
     source.begin_snapshot().await?;
+    // As the snapshot has it: a copy may have begun since the source was opened.
+    assert_finished(source).await?;
     let tables = source.tables().await?;
     same_schema(&tables, &target.tables().await?)?;
     let drops = Drops::of(source, &tables).await?;
@@ -130,8 +132,6 @@ pub(super) async fn transfer(
             behind.push(table);
         }
     }
-    // What the target holds is the source's: from here on it is changed.
-    target.mark().await?;
     // All of a table that goes before anything that comes: no two rows may stand for the same open alarm, say.
     for table in behind {
         walk(source, target, (table, &drops), Writing::Removed).await?;
@@ -287,11 +287,17 @@ async fn walk(
         match writing {
             Writing::Refused => {}
             Writing::Removed => {
+                if !gone.is_empty() {
+                    target.mark().await?;
+                }
                 for keys in gone.chunks((MOST_PARAMETERS / table.key.len()).max(1)) {
                     target.remove(table, keys).await?;
                 }
             }
             Writing::Missing => {
+                if !missing.is_empty() {
+                    target.mark().await?;
+                }
                 for rows in missing.chunks((MOST_PARAMETERS / table.columns.len()).max(1)) {
                     let begun = Instant::now();
                     target.insert(table, rows).await?;

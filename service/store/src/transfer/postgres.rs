@@ -329,14 +329,22 @@ impl Side for PostgresSide {
         Ok(rows.iter().map(read).collect::<Result<_, sqlx::Error>>()?)
     }
 
+    async fn is_unfinished(&mut self) -> StoreResult<bool> {
+        Ok(sqlx::query_scalar(IS_UNFINISHED).fetch_one(&mut self.conn).await?)
+    }
+
     async fn mark(&mut self) -> StoreResult<()> {
-        let mark = concat!("CREATE TABLE IF NOT EXISTS ", unfinished!(), " ()");
-        sqlx::query(mark).execute(&mut self.conn).await?;
+        if !self.is_unfinished().await? {
+            let mark = concat!("CREATE TABLE ", unfinished!(), " ()");
+            sqlx::query(mark).execute(&mut self.conn).await?;
+        }
         Ok(())
     }
 
     async fn unmark(&mut self) -> StoreResult<()> {
-        sqlx::query(concat!("DROP TABLE ", unfinished!())).execute(&mut self.conn).await?;
+        if self.is_unfinished().await? {
+            sqlx::query(concat!("DROP TABLE ", unfinished!())).execute(&mut self.conn).await?;
+        }
         Ok(())
     }
 

@@ -78,6 +78,18 @@ async fn look_through(conn: &mut Conn, faults: &mut Vec<StoreFault>) -> StoreRes
     .fetch_all(&mut *conn)
     .await?;
     faults.extend(cuts.into_iter().map(of_none).map(|key| fault("cut", key, "it belongs to no cycle")));
+    // Nothing takes a tool away, and of one that was never registered nothing is counted or told.
+    let gone: Vec<(StoredText,)> = sqlx::query_as::<Db, _>(
+        "SELECT tool_id FROM (SELECT tool_id FROM tool_wear UNION SELECT tool_id FROM tool_events) AS known
+         WHERE NOT EXISTS (SELECT 1 FROM tools t WHERE t.tool_id = known.tool_id) ORDER BY tool_id LIMIT $1",
+    )
+    .bind(most)
+    .fetch_all(&mut *conn)
+    .await?;
+    let gone = gone.into_iter().map(|(tool,)| format!("tools {tool}"));
+    faults.extend(gone.map(|key| {
+        fault("row", key, "it is not there, and its cycles were counted or events of it were told")
+    }));
     advices(conn, faults).await?;
     overrides(conn, faults).await?;
     feed_profiles(conn, faults).await

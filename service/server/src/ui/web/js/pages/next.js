@@ -43,7 +43,7 @@ function toolLine(one) {
 }
 const reasonText = (reason) => language === "en" ? sentence(reason.message) : told("reason", reason.code, sentence(reason.message));
 const sentence = (text) => { const first = text.charAt(0).toUpperCase() + text.slice(1); return /[.!?]$/.test(first) ? first : `${first}.`; };
-const ofTool = new Set(["good", "warning", "worn", "learning", "undercut", "conditions_changed", "level_outdated", "level_carried_over", "no_new_tool_baseline", "masked_by_control", "cycle_time_risen", "speed_changed", "level_unconfirmed", "cut_short", "clock_suspect", "being_counted", "no_cycles", "data_stale", "tool_unregistered"]);
+const ofTool = new Set(["good", "warning", "worn", "learning", "undercut", "conditions_changed", "level_outdated", "level_carried_over", "no_new_tool_baseline", "masked_by_control", "cycle_time_risen", "speed_changed", "level_unconfirmed", "cut_short", "clock_suspect", "being_counted", "clock_never_set", "no_cycles", "data_stale", "tool_unregistered"]);
 function reasonLink(one, code) {
   if (ofTool.has(code)) return html`<a href="/tool?id=${segment(one.tool)}">${t("nav.tool")}</a>`;
   if (code.includes("profile")) return html`<a href="/profile?operation=${segment(one.operation)}">${t("nav.profile")}</a>`;

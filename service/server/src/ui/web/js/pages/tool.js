@@ -156,7 +156,8 @@ function eventNames(u, c, marks) {
 
 /** Why nothing is told of the wear, in one sentence. */
 function unknown(wear) {
-  if (wear.reasons.some((one) => one.code === "being_counted")) return told("reason", "being_counted", "");
+  const counted = ["being_counted", "clock_never_set"].filter((code) => wear.reasons.some((one) => one.code === code));
+  if (counted.length > 0) return counted.map((code) => told("reason", code, "")).join(" ");
   if (wear.cycles === 0) return t(wear.last_cycle_at ? "tool.saysNewLife" : "tool.saysNoCycle");
   if (isHidden(wear)) return t("tool.saysHidden");
   const reason = wear.reasons.find((one) => one.code === "no_new_tool_baseline") ?? wear.reasons.at(-1);
