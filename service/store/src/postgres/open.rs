@@ -88,7 +88,7 @@ const KEPT_FOR_READS: u32 = 2;
 /// are few, half of them; and of all of them long reads have a quarter at the most.
 const KEPT_FROM_READS: u32 = 3;
 
-/// The last migration that a distributed database cannot have before it: who is of before it is copied (`deploy/citus/README.md`).
+/// A database that is distributed has had the migrations up to this one: of one distributed before, a copy is made (`deploy/citus/README.md`).
 const DISTRIBUTED_SINCE: i64 = 20;
 
 /// Whether Citus has distributed a table by now.
