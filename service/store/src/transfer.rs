@@ -424,10 +424,23 @@ pub(crate) trait Side: Send {
 
     /// Marks it as a database of which a part is missing, before a row is written or removed: whoever is not a copy refuses it until
     /// [`Side::unmark`], however the copy ends. Where it is marked already nothing happens.
-    async fn mark(&mut self) -> StoreResult<()>;
+    async fn mark(&mut self) -> StoreResult<()> {
+        if self.is_unfinished().await? {
+            return Ok(());
+        }
+        self.execute(concat!("CREATE TABLE ", unfinished!(), " (begun BIGINT)")).await
+    }
 
     /// Takes the mark away, when all has arrived, where there is one.
-    async fn unmark(&mut self) -> StoreResult<()>;
+    async fn unmark(&mut self) -> StoreResult<()> {
+        if !self.is_unfinished().await? {
+            return Ok(());
+        }
+        self.execute(concat!("DROP TABLE ", unfinished!())).await
+    }
+
+    /// Runs a statement that both engines take.
+    async fn execute(&mut self, statement: &'static str) -> StoreResult<()>;
 
     /// Gets ready to take samples of these receipts, µs.
     async fn prepare(&mut self, received_us: &[i64]) -> StoreResult<()>;

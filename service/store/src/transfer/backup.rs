@@ -308,25 +308,27 @@ const NOTE: &str = "INSERT INTO last_backup (only_row, made_at_us) VALUES (1, $1
 /// Notes in a SQLite database, beside the server that may be writing it, that its state at `made_at` is backed up.
 pub async fn note_sqlite(database: &Path, made_at: Timestamp) -> Result<(), TransferError> {
     let mut side = SqliteSide::write(database).await?;
-    let noted = match assert_finished(&mut side).await {
-        Ok(()) => sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await.map_err(Into::into),
-        Err(unfinished) => Err(unfinished),
-    };
+    let noted = async {
+        assert_finished(&mut side).await?;
+        sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await?;
+        Ok(())
+    }
+    .await;
     Box::new(side).close().await;
-    noted?;
-    Ok(())
+    noted
 }
 
 /// Notes in a PostgreSQL database that its state at `made_at` is backed up.
 pub async fn note_postgres(database: &str, made_at: Timestamp) -> Result<(), TransferError> {
     let mut side = PostgresSide::connect(database).await?;
-    let noted = match assert_finished(&mut side).await {
-        Ok(()) => sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await.map_err(Into::into),
-        Err(unfinished) => Err(unfinished),
-    };
+    let noted = async {
+        assert_finished(&mut side).await?;
+        sqlx::query(NOTE).bind(made_at.micros()).execute(side.conn()).await?;
+        Ok(())
+    }
+    .await;
     Box::new(side).close().await;
-    noted?;
-    Ok(())
+    noted
 }
 
 /// Writes the sums into the backup: those of the source where they are known, else those of the copy.

@@ -2,7 +2,6 @@
 
 use super::{
     DamagedRows, Filling, Kind, LEFT_OUT, RECEIPTS, Row, Side, Table, TransferError, Unread, Value, quoted,
-    unfinished,
 };
 use crate::error::{StoreError, StoreResult};
 use crate::locks::Locks;
@@ -333,18 +332,8 @@ impl Side for PostgresSide {
         Ok(sqlx::query_scalar(IS_UNFINISHED).fetch_one(&mut self.conn).await?)
     }
 
-    async fn mark(&mut self) -> StoreResult<()> {
-        if !self.is_unfinished().await? {
-            let mark = concat!("CREATE TABLE ", unfinished!(), " ()");
-            sqlx::query(mark).execute(&mut self.conn).await?;
-        }
-        Ok(())
-    }
-
-    async fn unmark(&mut self) -> StoreResult<()> {
-        if self.is_unfinished().await? {
-            sqlx::query(concat!("DROP TABLE ", unfinished!())).execute(&mut self.conn).await?;
-        }
+    async fn execute(&mut self, statement: &'static str) -> StoreResult<()> {
+        sqlx::query(statement).execute(&mut self.conn).await?;
         Ok(())
     }
 

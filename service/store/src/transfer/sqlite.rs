@@ -2,7 +2,7 @@
 
 use super::{
     DamagedRows, Filling, Kind, LEFT_OUT, RECEIPTS, Row, SAMPLES, Side, Table, TransferError, Unread, Value,
-    quoted, unfinished,
+    quoted,
 };
 use crate::codec::pack;
 use crate::error::{StoreError, StoreResult};
@@ -373,18 +373,8 @@ impl Side for SqliteSide {
         Ok(sqlx::query_scalar(IS_UNFINISHED).fetch_one(&mut self.conn).await?)
     }
 
-    async fn mark(&mut self) -> StoreResult<()> {
-        if !self.is_unfinished().await? {
-            let mark = concat!("CREATE TABLE ", unfinished!(), " (begun INTEGER)");
-            sqlx::query(mark).execute(&mut self.conn).await?;
-        }
-        Ok(())
-    }
-
-    async fn unmark(&mut self) -> StoreResult<()> {
-        if self.is_unfinished().await? {
-            sqlx::query(concat!("DROP TABLE ", unfinished!())).execute(&mut self.conn).await?;
-        }
+    async fn execute(&mut self, statement: &'static str) -> StoreResult<()> {
+        sqlx::query(statement).execute(&mut self.conn).await?;
         Ok(())
     }
 
